@@ -19,13 +19,29 @@ from sero_mj.assemble.world import World
 from sero_mj.cli import main
 from sero_mj.describe.mjcf_file import as_spec
 from sero_mj.drive._expression import parse
-from sero_mj.errors import CsvError, DeclarationError, RecordingError, RouteError, SourceError
-from sero_mj.paths import open_file, read_file
+from sero_mj.errors import (
+    CsvError,
+    DeclarationError,
+    RecordingError,
+    RenderError,
+    RouteError,
+    SourceError,
+)
+from sero_mj.paths import (
+    find_group_model,
+    find_model,
+    find_scenario,
+    find_scene,
+    open_file,
+    read_file,
+)
 from sero_mj.receive.shm import ShmReader
 from sero_mj.record.csv_files import read_csv
 from sero_mj.record.recording import Recording
 from sero_mj.record.replay import Replay
 from sero_mj.runs.run_recording import read_run
+from sero_mj.show.calibration import read_points
+from sero_mj.show.footage import Video, read_photo
 from sero_mj.toml_file import key_lines, read_toml
 
 __all__ = ["block"]  # a fixture
@@ -112,6 +128,26 @@ def test_a_pipe_is_no_recording(pipe: Path, capsys: pytest.CaptureFixture[str]) 
             main(command)
         assert ended.value.code == 2
         assert f"sero-mj: {expected}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["x.toml", "x.urdf", "x.x3d", "x.png", "x"])
+def test_a_pipe_is_called_one_wherever_a_file_is_expected(tmp_path: Path, name: str) -> None:
+    """It was said to be missing, with its own name as the nearest one."""
+    os.mkfifo(tmp_path / name)
+    expected = f"{tmp_path / name}: cannot be read: is a pipe; expected a file"
+    for find in (find_scene, find_scenario, find_model, find_group_model):
+        with pytest.raises(DeclarationError) as found:
+            find(str(tmp_path / name))
+        assert str(found.value) == expected
+
+
+def test_pipes_are_no_photos_videos_and_points(pipe: Path) -> None:
+    expected = r"pipe\.(mcap|csv): .*be read: is a pipe; expected a file$"
+    for read in (read_photo, Video):
+        with pytest.raises(RenderError, match=expected):
+            read(pipe)
+    with pytest.raises(DeclarationError, match=expected):
+        read_points(pipe.rename(pipe.with_suffix(".csv")), World(Scene()), (100, 100))
 
 
 @needs_posix

@@ -117,6 +117,13 @@ def test_unknown_name_is_refused_with_the_nearest_or_all(elsewhere, package, fin
     )
 
 
+def test_a_link_to_nothing_is_called_one(elsewhere):
+    Path("x.toml").symlink_to("gone.toml")
+    with pytest.raises(DeclarationError) as caught:
+        paths.find_scene("x.toml")
+    assert str(caught.value) == "x.toml: is a link to gone.toml, which is not there"
+
+
 @pytest.mark.parametrize("find", [paths.find_model, paths.find_scene])
 @pytest.mark.parametrize("name", ["a" * 300, "nul\0", "", ".", "a/b/../.."])
 def test_name_that_no_file_can_have_is_unknown_like_any_other(elsewhere, find, name):
