@@ -36,6 +36,11 @@ def nearest(name: str, available: Iterable[str]) -> str | None:
     return by_lower[close[0]] if close else None
 
 
+def reason_of(error: Exception) -> str:
+    """What an error says; of one of the operating system without its number and file."""
+    return getattr(error, "strerror", None) or str(error)
+
+
 def did_you_mean(name: str, available: Iterable[str]) -> str:
     """Returns `; did you mean 'x'?` for the nearest name, else the list of what is available."""
     names = list(available)

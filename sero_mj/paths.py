@@ -181,17 +181,30 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     ending = path.suffix.lower()
     if "\0" in name:
         return
-    if os.path.isfile(path) and ending not in (".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS):
-        found = format_of_file(path) or "no file of a robot or a scene"
-        read = ", ".join((".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS))
-        raise DeclarationError([Problem("", f"is {found}; expected one of {read}", str(path))])
-    if ending in (".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS):
-        if os.path.isfile(path):
+    is_read = ending in (read := (".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS))
+    if not is_read and os.path.exists(path) and not os.path.isdir(path):
+        try:
+            with open_file(path) as file:
+                found = format_of(file.read(_HEAD)) or "no file of a robot or a scene"
+        except OSError as error:
+            what = f"cannot be read: {error.strerror}"
+        else:
+            what = f"is {found}; expected one of {', '.join(read)}"
+        raise DeclarationError([Problem("", what, str(path))])
+    if is_read:
+        try:
+            open_file(path).close()
             return  # another kind of file than what is looked for
-        what = "is a folder; expected a file"
-        if not os.path.isdir(path):
-            near = nearest(path.stem, [Path(n).stem for n in _files(path.parent, path.suffix)])
+        except IsADirectoryError:
+            what = "is a folder; expected a file"
+        except (FileNotFoundError, NotADirectoryError):
+            others = [Path(n).stem for n in _files(path.parent, path.suffix) if n != path.name]
+            near = nearest(path.stem, others)
             what = "no such file" + (f"; did you mean '{near}{path.suffix}'?" if near else "")
+            if path.is_symlink():
+                what = f"is a link to {os.readlink(path)}, which is not there"
+        except OSError as error:
+            what = f"cannot be read: {error.strerror}"
         raise DeclarationError([Problem("", what, str(path))])
 
 
@@ -300,6 +313,14 @@ def is_temporary(path: Path | str) -> bool:
     if not _temporary.cache_info().currsize:  # nobody has made one
         return False
     return Path(path).is_relative_to(Path(_temporary().name).resolve())
+
+
+def without_temporary(text: str) -> str:
+    """Returns a message with files of such folders, which say nothing, by their paths in there."""
+    if not _temporary.cache_info().currsize:
+        return text
+    folder = re.escape(str(Path(_temporary().name).resolve()))
+    return re.sub(rf"{folder}[/\\][^/\\\s]+[/\\]", "", text)
 
 
 def open_file(path: Path | str, most: int | None = None) -> BinaryIO:

@@ -6,6 +6,7 @@ import re
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,15 @@ from .paths import format_of, read_file
 _MCAP = b"\x89MCAP"
 _MOST_BYTES = 20_000_000
 _MOST_PARTS = 100  # of a dotted key; reading one takes the square of it
+# Of keys and tables, each of which is a table of 1 kB while it is read, and of texts and numbers.
+_MOST_NAMES, _MOST_VALUES = 100_000, 2_000_000
 # Quotes and comments go whole; one that is not closed ends with its line.
-_TOKENS = re.compile(
+_LONG_TEXT = (
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\Z)'
     r"|'''(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"
+)
+_TOKENS = re.compile(
+    rf"{_LONG_TEXT}"
     r'|"(?:[^"\\\n]|\\.)*+"?'
     r"|'[^'\n]*+'?"
     r"|\#[^\n]*+"
@@ -26,7 +32,15 @@ _TOKENS = re.compile(
     re.DOTALL,
 )
 _PART = r"""(?>[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
-_LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{_MOST_PARTS}}}")
+_PARTS = re.compile(_PART, re.DOTALL)
+# Whatever may be a key goes whole. One has a sign of equality behind it, or is a header by itself.
+_NAMES_AND_VALUES = re.compile(
+    rf"{_LONG_TEXT}|\#[^\n]*+"
+    r"|(?P<numbers>(?:[-+]?[0-9][-+0-9.eE_]*+\s*+,\s*+)++)"
+    rf"|(?P<header>^[ \t]*+\[\[?[ \t]*+)?(?P<key>{_PART}(?:[ \t]*+\.[ \t]*+{_PART})*+)[ \t]*+"
+    r"(?P<ends>=|(?(header)\]\]?[ \t]*+(?=[\n#]|\Z)|=))?",
+    re.DOTALL | re.MULTILINE,
+)
 _MOST_ROWS = 300  # of an array whose entries are told apart; looking takes the square of it
 
 
@@ -62,17 +76,37 @@ def parse_toml(text: str) -> dict[str, Any]:
     """Parses TOML.
 
     Raises:
-        ValueError: it is none, or so deep that it would take all memory; says where.
+        ValueError: it is none, or has so much in it, or so deep, that it would take all memory;
+            says where.
     """
-    if (found := _LONG_KEY.search(text)) is not None:
-        line = text.count("\n", 0, found.start()) + 1
-        raise ValueError(
-            f"expected at most {_MOST_PARTS} parts of a key with dots (at line {line})"
-        )
+    _check_counts(text)
     try:
         return tomllib.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
+
+
+def _check_counts(text: str) -> None:
+    names = values = 0
+    for found in _NAMES_AND_VALUES.finditer(text):
+        key = found["key"]
+        if key is None:
+            values += found.group().count(",") if found["numbers"] else 1
+            parts = 0
+        else:
+            parts = key.count(".") + 1
+            if parts > _MOST_PARTS:
+                parts = len(_PARTS.findall(key))  # without the dots in quotes
+            names += parts if found["ends"] else 0
+            values += 0 if found["ends"] else 1
+        for count, most, what in (
+            (parts, _MOST_PARTS, "parts of a key with dots"),
+            (names, _MOST_NAMES, "keys and tables"),
+            (values, _MOST_VALUES, "values"),
+        ):
+            if count > most:
+                line = text.count("\n", 0, found.start("key") if key else found.start()) + 1
+                raise ValueError(f"expected at most {most} {what} (at line {line})")
 
 
 def _as_text(contents: bytes) -> str:
@@ -113,7 +147,6 @@ def key_lines(path: Path) -> dict[str, int]:
             for key in outer:
                 lines.setdefault(key, number)
             if statement.lstrip().startswith("[["):
-                table = table.removesuffix(".0")
                 lines.setdefault(table, number)
                 entries[table] += 1
                 table += f".{entries[table] - 1}"
@@ -124,7 +157,7 @@ def key_lines(path: Path) -> dict[str, int]:
             lines.setdefault(table, number)
         else:
             depth, within = _entry_lines(statement, parsed)
-            for key in _keys(parsed):
+            for key in (*within, *_keys(parsed)):
                 entry = ".".join(key.split(".")[:depth])
                 line = number + within.get(entry, 0)
                 lines.setdefault(f"{table}.{key}" if table else key, line)
@@ -135,7 +168,7 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
     """Yields the line number and the text of every header and every `key = value`."""
     depth = begin = 0
     line = first = 1  # of the text, and of the statement
-    for token in [*_TOKENS.finditer(text), None]:
+    for token in chain(_TOKENS.finditer(text), [None]):
         what = "" if token is None else token.group()
         depth += (what in ("[", "{")) - (what in ("]", "}"))
         line += what.count("\n")
@@ -187,11 +220,12 @@ def _array_in(parsed: dict[str, Any]) -> str:
 
 
 def _keys(value: Any, prefix: str = "") -> Iterator[str]:
-    """Yields every dotted key in a parsed value, the outer ones first."""
+    """Yields the dotted key of every entry of tables in a parsed value, the outer ones first."""
     pairs = value.items() if isinstance(value, dict) else enumerate(value)
     for key, inner in pairs:
         name = f"{prefix}.{key}" if prefix else str(key)
-        yield name
+        if isinstance(value, dict):
+            yield name
         if isinstance(inner, dict | list):
             yield from _keys(inner, name)
 

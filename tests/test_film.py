@@ -1,6 +1,8 @@
 """Pictures and films on disk, and the sampling of live sources."""
 
+import errno
 import itertools
+import os
 import socket
 import struct
 import subprocess
@@ -120,6 +122,19 @@ def test_a_film_that_breaks_off_leaves_nothing_behind(tmp_path) -> None:
         raise ZeroDivisionError
     assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
     assert path.read_bytes() == b"the film of yesterday"
+
+
+@pytest.mark.parametrize("ending", [".mp4", ".webm", ".gif", ".png"])
+def test_a_file_that_cannot_be_written_is_named_itself(tmp_path, ending) -> None:
+    """And not the one that would have become it; with the traceback of removing that one."""
+    path = tmp_path / f"{'x' * 300}{ending}"
+    pixels = np.zeros((16, 16, 3), np.uint8)
+    with pytest.raises(RenderError) as found:
+        if ending == ".png":
+            save_picture(path, pixels)
+        with FilmWriter(path, 16, 16, 10) as film:
+            film.add(pixels)
+    assert str(found.value) == f"cannot write {path}: {os.strerror(errno.ENAMETOOLONG)}"
 
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path) -> None:

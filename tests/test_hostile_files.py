@@ -19,13 +19,29 @@ from sero_mj.assemble.world import World
 from sero_mj.cli import main
 from sero_mj.describe.mjcf_file import as_spec
 from sero_mj.drive.language import parse
-from sero_mj.errors import CsvError, DeclarationError, RecordingError, RouteError, SourceError
-from sero_mj.paths import open_file, read_file
+from sero_mj.errors import (
+    CsvError,
+    DeclarationError,
+    RecordingError,
+    RenderError,
+    RouteError,
+    SourceError,
+)
+from sero_mj.paths import (
+    find_group_model,
+    find_model,
+    find_scenario,
+    find_scene,
+    open_file,
+    read_file,
+)
 from sero_mj.receive.shm import ShmReader
 from sero_mj.record.csv_files import read_csv
 from sero_mj.record.recording import Recording
 from sero_mj.record.replay import Replay
 from sero_mj.runs.run_recording import read_run
+from sero_mj.show.calibration import read_points
+from sero_mj.show.footage import Video, read_photo
 from sero_mj.toml_file import key_lines, read_toml
 
 __all__ = ["block"]  # a fixture
@@ -114,6 +130,26 @@ def test_a_pipe_is_no_recording(pipe: Path, capsys: pytest.CaptureFixture[str]) 
         assert f"sero-mj: {expected}" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["x.toml", "x.urdf", "x.x3d", "x.png", "x"])
+def test_a_pipe_is_called_one_wherever_a_file_is_expected(tmp_path: Path, name: str) -> None:
+    """It was said to be missing, with its own name as the nearest one."""
+    os.mkfifo(tmp_path / name)
+    expected = f"{tmp_path / name}: cannot be read: is a pipe; expected a file"
+    for find in (find_scene, find_scenario, find_model, find_group_model):
+        with pytest.raises(DeclarationError) as found:
+            find(str(tmp_path / name))
+        assert str(found.value) == expected
+
+
+def test_pipes_are_no_photos_videos_and_points(pipe: Path) -> None:
+    expected = r"pipe\.(mcap|csv): .*be read: is a pipe; expected a file$"
+    for read in (read_photo, Video):
+        with pytest.raises(RenderError, match=expected):
+            read(pipe)
+    with pytest.raises(DeclarationError, match=expected):
+        read_points(pipe.rename(pipe.with_suffix(".csv")), World(Scene()), (100, 100))
+
+
 @needs_posix
 @pytest.mark.skipif(sys.platform != "linux", reason="blocks are no files there")
 def test_a_pipe_is_no_shared_memory(block: str) -> None:
@@ -157,6 +193,38 @@ def test_keys_with_thousands_of_dots_are_refused(tmp_path: Path, key: str) -> No
     assert str(found.value) == f"{file}:2: {expected}"
 
 
+@pytest.mark.parametrize(
+    ("many", "what"),
+    [
+        ("a{}.b.c.d = 1\n", "100000 keys and tables"),
+        ("[[a]] # {}\n", "100000 keys and tables"),
+        ("[a{}.b]\n", "100000 keys and tables"),
+        ("'{}'.b = 1\n", "100000 keys and tables"),
+        ("x = [1, 2, 3, 4, 5, {}]\n", "100000 keys and tables"),
+        ("# {}\n0,\n1, 2, 3, 4,", "2000000 values"),
+        ("['{}'], [1, 2], true,\n", "2000000 values"),
+    ],
+)
+def test_files_of_endless_keys_and_values_are_refused_before_they_are_read(
+    tmp_path: Path, many: str, what: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 9 MB, they took minutes and gigabytes before a section was found to be unknown."""
+    file = tmp_path / "x.toml"
+    file.write_text("x = [\n" + "".join(many.format(i) for i in range(600_000)))
+    monkeypatch.setattr("sero_mj.toml_file.tomllib.loads", lambda text: pytest.fail("it is read"))
+    with pytest.raises(DeclarationError, match=rf"expected at most {what} \(at line \d+\)"):
+        read_toml(file)
+
+
+def test_what_only_looks_like_keys_is_not_counted(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    rows = "  [1.5],\n" * 60_000 + "  ['a.b', 2.5, # c = d\n],\n" * 60_000
+    text = "[x]\na = b\n" * 60_000
+    dots = "a." * 200
+    file.write_text(f'"{dots}" = "{dots}"\npath = [\n{rows}]\ntext = """\n{text}"""\n')
+    assert read_toml(file).keys() == {dots, "path", "text"}
+
+
 def test_long_arrays_and_texts_are_read_in_time(tmp_path: Path) -> None:
     file = tmp_path / "x.toml"
     rows = "  [1, 2, 3, 4, 5, 6, 7],\n" * 20_000
@@ -182,17 +250,65 @@ def test_expressions_of_thousands_of_terms_are_refused() -> None:
     assert parse(" + ".join(["udp.values0"] * 900))
 
 
-def test_scenes_of_thousands_of_robots_are_refused(tmp_path: Path) -> None:
-    file = tmp_path / "many.toml"
-    file.write_text("".join(ROBOT.format(f"r{i}") for i in range(3000)))
-    with pytest.raises(DeclarationError) as found:
-        load_scene(file)
-    assert str(found.value) == f"{file}:1: robots: found 3000; expected at most 200"
+def test_scenes_of_thousands_of_robots_are_refused_before_they_are_built(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     one = SerialRobot(dh_convention="craig", dh_params=[[0, 0, 0, 0.2]])
     many = [one.model_copy(update={"name": f"r{i}"}) for i in range(201)]
     with pytest.raises(DeclarationError, match="robots: found 201; expected at most 200"):
         Scene(robots=many)
     Scene(robots=many[:200])
+
+    def built(*_: Any) -> None:
+        pytest.fail("an entry is built")
+
+    monkeypatch.setattr("sero_mj.assemble.scene_file._Reader._entry", built)
+    file = tmp_path / "many.toml"
+    file.write_text("".join(ROBOT.format(f"r{i}") for i in range(3000)))
+    with pytest.raises(DeclarationError) as found:
+        load_scene(file)
+    assert str(found.value) == f"{file}:1: robots: found 3000; expected at most 200"
+    file.write_text("floor = true\n" + "".join(f"[lights.l{i}]\n" for i in range(101)))
+    with pytest.raises(DeclarationError) as found:
+        load_scene(file)
+    assert str(found.value) == f"{file}:2: lights: found 101; expected at most 100"
+
+
+def test_models_of_groups_in_each_other_do_not_multiply(tmp_path: Path) -> None:
+    """Eight files of ten groups each would be 100 million robots."""
+    for depth in range(8):
+        (tmp_path / f"m{depth}").mkdir()
+        inner = "".join(f'[groups.g{i}]\nmodel = "m{depth + 1}"\n' for i in range(10))
+        text = ROBOT.format("r") if depth == 7 else inner
+        (tmp_path / f"m{depth}" / "group.toml").write_text(text)
+    (tmp_path / "scene.toml").write_text('[groups.all]\nmodel = "m0"\n')
+    with pytest.raises(DeclarationError, match=r"groups: found \d+; expected at most 100"):
+        load_scene(tmp_path / "scene.toml")
+
+
+def test_doubles_of_large_groups_do_not_multiply(tmp_path: Path) -> None:
+    names = [f"r{i}" for i in range(150)]
+    robots = "".join(map(ROBOT.format, names)) + f"[groups.all]\nrobots = {names}\n"
+    doubles = "".join(f'[doubles.d{i}]\nof = "all"\n' for i in range(4))
+    file = tmp_path / "x.toml"
+    file.write_text(robots + doubles + "[routes]\n'd0.joint_angles' = [0]\n")
+    with pytest.raises(DeclarationError) as found:
+        load_scene(file)
+    assert [(each.key, each.message) for each in found.value.problems] == [
+        ("doubles", "found 600; expected at most 500")
+    ]
+
+
+def test_long_routes_and_endless_children_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "x.toml"
+    children = 'children = [{ name = "c", shape = "sphere" },' + "{}," * 2000 + "]\n"
+    file.write_text(ROBOT.format("a") + children + f"[routes]\n'x.y' = \"{'+1' * 100_000}\"\n")
+    with pytest.raises(DeclarationError) as found:
+        load_scene(file)
+    assert [(each.key, each.message) for each in found.value.problems] == [
+        ("robots.a.children", "found 2001 entries; expected at most 2000"),
+        ("routes.x.y", "found 200000 characters; expected at most 100000"),
+    ]
 
 
 def test_endless_meshes_in_a_piece_of_mjcf_are_refused(

@@ -25,7 +25,7 @@ from sero_mj.assemble.world import World
 from sero_mj.cli import main
 from sero_mj.errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
 from sero_mj.load import load_scene
-from sero_mj.toml_file import key_lines
+from sero_mj.toml_file import key_lines, located
 
 MINIMAL = 'dh_convention = "craig"\n'
 
@@ -115,6 +115,13 @@ def test_unknown_name_is_refused_with_the_nearest_or_all(elsewhere, package, fin
         name,
         ["both"] if find == "find_scene" else ["arm", "leg"],
     )
+
+
+def test_a_link_to_nothing_is_called_one(elsewhere):
+    Path("x.toml").symlink_to("gone.toml")
+    with pytest.raises(DeclarationError) as caught:
+        paths.find_scene("x.toml")
+    assert str(caught.value) == "x.toml: is a link to gone.toml, which is not there"
 
 
 @pytest.mark.parametrize("find", [paths.find_model, paths.find_scene])
@@ -379,11 +386,14 @@ def test_an_entry_of_an_array_has_its_own_line(tmp_path: Path) -> None:
         '  "b", "c",\n  [1,\n   2],\n]\na.b = [[1, 2],\n  [3, 4]]\nc = """[\n1"""\n'
     )
     lines = key_lines(file)
-    under = {key.removeprefix("robots.arm."): line for key, line in lines.items()}
-    assert under["lines"] == 2
-    assert [under[f"lines.{i}"] for i in range(4)] == [3, 5, 5, 6]
-    assert (under["lines.0.unit"], under["lines.3.1"]) == (3, 6)
-    assert (under["a.b.0"], under["a.b.1"], under["a.b.1.1"], under["c"]) == (9, 10, 10, 11)
+
+    def line(key: str) -> int | None:
+        return located(Problem(f"robots.arm.{key}", ""), file, lines).line
+
+    assert line("lines") == 2
+    assert [line(f"lines.{i}") for i in range(4)] == [3, 5, 5, 6]
+    assert (line("lines.0.unit"), line("lines.3.1")) == (3, 6)
+    assert [line(key) for key in ("a.b.0", "a.b.1", "a.b.1.1", "c")] == [9, 10, 10, 11]
 
 
 MJCF = '<mujoco><worldbody><body><joint axis="0 0 1"/><geom size=".1"/></body></worldbody></mujoco>'

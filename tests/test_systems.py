@@ -13,12 +13,24 @@ from sero_mj.assemble.world import World
 from sero_mj.decor.draw import Decor
 from sero_mj.decor.toggles import Toggles
 from sero_mj.drive.mirror import Mirror
+from sero_mj.drive.wiring import wire
 from sero_mj.load import load_scene
-from sero_mj.paths import find_scene
+from sero_mj.paths import find_scene, list_scenes
 
 # Of the haptic device's user, half axes of an ellipsoid, m.
 CHEST, CHEST_SIZE = np.array([0.0, 0.0, 1.02]), np.array([0.12, 0.19, 0.27])
 LINK = 0.07  # radius of an LWR's links, m
+
+
+def test_shipped_scenes_can_be_shown_at_the_same_time() -> None:
+    """Of two that listened on one port, the second one refused to start."""
+    places: dict[str, str] = {}
+    for name in list_scenes():
+        scene = load_scene(name)
+        for source in wire(scene).check(scene).sources.values():
+            other = places.setdefault(source.about.rpartition(" on ")[2], name)
+            assert other == name, f"{name} and {other}: {source.about}"
+    assert len(places) == len(list_scenes())
 
 
 def test_hands_reach_the_haptic_device_and_its_arms_leave_the_user_free() -> None:

@@ -202,7 +202,18 @@ def test_beyond_this_machine_a_token_is_needed(open_page: WebHost) -> None:
     status, text, headers = get(port, f"/?token={token}")
     assert (status, "<canvas" in text) == (200, True)
     cookie, *about = headers["Set-Cookie"].split("; ")
-    assert {"HttpOnly", "SameSite=Strict"} <= set(about)
+    assert {"HttpOnly", "SameSite=Strict", "Path=/"} == set(about)
+    # Browsers send it to other servers on this host, too.
+    assert cookie.startswith(f"sero-mj-{port}=")
+    assert token not in cookie
+    _, _, elsewhere = get(port, f"/?token={token}", Host="192.168.1.7:9000")
+    assert elsewhere["Set-Cookie"].startswith("sero-mj-9000=")
+    for host in ("127.0.0.1", "[::1]"):
+        _, _, elsewhere = get(port, f"/?token={token}", Host=host)
+        assert elsewhere["Set-Cookie"].startswith("sero-mj-80=")
+    stolen = cookie.partition("=")[2]
+    assert get(port, f"/model?token={stolen}")[0] == 403
+    assert get(port, "/model", Cookie=f"sero-mj-{port + 1}={stolen}")[0] == 403
     assert get(port, "/model", Cookie=f'junk="{{; a b=[; {cookie}')[0] == 200
     assert get(port, "/model", Cookie=cookie + "x")[0] == 403
     # Who has the cookie, and is sent by another site, does not come in either.

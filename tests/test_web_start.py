@@ -22,10 +22,12 @@ from web_tools import MISSING, Visitor
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from sero_mj import Mirror, load_scene, paths
 from sero_mj.assemble.scene import Scene
-from sero_mj.errors import UsageError
+from sero_mj.errors import DeclarationError, UsageError
 from sero_mj.show.recent_views import RecentView
 from sero_mj.show.start_page import Listening
+from sero_mj.show.web.host import WebHost
 from sero_mj.show.web.start_host import StartHost
 
 PATHS = ("/", "/sero-mj/tiles", "/sero-mj/pictures/0", "/sero-mj/start", "/sero-mj/files")
@@ -117,6 +119,43 @@ def test_files_are_taken_whole_and_what_is_wrong_is_told(opened: Opened) -> None
         told = json.loads(line.recv(timeout=10))
         assert told == {"error": "a.toml: found other contents than its 2 bytes"}
     assert opened.asked.empty()
+
+
+@pytest.mark.parametrize(
+    ("listed", "told"),
+    [
+        ([{"path": "a.toml", "size": float("inf")}], "found no list of files; expected paths"),
+        ([{"path": f"{'x' * 300}/a.toml", "size": 1}], f"{'x' * 300}/a.toml: cannot be kept: "),
+        ([{"path": "m", "size": 0}, {"path": "m/a.toml", "size": 1}], "m/a.toml: cannot be kept: "),
+    ],
+)
+def test_files_that_cannot_be_kept_are_told_by_their_own_names(
+    opened: Opened, listed: list[dict[str, Any]], told: str
+) -> None:
+    kept = paths.make_temporary_folder().parent
+    before = set(kept.iterdir())
+    with opened.line("/sero-mj/files") as line:
+        line.send(json.dumps(listed).replace("Infinity", "1e999"))
+        error = json.loads(line.recv(timeout=10))["error"]
+    assert error.startswith(told)
+    assert str(kept) not in error
+    assert set(kept.iterdir()) == before
+    assert opened.asked.empty()
+
+
+def test_faults_in_files_that_were_dropped_have_their_names_there(home: None) -> None:
+    path = paths.make_temporary_folder() / "cell" / "scene.toml"
+    path.parent.mkdir()
+    path.write_text("nonsense = 1\n")
+    with pytest.raises(DeclarationError) as found:
+        load_scene(path)
+    said = paths.without_temporary(f"{found.value} and {paths.models_dir()}")
+    assert said.startswith("cell/scene.toml:1: nonsense: unknown section")
+    assert said.endswith(f" and {paths.models_dir()}")
+    with Mirror(load_scene("lwr")) as mirror, WebHost(mirror) as page:
+        page.say(str(found.value), is_bad=True)
+        assert page.notice is not None
+        assert page.notice.text.startswith("cell/scene.toml:1: nonsense")
 
 
 def test_other_sites_and_who_has_no_token_are_refused(opened: Opened) -> None:

@@ -43,6 +43,8 @@ class Expanded:
         declared: where tables are declared, by `robots.NAME` and `groups.NAME`.
         problems: everything that is wrong in models and in what names them.
         broken: `groups.NAME` of those that are left out.
+        most: robots and groups that a scene may have; models that are in several models again
+            become as many as their product, so no more are added beyond.
     """
 
     robots: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -51,16 +53,24 @@ class Expanded:
     declared: dict[str, Declared] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
+    most: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there are more than a scene may have."""
+        groups = len(self.groups) + len(self.broken)
+        return len(self.robots) > self.most["robots"] or groups > self.most["groups"]
 
 
-def expand_groups(tables: Mapping[str, Any], file: Path) -> Expanded:
+def expand_groups(tables: Mapping[str, Any], file: Path, most: Mapping[str, int]) -> Expanded:
     """Returns what the groups of a scene become that have a model; others stay as they are.
 
     Args:
         tables: of the scene's `groups`, by name.
         file: that they are in; models are looked for beside it, and among the shipped ones.
+        most: `robots` and `groups` that there may be; it ends soon after these.
     """
-    found = Expanded()
+    found = Expanded(most=most)
     for name, table in tables.items():
         if isinstance(table, Mapping) and "model" in table:
             entry = _found_from(file.parent, {"groups": {name: table}})["groups"][name]
@@ -140,6 +150,8 @@ def _add_group(
     found: Expanded, around: _Place, name: str, entry: Mapping[str, Any], declared: Declared
 ) -> None:
     """Adds a group with a model and all of its members, or tells why it cannot be."""
+    if found.is_full:
+        return
     problems = [
         Problem(key, f"unknown key{did_you_mean(key, _OF_ENTRY)}")
         for key in entry

@@ -27,6 +27,7 @@ BILLBOARD_VALUES = (
     "billboard_values",
 )
 MAX_JOINTS = 128
+_MOST_CHILDREN = 2000  # as many as a scene may have objects
 # Fields that can be given in degrees instead.
 IN_DEGREES = {
     "position_limits_deg": "position_limits",
@@ -139,7 +140,9 @@ TreeFrames = Annotated[
     Array | None,
     BeforeValidator(_tree_frames, json_schema_input_type=list[list[Any] | dict[str, Any]] | None),
 ]
-Children = Annotated[list[Object], AfterValidator(_children_differ)]
+Children = Annotated[
+    list[Object], Field(max_length=_MOST_CHILDREN), AfterValidator(_children_differ)
+]
 
 
 def _scales(value: Any) -> Any:

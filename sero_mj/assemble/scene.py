@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence, Sized
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -43,6 +43,7 @@ _WITH_FRAMES = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
 NOT = "not"
 JOINING = ("and", "or", NOT)  # words between comparisons
 FUNCTIONS = ("abs", "min", "max", "norm", "any", "all")
+_LONGEST_ORIGIN = 100_000  # characters of the text of a route; each may become a word of it
 _FOR, _BETWEEN = " for ", ";"  # of origins that are for some joints only
 _OF_JOINTS = ("from", "joints")
 # Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
@@ -151,6 +152,16 @@ class Scene:
         self.robots: dict[str, SerialRobot] = {}
         self.groups = {group.name: group for group in groups or []}
         self.membership = membership({name: group.robots for name, group in self.groups.items()})
+        doubled = (self.membership.members.get(double.of, [""]) for double in doubles or [])
+        self._excess = excess(
+            {
+                "robots": robots or (),
+                "groups": groups or (),
+                "doubles": range(sum(map(len, doubled))),
+            }
+        )
+        if self._excess and file is None:
+            raise DeclarationError(self._excess)
         self._group_problems: list[Problem] = []
         self.arrows = {arrow.name: arrow for arrow in arrows or []}
         self.frames = {frame.name: frame for frame in frames or []}
@@ -167,13 +178,13 @@ class Scene:
         self.note = note
         self.name = name
         self.file = file
-        self.broken = frozenset(broken)
+        self.broken = frozenset([*broken, *(problem.key for problem in self._excess)])
         self._lines = lines
         for robot in robots or []:
             self.add(robot)
         self.doubles: dict[str, Double] = {}
         self.double_groups: dict[str, list[str]] = {}  # names of the doubles of a group's robots
-        for double in doubles or []:
+        for double in doubles or [] if "doubles" not in self.broken else []:
             self._add_double(double)
         self.arrows = {name: self._by_links(arrow) for name, arrow in self.arrows.items()}
         self.frames = {name: self._by_links(frame) for name, frame in self.frames.items()}
@@ -336,12 +347,7 @@ class Scene:
 
     def problems(self) -> list[Problem]:
         """Returns invalid references between entries, ambiguous names, and excessive counts."""
-        sections = {key: getattr(self, key) for key in MOST_ENTRIES}
-        too_many = [
-            Problem(key, f"found {len(entries)}; expected at most {MOST_ENTRIES[key]}")
-            for key, entries in sections.items()
-            if len(entries) > MOST_ENTRIES[key]
-        ]
+        too_many = self._excess or excess({key: getattr(self, key) for key in MOST_ENTRIES})
         if too_many:  # checking them would take as long as compiling them
             return too_many
         carriers = {carrier(robot) or "" for robot in self.robots.values()}
@@ -523,6 +529,15 @@ def _floor_problems(floor: Any) -> list[Problem]:
     return [Problem("floor", f"found {floor!r}; expected true, false or 'below'")]
 
 
+def excess(sections: Mapping[str, Any]) -> list[Problem]:
+    """Returns sections with more entries than a scene may have, of any tables of a file."""
+    return [
+        Problem(key, f"found {len(entries)}; expected at most {most}")
+        for key, most in MOST_ENTRIES.items()
+        if isinstance(entries := sections.get(key), Sized) and len(entries) > most
+    ]
+
+
 def _not_of_type(
     kind: type,
     many: type[Sequence[Any]] | type[Mapping[str, Any]] | None = Sequence,
@@ -609,10 +624,14 @@ def origin_text(origin: Any) -> str:
         ValueError: the origin is none of what `Scene` lists.
     """
     if isinstance(origin, Mapping):
-        return _text_for_joints(origin)
-    if isinstance(origin, list | tuple) and any(isinstance(entry, Mapping) for entry in origin):
-        return f"{_BETWEEN} ".join(_text_for_joints(entry) for entry in origin)
-    return _plain_text(origin)
+        text = _text_for_joints(origin)
+    elif isinstance(origin, list | tuple) and any(isinstance(entry, Mapping) for entry in origin):
+        text = f"{_BETWEEN} ".join(_text_for_joints(entry) for entry in origin)
+    else:
+        text = _plain_text(origin)
+    if len(text) > _LONGEST_ORIGIN:
+        raise ValueError(f"found {len(text)} characters; expected at most {_LONGEST_ORIGIN}")
+    return text
 
 
 def _plain_text(origin: Any) -> str:
@@ -624,7 +643,9 @@ def _plain_text(origin: Any) -> str:
         hint = ""
         if isinstance(plain, list) and any(isinstance(entry, str) for entry in plain):
             hint = '; put quotes about the whole list: "[udp.values0[0], 1]"'
-        message = f'found {origin!r}; expected an event such as "udp.values0", or numbers{hint}'
+        message = (
+            f'found {origin!r:.200}; expected an event such as "udp.values0", or numbers{hint}'
+        )
         raise ValueError(message)
     return text
 

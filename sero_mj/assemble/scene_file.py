@@ -16,13 +16,13 @@ from ..describe.robot_file import read_robot_file
 from ..describe.x3d import read_x3d
 from ..dotted_keys import lacking, parts_of, with_value
 from ..errors import DeclarationError, Problem, UnknownName, collect, did_you_mean, nearest
-from ..toml_file import read_toml
+from ..toml_file import key_lines, located, read_toml
 from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
 from .group_model import Expanded, expand_groups, where
 from .groups import SHARED, Group, membership
 from .robot import SerialRobot, build_robot
-from .scene import Scene, SceneToggles, origin_text
+from .scene import MOST_ENTRIES, Scene, SceneToggles, excess, origin_text
 from .surroundings import Camera, Light, Object, View, set_directory
 
 T = TypeVar("T")
@@ -63,11 +63,21 @@ def read_scene_file(
         DeclarationError: the file cannot be read at all.
     """
     described = _described(path) if tables is None else Described(tables)
+    _refuse_excess(excess(described.tables), path, described)
     reader = _Reader(path, described.tables, known, overrides or {})
+    expanded = {section: reader.tables.get(section, {}) for section in ("robots", "groups")}
+    _refuse_excess(excess(expanded), path, described)
     reader.lines = described.lines or None
     scene = reader.scene()
     # What is wrong with the mount of a group is so for all of its robots.
     return scene, list(dict.fromkeys(scene.located(reader.problems)))
+
+
+def _refuse_excess(problems: Sequence[Problem], path: Path, described: Described) -> None:
+    """Raises DeclarationError for sections that would take long to build, before they are."""
+    if problems:
+        lines = described.lines or key_lines(path)
+        raise DeclarationError([located(problem, path, lines) for problem in problems])
 
 
 def _described(path: Path) -> Described:
@@ -135,7 +145,7 @@ class _Reader:
 
     def _expand(self, groups: dict[str, Any]) -> None:
         """Puts the robots of groups that have a model among those of the file."""
-        self.expanded = expanded = expand_groups(groups, self.path)
+        self.expanded = expanded = expand_groups(groups, self.path, MOST_ENTRIES)
         self.problems += expanded.problems
         self.broken += expanded.broken
         self.tables = {**self.tables, "groups": expanded.groups}

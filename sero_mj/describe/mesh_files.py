@@ -27,7 +27,7 @@ import numpy as np
 from lxml import etree
 
 from ..declaration import LARGEST
-from ..errors import DeclarationError, Problem
+from ..errors import DeclarationError, Problem, reason_of
 from ..frames import Array, Ints
 from ..paths import read_file
 from .wrl import read_wrl
@@ -128,7 +128,7 @@ def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
                 return _kept[key]
         contents = read_file(path, MOST_MESH_BYTES if passed else MOST_CONVERTED_BYTES)
     except (OSError, ValueError) as error:
-        raise _wrong(path, getattr(error, "strerror", None) or str(error)) from error
+        raise _wrong(path, reason_of(error)) from error
     if passed and (pieces := _as_it_is(path, ending, contents)) is not None:
         _keep(key, pieces)
         return pieces

@@ -21,7 +21,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from ..declaration import LARGEST
-from ..errors import DeclarationError, Problem, did_you_mean
+from ..errors import DeclarationError, Problem, did_you_mean, reason_of
 from ..frames import Array, frame, rotation_from_rpy
 from ..paths import format_of_file, read_file
 from .described import Described, NoJoints, first_of
@@ -225,8 +225,7 @@ class UrdfFile:
         except FileNotFoundError:
             self._problem(None, "", "no such file")
         except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            self._problem(None, "", f"cannot be read: {reason}")
+            self._problem(None, "", f"cannot be read: {reason_of(error)}")
         self._stop()
         if _tag(root) != "robot":
             found = format_of_file(self.path) or f"XML <{_tag(root)}>"

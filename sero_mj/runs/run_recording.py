@@ -14,7 +14,7 @@ import numpy as np
 from .. import paths
 from ..assemble.group_model import Expanded, expand_groups
 from ..assemble.robot import SerialRobot, build_robot
-from ..assemble.scene import Scene
+from ..assemble.scene import MOST_ENTRIES, Scene
 from ..describe.x3d import read_x3d
 from ..errors import (
     CsvError,
@@ -317,7 +317,7 @@ def _folder(model: str) -> str:
 def _expanded(recording: Recording, groups: dict[str, Any], directory: Path) -> Expanded:
     """What groups become, whose models are in a folder or installed."""
     scene = directory / "scene.toml"  # which is not there: models are found beside it
-    found = expand_groups(_in_folders(groups), scene)
+    found = expand_groups(_in_folders(groups), scene, MOST_ENTRIES)
     if found.problems:
         problem = found.problems[0]
         file = str(problem.file).removeprefix(f"{directory}/")

@@ -18,7 +18,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from ..errors import SourceError
+from ..errors import SourceError, reason_of
 from ..receive.shm_block import Block, block_path
 from ..receive.structure import Rows, Structure
 
@@ -53,7 +53,7 @@ class UdpSink:
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         except (OSError, UnicodeError) as error:
-            reason = getattr(error, "strerror", None) or error
+            reason = reason_of(error)
             raise SourceError(f"{host}:{port}", f"not an address: {reason}") from error
         family, kind, _, _, address = found
         self._address: tuple[Any, ...] = address
@@ -111,8 +111,7 @@ class ShmWriter:
                 self._block.resize(offset + self._size)
             self._number = self._found_lock()
         except (OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise SourceError("writer", f"{self.place}: {reason}") from error
+            raise SourceError("writer", f"{self.place}: {reason_of(error)}") from error
 
     def _found_lock(self) -> int:
         """The lock's number that another writer has left, maybe in the middle of a packet."""

@@ -7,6 +7,7 @@ its axis, with an offset along the frame's axes.
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 import re
 from collections.abc import Sequence
@@ -19,8 +20,9 @@ import numpy as np
 
 from ..assemble.world_view import WorldView
 from ..declaration import numbers
-from ..errors import DeclarationError, Problem, UsageError, did_you_mean
+from ..errors import DeclarationError, Problem, UsageError, did_you_mean, reason_of
 from ..frames import Array, Bools, frame, inverse
+from ..paths import open_file
 from ..toml_file import key_lines, located, read_toml
 from .photo_camera import PhotoCamera, opencv
 
@@ -242,15 +244,17 @@ def _toml_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
 
 def _csv_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file, skipinitialspace=True)
+        with open_file(path) as file:
+            text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
+            reader = csv.DictReader(text, skipinitialspace=True)
             header = [name.strip() for name in reader.fieldnames or []]
             reader.fieldnames = header
             lines = [(reader.line_num, row) for row in reader]
     except FileNotFoundError:
         raise DeclarationError([Problem("", "no such file", str(path))]) from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise DeclarationError([Problem("", f"cannot be read: {error}", str(path))]) from error
+        message = f"cannot be read: {reason_of(error)}"
+        raise DeclarationError([Problem("", message, str(path))]) from error
     if not set(_COLUMNS) <= set(header) <= {*_COLUMNS, *_OFFSETS}:
         message = f"found columns {', '.join(header)}; expected point,x,y and perhaps dx,dy,dz"
         raise DeclarationError([Problem("", message, str(path), 1)])

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from ..errors import RenderError
+from ..errors import RenderError, reason_of
+from ..paths import open_file
 
 Pixels = NDArray[np.uint8]
 PHOTOS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
@@ -32,7 +33,7 @@ def read_photo(path: Path) -> Pixels:
         RenderError: it cannot be read.
     """
     try:
-        with Image.open(path) as picture:
+        with open_file(path) as file, Image.open(file) as picture:
             if picture.width * picture.height > _MOST_PIXELS:
                 raise RenderError(f"{path}: {picture.width}x{picture.height} is too large a photo")
             return np.array(ImageOps.exif_transpose(picture).convert("RGB"))
@@ -41,7 +42,7 @@ def read_photo(path: Path) -> Pixels:
     except UnidentifiedImageError:
         raise RenderError(f"{path}: is no photo that can be read ({', '.join(PHOTOS)})") from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise RenderError(f"{path}: cannot be read: {error}") from error
+        raise RenderError(f"{path}: cannot be read: {reason_of(error)}") from error
 
 
 class Video:
@@ -63,11 +64,13 @@ class Video:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
+            open_file(path).close()
             self._container = av.open(str(path))
         except FileNotFoundError:
             raise RenderError(f"{path}: no such file") from None
         except (av.FFmpegError, OSError, ValueError) as error:
-            raise RenderError(f"{path}: is no video that can be read: {_reason(error)}") from error
+            reason = reason_of(error)
+            raise RenderError(f"{path}: is no video that can be read: {reason}") from error
         if not self._container.streams.video:
             self._container.close()
             raise RenderError(f"{path}: has no video in it; expected a file with pictures")
@@ -113,7 +116,7 @@ class Video:
                 yield time, upright(frame)
         except (av.FFmpegError, OSError, ValueError) as error:
             if not is_any:
-                raise RenderError(f"{self.path}: cannot be read: {_reason(error)}") from error
+                raise RenderError(f"{self.path}: cannot be read: {reason_of(error)}") from error
 
     def close(self) -> None:
         """Closes the file."""
@@ -167,7 +170,3 @@ def upright(frame: av.VideoFrame) -> Pixels:
     pixels = frame.to_ndarray(format="rgb24")
     turns = round(getattr(frame, "rotation", 0) / 90) % 4
     return np.ascontiguousarray(np.rot90(pixels, turns))
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error)

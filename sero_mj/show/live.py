@@ -18,6 +18,7 @@ from ..decor.toggles import Toggles
 from ..drive.mirror import LiveWorld
 from ..errors import SeroError, UsageError
 from ..frames import Array
+from ..paths import without_temporary
 from ..receive.source import Packets
 from . import live_history
 from .camera import copy_camera
@@ -259,7 +260,7 @@ class LiveHost(ABC):
     def say(self, text: str, *, is_bad: bool = False) -> None:
         """Shows a message for a few seconds; errors are shown longer."""
         seconds = _ERROR_TIME if is_bad else _MESSAGE_TIME
-        self.notice = Message(text, is_bad, time.monotonic() + seconds)
+        self.notice = Message(without_temporary(text), is_bad, time.monotonic() + seconds)
 
     def toggle_plot(self) -> str:
         """Shows or hides the torques."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ...errors import RenderError
+from ...errors import RenderError, reason_of
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def check_writable(path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RenderError(f"cannot write {path}: {error.strerror}") from error
-    if path.is_dir() or not os.access(path.parent, os.W_OK):
+    if os.path.isdir(path) or not os.access(path.parent, os.W_OK):
         raise RenderError(f"cannot write {path}: it is a folder, or its folder is read-only")
 
 
@@ -76,10 +76,17 @@ def save_picture(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
     """
     check_writable(path)
     resolution: dict[str, Any] = {} if dpi is None else {"dpi": (dpi, dpi)}
-    try:
+    with _writing(path):
         Image.fromarray(pixels).save(path, **resolution)
+
+
+@contextlib.contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Says which file could not be written, and not by which other one."""
+    try:
+        yield
     except (OSError, ValueError) as error:
-        raise RenderError(f"cannot write {path}: {error}") from error
+        raise RenderError(f"cannot write {path}: {reason_of(error)}") from error
 
 
 def check_film(path: Path | str) -> Path:
@@ -130,10 +137,8 @@ class FilmWriter:
                 "programs show a faster GIF slowly"
             )
         check_writable(path)
-        try:
+        with _writing(path):
             self._container = av.open(str(self._part), "w")
-        except (OSError, ValueError) as error:
-            raise RenderError(f"cannot write {path}: {error}") from error
         self.frames = 0
         rate = Fraction(fps).limit_denominator(1001)
         stream = self._container.add_stream(kind.codec, rate=rate, options=dict(kind.options))
@@ -153,10 +158,11 @@ class FilmWriter:
 
     def _encode(self, frame: av.VideoFrame | None) -> None:
         frames = [frame] if self._palettes is None else self._palettes.follow(frame)
-        for each in frames:
-            self._container.mux(self._stream.encode(each))
-        if frame is None and self._palettes is not None:
-            self._container.mux(self._stream.encode(None))
+        with _writing(self._path):
+            for each in frames:
+                self._container.mux(self._stream.encode(each))
+            if frame is None and self._palettes is not None:
+                self._container.mux(self._stream.encode(None))
 
     def __enter__(self) -> FilmWriter:
         return self
@@ -174,7 +180,8 @@ class FilmWriter:
         if keep:
             self._part.replace(self._path)
         else:
-            self._part.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # it may never have been made
+                self._part.unlink()
 
 
 class _Palettes:

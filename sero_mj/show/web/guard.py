@@ -7,7 +7,9 @@ same-origin policy does not apply. But it cannot choose the headers `Host`, `Ori
 - `Host` must name this machine; this excludes foreign names that resolve to it (DNS rebinding).
 - `Origin`, if present, must be that of the page.
 - Requests of other sites are refused, except opening the page itself.
-- A token, if required, must be in the address (`?token=`) or in the cookie that the page sets.
+- A token, if required, must be in the address (`?token=`), or what was made of it in the cookie
+  that the page sets. Browsers send cookies to every port of a host, so other servers there get to
+  know the cookie: it is named by the port, and does not tell the token.
 
 Programs send neither `Origin` nor `Sec-Fetch-Site`; they are admitted by Host and token.
 """
@@ -15,7 +17,6 @@ Programs send neither `Origin` nor `Sec-Fetch-Site`; they are admitted by Host a
 from __future__ import annotations
 
 import functools
-import hashlib
 import hmac
 import ipaddress
 import logging
@@ -95,8 +96,7 @@ class Guard:
         self._is_private = is_loopback(bound)
         self._machine = "" if self._is_private else socket.gethostname().lower()
         self._names = {"localhost", host.lower(), self._machine} - {""}
-        digest = hashlib.sha256((token or "").encode()).hexdigest()[:12]
-        self._cookie = f"sero-mj-{digest}"  # separate cookies for several pages of one host name
+        self._pass = hmac.digest((token or "").encode(), b"cookie", "sha256").hex()
 
     def answer(self, request: Request) -> Response | None:
         """Returns a refusal or the page; None to let Studio's server respond."""
@@ -130,8 +130,8 @@ class Guard:
         of_host = f"http://{name}:* https://{name}:*" if name and ":" not in name else ""
         headers["Content-Security-Policy"] = f"frame-ancestors 'self' {_FRAMES_OF} {of_host}"
         if self.token is not None and self._is_token(_token_of(query)):
-            cookie = f"{self._cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
-            headers["Set-Cookie"] = cookie
+            cookie = f"{_cookie_name(request.headers)}={self._pass}"
+            headers["Set-Cookie"] = f"{cookie}; Path=/; HttpOnly; SameSite=Strict"
 
     def _refusal(self, headers: Headers, path: str, query: str) -> str | None:
         """Returns why a request is refused, or None."""
@@ -189,8 +189,9 @@ class Guard:
             return True
         # Cookies of other servers on this host are sent too and may be malformed.
         pairs = [pair.strip() for text in headers.get_all("Cookie") for pair in text.split(";")]
-        given = [pair.partition("=")[2] for pair in pairs if pair.startswith(f"{self._cookie}=")]
-        return any(self._is_token(token) for token in given)
+        start = f"{_cookie_name(headers)}="
+        given = [pair.removeprefix(start) for pair in pairs if pair.startswith(start)]
+        return any(hmac.compare_digest(each.encode(), self._pass.encode()) for each in given)
 
     def _refuse(self, path: str, reason: str) -> Response:
         self.refused += 1
@@ -210,6 +211,12 @@ def _host_name(host: str) -> str:
     if host.startswith("["):
         return host[1:].partition("]")[0]
     return host.partition(":")[0]
+
+
+def _cookie_name(headers: Headers) -> str:
+    """Returns the name of a page's cookie, by the port that the browser knows: of a tunnel, say."""
+    port = headers["Host"].rpartition("]")[2].partition(":")[2]
+    return f"sero-mj-{port if port.isdecimal() else 80}"
 
 
 def _token_of(query: str) -> str:

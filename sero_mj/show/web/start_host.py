@@ -18,6 +18,7 @@ from websockets.http11 import Request, Response
 
 from ...assemble.scene import Scene
 from ...errors import RenderError, SeroError
+from ...paths import without_temporary
 from ..recent_views import RecentView
 from ..start_page import (
     DROP_HINT,
@@ -113,7 +114,7 @@ class StartHost:
             try:
                 return self._opener(what)
             except SeroError as error:
-                self._tell(error=str(error))
+                self._tell(error=without_temporary(str(error)))
         return None
 
     def _tell(self, **notice: str) -> None:

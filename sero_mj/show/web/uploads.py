@@ -7,6 +7,8 @@ a folder, or together with them. What was dropped is kept until this process end
 from __future__ import annotations
 
 import json
+import operator
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -45,7 +47,7 @@ async def take_files(connection: Any, on_file: Callable[[Path], None]) -> None:
     try:
         try:
             path = await _take(connection)
-        except (UsageError, OSError) as error:
+        except UsageError as error:
             await connection.send(json.dumps({"error": str(error)}))
         else:
             on_file(path)
@@ -58,18 +60,31 @@ async def _take(connection: Any) -> Path:
     sizes = read_list(await connection.recv())
     main = main_file(list(sizes))
     folder = make_temporary_folder()
-    for name, size in sizes.items():
-        file = folder / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        left = size
-        with file.open("wb") as stream:
-            while left > 0:
-                part = await connection.recv()
-                if not isinstance(part, bytes) or len(part) > left:
-                    raise UsageError(f"{name}: found other contents than its {size} bytes")
-                stream.write(part)
-                left -= len(part)
+    try:
+        for name, size in sizes.items():
+            try:
+                await _take_file(connection, folder / name, size)
+            except OSError as error:
+                raise UsageError(f"{name}: cannot be kept: {error.strerror}") from error
+            except ValueError as error:
+                raise UsageError(f"{name}: {error}") from error
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
     return folder / main
+
+
+async def _take_file(connection: Any, file: Path, size: int) -> None:
+    """Writes a file of so many bytes; raises ValueError where others come."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    left = size
+    with file.open("wb") as stream:
+        while left > 0:
+            part = await connection.recv()
+            if not isinstance(part, bytes) or len(part) > left:
+                raise ValueError(f"found other contents than its {size} bytes")
+            stream.write(part)
+            left -= len(part)
 
 
 def read_list(message: Any) -> dict[PurePosixPath, int]:
@@ -79,8 +94,9 @@ def read_list(message: Any) -> dict[PurePosixPath, int]:
         UsageError: it is none, or too much.
     """
     try:
-        listed = [(str(entry["path"]), int(entry["size"])) for entry in json.loads(message)]
-    except (ValueError, KeyError, TypeError):
+        listed = [(str(entry["path"]), operator.index(entry["size"]))
+                  for entry in json.loads(message)]  # fmt: skip
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise UsageError("found no list of files; expected paths and sizes") from None
     found = {_checked(path): size for path, size in listed}
     if not found or min(found.values()) < 0:
