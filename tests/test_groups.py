@@ -389,6 +389,38 @@ def test_poses_of_groups_are_set_on_the_command_line(tmp_path: Path) -> None:
     assert scene.robots["a"].home.tolist() == [1, 2, 0.5, 4, 5, 6, 7]
 
 
+def test_groups_and_doubles_have_poses_in_degrees(tmp_path: Path) -> None:
+    shared = "joint_angles = [0.1, 0.2, 1, 2, 3, 4, 5, 6, 7]"
+    in_degrees = POSED.replace(shared, "joint_angles_deg = [10, 20, 1, 2, 3, 4, 5, 6, 7]")
+    goal = '[doubles.goal]\nof = "pair"\njoint_angles_deg = [1, 2, 3, 4, 5, 6, 7, 8, 90]\n'
+    path = tmp_path / "posed.toml"
+    path.write_text(goal + in_degrees)
+    scene = load_scene(path)
+    np.testing.assert_allclose(np.rad2deg(scene.robots["b"].home), [10, 20, 40])
+    np.testing.assert_allclose(np.rad2deg(scene.robots["a"].home), range(1, 8))
+    of_a, of_b = scene.doubles["goal_a"].joint_angles, scene.doubles["goal_b"].joint_angles
+    assert of_a is not None and of_b is not None
+    np.testing.assert_allclose(np.rad2deg([*of_a, *of_b]), [3, 4, 5, 6, 7, 8, 90, 1, 2])
+    # What is set in one unit replaces the other, in files as on the way to the robots.
+    scene = posed(tmp_path, pair__joint_angles_deg=[*range(9)])
+    np.testing.assert_allclose(np.rad2deg(scene.robots["a"].home), range(2, 9))
+    assert set(scene.routes) == {"pair.torques", "b.billboard_values"}
+    scene = posed(tmp_path, a__joint_angles_deg=[10] * 7)
+    np.testing.assert_allclose(np.rad2deg(scene.robots["a"].home), [10] * 7)
+    assert set(scene.routes) == {"b.joint_angles", "pair.torques", "b.billboard_values"}
+    types = '[robots.b]\njoint_types = ["revolute", "revolute", "prismatic"]'
+    sliding = POSED.replace("[robots.b]", types)
+    path.write_text(goal + sliding.replace("joint_angles = [0.1", "joint_angles_deg = [0.1"))
+    told = [each for each in problems_in(path) if "joint_angles_deg" in each]
+    assert len(told) == 2
+    assert told[0].startswith(
+        "3: doubles.goal.joint_angles_deg: is for revolute joints only, and b"
+    )
+    assert ": groups.pair.joint_angles_deg: is for revolute joints only, and b" in told[1]
+    with pytest.raises(DeclarationError, match="found both joint_angles and joint_angles_deg"):
+        Double(name="goal", of="a", joint_angles=[0], joint_angles_deg=[0])
+
+
 def test_wrong_values_of_a_group_are_told_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from sero_mj.frames import rotation_from_rpy
 from sero_mj.receive.sniffer import describe_bytes, find_frames, guess_layouts, plausibility
@@ -157,6 +160,43 @@ def test_any_size_gets_guesses_that_fit_or_none(size: int, most: int) -> None:
     for guess in guesses:
         assert Structure(guess.structure, is_double=guess.is_double).size == size
         assert 0.0 <= guess.plausible <= 1.0
+
+
+def packed(letters: str, order: str) -> np.ndarray:
+    """Sixteen packets: `N` is a counter of eight bytes, `B` a bit, and other numbers are smooth."""
+    packets = []
+    for k in range(16):
+        numbers: list[float] = []
+        for i, letter in enumerate(letters.replace("x", "")):
+            value = math.sin(k / 50.0 + i + 0.3)
+            whole = int(1000.0 * value) if letter in "hiq" else (k + i) % 2
+            numbers.append({"d": value, "f": value, "N": 1000 + k}.get(letter, whole))
+        packets.append(struct.pack(order + letters.replace("N", "Q"), *numbers))
+    return np.array([[*packet] for packet in packets], np.uint8)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.text("NdfqQiIhHB?x", min_size=1, max_size=30), st.sampled_from("<>"))
+def test_guesses_of_any_mixture_fit(letters: str, order: str) -> None:
+    rows = packed(letters, order)
+    for guess in guess_layouts(rows):
+        assert Structure(guess.structure, is_double=guess.is_double).size == rows.shape[1]
+        assert guess.about
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.integers(5, 8), min_size=2, max_size=3),
+    st.sampled_from(["df", "fd"]),
+    st.sampled_from("<>"),
+)
+def test_a_counter_and_runs_of_two_types_are_found(
+    counts: list[int], pair: str, order: str
+) -> None:
+    runs = [(count, pair[i % 2]) for i, count in enumerate(counts)]
+    rows = packed("N" + "".join(count * letter for count, letter in runs), order)
+    expected = "number:1Q " + " ".join(f"{count}{letter}" for count, letter in runs)
+    assert expected in [re.sub("^>", "", guess.structure) for guess in guess_layouts(rows)]
 
 
 def test_numbers_are_plausible_from_1e_minus_6_to_1e6_and_zeros_say_nothing() -> None:

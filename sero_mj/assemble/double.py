@@ -7,9 +7,9 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from ..declaration import Declaration, Name, Rgba, Vector, of_shape
+from ..declaration import Name, Rgba, Vector, of_shape
 from ..frames import Array
-from .robot_parts import ArrowQuantity, BillboardLines
+from .robot_parts import ArrowQuantity, BillboardLines, Posed
 
 # Green for commanded positions, as in the paper's section 4.2.
 COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
@@ -26,7 +26,7 @@ _CLEAR = 4.0  # of an arrow's radius, from which on a path's doubles are fully s
 _PATH_FADE = (0.12, 0.6)
 
 
-class Double(Declaration):
+class Double(Posed):
     """A transparent copy of a robot.
 
     Its inputs (`NAME.joint_angles`, `NAME.torques`, ...) are set by routes, as a robot's are. It
@@ -39,6 +39,7 @@ class Double(Declaration):
         rgba: its colour; the last number is its opacity.
         joint_angles: (n,), initial pose, used until something is received; None hides it until
             then.
+        joint_angles_deg: the same in degrees; converted to joint_angles.
         path: (k, n), joint angles along a planned motion, shown as several doubles that fade
             towards the start. A path has no inputs.
         path_length: number of doubles that show the path.
@@ -57,7 +58,6 @@ class Double(Declaration):
     name: Name
     of: Name
     rgba: Rgba = COMMANDED_RGBA
-    joint_angles: Vector | None = None
     path: Annotated[Array | None, of_shape(None, None)] = None
     path_length: int = Field(6, ge=2, le=20)
     visible: bool = True

@@ -14,15 +14,15 @@ from pathlib import Path
 
 from pydantic import Field, PrivateAttr
 
-from ..declaration import Declaration, Name, Vector
+from ..declaration import Name, Vector
 from ..errors import Problem, did_you_mean
-from .robot_parts import VALUE_INPUTS, ArrowQuantity, BillboardLines
+from .robot_parts import VALUE_INPUTS, ArrowQuantity, BillboardLines, Posed
 
 _MOST_MEMBERS = 400  # of a group
 _MOST_TOLD = 5  # members of a group that do not exist; each takes a search for the nearest name
 
 
-class Group(Declaration):
+class Group(Posed):
     """An ordered group of robots, and defaults for these.
 
     What is declared of a robot itself, in its model or in its table, counts more than the default
@@ -34,6 +34,7 @@ class Group(Declaration):
         robots: names of robots and groups, in the order of the values in packets.
         joint_angles: initial pose of all of them in that order, rad or m: of all joints, or of the
             independent ones. It counts more than the poses of its robots and of groups in it.
+        joint_angles_deg: the same in degrees; converted to joint_angles.
         torques: initial measured torques likewise, Nm or N; this and the three that follow have
             values of all joints or of the independent ones, and None for no data.
         commanded_torques: Nm or N.
@@ -59,7 +60,6 @@ class Group(Declaration):
     name: Name
     description: str = ""
     robots: list[Name] = Field(min_length=1, max_length=_MOST_MEMBERS)
-    joint_angles: Vector | None = None
     torques: Vector | None = None
     commanded_torques: Vector | None = None
     joint_accelerations: Vector | None = None
@@ -96,7 +96,7 @@ class Group(Declaration):
 
 
 SHARED = ("joint_angles", *VALUE_INPUTS)  # fields whose values its robots share, in their order
-_OWN = ("name", "description", "robots", *SHARED)  # fields that are no defaults
+_OWN = ("name", "description", "robots", "joint_angles_deg", *SHARED)  # fields that are no defaults
 
 
 @dataclass(frozen=True)

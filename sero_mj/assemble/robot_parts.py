@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, get_args
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
@@ -13,6 +13,9 @@ from ..errors import DeclarationError, Problem, did_you_mean, nearest
 from ..frames import Array, frame_from
 from .dh import COLUMNS, Column
 from .surroundings import MeshFile, Object, check_shape_size
+
+if TYPE_CHECKING:
+    from .robot import SerialRobot
 
 ArrowQuantity = Literal["torques", "torque_error", "joint_accelerations", "singularity"]
 ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
@@ -52,6 +55,31 @@ PER_JOINT = (
     "joint_accelerations",
     "billboard_values",
 )
+
+
+class Posed(Declaration):
+    """What is declared with a pose in rad and m, or in degrees; see `Double` and `Group`."""
+
+    joint_angles: Vector | None = None
+    joint_angles_deg: Vector | None = None
+
+    @model_validator(mode="after")
+    def _angles_from_degrees(self) -> Self:
+        if self.joint_angles_deg is not None:
+            if self.joint_angles is not None:
+                raise ValueError("found both joint_angles and joint_angles_deg; expected one")
+            # Set without validation, which would come here again.
+            self.__dict__["joint_angles"] = np.deg2rad(self.joint_angles_deg)
+            self.__dict__["joint_angles_deg"] = None
+        return self
+
+    def check_degrees(self, robots: Iterable[SerialRobot]) -> list[Problem]:
+        """Returns what is wrong with a pose in degrees for these robots: prismatic joints."""
+        sliding = [robot.name for robot in robots if "prismatic" in robot.types]
+        if "joint_angles_deg" not in self.model_fields_set or not sliding:
+            return []
+        message = f"is for revolute joints only, and {sliding[0]} has others; use joint_angles"
+        return [Problem("joint_angles_deg", f"{message} in rad and m")]
 
 
 def _is_permutation(columns: list[str]) -> list[str]:

@@ -226,6 +226,8 @@ class Scene:
     def _share_out(self, group: Group) -> None:
         """Gives the robots of a group their shares of what is declared of it per joint."""
         robots = [self.robots[name] for name in self.membership.members[group.name]]
+        place = f"groups.{group.name}"
+        self._group_problems += [each.inside(place) for each in group.check_degrees(robots)]
         for key in SHARED:
             value = getattr(group, key)
             if value is None:
@@ -431,12 +433,15 @@ class Scene:
     def _double_problems(self) -> list[Problem]:
         """Returns doubles of robots that do not exist or have another number of joints."""
         problems: list[Problem] = []
+        of_group = {each: name for name, names in self.double_groups.items() for each in names}
         for name, double in self.doubles.items():
             if not (self.declares("robots", double.of) or self.declares("groups", double.of)):
                 known = [*self.declared("robots"), *self.declared("groups")]
                 near = did_you_mean(double.of, known)
                 problems.append(Problem(f"doubles.{name}.of", f"no robot '{double.of}'{near}"))
             elif double.of in self.robots:
+                found = double.check_degrees([self.robots[double.of]])
+                problems += [each.inside(f"doubles.{of_group.get(name, name)}") for each in found]
                 coupled = self.robots[double.of].coupled
                 for key in ("joint_angles", "path", *VALUE_INPUTS):
                     value = getattr(double, key)

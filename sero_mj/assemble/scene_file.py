@@ -32,6 +32,7 @@ _ENTRIES = ("sources", "lights", "cameras", "objects", "frames", "arrows", "doub
 _TABLES: Mapping[str, Callable[..., Any]] = {"view": View, "toggles": SceneToggles}
 _PLAIN = ("floor", "name", "description", "note")
 _OF_MODEL = ("model", "mount", "base_frame", "mirrored")  # keys of a group with a model alone
+_DEGREES = "_deg"  # how keys end that are in degrees
 _OF_DYNAMICS = (
     "motor_inertias", "viscous_friction", "coulomb_friction", "joint_stiffness", "joint_damping",
 )  # fmt: skip
@@ -195,7 +196,7 @@ class _Reader:
         for name, robot in scene.robots.items():  # what is set for it counts more than its group's
             for key, value in self._settings.get(f"robots.{name}", []):
                 field = key.partition("[")[0]
-                if field in SHARED:
+                if field.removesuffix(_DEGREES) in SHARED:
                     with suppress(ValueError):  # told where the robot was built
                         changed = with_value({}, parts_of(key), value, built=robot)
                         setattr(robot, field, changed[field])
@@ -263,7 +264,7 @@ class _Reader:
                 self.tables[section] = {**tables[section], name: {}}
                 self._made.append(f"{section}.{name}")
             self._settings.setdefault(f"{section}.{name}", []).append((field, value))
-            self._drop_routes(f"{name}.{field}")
+            self._drop_routes(f"{name}.{field.removesuffix(_DEGREES)}")
         elif first in _PLAIN and not rest:
             self.tables[first] = value
         elif first in _TABLES and rest:
@@ -289,9 +290,11 @@ class _Reader:
 
     def _override_group(self, group: str, robots: Sequence[str], field: str, value: Any) -> None:
         """Overrides a field of all robots of a group."""
-        if field in SHARED and isinstance(value, list):
+        if field.removesuffix(_DEGREES) in SHARED and isinstance(value, list):
             groups = self.tables["groups"]
-            self.tables["groups"] = {**groups, group: {**groups[group], field: value}}
+            table = _without_other_unit(groups[group], field)
+            self.tables["groups"] = {**groups, group: {**table, field: value}}
+            field = field.removesuffix(_DEGREES)
             self._drop_routes(*(f"{each}.{field}" for each in (group, *robots)))
             return
         key = field.partition(".")[0].partition("[")[0]
@@ -421,6 +424,7 @@ class _Reader:
         for key, value in settings:
             try:
                 parts = parts_of(key)
+                table = _without_other_unit(table, key)
                 table = with_value(table, parts, value, built=built, below=below, lists=lists)
             except ValueError as error:
                 problems.append(Problem(key, str(error)))
@@ -507,6 +511,12 @@ def _lists_of(robot: SerialRobot) -> dict[str, int]:
     limits = ("velocity_limits", "torque_limits", "acceleration_limits")
     values = dict.fromkeys(SHARED, robot.coupled.k)
     return values | dict.fromkeys((*limits, *_OF_DYNAMICS), robot.n)
+
+
+def _without_other_unit(table: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """Returns a table without what it says in the other unit of what is set as a whole."""
+    other = key.removesuffix(_DEGREES) if key.endswith(_DEGREES) else f"{key}{_DEGREES}"
+    return {each: value for each, value in table.items() if each != other}
 
 
 def _named(kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:

@@ -63,12 +63,12 @@ def mixed_layout(rows: Rows) -> tuple[str, list[Run], float] | None:
     has_floats = any(run.letter in _FLOATS for run in runs)
     if raw > _MOST_RAW * rows.shape[1] or not (has_floats or any(run.is_counter for run in runs)):
         return None
-    runs = _wide_counters(runs) if order == "<" else runs
-    return order, runs, 1.0 - raw / rows.shape[1]
+    ahead = 1 if order == "<" else -1  # the high bytes are behind the low ones, or before them
+    return order, _wide_counters(runs[::ahead])[::ahead], 1.0 - raw / rows.shape[1]
 
 
 def _wide_counters(runs: list[Run]) -> list[Run]:
-    """The same with the zeros behind a counter in it: it has not risen so far yet."""
+    """The same with the zeros next behind a counter in it: it has not risen so far yet."""
     result: list[Run] = []
     for run in runs:
         last, left = result[-1] if result else None, run.count

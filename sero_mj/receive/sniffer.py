@@ -37,8 +37,8 @@ _TYPES = {
     ">f4": "big-endian float32",
 }
 _IN_WORDS = {
-    "d": "float64", "f": "float32", "I": "uint32", "i": "int32", "H": "uint16", "h": "int16",
-    "B": "byte", "x": "byte of padding",
+    "d": "float64", "f": "float32", "Q": "uint64", "I": "uint32", "i": "int32", "H": "uint16",
+    "h": "int16", "B": "byte", "x": "byte of padding",
 }  # fmt: skip
 # Packets of robots that are on the market, by size: structure, row by row, and words.
 KNOWN = {
