@@ -570,3 +570,21 @@ def test_torques_of_the_model_are_called_so() -> None:
     toggles.modelled[:] = True
     pen = Decor(world).draw(world.make_data(), toggles, view_at())
     assert labels(pen.rows[: pen.count])[2] == "E1  model     2.0 Nm"
+
+
+@pytest.mark.parametrize("lines", [1, 2, 3])
+@pytest.mark.parametrize("size", [(360, 270), (270, 360), (640, 480)])
+def test_cards_of_several_lines_cover_each_other_in_no_small_picture(
+    size: tuple[int, int], lines: int
+) -> None:
+    keys = ["torques", "joint_angles", "torque_error"][:lines]
+    world = world_of(torques=np.arange(7.0), show_billboards=True, billboard_lines=keys)
+    data, decor = world.make_data(), Decor(world)
+    for azimuth in np.linspace(-3, 3, 7):
+        view = replace(view_at(azimuth, 2.5, *size), font=Typesetter(18).font)
+        decor.draw(data, toggles_of(world), view)
+        low = np.concatenate([panels.centres - panels.sizes / 2 for panels in decor.panels])
+        high = np.concatenate([panels.centres + panels.sizes / 2 for panels in decor.panels])
+        over = ((low[:, None] < high - 1e-6) & (high[:, None] > low + 1e-6)).all(axis=2)
+        assert not (over & ~np.eye(len(low), dtype=bool)).any()
+        assert (low >= -1e-6).all() and (high <= np.array(size) + 1e-6).all()
