@@ -379,9 +379,12 @@ class Window(LiveHost):
         return int(self.decor.rect.width), int(self.decor.rect.height)
 
     def picture(self) -> Pixels:
-        """Renders the last frame again without status line and messages, (height, width, 3)."""
+        """Renders the last frame again, without what lies over it, (height, width, 3)."""
+        rect = self.decor.rect
+        typesetter = self.gl.typesetter_of(rect.width, rect.height)
+        self.decor.update(self.data, self.navigator.camera, rect, typesetter)
         self.decor.render(self.gl)
-        return self.gl.read(self.decor.rect)
+        return self.gl.read(rect)
 
     def help_pages(self, size: tuple[int, int]) -> list[list[list[Row]]]:
         """Returns the help in pages of columns that fit a window of that size."""
