@@ -130,16 +130,20 @@ def test_a_table_with_times_or_a_rate(tmp_path: Path) -> None:
     [
         ("", "has no row of numbers"),
         ("time,a\n", "has no row of numbers"),
-        ("a,b\n1,2\n", "found the columns a, b; expected one called time, in s, or --rate"),
-        ("1,2\n3,4\n", "found the columns 1, 2; expected one called time, in s, or --rate"),
+        ("a,b\n1,2\n", "found the columns a, b; expected one called time, in s"),
+        ("1,2\n3,4\n", "found the columns 1, 2; expected one called time, in s"),
         ("time,a\n0,1\n1\n", "3: found 1 values; expected 2, one for each column"),
         ("time,a\n0,1\n\n1,x\n", "4: a: found 'x'; expected a number, or nan"),
-        ("time,a\n0, \n", "2: a: found nothing; expected a number, or nan"),
+        ("time,a\n,1\n", "2: time: found nothing; expected s that never decrease"),
         ("time,a\n1,1\n0.5,1\n", "3: time: found 0.5 after 1.0; expected s that never decrease"),
         ("time,a\nnan,1\n", "2: time: found nan; expected s that never decrease"),
         ("time,,b\n0,1,2\n", "1: column 2 has no name"),
         ("time,a,a\n0,1,2\n", "1: a: there are two columns of this name"),
-        ("time;a\n0;1\n", "1: found semicolons; expected commas between values"),
+        ("time,\n0,1\n", "1: column 2 has no name"),
+        (",time,,b\n0,0,1,2\n", "1: column 3 has no name"),
+        (",time\n0,0,1\n", "2: found 3 values; expected 2, one for each column"),
+        ("time;a\n0;1.2.3\n", "2: a: found '1.2.3'; expected a number, or nan"),
+        ('time,a\n0,"1,5"\n', "2: a: found '1,5'; expected a number, or nan"),
         ('time,a\n0,"1\x00\n', "2: a: found '1\x00'; expected a number"),
     ],
 )
@@ -150,6 +154,31 @@ def test_what_is_wrong_in_a_table_is_told_with_line_and_column(
         read(tmp_path, text)
     separator = "" if expected[1] == ":" else " "
     assert str(caught.value).startswith(f"{tmp_path / 't.csv'}:{separator}{expected}")
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("time,a,b\n0,1,\n0.5,,2.5\n", ["a", "b"]),
+        (",time,a,b\n0,0.0,1,\n1,0.5,,2.5\n", ["a", "b"]),  # pandas, with its index
+        ("# time,a,b\n0,1,\n0.5,,2.5\n", ["a", "b"]),  # numpy.savetxt
+        ("# of a robot; 2 Hz\n#time,a,b\n0,1,\n0.5,,2.5\n# end\n", ["a", "b"]),
+        ("time;a;b\n0;1;\n0,5;;2,5\n", ["a", "b"]),
+        ("# time;a;b\n0,0;1;\n0,5;;2,5\n", ["a", "b"]),
+        ("# two numbers\ntime,a;1,b\n0,1,\n0.5,,2.5\n".replace("a;1", '"a;1"'), ["a;1", "b"]),
+    ],
+)
+def test_tables_of_other_programs(tmp_path: Path, text: str, names: list[str]) -> None:
+    times, columns = read(tmp_path, text)
+    assert (times, list(columns)) == ([0.0, 0.5], names)
+    np.testing.assert_array_equal(np.array([*columns.values()]), [[1.0, math.nan], [math.nan, 2.5]])
+
+
+def test_columns_without_names(tmp_path: Path) -> None:
+    counted = read(tmp_path, ",0,1\n0,5,6\n1,7,8\n", rate=2.0)  # pandas, of an array
+    assert counted == ([0.0, 0.5], {"0": [5.0, 7.0], "1": [6.0, 8.0]})
+    plain = read(tmp_path, "# two numbers\n5;6,5\n7;8,5\n", rate=2.0)
+    assert plain == ([0.0, 0.5], {"1": [5.0, 7.0], "2": [6.5, 8.5]})
 
 
 def test_what_is_no_table_is_told(tmp_path: Path) -> None:

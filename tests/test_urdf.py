@@ -444,6 +444,46 @@ def test_a_declaration_that_is_not_at_the_start_says_the_encoding(tmp_path: Path
     assert "nächster" in read_urdf(path).tables["link_names"]
 
 
+def test_encodings_have_the_names_that_python_knows(tmp_path: Path) -> None:
+    path = tmp_path / "robot.urdf"
+    for start in ("", "\n"):
+        text = f'{start}<?xml version="1.0" encoding="latin-1"?>' + GRIPPER.partition("?>")[2]
+        path.write_bytes(text.replace('"lower"', '"nächster"').encode("latin-1"))
+        assert "nächster" in read_urdf(path).tables["link_names"]
+    (found,) = problems(tmp_path, '<?xml version="1.0" encoding="latin-x"?><robot/>')
+    assert "latin-x" in found
+
+
+def test_numbers_are_read_where_it_can_be_told_what_was_meant(tmp_path: Path) -> None:
+    whole = described(tmp_path, GRIPPER)
+    text = GRIPPER.replace('xyz="0.3 0.1 0"', 'xyz="0.3, 0.1,0"')
+    read = described(tmp_path, text.replace('lower="-0.5"', 'lower="-0.5."', 1))
+    np.testing.assert_equal(read.tables["joint_frames"], whole.tables["joint_frames"])
+    assert read.tables["position_limits"] == whole.tables["position_limits"]
+    told = [each for each in read.warnings if each not in whole.warnings]
+    assert sorted(each.partition(":")[0] for each in told) == [
+        "'-0.5.' is taken for -0.5",
+        "'0.3, 0.1,0' is taken for 0.3 0.1 0",
+    ]
+    for wrong in ("0,3 0.1 0", "0,3 0,1", "0.3,,0.1,0", "0.3, 0.1", "0.3.1 0 0", "1,2,3,4"):
+        (found,) = problems(tmp_path, GRIPPER.replace('xyz="0.3 0.1 0"', f'xyz="{wrong}"'))
+        assert f"found xyz = '{wrong}'; expected 3 numbers" in found
+
+
+def test_plain_files_take_values_from_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = described(tmp_path, GRIPPER)
+    text = GRIPPER.replace('xyz="0.3 0.1 0"', 'xyz="$(optenv SENSOR_XYZ 0.3 0.1 0)"')
+    assert described(tmp_path, text).tables == whole.tables
+    (found,) = problems(tmp_path, text.replace("optenv SENSOR_XYZ 0.3 0.1 0", "env SENSOR_XYZ"))
+    assert "<origin>: found $(env SENSOR_XYZ); the environment has no SENSOR_XYZ" in found
+    monkeypatch.setenv("SENSOR_XYZ", "0.3 0.1 0")
+    for name in ("optenv SENSOR_XYZ", "optenv SENSOR_XYZ 1 1 1", "env SENSOR_XYZ"):
+        filled = text.replace("optenv SENSOR_XYZ 0.3 0.1 0", name)
+        assert described(tmp_path, filled).tables == whole.tables
+
+
 def test_numbers_that_make_no_sense_cost_themselves_alone(tmp_path: Path) -> None:
     text = (
         GRIPPER.replace('lower="-0.5" upper="1"', 'lower="1" upper="-0.5"', 1)

@@ -45,6 +45,9 @@ _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
            "capsule": "radius, length"}  # fmt: skip
 _XACRO = re.compile(r"\{[^}]*xacro[^}]*\}")
+_COMMAS = re.compile(r"\s*,\s*")
+_SECOND_POINT = re.compile(r"^([+-]?[0-9]+\.[0-9]*)\.$")
+_FROM_ENVIRONMENT = re.compile(r"\$\((?:env\s+(\w+)|optenv\s+(\w+)([^()]*))\)")
 _NO_ARGUMENT = re.compile(r"Undefined substitution argument (\w+)")
 _NO_XACRO = (
     "is xacro, which becomes URDF by a package: `pip install sero-mj[xacro]`, or on a machine "
@@ -215,6 +218,8 @@ class UrdfFile:
             self._warnings += told
             if any(_XACRO.match(name) for each in root.iter() for name in _names(each)):
                 root = self._expanded()
+            else:
+                self._fill_in_environment(root)
         except DeclarationError:
             raise
         except XmlError as error:
@@ -232,6 +237,21 @@ class UrdfFile:
             self._problem(root, "", f"is {found}; expected a URDF file, whose root is <robot>")
         self._stop()
         return root
+
+    def _fill_in_environment(self, root: Element) -> None:
+        """Replaces `$(env NAME)` and `$(optenv NAME DEFAULT)`, which xacro knows, in attributes."""
+
+        def value(found: re.Match[str]) -> str:
+            name, optional, default = found.groups()
+            if name is not None and name not in os.environ:
+                message = f"found {found[0]}; the environment has no {name}"
+                self._problem(element, f"<{_tag(element)}>", message)
+            return os.environ.get(name or optional, (default or "").strip())
+
+        for element in root.iter():
+            for key, text in element.attrib.items():
+                if "$(" in text:
+                    element.set(key, _FROM_ENVIRONMENT.sub(value, text))
 
     def _expanded(self) -> Element:
         """The root of what xacro makes of the file."""
@@ -678,7 +698,7 @@ class UrdfFile:
         try:
             values = np.array([float(word) for word in text.split()])
         except ValueError:
-            values = np.array([np.nan])
+            values = self._meant(element, text, key, counts)
         if len(values) > counts[-1] and not np.isnan(values).any():
             self._note(f"more than {expected} in {name}, the first are taken", element, key)
             values = values[: counts[-1]]
@@ -689,6 +709,20 @@ class UrdfFile:
                 element, key, f"<{_tag(element)}>: found {found}; expected {expected}{most}"
             )
             return None
+        return values
+
+    def _meant(self, element: Element, text: str, key: str, counts: tuple[int, ...]) -> Array:
+        """Numbers with commas between them, or a second point behind them; NaN for any other."""
+        words = [_SECOND_POINT.sub(r"\1", word) for word in _COMMAS.split(text.strip())]
+        if len(words) == 1:
+            words = [_SECOND_POINT.sub(r"\1", word) for word in text.split()]
+        try:
+            values = np.array([float(word) for word in words])
+        except ValueError:
+            return np.array([np.nan])
+        if len(values) not in counts:
+            return np.array([np.nan])
+        self._note(f"'{text[:80]}' is taken for {' '.join(words)}", element, key)
         return values
 
 

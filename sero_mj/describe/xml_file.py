@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -19,6 +20,7 @@ _BEFORE = rb"\s|\xef\xbb\xbf|<!--(?>.*?-->)"
 _DECLARATION = re.compile(rb"((?>%b)*+)(<\?xml\s[^>]*?\?>)" % _BEFORE, re.DOTALL)
 _ROOT = re.compile(rb"(?>%b|<\?(?>.*?\?>))*+<[A-Za-z_][^\s/>]*" % _BEFORE, re.DOTALL)
 _VERSION = re.compile(rb"version\s*=\s*[\"']1\.")
+_STATED = re.compile(rb"(?:\xef\xbb\xbf)?<\?xml\s[^>]*?encoding\s*=\s*[\"']([\w.-]+)")
 _ENCODING = re.compile(rb"encoding\s*=\s*[\"']([\w.-]+)")
 _ROOT = re.compile(
     rb"(?>\s|\xef\xbb\xbf|<!--(?>.*?-->)|<\?(?>.*?\?>))*+<[A-Za-z_][^\s/>]*", re.DOTALL
@@ -54,11 +56,16 @@ def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
 
     Args:
         contents: of the file.
-        encoding: over what the file states.
+        encoding: over what the file states, by any name that Python knows.
 
     Raises:
         XmlError: it is no XML, or declares entities.
     """
+    stated = None
+    if encoding is None and (found := _STATED.match(contents)) is not None:
+        stated = found[1].decode()
+    known = None if (name := encoding or stated) is None else _known(name)
+    encoding = None if known == stated else known  # what lxml knows it reads as it is stated
     try:
         parser = etree.XMLParser(
             resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
@@ -76,6 +83,18 @@ def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
         names = ", ".join(f"'{entity.name}'" for entity in entities[:3])
         raise XmlError([(None, f"declares entities ({names}); expected none")])
     return root
+
+
+def _known(encoding: str) -> str:
+    """The name by which lxml knows an encoding, where Python knows that, too; else as it is."""
+    try:
+        etree.XMLParser(encoding=encoding)
+    except LookupError:
+        try:
+            return codecs.lookup(encoding).name
+        except LookupError:
+            return encoding
+    return encoding
 
 
 def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:

@@ -7,9 +7,11 @@ import csv
 import io
 import math
 import os
+import re
 from array import array
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,12 +23,14 @@ from ..frames import Array
 from ..paths import open_file
 
 if TYPE_CHECKING:
-    from _csv import Writer
+    from _csv import Reader, Writer
 
     from .recording import Recording
 
 
 TIME = "time"
+_COMMENT = "#"
+_QUOTED = re.compile(r'"[^"]*"')
 
 
 @contextlib.contextmanager
@@ -142,19 +146,24 @@ def export_csv(
     return written
 
 
-def read_csv(path: Path | str, *, rate: float | None = None) -> tuple[Array, dict[str, Array]]:
-    """Reads a table of numbers.
+def read_csv(
+    path: Path | str, *, rate: float | None = None, instead: str = ""
+) -> tuple[Array, dict[str, Array]]:
+    """Reads a table of numbers, separated by commas or semicolons, as programs write them.
 
-    The first line may name the columns; without names they are `1`, `2`, ... A column called `time`
-    says when each row is due. Empty lines are passed over.
+    The first line may name the columns, also behind `#`, as numpy writes it; without names they are
+    `1`, `2`, ... A column called `time` says when each row is due. A first column that alone has no
+    name counts rows, as pandas does, and is left out. Empty lines and comments, which begin with
+    `#`, are passed over. Between semicolons numbers may have decimal commas.
 
     Args:
         path: the file.
         rate: rows per s, instead of a column `time`, which is left out then.
+        instead: how a rate can be given, for what is said where there is no column `time`.
 
     Returns:
         When each row is due, s, (n,), never decreasing; and name to column, (n,). NaN and infinity
-        are read as such.
+        are read as such, and empty cells as NaN.
 
     Raises:
         CsvError: the file, with line and column, what was found, and what would be right.
@@ -165,7 +174,7 @@ def read_csv(path: Path | str, *, rate: float | None = None) -> tuple[Array, dic
     path = Path(path)
     try:
         with io.TextIOWrapper(open_file(path), newline="", encoding="utf-8-sig") as file:
-            names, numbers = _read_rows(path, csv.reader(file), timed=rate is None)
+            names, numbers = _read_rows(path, _reader(file), timed=rate is None)
     except UnicodeDecodeError as error:
         raise CsvError(path, f"is no text in UTF-8: {error.reason}") from error
     except OSError as error:
@@ -176,32 +185,57 @@ def read_csv(path: Path | str, *, rate: float | None = None) -> tuple[Array, dic
         return np.arange(len(numbers)) / rate, columns
     if times is None:
         shown = ", ".join(names[:20])
-        reason = f"found the columns {shown}; expected one called {TIME}, in s, or --rate"
+        reason = f"found the columns {shown}; expected one called {TIME}, in s{instead}"
         raise CsvError(path, reason)
     return times, columns
 
 
-def _read_rows(path: Path, reader: Iterator[list[str]], *, timed: bool) -> tuple[list[str], Array]:
+def _reader(lines: Iterator[str]) -> Reader:
+    """Reads cells between semicolons where the first line but comments has any, else commas."""
+    head: list[str] = []
+    for line in lines:
+        head.append(line)
+        if line.strip() and not line.startswith(_COMMENT):
+            break
+    first = _QUOTED.sub("", head[-1]) if head else ""
+    return csv.reader(chain(head, lines), delimiter=";" if ";" in first else ",")
+
+
+def _read_rows(path: Path, reader: Reader, *, timed: bool) -> tuple[list[str], Array]:
     """Returns the names of the columns, and the numbers, a row for each row."""
     names: list[str] = []
     numbers = array("d")
     earlier = -math.inf
-    for line, cells in _filled_rows(path, reader):
+    has_index = False
+    number = _number if reader.dialect.delimiter == "," else _number_with_comma
+    for line, cells, comment in _filled_rows(path, reader):
         if not names:
-            names, is_header = _names_of(path, line, cells)
+            is_header = any(number(cell) is None for cell in cells) or _is_count(cells)
+            if is_header:
+                names = [cell.strip() for cell in cells]
+            elif len(comment) == len(cells):
+                names = comment
+            else:
+                names = [str(i) for i in range(1, len(cells) + 1)]
+            has_index = not names[0] and len(names) > 1
+            names = names[has_index:]
+            _check_names(path, line, names, first=1 + has_index)
             if is_header:
                 continue
-        if len(cells) != len(names):
-            reason = f"found {len(cells)} values; expected {len(names)}, one for each column"
+        if len(cells) != len(names) + has_index:
+            wanted = len(names) + has_index
+            reason = f"found {len(cells)} values; expected {wanted}, one for each column"
             raise CsvError(path, reason, line=line)
-        for name, cell in zip(names, cells, strict=True):
-            value = _number(cell)
+        for name, cell in zip(names, cells[has_index:], strict=True):
+            value = number(cell)
             if value is None:
-                raise CsvError(path, _no_number(cell), line=line, column=name)
+                reason = f"found '{cell.strip()}'; expected a number, or nan"
+                raise CsvError(path, reason, line=line, column=name)
             if name == TIME and timed:
                 if not (math.isfinite(value) and value >= earlier):
                     after = f" after {earlier!r}" if math.isfinite(earlier) else ""
-                    reason = f"found {cell.strip()}{after}; expected s that never decrease"
+                    found = f"{cell.strip() or 'nothing'}{after}"
+                    reason = f"found {found}; expected s that never decrease"
                     raise CsvError(path, reason, line=line, column=name)
                 earlier = value
             numbers.append(value)
@@ -210,39 +244,42 @@ def _read_rows(path: Path, reader: Iterator[list[str]], *, timed: bool) -> tuple
     return names, np.array(numbers).reshape(-1, len(names))
 
 
-def _filled_rows(path: Path, reader: Iterator[list[str]]) -> Iterator[tuple[int, list[str]]]:
-    """Line and cells of every row that is not empty."""
+def _filled_rows(path: Path, reader: Reader) -> Iterator[tuple[int, list[str], list[str]]]:
+    """Line and cells of every row that is not empty, and cells of the comment above the first."""
+    comment: list[str] = []
     try:
         for cells in reader:
-            if any(cell.strip() for cell in cells):
-                yield getattr(reader, "line_num", 0), cells
+            if cells and cells[0].startswith(_COMMENT):
+                comment = [cell.strip() for cell in (cells[0].lstrip("# "), *cells[1:])]
+            elif any(cell.strip() for cell in cells):
+                yield reader.line_num, cells, comment
     except csv.Error as error:
-        line = getattr(reader, "line_num", None)
-        raise CsvError(path, f"is no table: {error}", line=line) from error
+        raise CsvError(path, f"is no table: {error}", line=reader.line_num) from error
 
 
-def _names_of(path: Path, line: int, cells: list[str]) -> tuple[list[str], bool]:
-    """The names of the columns, and whether it is the first row that has them."""
-    if all(_number(cell) is not None for cell in cells):
-        return [str(i) for i in range(1, len(cells) + 1)], False
-    names = [cell.strip() for cell in cells]
+def _is_count(cells: list[str]) -> bool:
+    """Whether a row names columns by their numbers behind an index, as pandas does."""
+    counted = [str(i) for i in range(len(cells) - 1)]
+    first, *others = (cell.strip() for cell in cells)
+    return bool(others) and not first and others == counted
+
+
+def _check_names(path: Path, line: int, names: list[str], first: int) -> None:
+    """Raises `CsvError` where columns, the first of which has this number, cannot be told apart."""
     for i, name in enumerate(names):
         if not name:
-            raise CsvError(path, f"column {i + 1} has no name", line=line)
+            raise CsvError(path, f"column {i + first} has no name", line=line)
         if name in names[:i]:
             raise CsvError(path, "there are two columns of this name", line=line, column=name)
-    if len(names) == 1 and ";" in names[0]:
-        raise CsvError(path, "found semicolons; expected commas between values", line=line)
-    return names, True
 
 
 def _number(cell: str) -> float | None:
+    """The number in a cell, NaN where it is empty; None where there is something else."""
     try:
-        return float(cell)
+        return float(cell) if cell.strip() else math.nan
     except ValueError:
         return None
 
 
-def _no_number(cell: str) -> str:
-    found = f"'{cell.strip()}'" if cell.strip() else "nothing"
-    return f"found {found}; expected a number, or nan"
+def _number_with_comma(cell: str) -> float | None:
+    return _number(cell.replace(",", "."))

@@ -146,7 +146,7 @@ class TablePackets(Playback):
     """
 
     def __init__(self, file: Path, structure: Structure, rate: float | None = None) -> None:
-        self._times, columns = read_csv(file, rate=rate)
+        self._times, columns = read_csv(file, rate=rate, instead=", or --rate")
         names = column_names(structure.events)
         if not set(columns) & set(names):
             if len(columns) != len(names):
