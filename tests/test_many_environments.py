@@ -20,6 +20,7 @@ from sero_mj.environment.many import ManyEnvironments
 from sero_mj.environment.many_laws import ManyModels
 from sero_mj.environment.tasks import Reach
 from sero_mj.errors import DeclarationError, SimulationError
+from sero_mj.simulate.scenario import Run
 
 # What noise, delays and quantised encoders add to the truth.
 SENSORS = {
@@ -176,7 +177,6 @@ def test_what_is_asked_for_wrongly_is_told(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"torque_control": True}, "found drives with a rate or a delay of their own"),
         ({"runaway_speed": 3.0}, "found run.runaway_speed; expected 0"),
     ],
 )
@@ -188,6 +188,42 @@ def test_runs_that_need_more_than_steps_are_stepped_alone(
     scenario.run = scenario.run.model_copy(update=changes)
     with pytest.raises(DeclarationError, match=message):
         ManyEnvironments(Environment(scenario, "lwr", task, settings), 2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sensors"),
+    [
+        ({"torque_control": True}, {}),
+        ({"drive_delay": 0.003}, SENSORS),
+        ({"physics_timestep": 2.5e-4, "torque_control": True, "drive_delay": 5e-4}, SENSORS),
+    ],
+)
+def test_drives_are_those_of_one_environment_where_many_begin_at_other_times(
+    changes: dict[str, Any], sensors: dict[str, Any]
+) -> None:
+    settings = RobotSettings(time_limit=0.1, action="impedance", stiffness=200.0, sensors=sensors)
+    task, robot = Reach(), SerialRobot.from_model("lwr")
+    scenario = settings.make_scenario(robot, task)
+    scenario.run = Run.model_validate({**scenario.run.model_dump(), **changes})
+
+    def environment() -> Environment:
+        return Environment(scenario, "lwr", task, settings, random_start=True)
+
+    many, alone = ManyEnvironments(environment(), 3), [environment() for _ in range(3)]
+    found = many.reset(np.arange(3))
+    expected = []
+    for k, each in enumerate(alone):
+        each.seed = k
+        expected.append(each.reset().observation)
+    for k, actions in enumerate(0.01 * random_actions(9, 3).astype(float)):
+        for key, values in found.items():
+            ours = np.array([each[key] for each in expected])
+            np.testing.assert_allclose(values, ours, rtol=1e-9, atol=1e-9, err_msg=f"{key} {k}")
+        if k == 2:  # one of them begins anew by itself
+            many.is_over[1] = alone[1]._is_over = True
+        found = many.step(actions)[0]
+        steps = [each.step(action) for each, action in zip(alone, actions, strict=True)]
+        expected = [step.observation for step in steps]
 
 
 def test_gravity_masses_and_damping_of_many_are_those_of_each() -> None:
