@@ -41,7 +41,8 @@ from ..assemble.dynamics import TorqueControl
 from ..assemble.robot import SerialRobot
 from ..assemble.robot_dynamics import RobotDynamics
 from ..errors import DeclarationError, Problem
-from ..frames import Array
+from ..frames import Array, Bools
+from .model_rows import ModelRows
 from .robot_model import RobotModel
 
 # 1/s; what grows more slowly is no matter of the time step. Rounding splits the double eigenvalue
@@ -214,18 +215,35 @@ class HangingLinks:
         stiffness: K, (n,), Nm/rad (N/m).
         at_rest: l, (n,), Nm or N, to be read at every step; None for gravity.
         model: for itself.
-        angles: (n,), rad or m, of the links at first.
+        angles: (n,), rad or m, of the links at first; (m, n) of as many rows as the model has.
     """
 
     def __init__(
-        self, stiffness: Array, at_rest: Array | None, model: RobotModel, angles: Array
+        self,
+        stiffness: Array,
+        at_rest: Array | None,
+        model: RobotModel | ModelRows,
+        angles: Array,
     ) -> None:
         self._compliance = 1.0 / stiffness
         self._angles: Array = np.array(angles, float)
         self._model, self._at_rest = model, at_rest
-        self._still: Array = np.zeros(model.n)
+        self._still: Array = np.zeros_like(self._angles)
         if at_rest is not None:
             at_rest[...] = self._gravity()
+
+    def begin(self, which: Bools, angles: Array, motor_angles: Array) -> None:
+        """Begins anew with some of many rows, (m,).
+
+        Args:
+            which: of the rows.
+            angles: (n,), rad or m, of their links at first.
+            motor_angles: (m, n), of all rows.
+        """
+        others = self._angles[~which].copy()
+        self._angles[which] = angles
+        self.link_angles(motor_angles)
+        self._angles[~which] = others
 
     def _gravity(self) -> Array:
         self._model.update(self._angles, self._still)

@@ -18,7 +18,6 @@ from ..assemble.robot import SerialRobot
 from ..assemble.robot_dynamics import robot_dynamics
 from ..assemble.world import World
 from ..control.compiler import Compiler
-from ..control.robot_model import RobotModel
 from ..control.torque_loop import LoopGains
 from ..declaration import Declaration
 from ..drive.mirror import Mirror
@@ -259,11 +258,6 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
     def base_frame(self) -> Array:
         """T_world_base of the agent's robot now, (4, 4), m."""
         return self._robot.base()
-
-    @property
-    def controller_model(self) -> RobotModel:
-        """What the robot's controller knows of it."""
-        return self._agent.model
 
     @property
     def is_over(self) -> bool:

@@ -14,6 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from ..assemble.mounts import base_frames, unmounted
+from ..control.controller import Sensed, Target
+from ..control.joint_control import JointImpedanceController
+from ..control.model_rows import ModelRows
+from ..control.torque_loop import HangingLinks
 from ..errors import DeclarationError, Problem
 from ..frames import Array, Bools
 from ..runs.run_log import MEASURED
@@ -22,7 +27,6 @@ from ..simulate.plant_rows import PlantRows
 from ..simulate.rows import ManyRows
 from .actions import checked_action
 from .environment import Environment
-from .many_laws import ManyModels, ManyTargets
 from .tasks import ManyEpisodes, ManyStates
 
 
@@ -210,9 +214,19 @@ class Lane:
             self._drives = Drives(plant, environment.simulation.robots, scenario.run)
         self._is_plain = self._drives is None and plant.sensors.is_perfect
         self.action = environment.settings.make_action(environment.robot, scenario.run.timestep)
-        models = ManyModels(environment.controller_model, m)
-        self._law = self.action.make_law(models, scenario.run.timestep)
-        self._targets = ManyTargets(m, n)
+        robot, drives = environment.robot, self._drives
+        simulation = environment.simulation
+        standing = unmounted(robot, base_frames(simulation.robots)[robot.name])
+        models = ModelRows(simulation.robot_model(standing), m)
+        self._law = self.action.controller.make(models, scenario.run.timestep)
+        # Motors of elastic joints have encoders of their own, without errors; others the links'.
+        motor_state = np.zeros((m, 2 * n)) if plant.joints.elastic else None
+        self._sensed = Sensed(n, plant.measured, motor_state, models.rows)
+        self._target = Target(n, models.rows)
+        self._hanging = None
+        if plant.joints.elastic and drives is not None and drives.loop is not None:
+            stiffness, home = drives.gains[robot.name].stiffness, np.tile(robot.home, (m, 1))
+            self._hanging = HangingLinks(stiffness, None, models, home)
         limits = environment.robot.torque_limits
         self._high: Array = np.full(n, np.inf) if limits is None else np.array(limits, np.float64)
         self._low: Array = -self._high
@@ -241,8 +255,12 @@ class Lane:
             return
         if self._drives is not None:
             self._drives.reset(which)
-        self.action.begin(self._targets, self.plant.actual[which, 0], which)
-        self._law.begin(which)
+        self.action.begin(self._target, self.plant.actual[which, 0], which)
+        if isinstance(self._law, JointImpedanceController):
+            self._law.begin(which)
+        if self._hanging is not None:
+            home = np.asarray(self._environment.robot.home)
+            self._hanging.begin(which, home, self.plant.motor_angles)
 
     def simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
         """Simulates a control step of some of the robots.
@@ -256,22 +274,23 @@ class Lane:
             where the motion has become unstable, (m,).
         """
         plant, law, action, commanded = self.plant, self._law, self.action, self._commanded
-        targets, asked = self._targets, self._asked
+        sensed, target, asked = self._sensed, self._target, self._asked
         move = plant.step if self._drives is None else self._drives.step
         if self._has_pushes:
             self._begin_pushes(forces)
         action.take(actions)
         self._worlds.begin(which)
-        # Motors of elastic joints have encoders of their own, without errors; others the links'.
-        states = plant.measured.reshape(len(which), -1)[:, : targets.state.shape[1]]
         substeps = self._environment.substeps
         for k in range(substeps):
             # Drives and late sensors ask for the torques of every step.
             plant.joints.reads_torques = k == substeps - 1 or not self._is_plain
             action.advance()
             if plant.joints.elastic:
-                states = np.hstack([plant.motor_angles, plant.motor_velocities])
-            law.torques(states, targets, asked)
+                sensed.motor_angles[...] = plant.motor_angles
+                sensed.motor_velocities[...] = plant.motor_velocities
+            if self._hanging is not None:
+                sensed.motor_angles[...] = self._hanging.link_angles(sensed.motor_angles)
+            law.torques(sensed, target, asked)
             np.minimum(np.maximum(asked, self._low, out=commanded), self._high, out=commanded)
             if self._has_pushes:
                 self._push()
@@ -300,8 +319,6 @@ def _task_of_many(environment: Environment, m: int) -> ManyEpisodes:
     reason = None
     if len(simulation.robots) > 1 or simulation.whole_body is not None:
         reason = "found robots that carry others, or whose base moves; expected one robot"
-    elif simulation.drives is not None and simulation.plant.joints.elastic:
-        reason = "found drives of elastic joints; expected rigid ones"
     elif scenario.disturbances or scenario.faults or task is None:
         reason = "found a scenario; expected a robot with a task"
     elif scenario.run.runaway_speed:
