@@ -12,14 +12,14 @@ from gymnasium.vector import AutoresetMode
 import sero_mj
 from sero_mj.assemble.robot import SerialRobot
 from sero_mj.control.compiler import Compiler
-from sero_mj.control.joint_control import design_damping
+from sero_mj.control.model_rows import ModelRows
 from sero_mj.environment.environment import Environment
 from sero_mj.environment.gymnasium_vector import GymnasiumVector, make_gymnasium_vector
 from sero_mj.environment.make import RobotSettings
 from sero_mj.environment.many import ManyEnvironments
-from sero_mj.environment.many_laws import ManyModels
 from sero_mj.environment.tasks import Reach
 from sero_mj.errors import DeclarationError, SimulationError
+from sero_mj.simulate.scenario import Run
 
 # What noise, delays and quantised encoders add to the truth.
 SENSORS = {
@@ -176,7 +176,6 @@ def test_what_is_asked_for_wrongly_is_told(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"torque_control": True}, "found drives with a rate or a delay of their own"),
         ({"runaway_speed": 3.0}, "found run.runaway_speed; expected 0"),
     ],
 )
@@ -190,22 +189,59 @@ def test_runs_that_need_more_than_steps_are_stepped_alone(
         ManyEnvironments(Environment(scenario, "lwr", task, settings), 2)
 
 
-def test_gravity_masses_and_damping_of_many_are_those_of_each() -> None:
-    robot = SerialRobot.from_model("lwr")
-    model = Compiler().robot_model(robot)
-    many = ManyModels(model, 5)
-    angles = np.random.default_rng(1).uniform(-2.0, 2.0, (5, 7))
-    stiffness = np.diag(np.linspace(100.0, 700.0, 7))
-    many.update(angles)
-    masses = many.masses(np.ones(5, bool))
-    damping = design_damping(masses, stiffness, 0.7)
+@pytest.mark.parametrize(
+    ("changes", "sensors"),
+    [
+        ({"torque_control": True}, {}),
+        ({"torque_control": True, "elastic": True}, {}),
+        ({"drive_delay": 0.003}, SENSORS),
+        ({"physics_timestep": 2.5e-4, "torque_control": True, "drive_delay": 5e-4}, SENSORS),
+    ],
+)
+def test_drives_are_those_of_one_environment_where_many_begin_at_other_times(
+    changes: dict[str, Any], sensors: dict[str, Any]
+) -> None:
+    settings = RobotSettings(time_limit=0.1, action="impedance", stiffness=200.0, sensors=sensors)
+    task, robot = Reach(), SerialRobot.from_model("lwr")
+    scenario = settings.make_scenario(robot, task)
+    scenario.run = Run.model_validate({**scenario.run.model_dump(), **changes})
+
+    def environment() -> Environment:
+        return Environment(scenario, "lwr", task, settings, random_start=True)
+
+    many, alone = ManyEnvironments(environment(), 3), [environment() for _ in range(3)]
+    found = many.reset(np.arange(3))
+    expected = []
+    for k, each in enumerate(alone):
+        each.seed = k
+        expected.append(each.reset().observation)
+    for k, actions in enumerate(0.01 * random_actions(9, 3).astype(float)):
+        for key, values in found.items():
+            ours = np.array([each[key] for each in expected])
+            np.testing.assert_allclose(values, ours, rtol=1e-9, atol=1e-9, err_msg=f"{key} {k}")
+        if k == 2:  # one of them begins anew by itself
+            many.is_over[1] = alone[1]._is_over = True
+        found = many.step(actions)[0]
+        steps = [each.step(action) for each, action in zip(alone, actions, strict=True)]
+        expected = [step.observation for step in steps]
+
+
+def test_gravity_masses_and_inverse_dynamics_of_many_are_those_of_each() -> None:
+    model = Compiler().robot_model(SerialRobot.from_model("lwr"))
+    many = ModelRows(model, 5)
+    angles, velocities, wanted, accelerations = np.random.default_rng(1).uniform(-2, 2, (4, 5, 7))
+    torques, less = np.zeros((2, 5, 7))
+    many.update(angles, velocities)
+    many.write_inverse_dynamics(wanted, accelerations, torques, less)
+    gravity, masses = many.gravity(), many.mass()
+    np.testing.assert_array_equal(many.mass([3])[0], masses[3])
+    own, own_less = np.zeros((2, 7))
     for k in range(5):
-        model.update(angles[k], np.zeros(7))
-        np.testing.assert_array_equal(many.gravity[k], model.gravity())
+        model.update(angles[k], velocities[k])
+        np.testing.assert_array_equal(gravity[k], model.gravity())
         np.testing.assert_array_equal(masses[k], model.mass())
-        expected = design_damping(model.mass(), stiffness, 0.7)
-        np.testing.assert_allclose(damping[k], expected, rtol=1e-12, atol=1e-12)
-    np.testing.assert_array_equal(many.masses(np.arange(5) == 3)[0], masses[3])
+        model.write_inverse_dynamics(wanted[k], accelerations[k], own, own_less)
+        np.testing.assert_array_equal((torques[k], less[k]), (own, own_less))
 
 
 def test_what_is_only_looked_at_is_not_simulated_and_what_was_changed_is() -> None:

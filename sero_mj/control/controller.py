@@ -64,6 +64,7 @@ class Sensed:
             receiver writes is then seen without a copy.
         motor_state: (2n,), angles, then velocities of the motors where joints are elastic, to be
             used in place; those of the links when None.
+        rows: () for one robot; (m,) for m of them, which are then the first axis of all.
 
     Attributes:
         time: s since the start.
@@ -95,21 +96,26 @@ class Sensed:
     )
 
     def __init__(
-        self, n: int, values: Array | None = None, motor_state: Array | None = None
+        self,
+        n: int,
+        values: Array | None = None,
+        motor_state: Array | None = None,
+        rows: tuple[int, ...] = (),
     ) -> None:
         self.time = 0.0
-        self.values: Array = np.zeros((3, n)) if values is None else values
+        self.values: Array = np.zeros((*rows, 3, n)) if values is None else values
         shape, kind = self.values.shape, self.values.dtype
-        if shape != (3, n) or kind != np.float64 or not self.values.flags.c_contiguous:
+        if shape != (*rows, 3, n) or kind != np.float64 or not self.values.flags.c_contiguous:
             gaps = "" if self.values.flags.c_contiguous else " with gaps"
-            raise ValueError(f"found {shape} {kind}{gaps}; expected (3, {n}) float64 without gaps")
-        self.state: Array = self.values[:2].reshape(2 * n)
-        self.angles: Array = self.values[0]
-        self.velocities: Array = self.values[1]
-        self.torques: Array = self.values[2]
+            expected = f"{(*rows, 3, n)} float64 without gaps"
+            raise ValueError(f"found {shape} {kind}{gaps}; expected {expected}")
+        self.state: Array = self.values.reshape(*rows, 3 * n)[..., : 2 * n]
+        self.angles: Array = self.values[..., 0, :]
+        self.velocities: Array = self.values[..., 1, :]
+        self.torques: Array = self.values[..., 2, :]
         self.motor_state: Array = self.state if motor_state is None else motor_state
-        self.motor_angles: Array = self.motor_state[:n]
-        self.motor_velocities: Array = self.motor_state[n:]
+        self.motor_angles: Array = self.motor_state[..., :n]
+        self.motor_velocities: Array = self.motor_state[..., n:]
 
 
 class Target:
@@ -119,6 +125,7 @@ class Target:
 
     Args:
         n: number of joints.
+        rows: as for `Sensed`.
 
     Attributes:
         planned: (3n + 22,), `motion`, `pose` and `twist`, so that one copy sets all.
@@ -155,22 +162,22 @@ class Target:
         "wrench",
     )
 
-    def __init__(self, n: int) -> None:
-        self.planned: Array = np.zeros(3 * n + 22)
-        self.motion: Array = self.planned[: 3 * n]
-        self.state: Array = self.motion[: 2 * n]
-        self.angles: Array = self.state[:n]
-        self.velocities: Array = self.state[n:]
-        self.accelerations: Array = self.motion[2 * n :]
-        self.torques: Array = np.zeros(n)
+    def __init__(self, n: int, rows: tuple[int, ...] = ()) -> None:
+        self.planned: Array = np.zeros((*rows, 3 * n + 22))
+        self.motion: Array = self.planned[..., : 3 * n]
+        self.state: Array = self.motion[..., : 2 * n]
+        self.angles: Array = self.state[..., :n]
+        self.velocities: Array = self.state[..., n:]
+        self.accelerations: Array = self.motion[..., 2 * n :]
+        self.torques: Array = np.zeros((*rows, n))
         self.has_torques = True
-        self.pose: Array = self.planned[3 * n : -6].reshape(4, 4)
+        self.pose: Array = self.planned[..., 3 * n : -6].reshape(*rows, 4, 4)
         self.pose[:] = np.eye(4)
-        self.position: Array = self.pose[:3, 3]
-        self.rotation: Array = self.pose[:3, :3]
-        self.twist: Array = self.planned[-6:]
-        self.wrench: Array = np.zeros(6)
-        self.posture: Array = np.zeros(n)
+        self.position: Array = self.pose[..., :3, 3]
+        self.rotation: Array = self.pose[..., :3, :3]
+        self.twist: Array = self.planned[..., -6:]
+        self.wrench: Array = np.zeros((*rows, 6))
+        self.posture: Array = np.zeros((*rows, n))
 
 
 class Controller(Protocol):

@@ -1,4 +1,8 @@
-"""Joint-space controllers (gravity compensation, torque, impedance, position) and their damping."""
+"""Joint-space controllers (gravity compensation, torque, impedance, position) and their damping.
+
+They control one robot, or as many equal ones as their model has rows: what they sense, aim at and
+command then has the rows as its first axis.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from ..errors import DeclarationError, Problem
-from ..frames import Array
+from ..frames import Array, Bools
 from .controller import (
     DEFAULT_RATIO,
     SOFTEST,
@@ -20,6 +24,7 @@ from .controller import (
     Target,
     within,
 )  # fmt: skip
+from .model_rows import ModelRows
 from .robot_model import RobotModel
 
 MAX_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
@@ -37,7 +42,7 @@ class GravityCompensation(ControllerDeclaration):
     kind: Literal["gravity_compensation"] = "gravity_compensation"
     damping: Annotated[PerJoint, within(0.0, 1e4, "Nm s/rad")] = np.zeros(1)
 
-    def make(self, model: RobotModel, timestep: float) -> GravityCompensator:
+    def make(self, model: RobotModel | ModelRows, timestep: float) -> GravityCompensator:
         """The controller, without torque limits."""
         return GravityCompensator(model, damping=self.per_joint("damping", model.n))
 
@@ -56,7 +61,7 @@ class Torque(ControllerDeclaration):
     torques: PerJoint = np.zeros(1)
     compensate_gravity: bool = True
 
-    def make(self, model: RobotModel, timestep: float) -> GravityCompensator:
+    def make(self, model: RobotModel | ModelRows, timestep: float) -> GravityCompensator:
         """The controller, without torque limits."""
         own = self.per_joint("torques", model.n)
         return GravityCompensator(
@@ -87,7 +92,7 @@ class JointImpedance(ControllerDeclaration):
     feed_forward: bool = False
     damping_every: float = Field(0.1, gt=0, le=1)
 
-    def make(self, model: RobotModel, timestep: float) -> JointImpedanceController:
+    def make(self, model: RobotModel | ModelRows, timestep: float) -> JointImpedanceController:
         """The controller, without torque limits."""
         return JointImpedanceController(
             model,
@@ -136,7 +141,7 @@ class GravityCompensator:
 
     def __init__(
         self,
-        model: RobotModel,
+        model: RobotModel | ModelRows,
         *,
         damping: Array | None = None,
         torques: Array | None = None,
@@ -148,11 +153,11 @@ class GravityCompensator:
         self._damping = damping if damping is not None and damping.any() else None
         self._own = torques if torques is not None and torques.any() else None
         self._rest: Array | None = None
-        self._resisting: Array = np.zeros(model.n)
+        self._resisting: Array = np.zeros((*model.rows, model.n))
 
     def hold_links(self, joint_stiffness: Array) -> Array:
         """See `LinkHolder`."""
-        self._rest = np.zeros(self.model.n)
+        self._rest = np.zeros((*self.model.rows, self.model.n))
         return self._rest
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
@@ -200,7 +205,7 @@ class JointImpedanceController:
 
     def __init__(
         self,
-        model: RobotModel,
+        model: RobotModel | ModelRows,
         stiffness: Array,
         damping: Array,
         timestep: float,
@@ -214,21 +219,29 @@ class JointImpedanceController:
         self._rest: Array | None = None
         self.model = model
         self.stiffness: Array = np.diag(stiffness)
+        self._spring = stiffness
         self._ratio = damping
         self._timestep = timestep
         self._every = max(round(damping_every / timestep), 1)
-        self._left = 0
+        # Steps until now, and those in which the damping of every row is designed anew.
+        self._k = self._next = 0
+        self._due = np.zeros(model.rows, np.intp)
         # One product for all: [K D 1 -1 M_motors] [e; de; own torques; ddq_d], or but for the last
         # two without feed-forward. numpy takes longer to make a view than to compute with it.
         self._feeds_forward = feed_forward
         gains = [self.stiffness, np.zeros((n, n)), np.eye(n)]
         if feed_forward:
             gains += [-np.eye(n), np.diag(model.motor_inertia)]
-        self._gains: Array = np.hstack(gains)
-        self.damping: Array = self._gains[:, n : 2 * n]
-        self._terms: Array = np.zeros(len(gains) * n)
-        self._errors, self._own = self._terms[: 2 * n], self._terms[2 * n : 3 * n]
-        self._less, self._accelerations = self._terms[3 * n : 4 * n], self._terms[4 * n :]
+        self._gains: Array = np.tile(np.hstack(gains), (*model.rows, 1, 1))
+        self.damping: Array = self._gains[..., n : 2 * n]
+        terms: Array = np.zeros((*model.rows, len(gains) * n))
+        self._column = terms[..., None]
+        self._errors, self._own = terms[..., : 2 * n], terms[..., 2 * n : 3 * n]
+        self._less, self._accelerations = terms[..., 3 * n : 4 * n], terms[..., 4 * n :]
+
+    def begin(self, which: Bools) -> None:
+        """Begins anew with some of the rows, (m,): what was designed for them is forgotten."""
+        self._due[which] = self._next = self._k
 
     def hold_links(self, joint_stiffness: Array) -> Array:
         """See `LinkHolder`.
@@ -236,7 +249,7 @@ class JointImpedanceController:
         Raises:
             DeclarationError: K is too close to the stiffness of the joints themselves.
         """
-        own, most = np.diagonal(self.stiffness), SOFTEST * joint_stiffness
+        own, most = self._spring, SOFTEST * joint_stiffness
         problems = [
             Problem(
                 "stiffness",
@@ -247,17 +260,16 @@ class JointImpedanceController:
         ]
         if self._at_links and problems:
             raise DeclarationError(problems)
-        self._rest = np.zeros_like(joint_stiffness)
+        self._rest = np.zeros((*self.model.rows, self.model.n))
         return self._rest
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,)."""
         model = self.model
         model.update(sensed.motor_angles, sensed.motor_velocities)
-        if self._left == 0:
-            self.damping[:] = design_damping(model.mass(), self.stiffness, self._ratio)
-            self._left = self._every
-        self._left -= 1
+        if self._k == self._next:
+            self._design()
+        self._k += 1
         np.subtract(target.state, sensed.motor_state, self._errors)
         if self._feeds_forward:
             accelerations = target.accelerations
@@ -265,18 +277,31 @@ class JointImpedanceController:
             model.write_inverse_dynamics(target.velocities, accelerations, self._own, self._less)
         else:
             model.gravity(self._own)
-        np.dot(self._gains, self._terms, out)
+        np.matmul(self._gains, self._column, out[..., None])
         if target.has_torques:
             np.add(out, target.torques, out)
         if self._rest is not None:
             self._write_rest(self._rest)
+
+    def _design(self) -> None:
+        """Designs the damping of those rows whose time it is."""
+        model = self.model
+        if isinstance(model, RobotModel):
+            self.damping[:] = design_damping(model.mass(), self.stiffness, self._ratio)
+            self._next = self._k + self._every
+            return
+        due = self._due <= self._k
+        masses = model.mass(np.flatnonzero(due).tolist())
+        self.damping[due] = design_damping(masses, self.stiffness, self._ratio)
+        self._due[due] = self._k + self._every
+        self._next = int(self._due.min())
 
     def _write_rest(self, rest: Array) -> None:
         np.copyto(rest, self._own)
         if self._feeds_forward:
             rest -= self._less
         if self._at_links:
-            rest += self.stiffness.dot(self._errors[: len(rest)])
+            rest += self._spring * self._errors[..., : self.model.n]
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long; see `LimitedController.check`."""

@@ -51,6 +51,7 @@ class RobotModel:
         name: the robot's name, for messages.
 
     Attributes:
+        rows: (), the shape of what there is one of in a row; see `ModelRows`.
         n: number of joints.
         name: the robot's name.
         joint_names: of every joint, without the robot's name before it.
@@ -61,6 +62,8 @@ class RobotModel:
     Raises:
         ValueError: the joints are not those of one robot in their order, or there is no flange.
     """
+
+    rows: tuple[int, ...] = ()
 
     def __init__(
         self,

@@ -33,6 +33,7 @@ measurement, IROS 2008.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,8 @@ from ..assemble.dynamics import TorqueControl
 from ..assemble.robot import SerialRobot
 from ..assemble.robot_dynamics import RobotDynamics
 from ..errors import DeclarationError, Problem
-from ..frames import Array
+from ..frames import Array, Bools
+from .model_rows import ModelRows
 from .robot_model import RobotModel
 
 # 1/s; what grows more slowly is no matter of the time step. Rounding splits the double eigenvalue
@@ -142,40 +144,44 @@ class TorqueLoop:
         gains: of every joint.
         timestep: s between two steps.
         limits: (n,), torques that the drives can give, Nm or N; infinite where there is no limit.
+        rows: () for one plant; (m,) for m rows of them, which are then the first axis of all.
 
     Attributes:
         friction: (n,), Nm or N, what the observer finds of motors' and gears' friction.
         motor_torques: (n,), Nm or N, what the drives gave last.
         sensed: (2n,), velocities of the motors, rad/s or m/s, then what the torque sensors read of
             the step that led there, Nm or N; to be written before `step`.
-        matrix: (4n, 7n), see `loop_matrix`.
-        terms: (7n,), what it is multiplied by: what is remembered, commanded, and sensed.
     """
 
-    def __init__(self, gains: LoopGains, timestep: float, limits: Array) -> None:
-        n = self._n = len(gains.motor_inertias)
+    def __init__(
+        self, gains: LoopGains, timestep: float, limits: Array, rows: tuple[int, ...] = ()
+    ) -> None:
+        n = len(gains.motor_inertias)
         self.gains, self.timestep = gains, timestep
         self._high, self._low = np.array(limits), -np.array(limits)
-        self.matrix = loop_matrix(gains, timestep)
+        self._matrix = loop_matrix(gains, timestep)
         # [motor torques, friction, friction and momentum, filtered torques; u; dtheta, tau]
-        self.terms: Array = np.zeros(7 * n)
-        self._next: Array = np.zeros(4 * n)
-        self._own = self.terms[: 4 * n]
-        self.motor_torques, self.friction, self._momentum, self._filtered = self._own.reshape(4, n)
-        self._commanded, self.sensed = self.terms[4 * n : 5 * n], self.terms[5 * n :]
+        terms: Array = np.zeros((*rows, 7 * n))
+        self._column, self._next = terms[..., None], np.zeros((*rows, 4 * n, 1))
+        self._own = self._column[..., : 4 * n, :]
+        self.motor_torques, self.friction, self._momentum, self._filtered = np.split(
+            terms[..., : 4 * n], 4, axis=-1
+        )
+        self._commanded, self.sensed = terms[..., 4 * n : 5 * n], terms[..., 5 * n :]
         self._momentum_of = _momentum_per_velocity(gains, timestep)
 
-    def reset(self, torques: Array, velocities: Array) -> None:
+    def reset(self, torques: Array, velocities: Array, which: Any = ...) -> None:
         """Begins anew, with drives that have held the robot until now.
 
         Args:
             torques: (n,), that the sensors read, Nm or N.
             velocities: (n,), of the motors, rad/s or m/s.
+            which: of the rows; all by default.
         """
-        self.motor_torques[...] = torques
-        self._filtered[...] = np.where(np.isfinite(self.gains.stiffness), torques, 0.0)
-        self.friction[...] = 0.0
-        self._momentum[...] = self._momentum_of * velocities
+        self.motor_torques[which] = torques
+        self._filtered[which] = np.where(np.isfinite(self.gains.stiffness), torques, 0.0)
+        self.friction[which] = 0.0
+        self._momentum[which] = self._momentum_of * velocities
 
     def command(self, torques: Array) -> None:
         """Takes what the controllers ask for until the next call, (n,), Nm or N."""
@@ -188,7 +194,7 @@ class TorqueLoop:
             out: (n,), to be written: torques of the motors in the next step, Nm or N.
         """
         motors = self.motor_torques
-        self.matrix.dot(self.terms, self._next)
+        np.matmul(self._matrix, self._column, self._next)
         self._own[...] = self._next
         np.maximum(motors, self._low, out=motors)
         np.minimum(motors, self._high, out=motors)
@@ -209,18 +215,35 @@ class HangingLinks:
         stiffness: K, (n,), Nm/rad (N/m).
         at_rest: l, (n,), Nm or N, to be read at every step; None for gravity.
         model: for itself.
-        angles: (n,), rad or m, of the links at first.
+        angles: (n,), rad or m, of the links at first; (m, n) of as many rows as the model has.
     """
 
     def __init__(
-        self, stiffness: Array, at_rest: Array | None, model: RobotModel, angles: Array
+        self,
+        stiffness: Array,
+        at_rest: Array | None,
+        model: RobotModel | ModelRows,
+        angles: Array,
     ) -> None:
         self._compliance = 1.0 / stiffness
         self._angles: Array = np.array(angles, float)
         self._model, self._at_rest = model, at_rest
-        self._still: Array = np.zeros(model.n)
+        self._still: Array = np.zeros_like(self._angles)
         if at_rest is not None:
             at_rest[...] = self._gravity()
+
+    def begin(self, which: Bools, angles: Array, motor_angles: Array) -> None:
+        """Begins anew with some of many rows, (m,).
+
+        Args:
+            which: of the rows.
+            angles: (n,), rad or m, of their links at first.
+            motor_angles: (m, n), of all rows.
+        """
+        others = self._angles[~which].copy()
+        self._angles[which] = angles
+        self.link_angles(motor_angles)
+        self._angles[~which] = others
 
     def _gravity(self) -> Array:
         self._model.update(self._angles, self._still)

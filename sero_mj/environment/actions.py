@@ -9,13 +9,12 @@ import numpy as np
 from dm_env import specs
 
 from ..assemble.robot import SerialRobot
-from ..control.controller import ControllerDeclaration, Sensed, Target
+from ..control.controller import Sensed, Target
 from ..control.joint_control import JointImpedance, Torque
 from ..control.make_controller import make_controller
 from ..control.robot_model import RobotModel
 from ..errors import DeclarationError, Problem, SimulationError
 from ..frames import Array
-from .many_laws import Law, ManyImpedances, ManyModels, ManyTargets, ManyTorques
 
 Kind = Literal["torque", "impedance"]
 
@@ -33,25 +32,16 @@ class Action(ABC):
 
     unit: ClassVar[str]
     spec: specs.BoundedArray
-    controller: ControllerDeclaration
+    controller: JointImpedance | Torque
 
     @abstractmethod
-    def begin(self, target: ManyTargets | Target, angles: Array, which: Any = ...) -> None:
+    def begin(self, target: Target, angles: Array, which: Any = ...) -> None:
         """Begins an episode.
 
         Args:
             target: of the controller, which is written here from now on. Of m robots (m, n) arrays.
             angles: (n,), where the robot stands; of several robots (k, n).
             which: of m robots those k that begin.
-        """
-
-    @abstractmethod
-    def make_law(self, models: ManyModels, timestep: float) -> Law:
-        """The controller of many robots at once.
-
-        Args:
-            models: what it knows of them.
-            timestep: s between two calls.
         """
 
     @abstractmethod
@@ -100,14 +90,10 @@ class TorqueAction(Action):
         self.controller = Torque()
         self.spec = specs.BoundedArray((robot.n,), np.float64, -high, high, name="torques")
 
-    def begin(self, target: ManyTargets | Target, angles: Array, which: Any = ...) -> None:
+    def begin(self, target: Target, angles: Array, which: Any = ...) -> None:
         """Begins an episode without torques."""
         self._target = target
         target.torques[which] = 0.0
-
-    def make_law(self, models: ManyModels, timestep: float) -> Law:
-        """The controller of many robots at once."""
-        return ManyTorques(models)
 
     def take(self, action: Array) -> None:
         """Commands these torques."""
@@ -161,7 +147,7 @@ class ImpedanceAction(Action):
         self.controller: JointImpedance = JointImpedance(stiffness=stiffness, damping=damping)
         self.spec = specs.BoundedArray((robot.n,), np.float64, -most, most, name="target_offsets")
 
-    def begin(self, target: ManyTargets | Target, angles: Array, which: Any = ...) -> None:
+    def begin(self, target: Target, angles: Array, which: Any = ...) -> None:
         """Begins an episode: the target is where the robot stands."""
         self._target = target
         if self._goal.shape != target.angles.shape:
@@ -169,10 +155,6 @@ class ImpedanceAction(Action):
         target.angles[which] = self._goal[which] = angles
         target.velocities[which] = 0.0
         self._left = 0
-
-    def make_law(self, models: ManyModels, timestep: float) -> Law:
-        """The controller of many robots at once."""
-        return ManyImpedances(models, self.controller, timestep)
 
     def take(self, action: Array) -> None:
         """Begins a control step; the action is within its bounds."""

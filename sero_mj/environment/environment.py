@@ -18,7 +18,6 @@ from ..assemble.robot import SerialRobot
 from ..assemble.robot_dynamics import robot_dynamics
 from ..assemble.world import World
 from ..control.compiler import Compiler
-from ..control.robot_model import RobotModel
 from ..control.torque_loop import LoopGains
 from ..declaration import Declaration
 from ..drive.mirror import Mirror
@@ -261,11 +260,6 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         return self._robot.base()
 
     @property
-    def controller_model(self) -> RobotModel:
-        """What the robot's controller knows of it."""
-        return self._agent.model
-
-    @property
     def is_over(self) -> bool:
         """Whether no episode goes on: the next step begins one."""
         return self._is_over
@@ -353,7 +347,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             # Whoever got it before may have changed it.
             before = {name: value.copy() for name, value in self._observation.items()}
             return dm_env.TimeStep(dm_env.StepType.LAST, 0.0, 0.0, before)
-        self.plant.joints.update_derived()  # `data` is as up to date as after MuJoCo's own step
+        self.plant.rows.look_ahead()  # `data` is as up to date as after MuJoCo's own step
         self._is_over = simulation.is_done
         self._observation = self._observe()
         end = dm_env.truncation if self._is_over else dm_env.transition

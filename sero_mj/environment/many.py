@@ -12,30 +12,22 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import Any
 
-import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
+from ..assemble.mounts import base_frames, unmounted
+from ..control.controller import Sensed, Target
+from ..control.joint_control import JointImpedanceController
+from ..control.model_rows import ModelRows
+from ..control.torque_loop import HangingLinks
 from ..errors import DeclarationError, Problem
 from ..frames import Array, Bools
 from ..runs.run_log import MEASURED
-from ..simulate.sensors import Sensors
+from ..simulate.drives import Drives
+from ..simulate.plant_rows import PlantRows
+from ..simulate.rows import ManyRows
 from .actions import checked_action
 from .environment import Environment
-from .many_laws import ManyModels, ManyTargets
 from .tasks import ManyEpisodes, ManyStates
-
-_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
-_NOTHING = int(mujoco.mjtStage.mjSTAGE_NONE)
-_UNSTABLE = [
-    int(kind)
-    for kind in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-]
 
 
 class ManyEnvironments:
@@ -70,14 +62,8 @@ class ManyEnvironments:
         self._length = -(-environment.simulation.steps // environment.substeps)
         robot = environment.robot
         self._base, self._robot = environment.base_frame, robot
-        self._readings: Array = np.zeros((m, 3, robot.n))  # true: angles, velocities, torques
-        is_perfect = environment.plant.sensors.is_perfect
-        self._measured = self._readings if is_perfect else np.zeros_like(self._readings)
         ends = np.linspace(0, m, min(threads, m) + 1).round().astype(int).tolist()
-        self.lanes = [
-            Lane(environment, slice(a, b), self._readings[a:b], self._measured[a:b], self.task)
-            for a, b in pairwise(ends)
-        ]
+        self.lanes = [Lane(environment, slice(a, b), self.task) for a, b in pairwise(ends)]
         others = len(self.lanes) - 1
         self._pool = ThreadPoolExecutor(others) if others else None
         self._seen: dict[str, Array] = {}
@@ -176,9 +162,12 @@ class ManyEnvironments:
 
     def _states_now(self) -> ManyStates:
         """Where the robots are."""
-        is_perfect = self._measured is self._readings
-        angles = self._readings[:, 0]
-        measured = angles if is_perfect else self._measured[:, 0]
+        angles, measured = (
+            np.concatenate([getattr(lane.plant, key)[:, 0] for lane in self.lanes])
+            for key in ("actual", "measured")
+        )
+        if self.environment.plant.sensors.is_perfect:
+            measured = angles
         return ManyStates(angles, measured, self._flanges_at)
 
     def _flanges_at(self, angles: Array) -> Array:
@@ -188,9 +177,8 @@ class ManyEnvironments:
     def _observe(self, now: ManyStates) -> dict[str, Array]:
         """What is seen now, (m, ...), in arrays of its own."""
         environment = self.environment
-        found = {
-            name: self._measured[:, MEASURED.index(name)].copy() for name in environment.columns
-        }
+        measured = np.concatenate([lane.plant.measured for lane in self.lanes])
+        found = {name: measured[:, MEASURED.index(name)] for name in environment.columns}
         for name, (low, high) in environment.bounds.items():
             np.clip(found[name], low, high, out=found[name])
         commanded = [lane.action.observation() for lane in self.lanes]
@@ -205,54 +193,45 @@ class Lane:
     Args:
         environment: one of them.
         rows: which of all robots they are, one after the other.
-        readings: (m, 3, n), of these: true angles, velocities and torques; to be written.
-        measured: likewise, as they are measured; the same array where sensors have no errors.
         task: what is done.
 
     Attributes:
         rows: as given.
-        batch: MuJoCo's simulations.
+        plant: the robots, with their sensors.
+        batch: MuJoCo's simulations of them.
         action: what agents command.
     """
 
-    def __init__(
-        self,
-        environment: Environment,
-        rows: slice,
-        readings: Array,
-        measured: Array,
-        task: ManyEpisodes,
-    ) -> None:
-        m, n = len(readings), environment.robot.n
-        self.rows, self._readings, self._measured = rows, readings, measured
-        self._environment, self._plant = environment, environment.plant
-        self._substeps, self._has_pushes = environment.substeps, task.pushes
-        self._joints = joints = self._plant.joints
-        model = environment.world.physics_model()
-        # Where pushes act is known from the end of the step before, if data are kept.
-        self.batch = Batch(model, m, 1, persistent=self._has_pushes)
-        self._stage = _VELOCITY if self._has_pushes else _NOTHING
-        self._states: Array = self.batch.state[:, 1 : 1 + model.nq + model.nv]
-        self._constrained: Array = self.batch.bind("qfrc_constraint")
-        self._constraints, self._frictions = self.batch.bind("nefc"), self.batch.bind("nf")
-        self._scratch = mujoco.MjData(model)
-        angles, velocities = np.arange(model.nq), model.nq + np.arange(model.nv)
-        motors = np.hstack([angles[joints.motor_positions], velocities[joints.motor_dofs]])
-        self._motors = _Columns(self._states, motors)
-        drives = np.arange(model.nv)[joints.motor_dofs]
-        self._drive = _Columns(self.batch.bind("qfrc_applied"), drives)
-        self._given = self._drive.read()  # torques of the motors in the last step, (m, n)
-        self._sensors: list[Sensors] = []
-        if not self._plant.sensors.is_perfect:
-            self._sensors = [environment.scenario.make_sensors(0) for _ in range(m)]
-        timestep = self._plant.timestep
-        self.action = environment.settings.make_action(environment.robot, timestep)
-        self._law = self.action.make_law(ManyModels(environment.controller_model, m), timestep)
-        self._targets = ManyTargets(m, n)
+    def __init__(self, environment: Environment, rows: slice, task: ManyEpisodes) -> None:
+        m, n = rows.stop - rows.start, environment.robot.n
+        self.rows, self._environment, self._has_pushes = rows, environment, task.pushes
+        world, scenario = environment.world, environment.scenario
+        self._worlds = ManyRows(world.physics_model(), m, is_pushed=task.pushes)
+        self.batch = self._worlds.batch
+        self.plant = plant = PlantRows(world, self._worlds, scenario.make_sensors(0, m))
+        self._drives = None
+        if environment.simulation.drives is not None:
+            self._drives = Drives(plant, environment.simulation.robots, scenario.run)
+        self._is_plain = self._drives is None and plant.sensors.is_perfect
+        self.action = environment.settings.make_action(environment.robot, scenario.run.timestep)
+        robot, drives = environment.robot, self._drives
+        simulation = environment.simulation
+        standing = unmounted(robot, base_frames(simulation.robots)[robot.name])
+        models = ModelRows(simulation.robot_model(standing), m)
+        self._law = self.action.controller.make(models, scenario.run.timestep)
+        # Motors of elastic joints have encoders of their own, without errors; others the links'.
+        motor_state = np.zeros((m, 2 * n)) if plant.joints.elastic else None
+        self._sensed = Sensed(n, plant.measured, motor_state, models.rows)
+        self._target = Target(n, models.rows)
+        self._hanging = None
+        if plant.joints.elastic and drives is not None and drives.loop is not None:
+            stiffness, home = drives.gains[robot.name].stiffness, np.tile(robot.home, (m, 1))
+            self._hanging = HangingLinks(stiffness, None, models, home)
         limits = environment.robot.torque_limits
         self._high: Array = np.full(n, np.inf) if limits is None else np.array(limits, np.float64)
         self._low: Array = -self._high
         self._asked: Array = np.zeros((m, n))
+        self._commanded: Array = np.zeros((m, n))
         if self._has_pushes:
             self._find_flange()
 
@@ -268,22 +247,20 @@ class Lane:
 
     def place(self, k: int) -> None:
         """Puts robot k where that of the environment is."""
-        plant = self._plant
-        mujoco.mj_getState(plant.model, plant.data, self.batch.state[k], _STATE)
-        self._readings[k] = plant.actual
-        if self._sensors:
-            self._sensors[k].seed = plant.sensors.seed
-            self._sensors[k].reset(plant.actual)
-            self._measured[k] = self._sensors[k].measured
+        self.plant.place(k, self._environment.plant)
 
     def begin(self, which: Bools) -> None:
         """Begins an episode of some of the robots, which have been placed, (m,)."""
         if not which.any():
             return
-        if self._has_pushes:
-            self.batch.forward(which, stage=_VELOCITY)
-        self.action.begin(self._targets, self._readings[which, 0], which)
-        self._law.begin(which)
+        if self._drives is not None:
+            self._drives.reset(which)
+        self.action.begin(self._target, self.plant.actual[which, 0], which)
+        if isinstance(self._law, JointImpedanceController):
+            self._law.begin(which)
+        if self._hanging is not None:
+            home = np.asarray(self._environment.robot.home)
+            self._hanging.begin(which, home, self.plant.motor_angles)
 
     def simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
         """Simulates a control step of some of the robots.
@@ -294,42 +271,31 @@ class Lane:
             forces: (m, 3), that push the flanges meanwhile, N, in the world's axes.
 
         Returns:
-            where the motion has become unstable, (m,); there `readings` are as they were.
+            where the motion has become unstable, (m,).
         """
-        batch, joints, law, action = self.batch, self._joints, self._law, self.action
-        targets, asked, given, readings = self._targets, self._asked, self._given, self._readings
+        plant, law, action, commanded = self.plant, self._law, self.action, self._commanded
+        sensed, target, asked = self._sensed, self._target, self._asked
+        move = plant.step if self._drives is None else self._drives.step
         if self._has_pushes:
             self._begin_pushes(forces)
         action.take(actions)
-        good = before = batch.state.copy()
-        warnings, unstable = batch.warning, np.zeros(len(which), bool)
-        # Motors of elastic joints have encoders of their own, without errors; others the links'.
-        sensed = self._measured.reshape(len(which), -1)[:, : targets.state.shape[1]]
-        is_sensed = bool(self._sensors) and not joints.elastic
-        ids = None if which.all() else np.flatnonzero(which)
-        for k in range(self._substeps):
+        self._worlds.begin(which)
+        substeps = self._environment.substeps
+        for k in range(substeps):
+            # Drives and late sensors ask for the torques of every step.
+            plant.joints.reads_torques = k == substeps - 1 or not self._is_plain
             action.advance()
-            law.torques(sensed if is_sensed else self._motors.read(), targets, asked)
-            np.minimum(np.maximum(asked, self._low, out=given), self._high, out=given)
-            self._drive.write(given)
+            if plant.joints.elastic:
+                sensed.motor_angles[...] = plant.motor_angles
+                sensed.motor_velocities[...] = plant.motor_velocities
+            if self._hanging is not None:
+                sensed.motor_angles[...] = self._hanging.link_angles(sensed.motor_angles)
+            law.torques(sensed, target, asked)
+            np.minimum(np.maximum(asked, self._low, out=commanded), self._high, out=commanded)
             if self._has_pushes:
                 self._push()
-            is_read = k == self._substeps - 1 or bool(self._sensors)
-            if is_read:
-                before = batch.state.copy()
-            batch.step(ids, stage=self._stage)
-            if warnings.any():
-                broken = warnings[:, _UNSTABLE].any(axis=(1, 2))
-                unstable |= broken
-                batch.state[broken] = good[broken]  # there they wait
-                warnings[:] = 0
-                which = which & ~broken
-                ids = np.flatnonzero(which)
-            if is_read:
-                readings[which] = self._read(before, which)[which]
-            for each in np.flatnonzero(which) if self._sensors else ():
-                self._measured[each] = self._sensors[each].measure(readings[each])
-        return unstable
+            move(commanded)
+        return self._worlds.unstable.copy()
 
     def _begin_pushes(self, forces: Array) -> None:
         """Lets forces at the flanges, (m, 3), act in the next control step."""
@@ -345,51 +311,6 @@ class Lane:
         arms = self._points[:, self._site] - self._centers[:, self._body]
         self._pushes[:, self._body, 3:] = np.matmul(self._turning, arms[..., None])[..., 0]
 
-    def _read(self, before: Array, which: Bools) -> Array:
-        """What sensors without errors read after a step, (m, 3, n).
-
-        Args:
-            before: the states before it.
-            which: robots of which it was made.
-        """
-        joints, model = self._joints, self.batch.model
-        inner = self._constrained[:, joints.rubbing]
-        hidden = which & (self._constraints != self._frictions)
-        if hidden.any():  # friction acts among other constraints, which a batch does not tell
-            if joints.is_coupled:
-                inner = np.zeros((len(which), joints.inner_forces_count))
-            for k in np.flatnonzero(hidden).tolist():
-                mujoco.mj_setState(model, self._scratch, before[k], _STATE)
-                mujoco.mj_step(model, self._scratch)
-                inner[k] = joints.inner_forces(self._scratch)
-        states = before[:, 1 : 1 + model.nq + model.nv]
-        found = joints.readings_of_many(states, self._given, self._states, inner)
-        return found.reshape(self._readings.shape)
-
-
-class _Columns:
-    """Some columns of an array: a view where they are in a row, else copied.
-
-    Args:
-        array: (m, k).
-        columns: which of it, (c,).
-    """
-
-    def __init__(self, array: Array, columns: Any) -> None:
-        self._array, self._columns = array, columns
-        first, last = int(columns[0]), int(columns[-1])
-        is_row = np.array_equal(columns, np.arange(first, last + 1))
-        self._view: Array | None = array[:, first : last + 1] if is_row else None
-
-    def read(self) -> Array:
-        """The columns, (m, c): the view, or a copy."""
-        return self._array[:, self._columns] if self._view is None else self._view
-
-    def write(self, values: Array) -> None:
-        """Writes the columns, (m, c); nothing is left to do where the values are the view."""
-        if self._view is None:
-            self._array[:, self._columns] = values
-
 
 def _task_of_many(environment: Environment, m: int) -> ManyEpisodes:
     """The task of m robots; raises DeclarationError where they can only be taken one by one."""
@@ -398,8 +319,6 @@ def _task_of_many(environment: Environment, m: int) -> ManyEpisodes:
     reason = None
     if len(simulation.robots) > 1 or simulation.whole_body is not None:
         reason = "found robots that carry others, or whose base moves; expected one robot"
-    elif simulation.drives is not None:
-        reason = "found drives with a rate or a delay of their own; expected none"
     elif scenario.disturbances or scenario.faults or task is None:
         reason = "found a scenario; expected a robot with a task"
     elif scenario.run.runaway_speed:

@@ -7,6 +7,8 @@ the physics is faster.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..assemble.robot import SerialRobot
@@ -15,7 +17,7 @@ from ..control.joint_control import largest_share
 from ..control.torque_loop import LoopGains, TorqueLoop, unstable_loop
 from ..errors import DeclarationError, Problem, collect
 from ..frames import Array
-from .plant import Plant
+from .plant_rows import PlantRows
 from .scenario import Run
 
 
@@ -36,7 +38,7 @@ class Drives:
         DeclarationError: a loop that the step cannot hold, or that a robot cannot have.
     """
 
-    def __init__(self, plant: Plant, robots: dict[str, SerialRobot], run: Run) -> None:
+    def __init__(self, plant: PlantRows, robots: dict[str, SerialRobot], run: Run) -> None:
         self.plant, self.substeps = plant, run.substeps
         self._high: Array = np.concatenate([robot.torque_bounds for robot in robots.values()])
         self._low: Array = -self._high
@@ -45,12 +47,13 @@ class Drives:
         if run.torque_control:
             self._find_gains(robots)
             joined = LoopGains.joined([*self.gains.values()])
-            self.loop = TorqueLoop(joined, plant.timestep, self._high)
+            self.loop = TorqueLoop(joined, plant.timestep, self._high, plant.rows.shape)
         # Motors of elastic joints have encoders of their own, without errors; others the links'.
         self._velocities = plant.motor_velocities if plant.joints.elastic else None
-        self._measured = plant.measured[1:].reshape(-1)
+        self._measured = plant.measured[..., 1:, :].reshape(*plant.rows.shape, -1)
         # Torques that do not act yet, in a ring, and the place in it of the next ones.
-        self._pending: Array = np.zeros((round(run.drive_delay / plant.timestep) + 1, plant.n))
+        late = round(run.drive_delay / plant.timestep)
+        self._pending: Array = np.zeros((late + 1, *plant.rows.shape, plant.n))
         self._place = 0
         self.reset()
 
@@ -116,13 +119,20 @@ class Drives:
             )
             raise DeclarationError([Problem(f"controllers.{name}.{what}", message)])
 
-    def reset(self) -> None:
-        """Begins anew with a plant at rest, which the motors hold."""
-        self._place = 0
-        self._pending[:] = self.plant.actual[2]
+    def reset(self, which: Any = ...) -> None:
+        """Begins anew with a plant at rest, which the motors hold.
+
+        Args:
+            which: of its rows; all by default.
+        """
+        plant = self.plant
+        self._pending[:, which] = plant.actual[which][..., 2, :]
         if self.loop is not None:
-            velocities = self.plant.measured[1] if self._velocities is None else self._velocities
-            self.loop.reset(self.plant.measured[2], velocities)
+            measured = plant.measured[which]
+            velocities = measured[..., 1, :]
+            if self._velocities is not None:
+                velocities = self._velocities[which]
+            self.loop.reset(measured[..., 2, :], velocities, which)
 
     def step(self, commanded: Array) -> None:
         """Simulates one step of the controllers.
@@ -145,7 +155,7 @@ class Drives:
         for _ in range(self.substeps):
             sensed[...] = self._measured
             if self._velocities is not None:
-                sensed[: plant.n] = self._velocities
+                sensed[..., : plant.n] = self._velocities
             loop.step(given)
             if is_late:
                 given[...] = self._delayed(given)

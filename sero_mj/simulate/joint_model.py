@@ -25,25 +25,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import mujoco
 import numpy as np
-from mujoco import mj_step, mj_step1, mj_step2
 
 from ..assemble.mjcf_dynamics import COUPLING, deflection_joint, spring_damping
 from ..assemble.world import World
 from ..frames import Array, Ints
+from .rows import ManyRows, OneRow
 
 Index = slice | Ints
-
-# Of MuJoCo's warnings those of a motion that is unstable.
-POSITION, VELOCITY, ACCELERATION = (
-    int(kind)
-    for kind in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-)
 
 
 def as_slice(indices: Ints) -> Index:
@@ -61,18 +50,19 @@ class JointModel:
 
     Angles of links and their velocities are sums of two joints' where joints are elastic. Readings
     of the sensors are linear in the states before and after a step and in the torques that acted in
-    it: one matrix product computes them all, in few calls of numpy.
+    it: one matrix product computes them all, in few calls of numpy. Of many rows all arrays have
+    the rows as their first axis.
 
     Args:
         world: compiled with `dynamic`.
-        data: of it.
+        rows: worlds like it.
 
     Attributes:
         n: number of joints of all robots together.
         elastic: whether any of them is.
         looks_ahead: whether a step ends with what follows from the state that it leads to
             (kinematics, bias torques); else the next one begins with it, which is faster.
-        is_ahead: whether that has been computed.
+        reads_torques: whether torques are asked for after steps; their friction costs most.
         motor_dofs: index of every motor in `qvel`, (n,).
         motor_positions: likewise in `qpos`.
         motor_angles: (n,), rad, as the last step left them.
@@ -82,8 +72,8 @@ class JointModel:
         given: (n,), torques of the motors in the next step, Nm; to be written before `advance`.
     """
 
-    def __init__(self, world: World, data: mujoco.MjData) -> None:
-        self._model, self._data = world.model, data
+    def __init__(self, world: World, rows: OneRow | ManyRows) -> None:
+        self._model, self._data, self._rows = world.model, rows.data, rows
         self._world = world
         motor: list[int] = []
         sensor: list[int] = []
@@ -103,23 +93,21 @@ class JointModel:
                 sensor.append(int(of.dofadr[0]))
                 spring_q.append(int(of.qposadr[0]))
         self.n = len(motor)
-        self.looks_ahead = self.is_ahead = True
+        self.looks_ahead = self.reads_torques = True
         self.elastic = bool(spring_q)
         self.motor_dofs = as_slice(np.array(motor, np.intp))
         self.sensor_dofs = np.array(sensor, np.intp)
         self.motor_positions = as_slice(np.array(motor_q, np.intp))
         self._motor_q, self._spring_q = np.array(motor_q, np.intp), np.array(spring_q, np.intp)
         self._spring_dofs = self.sensor_dofs[self._elastic_rows]
-        self._qpos, self._qvel = data.qpos, data.qvel
-        self._applied = data.qfrc_applied
-        self._warned = memoryview(data.warning.number)
+        self._qpos, self._qvel, self._applied = rows.qpos, rows.qvel, rows.applied
         # Where joints stand in equal steps these are views, which are always up to date.
         self._copies: list[tuple[Array, Ints, Array]] = []
         self.motor_angles = self._watch(self._qpos, self.motor_positions)
         self.motor_velocities = self._watch(self._qvel, self.motor_dofs)
-        self.given: Array = np.zeros(self.n)
+        self.given: Array = np.zeros((*rows.shape, self.n))
         self._rubbing = np.zeros(0, np.intp)
-        self._friction: Array = np.zeros(0)
+        self._friction: Array = np.zeros((*rows.shape, 0))
         self._find_couplings()
         self.refresh()
 
@@ -138,10 +126,10 @@ class JointModel:
         # Equality constraints stand first and in their order; all are active from the start on.
         ids = self._data.efc_id[: self._data.ne].tolist()
         self._coupling_rows = np.array([ids.index(each) for each in couplings], np.intp)
-        self._coupling: Array = np.zeros(len(couplings))
+        self._coupling: Array = np.zeros((*self._rows.shape, len(couplings)))
 
     def _watch(self, array: Array, index: Index) -> Array:
-        watched = array[index]
+        watched = array[..., index]
         if not isinstance(index, slice):
             self._copies.append((array, index, watched))
         return watched
@@ -158,11 +146,11 @@ class JointModel:
                 for joint, value in zip(dofs, damping, strict=True):
                     model.dof_damping[joint.dofadr[0]] = value
         self._spring_stiffness = model.jnt_stiffness[model.dof_jntid[self._spring_dofs]]
-        friction: Array = np.zeros(model.nv)
-        friction[self._rubbing] = self._friction
+        friction: Array = np.zeros((*self._rows.shape, model.nv))
+        friction[..., self._rubbing] = self._friction
         self._rubbing = np.flatnonzero(model.dof_frictionloss > 0)
         self._arrange()
-        self._friction[:] = friction[self._rubbing]
+        self._friction[:] = friction[..., self._rubbing]
 
     def _arrange(self) -> None:
         """Lays out what the sensors feel: [q, dq; torques; q, dq after; couplings; friction]."""
@@ -170,15 +158,17 @@ class JointModel:
         kinds = [model.nq, model.nv, n, model.nq, model.nv, len(self._coupled_dofs)]
         sizes = np.array([*kinds, len(self._rubbing)])
         ends = np.cumsum(sizes)
-        self._terms: Array = np.zeros(ends[-1])
+        self._terms: Array = np.zeros((*self._rows.shape, ends[-1]))
+        self._column = self._terms[..., None]
         q_before, dq_before, given, q_after, dq_after, coupling, friction = np.split(
-            self._terms, ends[:-1]
+            self._terms, ends[:-1], axis=-1
         )
         given[:] = self.given
         coupling[:] = self._coupling
         self.given, self._coupling, self._friction = given, coupling, friction
+        self._inner = self._terms[..., ends[4] :]
         self._after = slice(ends[2], ends[4])
-        self._readings_of: Array = np.zeros((3 * n, len(self._terms)))
+        self._readings_of: Array = np.zeros((3 * n, ends[-1]))
         self._fill(self._readings_of.reshape(3, n, -1), (ends - sizes).tolist())
         self._states = q_before, dq_before, q_after, dq_after
 
@@ -222,34 +212,20 @@ class JointModel:
         Returns:
             whether the motion is stable.
         """
-        model, data, friction = self._model, self._data, self._friction
+        rows = self._rows
         q_before, dq_before, q_after, dq_after = self._states
         q_before[...], dq_before[...] = self._qpos, self._qvel
-        self._applied[self.motor_dofs] = self.given
+        self._applied[..., self.motor_dofs] = self.given
         if pushes is not None:
             self._applied += pushes
-        (mj_step2 if self.is_ahead else mj_step)(model, data)
-        warned = self._warned
-        if warned[ACCELERATION] or warned[VELOCITY] or warned[POSITION]:
+        if not rows.step():
             return False
         q_after[...], dq_after[...] = self._qpos, self._qvel
-        if len(self._coupling):
-            self._coupling[...] = data.efc_force[self._coupling_rows]
-        if rubs := len(friction):
-            # Coulomb friction is there until the next `mj_step1`; its rows stand behind those of
-            # equality constraints, and before all others.
-            forces = data.efc_force
-            friction[...] = forces if len(forces) == rubs else forces[data.ne : data.ne + rubs]
+        if self.reads_torques:
+            rows.read_inner_forces(self._coupling_rows, self._rubbing, self._inner)
         if self.looks_ahead:
-            mj_step1(model, data)
-        self.is_ahead = self.looks_ahead
+            rows.look_ahead()
         return True
-
-    def update_derived(self) -> None:
-        """Computes what follows from the state that `data` is in, if that has not been done."""
-        if not self.is_ahead:
-            mj_step1(self._model, self._data)
-            self.is_ahead = True
 
     def external(self, pushes: Array) -> Array:
         """Torques on the links from outside in the last step, (n,), Nm: pushes, contacts, stops.
@@ -262,49 +238,15 @@ class JointModel:
         return np.asarray(outer[self.sensor_dofs] - inner)
 
     def read(self, readings: Array) -> None:
-        """Writes what sensors feel of the links: angles, velocities, torques, (3n,)."""
+        """Writes what sensors feel of the links: angles, velocities, torques, (3n, 1)."""
+        self.update_motors()
+        # As many products as rows: one for all would round otherwise than that for one.
+        np.matmul(self._readings_of, self._column, readings)
+
+    def update_motors(self) -> None:
+        """Brings `motor_angles` and `motor_velocities` up to date, where they are copies."""
         for array, index, copy in self._copies:
-            np.take(array, index, out=copy)
-        self._readings_of.dot(self._terms, readings)
-
-    @property
-    def rubbing(self) -> Ints:
-        """Indices in `qvel` of what has Coulomb friction."""
-        return self._rubbing
-
-    @property
-    def is_coupled(self) -> bool:
-        """Whether joints follow others."""
-        return bool(len(self._coupling_rows))
-
-    @property
-    def inner_forces_count(self) -> int:
-        """Length of `inner_forces`."""
-        return len(self._coupling_rows) + len(self._rubbing)
-
-    def inner_forces(self, data: mujoco.MjData) -> Array:
-        """Forces of couplings, then of Coulomb friction, in the last step of a `data`, (k,)."""
-        forces = data.efc_force
-        friction = forces[data.ne : data.ne + len(self._rubbing)]
-        return np.hstack([forces[self._coupling_rows], friction])
-
-    def readings_of_many(
-        self, before: Array, given: Array, after: Array, inner_forces: Array
-    ) -> Array:
-        """What sensors feel in a step of m such worlds; `read` for one.
-
-        Args:
-            before: (m, nq + nv), states.
-            given: (m, n), torques of the motors in the step, Nm.
-            after: (m, nq + nv), states.
-            inner_forces: (m, k), see there.
-
-        Returns:
-            angles, velocities, torques, (m, 3n).
-        """
-        terms = np.hstack([before, given, after, inner_forces])
-        # As many products as worlds: one for all would round otherwise than that for one.
-        return np.asarray(self._readings_of @ terms[..., None])[..., 0]
+            np.take(array, index, axis=-1, out=copy)
 
     def read_at_rest(self, readings: Array) -> None:
         """Writes the readings at rest, before any step: torque sensors read the static load."""
@@ -313,4 +255,4 @@ class JointModel:
         equalities = self._data.ne
         self._friction[:] = self._data.efc_force[equalities : equalities + len(self._friction)]
         self.read(readings)
-        readings[2 * self.n :] = self._data.qfrc_bias[self.sensor_dofs]
+        readings[2 * self.n :, 0] = self._data.qfrc_bias[self.sensor_dofs]

@@ -15,7 +15,8 @@ from ..declaration import numbers
 from ..errors import SimulationError, UnknownName
 from ..frames import Array
 from .external_loads import Push, attach_payload, detach_payload
-from .joint_model import JointModel
+from .plant_rows import PlantRows
+from .rows import OneRow
 from .sensors import Sensors
 
 P = TypeVar("P", bound=Push)
@@ -23,7 +24,7 @@ P = TypeVar("P", bound=Push)
 MAX_TORQUE = 1e9  # Nm, norm of all motor torques; a comparison with it refuses NaN as well
 
 
-class Plant:
+class Plant(PlantRows):
     """All robots of a dynamic world, joint after joint in the order of `world.robots`.
 
     After construction and, if `joints.looks_ahead`, after every step `data` holds the kinematics,
@@ -36,15 +37,8 @@ class Plant:
         timestep: s; the model's when None.
 
     Attributes:
-        world: what is simulated.
         model: its `MjModel`; payloads and frictions change it.
         data: its `MjData`.
-        n: number of joints of all robots together.
-        measured: (3, n), what the sensors read of it.
-        motor_angles: (n,), true, rad: before the spring of an elastic joint. Always the same
-            array, to read only; so is the next.
-        motor_velocities: (n,), likewise, rad/s.
-        sensors: as given.
         motor_torques: (n,), what acted in the last step.
 
     Raises:
@@ -56,25 +50,13 @@ class Plant:
     ) -> None:
         if not world.dynamic:
             raise ValueError("found a world to look at; expected World(scene, dynamic=True)")
-        self.world = world
         self.model = world.model
         if timestep is not None:
             if not 0 < timestep < 1:
                 raise ValueError(f"timestep: found {timestep:g} s; expected more than 0, below 1")
             self.model.opt.timestep = timestep
         self.data = world.make_data()
-        self.joints = JointModel(world, self.data)
-        self.n = self.joints.n
-        self.motor_angles = self.joints.motor_angles
-        self.motor_velocities = self.joints.motor_velocities
-        self.sensors = Sensors(self.n) if sensors is None else sensors
-        if self.sensors.n != self.n:
-            raise ValueError(f"found sensors of {self.sensors.n} joints; expected {self.n}")
-        self._actual = np.zeros((3, self.n))
-        self._is_measured = False  # whether what perfect sensors measured is what is
-        self.measured = self.sensors.measured
-        self._readings = self._actual.reshape(-1)
-        self._measured_readings = self.measured.reshape(-1)
+        super().__init__(world, OneRow(self.model, self.data), sensors)
         self._pushes: list[Push] = []
         self._pushed = False  # whether any acts, or did in the last step
         self._motor = self.data.qfrc_applied
@@ -86,11 +68,6 @@ class Plant:
     def time(self) -> float:
         """Since the start, s."""
         return float(self.data.time)
-
-    @property
-    def timestep(self) -> float:
-        """Of a step, s."""
-        return float(self.model.opt.timestep)
 
     @property
     def motor_torques(self) -> Array:
@@ -122,7 +99,7 @@ class Plant:
     def _settle(self) -> None:
         """Computes all that follows from a state at rest, in which the joints hold the links."""
         mujoco.mj_forward(self.model, self.data)
-        self.joints.is_ahead = True
+        self.rows.is_ahead = True
         if self.joints.elastic:
             self.joints.load_springs()
             mujoco.mj_forward(self.model, self.data)
@@ -150,43 +127,12 @@ class Plant:
             self._stop_for_torque()
         return self.step_given()
 
-    def step_given(self) -> Array:
-        """Simulates one timestep with what is in `joints.given`, which is not looked at.
-
-        Returns:
-            `measured`, (3, n): the same array every time.
-
-        Raises:
-            SimulationError: the motion has become unstable.
-        """
-        joints = self.joints
-        if not joints.advance(self._gather_pushes() if self._pushed else None):
-            self._stop_for_motion()
-        sensors = self.sensors
-        if sensors.is_perfect:
-            joints.read(self._measured_readings)
-            self._is_measured = True
-            return self.measured
-        joints.read(self._readings)
-        self._is_measured = False
-        return sensors.measure(self._actual)
-
-    @property
-    def actual(self) -> Array:
-        """(3, n), true angles and velocities of the links and torques between motors and links.
-
-        The latter during the last step; rad, rad/s, Nm. Not to be written into.
-        """
-        if self._is_measured and not self.sensors.is_perfect:  # since a moment ago
-            np.copyto(self._actual, self.measured)
-            self._is_measured = False
-        return self.measured if self._is_measured else self._actual
-
-    def _gather_pushes(self) -> Array:
-        """What pushes do at the joints now, (nv,), Nm; also clears what they did before."""
+    def _gather_pushes(self) -> Array | None:
+        if not self._pushed:
+            return None
         self._motor[:] = self._outer[:] = 0.0
         if self._pushes:
-            self.joints.update_derived()
+            self.rows.look_ahead()
         for push in self._pushes:
             push.apply(self.model, self.data, self._outer)
         self._pushed = bool(self._pushes)
@@ -302,7 +248,7 @@ class Plant:
 
     def flange(self, robot: str) -> Array:
         """T_world_flange now, (4, 4), m: the true one, in an array of its own."""
-        self.joints.update_derived()
+        self.rows.look_ahead()
         frame, body = np.eye(4), self._part(robot).flange_body
         frame[:3, :3] = self.data.xmat[body].reshape(3, 3)
         frame[:3, 3] = self.data.xpos[body]
@@ -312,7 +258,7 @@ class Plant:
         """Recomputes what depends on `model` and `data` after they were changed; no time passes."""
         self.joints.refresh()
         mujoco.mj_step1(self.model, self.data)
-        self.joints.is_ahead = True
+        self.rows.is_ahead = True
 
     def _part(self, robot: str) -> RobotPart:
         if robot not in self.world.robots:

@@ -304,8 +304,12 @@ class Scenario:
         controller = self.controllers.get(robot, GravityCompensation())
         return robot in self.targets or getattr(controller, "needs_target", True)
 
-    def make_sensors(self, seed: int) -> Sensors:
-        """The sensors of all robots together.
+    def make_sensors(self, seed: int, rows: int | None = None) -> Sensors:
+        """The sensors of all robots together, perhaps of many worlds.
+
+        Args:
+            seed: of their noise.
+            rows: how many worlds, see `Sensors`; None for one.
 
         Raises:
             DeclarationError: errors that do not fit the joints, or delays that differ.
@@ -345,6 +349,7 @@ class Scenario:
         return Sensors(
             sum(map(len, filters)),
             seed=seed,
+            rows=rows,
             **merged,
             velocity_filter=np.concatenate(filters),
             timestep=self.run.timestep / self.run.substeps,

@@ -65,6 +65,9 @@ class SensorErrors(Declaration):
 class Sensors:
     """Sensors of n joints for three signals: angles, velocities and torques, in that order.
 
+    With m rows, of which each has sensors and noise of its own, all arrays have the rows as their
+    first axis.
+
     Args:
         n: number of joints.
         angles: of the link, behind gear and spring.
@@ -74,6 +77,7 @@ class Sensors:
         velocity_filter: w, (n,), 1/s, of joints whose velocities are differentiated, with their own
             errors on top; 0 for those that have tachometers. None for no differentiated ones.
         timestep: t, s between two readings; needed with `velocity_filter`.
+        rows: m; None for one without the axis.
 
     Attributes:
         is_perfect: whether they read the truth, at once.
@@ -94,16 +98,24 @@ class Sensors:
         *,
         velocity_filter: Array | None = None,
         timestep: float = 0.0,
+        rows: int | None = None,
     ) -> None:
         self.n = n
-        self.measured = np.zeros((3, n))
+        self._rows: tuple[int, ...] = () if rows is None else (rows,)
+        self.measured = np.zeros((*self._rows, 3, n))
         self.seed = seed
         self._declared = [errors or SensorErrors() for errors in (angles, velocities, torques)]
-        self._noise, self._offsets = np.zeros((2, _BLOCK, 3, n))  # noise alone, and all in all
+        # Noise alone, and all in all.
+        self._noise, self._offsets = np.zeros((2, _BLOCK, *self._rows, 3, n))
         self._offset_rows = tuple(self._offsets)
         self._drawn = False
-        self._grid_steps = np.zeros(n)
-        self._joints = np.arange(n)
+        self._grid_steps = np.zeros((*self._rows, n))
+        # Of every joint in a ring of late values.
+        self._places: tuple[Ints, ...] = (np.arange(n),)
+        if rows is not None:
+            self._places = (np.arange(rows)[:, None], *self._places)
+            filters: dict[str, Any] = {"velocity_filter": velocity_filter, "timestep": timestep}
+            self._one = Sensors(n, angles, velocities, torques, **filters)
         self._differentiated: Bools | None = None
         self._new_share, self._timestep = np.zeros(n), timestep
         if velocity_filter is not None and np.any(velocity_filter):
@@ -111,15 +123,21 @@ class Sensors:
                 raise ValueError(f"timestep: found {timestep:g} s; expected more than 0")
             self._differentiated = np.array(velocity_filter) > 0
             self._new_share = -np.expm1(-np.array(velocity_filter) * timestep)
-        self._speeds, self._read_angles = np.zeros((2, n))
-        self._past = [np.zeros((1, n)) for _ in SIGNALS]  # what was read without its delay
-        self._k = 0
+        self._speeds, self._read_angles = np.zeros((2, *self._rows, n))
+        self._has_read = False
+        # What was read without its delay.
+        self._past = [np.zeros((1, *self._rows, n)) for _ in SIGNALS]
+        self._rngs = [np.random.default_rng(seed) for _ in range(rows or 1)]
+        self._k = 0  # readings until now
+        self._first = np.zeros(rows or 1, np.intp)  # where the noise of every row begins
+        self._together: int | None = 0  # the same where it is one for all
         self.repair()
-        self.reset(self.measured)
+        if rows is None:
+            self.reset(self.measured)
 
     def repair(self) -> None:
         """Ends all faults and changes: every sensor is as it was declared."""
-        shape = (3, self.n)
+        shape = (*self._rows, 3, self.n)
         self._errors = {key: np.zeros(shape) for key in _ERRORS}
         self._dead = np.zeros(shape, bool)
         self._frozen = np.zeros(shape, bool)
@@ -131,8 +149,8 @@ class Sensors:
                     raise ValueError(
                         f"{signal}.{key}: found {len(value)} numbers; expected 1 or {self.n}"
                     )
-                self._errors[key][row] = value
-        self._delays = np.zeros((3, self.n), np.intp)
+                self._errors[key][..., row, :] = value
+        self._delays = np.zeros(shape, np.intp)
         for signal, declared in zip(SIGNALS, self._declared, strict=True):
             self.delay(signal, declared.delay)
 
@@ -142,13 +160,36 @@ class Sensors:
         Args:
             actual: (3, n), the true values now.
         """
-        self._rng = np.random.default_rng(self.seed)
+        self._rngs = [np.random.default_rng(self.seed)]
         self._drawn = False
         self._k = 0
         self._speeds[:] = 0.0
         self._has_read = False
         for _ in range(int(self._delays.max()) + 1):
             self.measure(actual)
+
+    def reset_row(self, row: int, actual: Array, seed: int) -> None:
+        """Begins one of the rows anew, as sensors by themselves would.
+
+        Args:
+            row: from 0.
+            actual: (3, n), the true values now.
+            seed: of its noise.
+        """
+        one = self._one
+        one.seed = seed
+        one.reset(actual)
+        self.measured[row], self._rngs[row] = one.measured, one._rngs[0]
+        self._speeds[row], self._read_angles[row] = one._speeds, one._read_angles
+        self._has_read = one._has_read
+        for signal, past in enumerate(one._past):
+            own = self._past[signal]
+            for age in range(len(past)):
+                own[(self._k - 1 - age) % len(own), row] = past[(one._k - 1 - age) % len(past)]
+        self._noise[:, row], self._drawn = one._noise, one._drawn
+        self._first[row] = self._k - one._k
+        self._together = int(self._first[row]) if np.ptp(self._first) == 0 else None
+        self._offset(row)
 
     def change(
         self, signal: Signal, joints: int | Sequence[int] | slice | None = None, **errors: float
@@ -170,7 +211,7 @@ class Sensors:
                 raise UnknownName("sensor error", key, _ERRORS)
             if key in ("noise", "resolution") and not value >= 0:
                 raise ValueError(f"{signal}.{key}: found {value:g}; expected 0 or more")
-            self._errors[key][row, slice(None) if joints is None else joints] = value
+            self._errors[key][..., row, slice(None) if joints is None else joints] = value
         self._plan()
 
     def delay(
@@ -192,17 +233,17 @@ class Sensors:
         row = _row(signal)
         if steps < 0:
             raise ValueError(f"{signal}: found a delay of {steps} steps; expected 0 or more")
-        delays = self._delays[row].copy()
-        delays[slice(None) if joints is None else joints] = steps
+        delays = self._delays[..., row, :].copy()
+        delays[..., slice(None) if joints is None else joints] = steps
         self._delay(row, delays)
         self._plan()
 
     def _delay(self, row: int, delays: Ints) -> None:
         """Sets the delays of a signal's joints, (n,)."""
-        was_late = self._delays[row].any()
-        self._delays[row] = delays
-        old, past = self._past[row], np.empty((int(delays.max()) + 1, self.n))
-        past[:] = self.measured[row]
+        was_late = self._delays[..., row, :].any()
+        self._delays[..., row, :] = delays
+        old, past = self._past[row], np.empty((int(delays.max()) + 1, *self._rows, self.n))
+        past[:] = self.measured[..., row, :]
         for age in range(min(len(old), len(past)) if was_late else 0):
             past[(self._k - 1 - age) % len(past)] = old[(self._k - 1 - age) % len(old)]
         self._past[row] = past
@@ -219,20 +260,20 @@ class Sensors:
         self._held[:] = held
         wanted, self._delays, self._past = self._delays, delays, past
         for row in range(len(SIGNALS)):
-            if (wanted[row] != delays[row]).any():
-                self._delay(row, wanted[row])
+            if (wanted[..., row, :] != delays[..., row, :]).any():
+                self._delay(row, wanted[..., row, :])
         self._plan()
 
     def kill(self, signal: Signal, joint: int) -> None:
         """A sensor that reads zero."""
-        self._dead[_row(signal), joint] = True
+        self._dead[..., _row(signal), joint] = True
         self._plan()
 
     def freeze(self, signal: Signal, joint: int) -> None:
         """A sensor that goes on reading what it has read last."""
         row = _row(signal)
-        self._frozen[row, joint] = True
-        self._held[row, joint] = self.measured[row, joint]
+        self._frozen[..., row, joint] = True
+        self._held[..., row, joint] = self.measured[..., row, joint]
         self._plan()
 
     def _plan(self) -> None:
@@ -242,22 +283,24 @@ class Sensors:
         self._scaled = bool((self._gain != 1).any())
         self._noisy = bool((errors["noise"] != 0).any())
         self._shifted = self._noisy or bool((errors["bias"] != 0).any())
-        self._offset_all()
+        for row in range(len(self._rngs)):
+            self._offset(row)
         coarse = errors["resolution"] > 0
         # Values, their resolution, and for which of them; None for all.
         self._grids = [
             (
-                self.measured[row],
-                np.where(coarse[row], errors["resolution"][row], 1.0),
-                None if coarse[row].all() else coarse[row],
+                self.measured[..., row, :],
+                np.where(coarse[..., row, :], errors["resolution"][..., row, :], 1.0),
+                None if coarse[..., row, :].all() else coarse[..., row, :],
             )
-            for row in np.flatnonzero(coarse.any(axis=1))
+            for row in range(len(SIGNALS))
+            if coarse[..., row, :].any()
         ]
         self._faulty = bool(self._dead.any() or self._frozen.any())
         self._late = [
-            (self.measured[row], self._past[row], steps)
-            for row, steps in enumerate(self._delays)
-            if steps.any()
+            (self.measured[..., row, :], past, self._delays[..., row, :])
+            for row, past in enumerate(self._past)
+            if self._delays[..., row, :].any()
         ]
 
         self.is_perfect = not (
@@ -269,16 +312,34 @@ class Sensors:
             or self._differentiated is not None
         )
 
-    def _offset_all(self) -> None:
-        """Noise and bias together for a block of steps: one addition in every step."""
-        multiply(self._noise, self._errors["noise"], self._offsets)
-        add(self._offsets, self._errors["bias"], self._offsets)
+    def _offset(self, row: int) -> None:
+        """Noise and bias of a row together for a block of steps: one addition in every step."""
+        shape = (-1, 3, self.n)
+        noise, bias = (self._errors[key].reshape(shape)[row] for key in ("noise", "bias"))
+        offsets = self._offsets.reshape(_BLOCK, *shape)[:, row]
+        multiply(self._noise.reshape(_BLOCK, *shape)[:, row], noise, offsets)
+        add(offsets, bias, offsets)
 
-    def _draw(self) -> None:
-        """Draws the noise of a block of steps."""
-        self._rng.standard_normal(out=self._noise)
+    def _offsets_now(self) -> Array:
+        """Noise and bias of this reading, (3, n)."""
+        if self._together is not None:
+            k = (self._k - self._together) % _BLOCK
+            if self._noisy and (k == 0 or not self._drawn):
+                self._draw(range(len(self._rngs)))
+            together: Array = self._offset_rows[k]
+            return together
+        rows = (self._k - self._first) % _BLOCK
+        if self._noisy and not rows.all():
+            self._draw(np.flatnonzero(rows == 0).tolist())
+        return np.asarray(self._offsets[rows, self._places[0][:, 0]])
+
+    def _draw(self, rows: Sequence[int]) -> None:
+        """Draws the noise of a block of steps of some rows."""
+        noise = self._noise.reshape(_BLOCK, -1, 3, self.n)
+        for row in rows:
+            noise[:, row] = self._rngs[row].standard_normal((_BLOCK, 3, self.n))
+            self._offset(row)
         self._drawn = True
-        self._offset_all()
 
     def measure(self, actual: Array) -> Array:
         """Reads all sensors.
@@ -292,11 +353,9 @@ class Sensors:
         measured, source = self.measured, actual
         if self._scaled:
             source = multiply(source, self._gain, measured)
-        if self._shifted:
-            k = self._k % _BLOCK
-            if self._noisy and (k == 0 or not self._drawn):
-                self._draw()
-            source = add(source, self._offset_rows[k], measured)
+        offsets = self._offsets_now() if self._shifted else None
+        if offsets is not None:
+            source = add(source, offsets, measured)
         if source is actual:
             copyto(measured, actual)
         for values, grid, coarse in self._grids:
@@ -307,32 +366,32 @@ class Sensors:
             if coarse is not None:
                 copyto(values, steps, where=coarse)
         if self._differentiated is not None:
-            self._differentiate(self._differentiated)
+            self._differentiate(self._differentiated, offsets)
         if self._faulty:
             copyto(measured, self._held, where=self._frozen)
             copyto(measured, 0.0, where=self._dead)
         for values, past, late in self._late:
             past[self._k % len(past)] = values
-            values[:] = past[(self._k - late) % len(past), self._joints]
+            values[:] = past[((self._k - late) % len(past), *self._places)]
         self._k += 1
         return measured
 
-    def _differentiate(self, joints: Bools) -> None:
+    def _differentiate(self, joints: Bools, offsets: Array | None) -> None:
         """Replaces the velocities of some joints by what their angles have changed by."""
-        angles, (gain, resolution) = (
-            self.measured[0],
-            (self._gain[1], self._errors["resolution"][1]),
+        angles = self.measured[..., 0, :]
+        gain, resolution = (
+            of_all[..., 1, :] for of_all in (self._gain, self._errors["resolution"])
         )
         if self._has_read:
             change = (angles - self._read_angles) / self._timestep
             self._speeds += self._new_share * (change - self._speeds)
         self._read_angles[:], self._has_read = angles, True
         values = self._speeds * gain
-        if self._shifted:
-            values += self._offset_rows[self._k % _BLOCK][1]
+        if offsets is not None:
+            values += offsets[..., 1, :]
         grid = np.where(resolution > 0, resolution, 1.0)
         values = np.where(resolution > 0, rint(values / grid) * grid, values)
-        copyto(self.measured[1], values, where=joints)
+        copyto(self.measured[..., 1, :], values, where=joints)
 
 
 def _row(signal: str) -> int:

@@ -1,0 +1,162 @@
+"""Rows: the worlds that a plant steps together, in MuJoCo.
+
+A run has one, a `OneRow`: its arrays are those of a `MjData`, (nq,) and so on. `ManyRows` has many
+equal ones, as a batch of MuJoCo: its arrays have the rows as their first axis. What is computed
+with them, from joints to drives, stands in the code once for both: it looks at the last axis only.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from mujoco import mj_step, mj_step1, mj_step2
+from mujoco.batch import Batch
+
+from ..frames import Array, Bools, Ints
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
+_NOTHING = int(mujoco.mjtStage.mjSTAGE_NONE)
+# Of MuJoCo's warnings those of a motion that is unstable.
+_POSITION, _SPEED, _ACCELERATION = _UNSTABLE = [
+    int(kind)
+    for kind in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
+
+
+class OneRow:
+    """One world.
+
+    Args:
+        model: of it.
+        data: likewise, up to date with its state.
+
+    Attributes:
+        data: as given.
+        shape: of what there is one of in a row: (), here.
+        qpos: (nq,), as all that follows in place.
+        qvel: (nv,).
+        applied: (nv,), Nm or N, `qfrc_applied`.
+        is_ahead: whether what follows from the state has been computed: kinematics, bias torques.
+    """
+
+    shape: tuple[int, ...] = ()
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model, self.data = model, data
+        self.qpos, self.qvel, self.applied = data.qpos, data.qvel, data.qfrc_applied
+        self._warned = memoryview(data.warning.number)
+        self.is_ahead = True
+
+    def step(self) -> bool:
+        """Simulates a step; returns whether the motion is stable."""
+        (mj_step2 if self.is_ahead else mj_step)(self._model, self.data)
+        self.is_ahead = False
+        warned = self._warned
+        return not (warned[_ACCELERATION] or warned[_SPEED] or warned[_POSITION])
+
+    def look_ahead(self) -> None:
+        """Computes what follows from the state, if that has not been done."""
+        if not self.is_ahead:
+            mj_step1(self._model, self.data)
+            self.is_ahead = True
+
+    def read_inner_forces(self, couplings: Ints, rubbing: Ints, out: Array) -> None:
+        """Writes the forces of couplings, then of Coulomb friction, that acted in the step.
+
+        They are there until `look_ahead`.
+
+        Args:
+            couplings: rows of theirs among the constraints.
+            rubbing: indices in `qvel` of what has Coulomb friction.
+            out: (k,), to be written, Nm or N.
+        """
+        _read_inner_forces(self.data, couplings, len(rubbing), out)
+
+
+class ManyRows:
+    """m equal worlds, which are stepped together.
+
+    Rows whose motion becomes unstable wait where they were at the last `begin`.
+
+    Args:
+        model: of all of them.
+        m: how many.
+        is_pushed: whether it has to be known after every step where bodies are.
+
+    Attributes:
+        batch: MuJoCo's simulations.
+        shape: (m,), of what there is one of in a row.
+        qpos: (m, nq), as all that follows in place.
+        qvel: (m, nv).
+        applied: (m, nv), Nm or N, `qfrc_applied`.
+        data: of a world at rest.
+        unstable: (m,), whose motion has become unstable since `begin`.
+    """
+
+    def __init__(self, model: mujoco.MjModel, m: int, *, is_pushed: bool = False) -> None:
+        # Data are kept for the forces of constraints, which a batch tells of no other way.
+        self.batch = Batch(model, m, 1, persistent=True)
+        self.shape = (m,)
+        self._stage = _VELOCITY if is_pushed else _NOTHING
+        self.qpos: Array = self.batch.bind("qpos")
+        self.qvel: Array = self.batch.bind("qvel")
+        self.applied: Array = self.batch.bind("qfrc_applied")
+        self._constrained: Array = self.batch.bind("qfrc_constraint")
+        self._constraints, self._frictions = self.batch.bind("nefc"), self.batch.bind("nf")
+        self._warnings = self.batch.warning
+        self.data, self._scratch = mujoco.MjData(model), mujoco.MjData(model)
+        mujoco.mj_forward(model, self.data)
+        self.unstable: Bools = np.zeros(m, bool)
+        self.is_ahead = True
+        self.begin(np.ones(m, bool))
+
+    def place(self, k: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Puts row k where a world is that is as its own."""
+        mujoco.mj_getState(model, data, self.batch.state[k], _STATE)
+        self.batch.forward([k], stage=_VELOCITY)
+
+    def begin(self, which: Bools) -> None:
+        """Lets some of the rows take part in the next steps, (m,)."""
+        self._which = which
+        self._ids = None if which.all() else np.flatnonzero(which)
+        self._before: Array = self.batch.state.copy()
+        self.unstable[:] = False
+
+    def step(self) -> bool:
+        """Simulates a step of those that take part."""
+        self.batch.step(self._ids, stage=self._stage)
+        if self._warnings.any():
+            broken = self._warnings[:, _UNSTABLE].any(axis=(1, 2))
+            self.unstable |= broken
+            self.batch.state[broken] = self._before[broken]
+            self._warnings[:] = 0
+            self._which = self._which & ~broken
+            self._ids = np.flatnonzero(self._which)
+        return True
+
+    def look_ahead(self) -> None:
+        """Nothing is left to do: where it matters the step has done so."""
+
+    def read_inner_forces(self, couplings: Ints, rubbing: Ints, out: Array) -> None:
+        """See `OneRow`; out is (m, k)."""
+        out[:, len(couplings) :] = self._constrained[:, rubbing]
+        hidden = self._which & (self._constraints != self._frictions)
+        if hidden.any():  # friction acts among other constraints
+            for k in np.flatnonzero(hidden).tolist():
+                self.batch.get_data(k, self._scratch)
+                _read_inner_forces(self._scratch, couplings, len(rubbing), out[k])
+
+
+def _read_inner_forces(data: mujoco.MjData, couplings: Ints, rubs: int, out: Array) -> None:
+    # Coulomb friction's rows stand behind those of equality constraints, and before all others.
+    forces = data.efc_force
+    if len(couplings):
+        out[: len(couplings)] = forces[couplings]
+        out[len(couplings) :] = forces[data.ne : data.ne + rubs]
+    elif rubs:
+        out[...] = forces if len(forces) == rubs else forces[data.ne : data.ne + rubs]
