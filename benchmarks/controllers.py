@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from sero_mj.show.headless.backend import choose_backend
+from sero_mj.viewer.headless.backend import choose_backend
 
 choose_backend()
 
@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.table import Table
 
 from sero_mj import Scene, SerialRobot, World
-from sero_mj.control.controller import Sensed, Target
-from sero_mj.control.make_controller import controller_from, make_controller
-from sero_mj.control.observer import MomentumObserver
-from sero_mj.control.robot_model import RobotModel
+from sero_mj.simulate.control.controller import Sensed, Target
+from sero_mj.simulate.control.make_controller import controller_from, make_controller
+from sero_mj.simulate.control.observer import MomentumObserver
+from sero_mj.simulate.control.robot_model import RobotModel
 
 STEP = 1e-3  # s
 TABLES: tuple[dict[str, object], ...] = (

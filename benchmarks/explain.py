@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from sero_mj import Scenario, Scene, SerialRobot, Simulation
-from sero_mj.errors import SimulationError
-from sero_mj.runs.run_log import RunLog
+from sero_mj.base.errors import SimulationError
+from sero_mj.simulate.runs.run_log import RunLog
 from sero_mj.study.explain import explain_run, explain_runs
 from sero_mj.study.explanation import FLANGE, LINKS
 

@@ -33,12 +33,12 @@ import pinocchio
 from PIL import Image, ImageDraw
 
 from sero_mj import HeadlessRenderer, World
-from sero_mj.assemble.robot_dynamics import robot_dynamics
-from sero_mj.describe import mesh_files
-from sero_mj.describe.package_files import find_file
-from sero_mj.describe.urdf import UrdfFile
-from sero_mj.errors import SeroError
+from sero_mj.base.errors import SeroError
 from sero_mj.load import load_scene
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
+from sero_mj.robots.importers import mesh_files
+from sero_mj.robots.importers.package_files import find_file
+from sero_mj.robots.importers.urdf import UrdfFile
 
 OUT = Path("out/foreign")
 POSES, WITHIN = 50, 1e-6

@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from sero_mj.show.headless.backend import choose_backend
+from sero_mj.viewer.headless.backend import choose_backend
 
 choose_backend()
 
@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from sero_mj import make_environment
-from sero_mj.paths import find_scenario
+from sero_mj.base.paths import find_scenario
 from sero_mj.study.sweep import Sweep, Vary
 from sero_mj.study.workers import available_cpus
 

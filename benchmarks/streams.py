@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sero_mj.show.headless.backend import choose_backend
+from sero_mj.viewer.headless.backend import choose_backend
 
 choose_backend()
 
@@ -29,12 +29,12 @@ from rich.console import Console
 from rich.table import Table
 
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, ShmReader, UdpReceiver
+from sero_mj.data.receive.fri import FriLayout, FriReceiver, no_command
+from sero_mj.data.receive.source import Source
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.load import load_scene
-from sero_mj.receive.fri import FriLayout, FriReceiver, no_command
-from sero_mj.receive.source import Source
-from sero_mj.receive.structure import Structure
-from sero_mj.record.recording import Recording
-from sero_mj.record.recording_writer import RecordingWriter
 
 Row = tuple[str, str, str, str, str]
 HERE = Path(__file__).parent

@@ -24,7 +24,7 @@ from worlds import WORLDS, make_world
 
 import sero_mj
 from sero_mj import Mirror
-from sero_mj.show.web.host import WebHost
+from sero_mj.viewer.web.host import WebHost
 
 SECONDS = 10.0
 _ARGUMENTS = [

@@ -21,7 +21,7 @@ from worlds import WORLDS, make_world
 
 import sero_mj
 from sero_mj import Mirror, Viewer
-from sero_mj.show.window.host import Window
+from sero_mj.viewer.window.host import Window
 
 FRAMES = 200
 LOOP_SECONDS = 8.0
@@ -30,8 +30,8 @@ import os, time
 os.environ["MUJOCO_GL"] = "glfw"
 from sero_mj.load import load_scene
 scene = load_scene("lwr_udp")
-from sero_mj.drive.mirror import Mirror
-from sero_mj.show.window.host import Window
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.viewer.window.host import Window
 with Mirror(scene) as mirror, Window(mirror, size=(1280, 800)) as window:
     window.frame()
     print(time.time())

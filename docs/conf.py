@@ -46,7 +46,7 @@ def _declarations() -> str:
 
 
 def _reference() -> str:
-    """The public names of Python, in the order of the rooms."""
+    """The public names of Python, in the order of the wings."""
     lines = ["Python", "======", "", ".. automodule:: sero_mj", "   :no-members:", ""]
     for name, home in sero_mj._HOME.items():
         item = getattr(sero_mj, name)
@@ -61,13 +61,13 @@ def setup(app: object) -> None:
     """Writes the pages that are made of declarations and docstrings."""
     made = _HERE / "_made"
     made.mkdir(exist_ok=True)
-    structure = (_HERE.parent / "sero_mj" / "receive" / "STRUCTURE.md").read_text("utf-8")
-    rooms = (_HERE.parent / "README.md").read_text("utf-8").partition("## The rooms")[2]
+    structure = (_HERE.parent / "sero_mj" / "data" / "receive" / "STRUCTURE.md").read_text("utf-8")
+    wings = (_HERE.parent / "README.md").read_text("utf-8").partition("## The wings")[2]
     pages = {
         "keys.md": _declarations(),
         "python.rst": _reference(),
         "structure.md": structure,
-        "rooms.md": "# The rooms\n" + re.split(r"\n\[CONTRIB", rooms)[0],
+        "wings.md": "# The wings\n" + re.split(r"\n\[CONTRIB", wings)[0],
     }
     for name, text in pages.items():
         file = made / name

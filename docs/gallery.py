@@ -17,19 +17,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from sero_mj.show.headless.backend import choose_backend
+from sero_mj.viewer.headless.backend import choose_backend
 
 choose_backend()
 
 import mujoco
 import numpy as np
 
-from sero_mj import paths, render_picture
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.drive.wiring import wire
+from sero_mj import render_picture
+from sero_mj.base import paths
+from sero_mj.data.drive.wiring import wire
 from sero_mj.load import load_scene
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
 
 DOCS = Path(__file__).resolve().parent
 PAGE = DOCS / "gallery.md"

@@ -12,7 +12,7 @@ import struct
 import numpy as np
 
 from sero_mj import load_scene
-from sero_mj.send.sender import UdpSink, paced, send
+from sero_mj.data.send.sender import UdpSink, paced, send
 
 RATE = 200  # packets/s
 WEIGHT = 29.0 * 9.81  # N, of pelvis and hips

@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from sero_mj import load_scene
-from sero_mj.send.play import MotionPackets
-from sero_mj.send.sender import UdpSink, paced, send
+from sero_mj.data.send.play import MotionPackets
+from sero_mj.data.send.sender import UdpSink, paced, send
 
 RATE = 200  # packets/s
 PERIOD = 24.0  # s, of the way

@@ -12,8 +12,8 @@ import struct
 import numpy as np
 
 from sero_mj import load_scene
-from sero_mj.frames import rotation_about, rotation_from_rpy
-from sero_mj.send.sender import UdpSink, paced, send
+from sero_mj.base.frames import rotation_about, rotation_from_rpy
+from sero_mj.data.send.sender import UdpSink, paced, send
 
 RATE = 200  # packets/s
 PUSH = 15.0  # N, what acts on the five-bar's tool, against its motion

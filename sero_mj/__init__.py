@@ -11,9 +11,9 @@ Conventions, everywhere in this package:
   arrays are (n,). Joint values are rad for revolute and m for prismatic joints, efforts Nm and N.
 - Pictures are (height, width, 3), uint8, top row first, and pixels of clicks (`--click`,
   `HeadlessRenderer.click`) are counted from the upper left corner, x to the right, y down. Within
-  `decor` and `show` they are counted from the lower left one, y up.
-- The data moves one way: assemble, receive, drive, decor, show. A file imports only from folders
-  above its own in the README's list, which has the others as well.
+  `viewer` they are counted from the lower left one, y up.
+- The data moves one way: assemble, receive, drive, decor, hosts. A file imports only from folders
+  above its own in the README's list of wings.
 
 The public names are imported when they are first used, because `import mujoco` takes a while.
 Where there is no display, `MUJOCO_GL` is not set and MuJoCo is not yet imported, importing this
@@ -24,52 +24,52 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .assemble.cartesian import ReceivedFrame as ReceivedFrame
-    from .assemble.cartesian import SmartArrow as SmartArrow
-    from .assemble.dh import DhTable as DhTable
-    from .assemble.double import Double as Double
-    from .assemble.dynamics import Dynamics as Dynamics
-    from .assemble.groups import Group as Group
-    from .assemble.robot import SerialRobot as SerialRobot
-    from .assemble.scene import Scene as Scene
-    from .assemble.scene import SceneToggles as SceneToggles
-    from .assemble.scene_file import group_from_model as group_from_model
-    from .assemble.surroundings import Camera as Camera
-    from .assemble.surroundings import Light as Light
-    from .assemble.surroundings import Object as Object
-    from .assemble.surroundings import View as View
-    from .assemble.world import World as World
-    from .drive.mirror import Mirror as Mirror
-    from .drive.place import Placer as Placer
-    from .drive.record_sources import record_sources as record_sources
-    from .environment.make import make_environment as make_environment
-    from .errors import DeclarationError as DeclarationError
-    from .errors import SeroError as SeroError
-    from .errors import SimulationError as SimulationError
+    from .base.errors import DeclarationError as DeclarationError
+    from .base.errors import SeroError as SeroError
+    from .base.errors import SimulationError as SimulationError
+    from .data.drive.mirror import Mirror as Mirror
+    from .data.drive.place import Placer as Placer
+    from .data.drive.record_sources import record_sources as record_sources
+    from .data.receive.fri import FriReceiver as FriReceiver
+    from .data.receive.shm import ShmReader as ShmReader
+    from .data.receive.structure import Structure as Structure
+    from .data.receive.udp import UdpReceiver as UdpReceiver
+    from .data.record.recording import Recording as Recording
+    from .data.record.replay import Replay as Replay
     from .load import load_scene as load_scene
-    from .receive.fri import FriReceiver as FriReceiver
-    from .receive.shm import ShmReader as ShmReader
-    from .receive.structure import Structure as Structure
-    from .receive.udp import UdpReceiver as UdpReceiver
-    from .record.recording import Recording as Recording
-    from .record.replay import Replay as Replay
-    from .show.headless.render import HeadlessRenderer as HeadlessRenderer
-    from .show.headless.render import render_film as render_film
-    from .show.headless.render import render_picture as render_picture
-    from .show.overlay import Overlay as Overlay
-    from .show.overlay import overlay as overlay
-    from .show.viewer import Viewer as Viewer
-    from .show.viewer import view as view
+    from .robots.assemble.cartesian import ReceivedFrame as ReceivedFrame
+    from .robots.assemble.cartesian import SmartArrow as SmartArrow
+    from .robots.assemble.dh import DhTable as DhTable
+    from .robots.assemble.double import Double as Double
+    from .robots.assemble.dynamics import Dynamics as Dynamics
+    from .robots.assemble.groups import Group as Group
+    from .robots.assemble.robot import SerialRobot as SerialRobot
+    from .robots.assemble.scene import Scene as Scene
+    from .robots.assemble.scene import SceneToggles as SceneToggles
+    from .robots.assemble.scene_file import group_from_model as group_from_model
+    from .robots.assemble.surroundings import Camera as Camera
+    from .robots.assemble.surroundings import Light as Light
+    from .robots.assemble.surroundings import Object as Object
+    from .robots.assemble.surroundings import View as View
+    from .robots.assemble.world import World as World
     from .simulate.plant import Plant as Plant
     from .simulate.scenario import Scenario as Scenario
     from .simulate.scenario_file import read_scenario as read_scenario
     from .simulate.sensors import SensorErrors as SensorErrors
     from .simulate.sensors import Sensors as Sensors
     from .simulate.simulation import Simulation as Simulation
+    from .study.learning.make import make_environment as make_environment
+    from .viewer.headless.render import HeadlessRenderer as HeadlessRenderer
+    from .viewer.headless.render import render_film as render_film
+    from .viewer.headless.render import render_picture as render_picture
+    from .viewer.overlay import Overlay as Overlay
+    from .viewer.overlay import overlay as overlay
+    from .viewer.session.viewer import Viewer as Viewer
+    from .viewer.session.viewer import view as view
 
-from .environment.gymnasium_ids import register_with_gymnasium as _register_with_gymnasium
-from .show.headless.backend import choose_backend as _choose_backend
-from .show.headless.backend import has_display as _has_display
+from .study.learning.gymnasium_ids import register_with_gymnasium as _register_with_gymnasium
+from .viewer.headless.backend import choose_backend as _choose_backend
+from .viewer.headless.backend import has_display as _has_display
 
 if not _has_display():
     _choose_backend()
@@ -79,48 +79,48 @@ _register_with_gymnasium()
 __version__ = "0.1.0"
 
 _HOME = {
-    "ReceivedFrame": "assemble.cartesian",
-    "SmartArrow": "assemble.cartesian",
-    "DhTable": "assemble.dh",
-    "Double": "assemble.double",
-    "Dynamics": "assemble.dynamics",
-    "Group": "assemble.groups",
-    "group_from_model": "assemble.scene_file",
-    "Object": "assemble.surroundings",
-    "SerialRobot": "assemble.robot",
-    "Camera": "assemble.surroundings",
-    "Light": "assemble.surroundings",
-    "Scene": "assemble.scene",
-    "View": "assemble.surroundings",
-    "SceneToggles": "assemble.scene",
-    "World": "assemble.world",
-    "Mirror": "drive.mirror",
+    "ReceivedFrame": "robots.assemble.cartesian",
+    "SmartArrow": "robots.assemble.cartesian",
+    "DhTable": "robots.assemble.dh",
+    "Double": "robots.assemble.double",
+    "Dynamics": "robots.assemble.dynamics",
+    "Group": "robots.assemble.groups",
+    "group_from_model": "robots.assemble.scene_file",
+    "Object": "robots.assemble.surroundings",
+    "SerialRobot": "robots.assemble.robot",
+    "Camera": "robots.assemble.surroundings",
+    "Light": "robots.assemble.surroundings",
+    "Scene": "robots.assemble.scene",
+    "View": "robots.assemble.surroundings",
+    "SceneToggles": "robots.assemble.scene",
+    "World": "robots.assemble.world",
+    "Mirror": "data.drive.mirror",
     "load_scene": "load",
-    "Placer": "drive.place",
-    "record_sources": "drive.record_sources",
-    "make_environment": "environment.make",
-    "DeclarationError": "errors",
-    "SeroError": "errors",
-    "FriReceiver": "receive.fri",
-    "Recording": "record.recording",
-    "Replay": "record.replay",
-    "ShmReader": "receive.shm",
-    "SimulationError": "errors",
-    "Structure": "receive.structure",
-    "UdpReceiver": "receive.udp",
+    "Placer": "data.drive.place",
+    "record_sources": "data.drive.record_sources",
+    "make_environment": "study.learning.make",
+    "DeclarationError": "base.errors",
+    "SeroError": "base.errors",
+    "FriReceiver": "data.receive.fri",
+    "Recording": "data.record.recording",
+    "Replay": "data.record.replay",
+    "ShmReader": "data.receive.shm",
+    "SimulationError": "base.errors",
+    "Structure": "data.receive.structure",
+    "UdpReceiver": "data.receive.udp",
     "Plant": "simulate.plant",
     "Scenario": "simulate.scenario",
     "read_scenario": "simulate.scenario_file",
     "Simulation": "simulate.simulation",
     "SensorErrors": "simulate.sensors",
     "Sensors": "simulate.sensors",
-    "render_film": "show.headless.render",
-    "render_picture": "show.headless.render",
-    "HeadlessRenderer": "show.headless.render",
-    "Overlay": "show.overlay",
-    "overlay": "show.overlay",
-    "Viewer": "show.viewer",
-    "view": "show.viewer",
+    "render_film": "viewer.headless.render",
+    "render_picture": "viewer.headless.render",
+    "HeadlessRenderer": "viewer.headless.render",
+    "Overlay": "viewer.overlay",
+    "overlay": "viewer.overlay",
+    "Viewer": "viewer.session.viewer",
+    "view": "viewer.session.viewer",
 }
 
 

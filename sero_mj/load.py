@@ -9,14 +9,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from . import paths
-from .assemble.robot import SerialRobot
-from .assemble.scene import Scene
-from .assemble.scene_file import read_scene_file
-from .describe.described import NoJoints
-from .describe.robot_file import is_urdf
-from .drive.wiring import wire
-from .errors import DeclarationError, Problem, UnknownName, UsageError, did_you_mean
+from .base import paths
+from .base.errors import DeclarationError, Problem, UnknownName, UsageError, did_you_mean
+from .data.drive.wiring import wire
+from .robots.assemble.robot import SerialRobot
+from .robots.assemble.scene import Scene
+from .robots.assemble.scene_file import read_scene_file
+from .robots.importers.described import NoJoints
+from .robots.importers.robot_file import is_urdf
 from .simulate.sections import is_scenario
 
 

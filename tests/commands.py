@@ -13,7 +13,7 @@ from typing import Any
 
 _IMPORTED = (
     "sero_mj.cli", "sero_mj.load", "sero_mj.study.explain", "sero_mj.study.figure",
-    "sero_mj.study.sweep", "sero_mj.show.headless.render", "sero_mj.simulate.simulation",
+    "sero_mj.study.sweep", "sero_mj.viewer.headless.render", "sero_mj.simulate.simulation",
     "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_pdf",
 )  # fmt: skip
 

@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from sero_mj.show.headless.backend import choose_backend
+from sero_mj.viewer.headless.backend import choose_backend
 
 choose_backend()
 
@@ -26,11 +26,11 @@ import pytest
 from hypothesis import settings
 from xdist.scheduler import LoadScopeScheduling
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.errors import DeclarationError
+from sero_mj.base.errors import DeclarationError
 from sero_mj.load import load_scene
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
 from sero_mj.study.workers import available_cpus
 
 # Without deadlines: how long an example takes depends on what else the machine does.

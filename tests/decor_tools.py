@@ -7,13 +7,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import Kind, Pen
-from sero_mj.decor.picture_view import PictureView
-from sero_mj.decor.toggles import Toggles
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.pen import Kind, Pen
+from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.decor.toggles import Toggles
 
 GEOM = mujoco.mjtGeom
 

@@ -11,10 +11,10 @@ from collections import Counter
 
 import atheris
 
-with atheris.instrument_imports(include=["sero_mj.receive"]):
-    from sero_mj.errors import StructureError
-    from sero_mj.receive.intake import Intake
-    from sero_mj.receive.structure import Structure
+with atheris.instrument_imports(include=["sero_mj.data.receive"]):
+    from sero_mj.base.errors import StructureError
+    from sero_mj.data.receive.intake import Intake
+    from sero_mj.data.receive.structure import Structure
 
 from packet_oracle import TEXT, cause
 from test_hostile_packets import as_rows, check

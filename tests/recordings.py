@@ -9,8 +9,8 @@ from shutil import copy
 
 import numpy as np
 
-from sero_mj.receive.structure import Structure
-from sero_mj.record.recording_writer import RecordingWriter
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.record.recording_writer import RecordingWriter
 
 EVENTS = {"values0": (2,), "vectors0": (1, 3), "matrices0": (1, 4, 4)}
 DECLARED = {"port": 32000, "structure": "2F1V1M", "double": True}

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sero_mj.assemble.cartesian import SmartArrow
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.drive.wiring import wire
+from sero_mj.data.drive.wiring import wire
+from sero_mj.robots.assemble.cartesian import SmartArrow
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
 
 TWO = {
     "udp": {"kind": "udp", "structure": "2F2F3F2M"},

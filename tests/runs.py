@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.receive.structure import Structure
-from sero_mj.record.recording_writer import RecordingWriter
-from sero_mj.runs.run_log import RunLog
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.record.recording_writer import RecordingWriter
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.simulate.runs.run_log import RunLog
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from sero_mj.receive.shm_block import Block
+from sero_mj.data.receive.shm_block import Block
 
 needs_posix = pytest.mark.skipif(
     sys.platform == "win32", reason="Windows has no POSIX shared memory"

@@ -12,11 +12,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.control.controller import Sensed
-from sero_mj.control.robot_model import RobotModel
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.simulate.control.controller import Sensed
+from sero_mj.simulate.control.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 

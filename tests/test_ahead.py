@@ -7,10 +7,10 @@ import time
 import numpy as np
 import pytest
 
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.send.play import MotionPackets
+from sero_mj.data.send.sender import PacketBuffer, paced, send
 from sero_mj.load import load_scene
-from sero_mj.receive.structure import Structure
-from sero_mj.send.play import MotionPackets
-from sero_mj.send.sender import PacketBuffer, paced, send
 
 PARABOLA = Structure("n:1H t:1I at:1d v:2f tag:1B=7 bits:1I")
 

@@ -9,16 +9,16 @@ from decor_tools import belonging, drawn, look, rigid, toggles_of, turned, view_
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.assemble.cartesian import ReceivedFrame
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.surroundings import Object
-from sero_mj.assemble.world import World
-from sero_mj.decor.axes import AXIS_RGB, ranks
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import Kind
-from sero_mj.drive.place import Placer
-from sero_mj.show.picking import pick
+from sero_mj.data.drive.place import Placer
+from sero_mj.robots.assemble.cartesian import ReceivedFrame
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.surroundings import Object
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.axes import AXIS_RGB, ranks
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.session.picking import pick
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 

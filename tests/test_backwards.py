@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.drive.place import Placer, Router
-from sero_mj.drive.wiring import wire
-from sero_mj.errors import UsageError
-from sero_mj.receive.structure import are_frames
-from sero_mj.send.motion import LEAD, InverseDynamics, SineMotion
-from sero_mj.send.play import MotionPackets
+from sero_mj.base.errors import UsageError
+from sero_mj.data.drive.place import Placer, Router
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.receive.structure import are_frames
+from sero_mj.data.send.motion import LEAD, InverseDynamics, SineMotion
+from sero_mj.data.send.play import MotionPackets
+from sero_mj.robots.assemble.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
 
 Array = NDArray[np.float64]
 T = 0.37

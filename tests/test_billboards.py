@@ -9,21 +9,21 @@ from decor_tools import GEOM, drawn, labels, of_kind, rectangle, toggles_of, vie
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.decor.card_names import card_names, shortened, titles
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import Kind
-from sero_mj.decor.picture_view import PictureView
-from sero_mj.decor.quantities import joint_values
-from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
-from sero_mj.decor.toggles import Toggles
-from sero_mj.drive.place import Placer, follow
-from sero_mj.errors import UnknownName
+from sero_mj.base.errors import UnknownName
+from sero_mj.data.drive.place import Placer, follow
 from sero_mj.load import load_scene
-from sero_mj.show.typesetting import Typesetter
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.card_names import card_names, shortened, titles
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.decor.quantities import joint_values
+from sero_mj.viewer.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
+from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.typesetting import Typesetter
 
 TORQUES = np.array([-12.34, 0.04, -0.04, 100.0, 5.0, -38.0, 0.0])
 

@@ -11,15 +11,21 @@ from photos import LENSES, POSE, camera, lwr
 from PIL import Image
 
 from sero_mj import Placer, Scene, World, load_scene
+from sero_mj.base.errors import DeclarationError, UsageError
+from sero_mj.base.frames import Array, rotation_angle
 from sero_mj.cli import main
-from sero_mj.drive.record_sources import record_sources
-from sero_mj.drive.wiring import wire
-from sero_mj.errors import DeclarationError, UsageError
-from sero_mj.frames import Array, rotation_angle
-from sero_mj.receive.intake import pad_packets
-from sero_mj.show.calibration import calibrate, full_name, point_names, point_of, read_points
-from sero_mj.show.camera_file import read_camera, write_camera
-from sero_mj.show.photo_camera import PhotoCamera
+from sero_mj.data.drive.record_sources import record_sources
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.receive.intake import pad_packets
+from sero_mj.viewer.photo.calibration import (
+    calibrate,
+    full_name,
+    point_names,
+    point_of,
+    read_points,
+)
+from sero_mj.viewer.photo.camera_file import read_camera, write_camera
+from sero_mj.viewer.photo.photo_camera import PhotoCamera
 
 NAMES = ["base", "A1", "A2", "E1", "A3", "A4", "A5", "flange", "flange", "base", "A2", "A3"]
 OFFSETS = np.zeros((len(NAMES), 3))

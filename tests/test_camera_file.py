@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from photos import LENSES, camera
 
-from sero_mj.errors import DeclarationError, UsageError
-from sero_mj.show.camera_file import read_camera, read_intrinsics, write_camera
-from sero_mj.show.photo_camera import PhotoCamera
+from sero_mj.base.errors import DeclarationError, UsageError
+from sero_mj.viewer.photo.camera_file import read_camera, read_intrinsics, write_camera
+from sero_mj.viewer.photo.photo_camera import PhotoCamera
 
 FRAME = "frame: {xyz: [1, 2, 0.5], quat: [0.5, -0.5, 0.5, -0.5]}\n"
 ROS = """\

@@ -14,11 +14,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from simulated import START, Loop, lwr_model
 
-from sero_mj.control.cartesian_control import CartesianImpedance, CartesianImpedanceController
-from sero_mj.control.controller import Sensed, Target
-from sero_mj.control.robot_model import RobotModel
-from sero_mj.errors import DeclarationError
-from sero_mj.frames import frame, rotation_angle
+from sero_mj.base.errors import DeclarationError
+from sero_mj.base.frames import frame, rotation_angle
+from sero_mj.simulate.control.cartesian_control import (
+    CartesianImpedance,
+    CartesianImpedanceController,
+)
+from sero_mj.simulate.control.controller import Sensed, Target
+from sero_mj.simulate.control.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)

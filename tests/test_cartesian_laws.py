@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from simulated import START, lwr_model, lwr_robot
 
-from sero_mj.control.plan import LAWS, follow_poses, law_from
-from sero_mj.control.target_motions import CartesianConstant, CartesianLaw
-from sero_mj.control.way_points import CartesianWayPoints
-from sero_mj.errors import DeclarationError
-from sero_mj.frames import frame, rotation_angle, rotation_from_rpy
+from sero_mj.base.errors import DeclarationError
+from sero_mj.base.frames import frame, rotation_angle, rotation_from_rpy
+from sero_mj.simulate.control.plan import LAWS, follow_poses, law_from
+from sero_mj.simulate.control.target_motions import CartesianConstant, CartesianLaw
+from sero_mj.simulate.control.way_points import CartesianWayPoints
 
 Array = NDArray[np.float64]
 MODEL = lwr_model()

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from sero_mj.base.paths import find_scene
 from sero_mj.cli import doctor, main, view
 from sero_mj.cli._arguments import overrides
-from sero_mj.paths import find_scene
 
 COMMANDS = ["view", "render", "send", "fk", "check", "export", "list", "doctor", "demo", "sweep",
             "new", "schema", "convert", "import", "calibrate"]  # fmt: skip

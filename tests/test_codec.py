@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.errors import StructureError
-from sero_mj.receive.structure import Structure
+from sero_mj.base.errors import StructureError
+from sero_mj.data.receive.structure import Structure
 
 LIMITS = {letter: np.iinfo(letter) for letter in "bBhHiIqQ"}
 

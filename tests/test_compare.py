@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from runs import record_run, simulated, sine_run, two_joints
 
+from sero_mj.base.errors import CsvError, UsageError
 from sero_mj.cli import main
-from sero_mj.errors import CsvError, UsageError
-from sero_mj.runs.run_log import RunLog
+from sero_mj.simulate.runs.run_log import RunLog
 from sero_mj.study.align import align, at_times, find_shift
 from sero_mj.study.compare import as_json, compare, compare_scene, exceeded, write_csv
 
@@ -259,7 +259,7 @@ def test_the_command_says_what_is_wrong(
 def test_in_the_picture_arrows_show_the_difference_and_a_double_the_other(
     recorded: tuple[Path, Path], tmp_path: Path
 ) -> None:
-    from sero_mj.drive.mirror import Mirror
+    from sero_mj.data.drive.mirror import Mirror
 
     a, b = simulated(800.0).log, simulated(2000.0).log
     scene = compare_scene(align(a, b))
@@ -298,7 +298,7 @@ def test_the_film_lasts_as_long_as_the_runs(recorded: tuple[Path, Path], tmp_pat
 def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) -> None:
     from PIL import Image
 
-    from sero_mj.show.headless.render import render_picture
+    from sero_mj.viewer.headless.render import render_picture
 
     log = simulated().log
 

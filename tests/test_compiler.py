@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.control.compiler import Compiler, fingerprint
-from sero_mj.control.robot_model import RobotModel, world_without_meshes
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.simulate.control.compiler import Compiler, fingerprint
+from sero_mj.simulate.control.robot_model import RobotModel, world_without_meshes
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
@@ -96,8 +96,8 @@ def test_a_second_simulation_compiles_nothing(name: str, monkeypatch: pytest.Mon
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("a world is compiled again")
 
-    monkeypatch.setattr("sero_mj.control.compiler.World", refuse)
-    monkeypatch.setattr("sero_mj.control.robot_model.World", refuse)
+    monkeypatch.setattr("sero_mj.simulate.control.compiler.World", refuse)
+    monkeypatch.setattr("sero_mj.simulate.control.robot_model.World", refuse)
     Simulation(read_scenario(name), compiler=compiler)
 
 

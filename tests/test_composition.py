@@ -11,12 +11,12 @@ import pytest
 from conftest import problems_in
 
 from sero_mj import DeclarationError, Double, Mirror, Plant, Scene, SerialRobot, World, load_scene
-from sero_mj.assemble.mounts import base_frames, unmounted
-from sero_mj.assemble.parts import robots_of_bodies
-from sero_mj.assemble.robot_dynamics import RobotDynamics, robot_dynamics
-from sero_mj.drive.wiring import wire
-from sero_mj.frames import frame, rotation_from_rpy
-from sero_mj.send.play import MotionPackets
+from sero_mj.base.frames import frame, rotation_from_rpy
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.send.play import MotionPackets
+from sero_mj.robots.assemble.mounts import base_frames, unmounted
+from sero_mj.robots.assemble.parts import robots_of_bodies
+from sero_mj.robots.assemble.robot_dynamics import RobotDynamics, robot_dynamics
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
 

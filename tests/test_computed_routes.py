@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from polling import until
 from route_scenes import arm, scene_of
 
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.decor.staleness import NO_DATA_YET, Staleness
-from sero_mj.drive.mirror import Mirror
-from sero_mj.drive.place import Placer, Router
-from sero_mj.drive.wiring import wire
-from sero_mj.frames import frame_from
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.base.frames import frame_from
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.drive.place import Placer, Router
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.receive.udp import UdpReceiver
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.staleness import NO_DATA_YET, Staleness
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 from simulated import START, lwr_model, lwr_robot
 
-from sero_mj.control.controller import Sensed, Target
-from sero_mj.control.joint_control import JointImpedance
-from sero_mj.control.make_controller import CONTROLLERS, controller_from, make_controller
-from sero_mj.errors import DeclarationError, SimulationError
+from sero_mj.base.errors import DeclarationError, SimulationError
+from sero_mj.simulate.control.controller import Sensed, Target
+from sero_mj.simulate.control.joint_control import JointImpedance
+from sero_mj.simulate.control.make_controller import CONTROLLERS, controller_from, make_controller
 
 Array = NDArray[np.float64]
 MODEL = lwr_model()

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from sero_mj import Scene, SerialRobot, World, load_scene
 from sero_mj.cli import main
 from sero_mj.cli.convert import robot_table
-from sero_mj.describe.toml_text import toml_text
-from sero_mj.describe.x3d import read_x3d
-from sero_mj.describe.x3d_text import x3d_text
+from sero_mj.robots.importers.toml_text import toml_text
+from sero_mj.robots.importers.x3d import read_x3d
+from sero_mj.robots.importers.x3d_text import x3d_text
 
 FIG7 = Path(__file__).parent / "fig7.x3d"
 CELL = """#X3D V3.0 utf8

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from sero_mj import DeclarationError, Double, Mirror, Plant, Scene, SerialRobot, World, load_scene
-from sero_mj.drive.place import Router
-from sero_mj.drive.wiring import wire
-from sero_mj.send.motion import SineMotion
+from sero_mj.data.drive.place import Router
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.send.motion import SineMotion
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
 

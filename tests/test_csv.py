@@ -12,12 +12,12 @@ from conftest import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sero_mj.base.errors import CsvError, UnknownName
 from sero_mj.cli import main
-from sero_mj.errors import CsvError, UnknownName
-from sero_mj.receive.structure import Structure
-from sero_mj.record.csv_files import Exported, column_names, csv_table, export_csv, read_csv
-from sero_mj.record.recording import Recording
-from sero_mj.record.recording_writer import RecordingWriter
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.record.csv_files import Exported, column_names, csv_table, export_csv, read_csv
+from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.recording_writer import RecordingWriter
 
 LAYOUT = Structure("2F1V1M")
 

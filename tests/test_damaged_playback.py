@@ -12,10 +12,10 @@ import pytest
 from recordings import SCENE, moving, record
 
 from sero_mj import Mirror
+from sero_mj.base.errors import SourceError
 from sero_mj.cli import main
-from sero_mj.errors import SourceError
+from sero_mj.data.record.recording import Recording
 from sero_mj.load import load_scene
-from sero_mj.record.recording import Recording
 
 PACKETS = moving(40)
 DAMAGED = r"the chunk at byte \d+ is damaged \(.+\): what arrived from \S+ s to \S+ s is left out"

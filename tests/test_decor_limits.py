@@ -5,16 +5,16 @@ import pytest
 from decor_tools import belonging, labels, rectangle, toggles_of, view_at
 from source_slots import set_source
 
-from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.flange_check import OFF_RGBA
-from sero_mj.decor.pen import Kind
-from sero_mj.decor.smart_arrows import frames_along
-from sero_mj.drive.place import Placer
+from sero_mj.data.drive.place import Placer
+from sero_mj.robots.assemble.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.flange_check import OFF_RGBA
+from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.smart_arrows import frames_along
 
 JUSTIN = [3, 7, 7, 12, 12, 2, 8]
 

@@ -14,10 +14,10 @@ from decor_tools import GEOM, of_kind, view_at
 from plugin_tools import install
 
 from sero_mj import Scene, SerialRobot, World
-from sero_mj.decor import feature
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.toggles import Toggles
-from sero_mj.plugins import plugins
+from sero_mj.base.plugins import plugins
+from sero_mj.viewer.decor import feature
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.toggles import Toggles
 
 GROUP = "sero_mj.decor"
 
@@ -63,7 +63,7 @@ def test_it_is_listed_with_its_package(installed: Path) -> None:
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert "temperature_gauge:TemperatureGauge, of temperature-gauge" in done.stdout
-    assert "round_arrows       sero_mj.decor.round_arrows:RoundArrows\n" in done.stdout
+    assert "round_arrows       sero_mj.viewer.decor.round_arrows:RoundArrows\n" in done.stdout
 
 
 def test_one_that_cannot_be_imported_is_told_and_left(
@@ -84,7 +84,7 @@ def test_one_that_fails_while_it_draws_is_taken_out_and_the_robot_is_shown_on(
     installed: Path, world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     (installed / "temperature_gauge.py").write_text(
-        "from sero_mj.decor.feature import Feature\n"
+        "from sero_mj.viewer.decor.feature import Feature\n"
         "class TemperatureGauge(Feature):\n"
         "    def draw(self, frame):\n"
         "        raise ZeroDivisionError('cold')\n"

@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sero_mj import SerialRobot
+from sero_mj.base.dotted_keys import parts_of, with_value
+from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
-from sero_mj.dotted_keys import parts_of, with_value
-from sero_mj.errors import DeclarationError
 from sero_mj.load import load_scene
 from sero_mj.simulate.scenario_file import read_scenario
 

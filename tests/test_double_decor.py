@@ -15,18 +15,18 @@ from decor_tools import (
     view_at,
 )
 
-from sero_mj.assemble.double import COMMANDED_RGBA, DOUBLE_GROUP, Double
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.decor.axes import AXIS_RGB
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.panels import PANEL_RGBA
-from sero_mj.decor.pen import CAPACITY, Kind, Pen
-from sero_mj.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
-from sero_mj.decor.scene_writer import SceneWriter
-from sero_mj.decor.singularity import jacobian
-from sero_mj.drive.place import Placer
+from sero_mj.data.drive.place import Placer
+from sero_mj.robots.assemble.double import COMMANDED_RGBA, DOUBLE_GROUP, Double
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.axes import AXIS_RGB
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.panels import PANEL_RGBA
+from sero_mj.viewer.decor.pen import CAPACITY, Kind, Pen
+from sero_mj.viewer.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
+from sero_mj.viewer.decor.scene_writer import SceneWriter
+from sero_mj.viewer.decor.singularity import jacobian
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 TARGET = np.array([-0.4, 0.9, 0.1, -1.1, 0.6, 0.5, -0.3])

@@ -8,19 +8,19 @@ import pytest
 from decor_tools import toggles_of, view_at
 from polling import until
 
-from sero_mj.assemble.double import COMMANDED_RGBA, DOUBLE_GROUP, Double
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.drive.mirror import Mirror
-from sero_mj.drive.place import Placer
-from sero_mj.errors import DeclarationError
+from sero_mj.base.errors import DeclarationError
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.drive.place import Placer
+from sero_mj.data.send.motion import LEAD
+from sero_mj.data.send.play import MotionPackets
 from sero_mj.load import load_scene
-from sero_mj.send.motion import LEAD
-from sero_mj.send.play import MotionPackets
-from sero_mj.show.camera import bounding_sphere
-from sero_mj.show.picking import pick
+from sero_mj.robots.assemble.double import COMMANDED_RGBA, DOUBLE_GROUP, Double
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.camera import bounding_sphere
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.session.picking import pick
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 TARGET = np.array([-0.4, 0.9, 0.1, -1.1, 0.6, 0.5, -0.3])

@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from newton_euler import inverse_dynamics
 
-from sero_mj import paths
-from sero_mj.assemble.dynamics import Dynamics, balanced_tensor, inertia_problem
-from sero_mj.assemble.robot import SerialRobot, build_robot
-from sero_mj.assemble.robot_dynamics import robot_dynamics
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.surroundings import Object
-from sero_mj.assemble.world import World
+from sero_mj.base import paths
+from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
-from sero_mj.errors import DeclarationError
+from sero_mj.robots.assemble.dynamics import Dynamics, balanced_tensor, inertia_problem
+from sero_mj.robots.assemble.robot import SerialRobot, build_robot
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.surroundings import Object
+from sero_mj.robots.assemble.world import World
 
 RAIL = {
     "dh_convention": "standard",

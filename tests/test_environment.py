@@ -11,13 +11,13 @@ from absl.testing import absltest
 from dm_env import test_utils
 
 import sero_mj
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.environment.environment import Environment
-from sero_mj.environment.make import ScenarioSettings, list_environments
-from sero_mj.environment.tasks import Expectations, closeness
-from sero_mj.errors import DeclarationError, SimulationError, UnknownName
+from sero_mj.base.errors import DeclarationError, SimulationError, UnknownName
+from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
+from sero_mj.study.learning.environment import Environment
+from sero_mj.study.learning.make import ScenarioSettings, list_environments
+from sero_mj.study.learning.tasks import Expectations, closeness
 
 SHORT = {"time_limit": 0.2}
 

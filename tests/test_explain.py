@@ -15,16 +15,16 @@ import numpy as np
 import pytest
 from runs import HOME, record_packets, record_run, two_joints
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
+from sero_mj.base.errors import SimulationError, UsageError
+from sero_mj.base.frames import Array
 from sero_mj.cli import main
-from sero_mj.control.robot_model import RobotModel
-from sero_mj.errors import SimulationError, UsageError
-from sero_mj.frames import Array
-from sero_mj.runs.run_log import RunLog
-from sero_mj.runs.run_recording import read_run
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.simulate.control.robot_model import RobotModel
 from sero_mj.simulate.external_loads import attach_payload
+from sero_mj.simulate.runs.run_log import RunLog
+from sero_mj.simulate.runs.run_recording import read_run
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.study.align import pair_with_commands

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from sero_mj.assemble.scene import names_in
-from sero_mj.drive._units import UNITS
-from sero_mj.drive.language import parse
-from sero_mj.drive.route import Affine, Origin
-from sero_mj.drive.values import Value, constant, evaluate, numbers_of
-from sero_mj.errors import RouteError
+from sero_mj.base.errors import RouteError
+from sero_mj.data.drive._units import UNITS
+from sero_mj.data.drive.language import parse
+from sero_mj.data.drive.route import Affine, Origin
+from sero_mj.data.drive.values import Value, constant, evaluate, numbers_of
+from sero_mj.robots.assemble.scene import names_in
 
 Array = NDArray[np.float64]
 EVENTS = {

@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene, View
-from sero_mj.drive.mirror import Mirror
-from sero_mj.errors import RenderError
-from sero_mj.show.headless.film import FilmWriter, default_fps, save_picture
-from sero_mj.show.headless.render import _states, render_film, render_picture
+from sero_mj.base.errors import RenderError
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene, View
+from sero_mj.viewer.headless.film import FilmWriter, default_fps, save_picture
+from sero_mj.viewer.headless.render import _states, render_film, render_picture
 
 # The default view depends on where the scene declares the robot.
 VIEW = View(distance=2.0, look_at=[0.0, 0.0, 0.5])
@@ -265,7 +265,7 @@ def test_films_that_cannot_be_are_refused(tmp_path, name, options, text) -> None
 
 @pytest.mark.gl
 def test_an_unknown_camera_is_reported_before_anything_is_written(tmp_path) -> None:
-    from sero_mj.errors import UnknownName
+    from sero_mj.base.errors import UnknownName
 
     with pytest.raises(UnknownName, match="no camera 'side'; none is available"):
         render_film(udp_scene(0), tmp_path / "film.mp4", camera="side", wait=0)

@@ -18,14 +18,14 @@ from decor_tools import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene, SceneToggles
-from sero_mj.assemble.world import World
-from sero_mj.decor.axes import AXIS_RGB
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.flange_check import OFF_RGBA, flange_difference
-from sero_mj.decor.pen import Kind
-from sero_mj.drive.place import Placer
+from sero_mj.data.drive.place import Placer
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene, SceneToggles
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.axes import AXIS_RGB
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.flange_check import OFF_RGBA, flange_difference
+from sero_mj.viewer.decor.pen import Kind
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 BASE = rigid(turned([1, 2, 3], 0.4), [0.1, -0.2, 0.1])

@@ -11,8 +11,8 @@ from conftest import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from sero_mj import frames
-from sero_mj.declaration import numbers
+from sero_mj.base import frames
+from sero_mj.base.declaration import numbers
 
 ANGLES = st.floats(-2 * math.pi, 2 * math.pi)
 THREE_ANGLES = st.tuples(ANGLES, ANGLES, ANGLES)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from sero_mj import DeclarationError, Mirror, Plant, Scene, SerialRobot, World
-from sero_mj.assemble.surroundings import Object
-from sero_mj.frames import frame, rotation_from_rpy
-from sero_mj.runs.run_recording import read_run
+from sero_mj.base.frames import frame, rotation_from_rpy
+from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.simulate.log_output import RunRecorder
+from sero_mj.simulate.runs.run_recording import read_run
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulated_scene import simulated_scene
 from sero_mj.simulate.simulation import Simulation

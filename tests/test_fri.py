@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from fri_packets import FORMAT, TABLE, UPRIGHT, give, measurement
 
-from sero_mj.drive.mirror import Mirror
-from sero_mj.errors import DeclarationError, UnknownName
+from sero_mj.base.errors import DeclarationError, UnknownName
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.receive._tracking import SequenceTracker
+from sero_mj.data.receive.fri import FriLayout, FriReceiver
+from sero_mj.data.receive.source import make_source
 from sero_mj.load import load_scene
-from sero_mj.receive._tracking import SequenceTracker
-from sero_mj.receive.fri import FriLayout, FriReceiver
-from sero_mj.receive.source import make_source
 
 
 @pytest.fixture

@@ -19,15 +19,15 @@ from fri_packets import give, measurement
 from polling import until
 
 import sero_mj
-from sero_mj.decor.status import Status
-from sero_mj.decor.toggles import Toggles
-from sero_mj.drive.mirror import Mirror
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.receive._scheduling import request_short_slices
+from sero_mj.data.receive.fri import COMMAND, FriReceiver, no_command
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.receive.udp import UdpReceiver
+from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.load import load_scene
-from sero_mj.receive._scheduling import request_short_slices
-from sero_mj.receive.fri import COMMAND, FriReceiver, no_command
-from sero_mj.receive.structure import Structure
-from sero_mj.receive.udp import UdpReceiver
-from sero_mj.record.recording_writer import RecordingWriter
+from sero_mj.viewer.decor.status import Status
+from sero_mj.viewer.decor.toggles import Toggles
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def test_without_answer_no_byte_leaves_the_socket(controller: socket.socket) -> 
 
 
 def test_nothing_but_the_answer_sends() -> None:
-    folder = Path(sero_mj.__file__).parent / "receive"
+    folder = Path(sero_mj.__file__).parent / "data" / "receive"
     texts = {path.name: path.read_text() for path in folder.glob("*.py")}
     assert {name for name, text in texts.items() if "sendto" in text} == {"_udp_socket.py"}
     assert {name for name, text in texts.items() if "datagrams.send" in text} == {"udp.py"}

@@ -16,22 +16,22 @@ import pytest
 from fri_packets import measurement
 from polling import until
 
-from sero_mj.assemble.robot import SerialRobot
+from sero_mj.base.errors import SourceError, UsageError
 from sero_mj.cli import main
-from sero_mj.drive.mirror import Mirror
-from sero_mj.errors import SourceError, UsageError
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.receive.fri import FriLayout, FriReceiver, no_command
+from sero_mj.data.send.fri_controller import AnswerStatistics, FriController, NetworkFaults
+from sero_mj.data.send.motion import FriSignals
+from sero_mj.data.send.sender import UdpSink
 from sero_mj.load import load_scene
-from sero_mj.receive.fri import FriLayout, FriReceiver, no_command
-from sero_mj.send.fri_controller import AnswerStatistics, FriController, NetworkFaults
-from sero_mj.send.motion import FriSignals
-from sero_mj.send.sender import UdpSink
+from sero_mj.robots.assemble.robot import SerialRobot
 
 # A controller in a process of its own; it prints what it did when it has sent its packets.
 ROBOT = """
 import json, sys
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.send.fri_controller import NetworkFaults, FriController
-from sero_mj.send.sender import UdpSink
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.data.send.fri_controller import NetworkFaults, FriController
+from sero_mj.data.send.sender import UdpSink
 options = json.loads(sys.argv[2])
 faults = NetworkFaults(**options.pop("faults", {}))
 controller = FriController(SerialRobot.from_model("lwr"), faults=faults, **options)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from window_tools import MISSING, Driven, screen
 
-from sero_mj.show.interaction import HOST_KEYS, KEYS, MORE_KEYS
-from sero_mj.show.window.gamepad import BUTTONS, PAD_KEYS, PAD_STICKS, bent
+from sero_mj.viewer.session.interaction import HOST_KEYS, KEYS, MORE_KEYS
+from sero_mj.viewer.window.gamepad import BUTTONS, PAD_KEYS, PAD_STICKS, bent
 
 REST = (0.0, 0.0, 0.0, 0.0, -1.0, -1.0)
 SET = ("lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0",)
@@ -37,7 +37,7 @@ def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
     with screen() as display, Driven(
         display, tmp_path_factory.mktemp("pad"), "lwr", settings=SET
     ) as opened:  # fmt: skip
-        opened.ask("globals().update(PadState=__import__('sero_mj.show.window.gamepad', "
+        opened.ask("globals().update(PadState=__import__('sero_mj.viewer.window.gamepad', "
                    "fromlist=['PadState']).PadState)")  # fmt: skip
         yield opened
 

@@ -5,9 +5,9 @@ import logging
 import mujoco
 import numpy as np
 
-from sero_mj.decor import scene_writer
-from sero_mj.decor.pen import GEOM, Pen
-from sero_mj.decor.scene_writer import SceneWriter, set_geom, struct_view
+from sero_mj.viewer.decor import scene_writer
+from sero_mj.viewer.decor.pen import GEOM, Pen
+from sero_mj.viewer.decor.scene_writer import SceneWriter, set_geom, struct_view
 
 
 def a_scene(maxgeom: int = 50) -> mujoco.MjvScene:

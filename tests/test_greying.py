@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sero_mj import World
-from sero_mj.decor.pen import GREY
 from sero_mj.load import load_scene
-from sero_mj.show.web.studio_decor import Greying, greyed
+from sero_mj.viewer.decor.pen import GREY
+from sero_mj.viewer.web.studio_decor import Greying, greyed
 
 
 def test_greyed_models_differ_in_colour_only() -> None:
@@ -60,7 +60,7 @@ def test_browsers_have_time_to_fetch_a_model_and_flapping_changes_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = [100.0]
-    monkeypatch.setattr("sero_mj.show.web.studio_decor.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("sero_mj.viewer.web.studio_decor.time.monotonic", lambda: now[0])
     model = World(load_scene("lwr")).model
     viewer = FakeViewer(model)
     greying = Greying(viewer)  # type: ignore[arg-type]

@@ -23,18 +23,18 @@ from sero_mj import (
     World,
     load_scene,
 )
+from sero_mj.base.errors import UnknownName
 from sero_mj.cli import main
-from sero_mj.decor.billboards import declared_lines
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.toggles import Toggles
-from sero_mj.drive.place import Placer, Router
-from sero_mj.drive.wiring import wire
-from sero_mj.errors import UnknownName
-from sero_mj.send.play import MotionPackets
-from sero_mj.show.panels.robot_panel import RobotPanel
-from sero_mj.show.robot_inputs import RobotInputs
-from sero_mj.show.viewer_memory import SceneMemory
+from sero_mj.data.drive.place import Placer, Router
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.send.play import MotionPackets
 from sero_mj.simulate.scenario import Scenario
+from sero_mj.viewer.decor.billboards import declared_lines
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.panels.robot_panel import RobotPanel
+from sero_mj.viewer.session.viewer_memory import SceneMemory
+from sero_mj.viewer.tools.robot_inputs import RobotInputs
 
 COUNTS = {"torso": 2, "left": 3, "right": 3, "head": 1}
 

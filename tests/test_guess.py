@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.frames import rotation_from_rpy
-from sero_mj.receive.sniffer import describe_bytes, find_frames, guess_layouts, plausibility
-from sero_mj.receive.structure import Structure
+from sero_mj.base.frames import rotation_from_rpy
+from sero_mj.data.receive.sniffer import describe_bytes, find_frames, guess_layouts, plausibility
+from sero_mj.data.receive.structure import Structure
 
 JOINTS = np.random.default_rng(7).normal(size=(6, 14))
 FRAME = np.eye(4)

@@ -14,11 +14,11 @@ from gymnasium.utils.env_checker import check_env
 from window_tools import MISSING, screen
 
 import sero_mj
-from sero_mj.environment.gymnasium_env import GymnasiumEnvironment
-from sero_mj.environment.gymnasium_ids import TASKS
-from sero_mj.environment.make import TASKS as ALL_TASKS
-from sero_mj.environment.make import list_environments
-from sero_mj.errors import DeclarationError, SimulationError, UnknownName
+from sero_mj.base.errors import DeclarationError, SimulationError, UnknownName
+from sero_mj.study.learning.gymnasium_env import GymnasiumEnvironment
+from sero_mj.study.learning.gymnasium_ids import TASKS
+from sero_mj.study.learning.make import TASKS as ALL_TASKS
+from sero_mj.study.learning.make import list_environments
 
 SHORT = {"time_limit": 0.1}
 
@@ -51,7 +51,7 @@ assert gymnasium.__spec__.name == "gymnasium" and gymnasium.__version__
 found = {{name for name in gymnasium.registry if name.startswith("sero_mj/")}}
 assert "sero_mj/lwr-reach-v0" in found and "mujoco" not in sys.modules
 assert not any("Registrar" in type(finder).__name__ for finder in sys.meta_path)
-from sero_mj.environment.gymnasium_ids import register_environments
+from sero_mj.study.learning.gymnasium_ids import register_environments
 register_environments()  # warns of nothing: they are there
 """
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, timeout=60)
@@ -144,7 +144,7 @@ def test_what_is_asked_for_wrongly_is_told(
     name: str, options: dict[str, Any], message: str
 ) -> None:
     with pytest.raises((DeclarationError, UnknownName)) as caught:
-        sero_mj.environment.gymnasium_env.make_gymnasium_environment(
+        sero_mj.study.learning.gymnasium_env.make_gymnasium_environment(
             **{**gymnasium.spec(f"sero_mj/{name}-v0").kwargs, **options}
         )
     assert message in str(caught.value)

@@ -8,19 +8,19 @@ import pytest
 from decor_tools import world_of
 from PIL import Image
 
-from sero_mj.assemble.scene import Camera, Scene, View
-from sero_mj.assemble.world import World
+from sero_mj.base.errors import RenderError, UnknownName, UsageError
 from sero_mj.cli import _arguments
-from sero_mj.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, line_height
-from sero_mj.decor.panels import PADDING
-from sero_mj.decor.pen import ARROW_SIZE_OF_LENGTH
-from sero_mj.decor.picture_view import PictureView
-from sero_mj.drive.place import Placer
-from sero_mj.errors import RenderError, UnknownName, UsageError
+from sero_mj.data.drive.place import Placer
 from sero_mj.load import load_scene
-from sero_mj.show.camera import bounding_sphere, find_camera, needed_aspect, stand_back
-from sero_mj.show.headless import render
-from sero_mj.show.headless.render import QUALITIES, HeadlessRenderer, render_picture
+from sero_mj.robots.assemble.scene import Camera, Scene, View
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.camera import bounding_sphere, find_camera, needed_aspect, stand_back
+from sero_mj.viewer.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, line_height
+from sero_mj.viewer.decor.panels import PADDING
+from sero_mj.viewer.decor.pen import ARROW_SIZE_OF_LENGTH
+from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.headless import render
+from sero_mj.viewer.headless.render import QUALITIES, HeadlessRenderer, render_picture
 
 pytestmark = pytest.mark.gl
 

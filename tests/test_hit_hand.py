@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sero_mj import Mirror, load_scene
-from sero_mj.assemble.robot_dynamics import robot_dynamics
-from sero_mj.paths import find_scene
+from sero_mj.base.paths import find_scene
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 

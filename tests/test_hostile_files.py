@@ -14,12 +14,7 @@ import pytest
 from shm_tools import block, needs_posix
 
 from sero_mj import Scene, SerialRobot, load_scene
-from sero_mj.assemble.surroundings import Object
-from sero_mj.assemble.world import World
-from sero_mj.cli import main
-from sero_mj.describe.mjcf_file import as_spec
-from sero_mj.drive.language import parse
-from sero_mj.errors import (
+from sero_mj.base.errors import (
     CsvError,
     DeclarationError,
     RecordingError,
@@ -27,7 +22,7 @@ from sero_mj.errors import (
     RouteError,
     SourceError,
 )
-from sero_mj.paths import (
+from sero_mj.base.paths import (
     find_group_model,
     find_model,
     find_scenario,
@@ -35,14 +30,19 @@ from sero_mj.paths import (
     open_file,
     read_file,
 )
-from sero_mj.receive.shm import ShmReader
-from sero_mj.record.csv_files import read_csv
-from sero_mj.record.recording import Recording
-from sero_mj.record.replay import Replay
-from sero_mj.runs.run_recording import read_run
-from sero_mj.show.calibration import read_points
-from sero_mj.show.footage import Video, read_photo
-from sero_mj.toml_file import key_lines, read_toml
+from sero_mj.base.toml_file import key_lines, read_toml
+from sero_mj.cli import main
+from sero_mj.data.drive.language import parse
+from sero_mj.data.receive.shm import ShmReader
+from sero_mj.data.record.csv_files import read_csv
+from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.replay import Replay
+from sero_mj.robots.assemble.surroundings import Object
+from sero_mj.robots.assemble.world import World
+from sero_mj.robots.importers.mjcf_file import as_spec
+from sero_mj.simulate.runs.run_recording import read_run
+from sero_mj.viewer.photo.calibration import read_points
+from sero_mj.viewer.photo.footage import Video, read_photo
 
 __all__ = ["block"]  # a fixture
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no such files")
@@ -211,7 +211,8 @@ def test_files_of_endless_keys_and_values_are_refused_before_they_are_read(
     """Of 9 MB, they took minutes and gigabytes before a section was found to be unknown."""
     file = tmp_path / "x.toml"
     file.write_text("x = [\n" + "".join(many.format(i) for i in range(600_000)))
-    monkeypatch.setattr("sero_mj.toml_file.tomllib.loads", lambda text: pytest.fail("it is read"))
+    loads = "sero_mj.base.toml_file.tomllib.loads"
+    monkeypatch.setattr(loads, lambda text: pytest.fail("it is read"))
     with pytest.raises(DeclarationError, match=rf"expected at most {what} \(at line \d+\)"):
         read_toml(file)
 
@@ -262,7 +263,7 @@ def test_scenes_of_thousands_of_robots_are_refused_before_they_are_built(
     def built(*_: Any) -> None:
         pytest.fail("an entry is built")
 
-    monkeypatch.setattr("sero_mj.assemble.scene_file._Reader._entry", built)
+    monkeypatch.setattr("sero_mj.robots.assemble.scene_file._Reader._entry", built)
     file = tmp_path / "many.toml"
     file.write_text("".join(ROBOT.format(f"r{i}") for i in range(3000)))
     with pytest.raises(DeclarationError) as found:

@@ -18,14 +18,14 @@ from hypothesis import strategies as st
 from packet_oracle import FORMAT, LENGTHS, TEXT, bad_packet, cause, good_packet, values_of
 from polling import until
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.drive.mirror import Mirror
-from sero_mj.errors import StructureError
-from sero_mj.receive.intake import Intake
-from sero_mj.receive.language import parse
-from sero_mj.receive.structure import Structure
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.base.errors import StructureError
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.receive.intake import Intake
+from sero_mj.data.receive.language import parse
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.receive.udp import UdpReceiver
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
 
 COUNT = int(os.environ.get("SERO_MJ_PACKETS", "20000"))
 CAUSES = ("wrong_size", "wrong_constant", "not_finite", "not_frames")

@@ -20,11 +20,11 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Chunk, DataEnd, Footer, McapRecord
 from mcap.writer import MCAP0_MAGIC, Writer
 
+from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
-from sero_mj.errors import DeclarationError
-from sero_mj.record._mcap_reader import MAX_CHUNK_BYTES
-from sero_mj.record.recording import Recording
-from sero_mj.record.replay import Replay
+from sero_mj.data.record._mcap_reader import MAX_CHUNK_BYTES
+from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.replay import Replay
 
 DECLARATION = {
     "name": "arm",
@@ -119,7 +119,7 @@ BOMBS: dict[str, tuple[Callable[[], Chunk], str]] = {
 
 READ = """
 import resource, sys, time
-from sero_mj.record.recording import Recording
+from sero_mj.data.record.recording import Recording
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 begin = time.monotonic()
 with Recording(sys.argv[1]) as recording:

@@ -17,12 +17,13 @@ from test_mesh_files import COLLADA
 from test_mjcf_robot import TWO_LEGS
 from test_urdf import BALL, CHAIN, GRIPPER, poses_in_xml, write
 
-from sero_mj import HeadlessRenderer, Scene, SerialRobot, load_scene, paths
-from sero_mj.assemble.robot_dynamics import robot_dynamics
-from sero_mj.assemble.world import World
+from sero_mj import HeadlessRenderer, Scene, SerialRobot, load_scene
+from sero_mj.base import paths
+from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
-from sero_mj.describe.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
-from sero_mj.errors import DeclarationError
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
+from sero_mj.robots.assemble.world import World
+from sero_mj.robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
 
 ROBOTS = {"tree": GRIPPER, "chain": CHAIN}
 MESHES = """<visual><origin xyz="0 0 0.3"/><geometry>

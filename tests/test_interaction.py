@@ -8,19 +8,19 @@ from decor_tools import of_kind, toggles_of, view_at, world_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.surroundings import Object
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import Kind
-from sero_mj.drive.place import Placer
-from sero_mj.show.headless.render import HeadlessRenderer
-from sero_mj.show.interaction import KEYS, click
-from sero_mj.show.picking import Picked, pick, ray_boxes, ray_triangles
-from sero_mj.show.scene_decor import SceneDecor
+from sero_mj.data.drive.place import Placer
+from sero_mj.robots.assemble.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.surroundings import Object
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.session.interaction import KEYS, click
+from sero_mj.viewer.session.picking import Picked, pick, ray_boxes, ray_triangles
+from sero_mj.viewer.session.scene_decor import SceneDecor
 
 POSE = np.deg2rad([30, 60, -40, 90, 50, -80, 20])
 SIZE = (640, 480)

@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 
 import sero_mj
-from sero_mj.assemble.couplings import Coupling
-from sero_mj.control.inverse_kinematics import CLOSE, frame_place, independent_limits, reach
-from sero_mj.drive.place import follow
-from sero_mj.frames import frame, rotation_angle
+from sero_mj.base.frames import frame, rotation_angle
+from sero_mj.data.drive.place import follow
+from sero_mj.robots.assemble.couplings import Coupling
+from sero_mj.simulate.control.inverse_kinematics import (
+    CLOSE,
+    frame_place,
+    independent_limits,
+    reach,
+)
 
 BENT = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
 

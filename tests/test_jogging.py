@@ -15,17 +15,17 @@ from scripted_widgets import ScriptedWidgets
 from window_tools import MISSING, SIZE, Driven, screen
 
 import sero_mj
-from sero_mj.control.compiler import Compiler
-from sero_mj.control.gravity_torques import GravityTorques
-from sero_mj.decor.toggles import Toggles
-from sero_mj.drive.mirror import Mirror
-from sero_mj.errors import DeclarationError
-from sero_mj.frames import frame, inverse, rotation_from_rpy, rpy_from_rotation
-from sero_mj.show.jogging import Jogging, approached
-from sero_mj.show.joint_goal import JointGoal
-from sero_mj.show.panels.jog_panel import JogPanel
-from sero_mj.show.pose_text import as_command, as_python, as_toml
-from sero_mj.show.scene_decor import SceneDecor
+from sero_mj.base.errors import DeclarationError
+from sero_mj.base.frames import frame, inverse, rotation_from_rpy, rpy_from_rotation
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.simulate.control.compiler import Compiler
+from sero_mj.simulate.control.gravity_torques import GravityTorques
+from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.panels.jog_panel import JogPanel
+from sero_mj.viewer.session.pose_text import as_command, as_python, as_toml
+from sero_mj.viewer.session.scene_decor import SceneDecor
+from sero_mj.viewer.tools.jogging import Jogging, approached
+from sero_mj.viewer.tools.joint_goal import JointGoal
 
 BENT = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
 

@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from simulated import START, Loop, lwr_model
 
-from sero_mj.control.controller import Sensed, Target
-from sero_mj.control.joint_control import (
+from sero_mj.base.errors import DeclarationError, SimulationError
+from sero_mj.simulate.control.controller import Sensed, Target
+from sero_mj.simulate.control.joint_control import (
     GravityCompensation,
     JointImpedance,
     JointPosition,
@@ -23,9 +24,8 @@ from sero_mj.control.joint_control import (
     design_damping,
     unstable_joint,
 )
-from sero_mj.control.make_controller import LimitedController
-from sero_mj.control.robot_model import RobotModel
-from sero_mj.errors import DeclarationError, SimulationError
+from sero_mj.simulate.control.make_controller import LimitedController
+from sero_mj.simulate.control.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 seeds = st.integers(0, 2**32 - 1)

@@ -10,21 +10,21 @@ import pytest
 from humanoid import humanoid
 from runs import record_packets
 
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.groups import Group
-from sero_mj.assemble.limbs import find_limbs
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
+from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
-from sero_mj.drive.mirror import Mirror
-from sero_mj.drive.place import Placer, Router
-from sero_mj.drive.record_sources import RoutedSignals
-from sero_mj.drive.wiring import wire
-from sero_mj.errors import DeclarationError
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.drive.place import Placer, Router
+from sero_mj.data.drive.record_sources import RoutedSignals
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.send.play import MotionPackets
 from sero_mj.load import load_scene
-from sero_mj.runs.run_recording import read_run
-from sero_mj.send.play import MotionPackets
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.groups import Group
+from sero_mj.robots.assemble.limbs import find_limbs
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.simulate.runs.run_recording import read_run
 
 UDP = {"kind": "udp", "structure": "2F7F3F1F"}
 # A fork: a stem of one joint, and two branches; the second has a joint that follows another.

@@ -16,13 +16,13 @@ from conftest import import_script
 from poses import chain, move, rot
 
 from sero_mj import DeclarationError, Mirror, Scenario, Scene, Simulation, World, load_scene
-from sero_mj.assemble.robot_dynamics import robot_dynamics
-from sero_mj.decor.card_names import titles
-from sero_mj.decor.toggles import Toggles
-from sero_mj.paths import models_dir, scenes_dir
-from sero_mj.send.motion import CommonMotion
-from sero_mj.send.play import MotionPackets
+from sero_mj.base.paths import models_dir, scenes_dir
+from sero_mj.data.send.motion import CommonMotion
+from sero_mj.data.send.play import MotionPackets
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.simulate.scenario_file import read_scenario
+from sero_mj.viewer.decor.card_names import titles
+from sero_mj.viewer.decor.toggles import Toggles
 
 S = np.diag([1.0, -1.0, 1.0, 1.0])
 Array = np.ndarray[Any, np.dtype[np.float64]]

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.errors import StructureError
-from sero_mj.receive.language import parse
-from sero_mj.receive.structure import Structure
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.base.errors import StructureError
+from sero_mj.data.receive.language import parse
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.receive.udp import UdpReceiver
 
 LETTERS = "fdbBhHiIqQ?"
 PER_KIND = {"F": 1, "V": 3, "M": 16, "T": 12}

@@ -10,15 +10,15 @@ from importlib import resources
 
 import pytest
 
+from sero_mj.base.errors import StructureError
 from sero_mj.cli import main
-from sero_mj.errors import StructureError
-from sero_mj.receive.fri import FriLayout
-from sero_mj.receive.language import KINDS, MAX_PACKET_BYTES, TYPES, parse
-from sero_mj.receive.sniffer import KNOWN
-from sero_mj.receive.source import make_source
-from sero_mj.receive.structure import Structure
+from sero_mj.data.receive.fri import FriLayout
+from sero_mj.data.receive.language import KINDS, MAX_PACKET_BYTES, TYPES, parse
+from sero_mj.data.receive.sniffer import KNOWN
+from sero_mj.data.receive.source import make_source
+from sero_mj.data.receive.structure import Structure
 
-PAGE = resources.files("sero_mj.receive").joinpath("STRUCTURE.md").read_text("utf-8")
+PAGE = resources.files("sero_mj.data.receive").joinpath("STRUCTURE.md").read_text("utf-8")
 BLOCKS = re.findall(r"```(\w+)\n(.*?)```", PAGE, re.DOTALL)
 
 

@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.control.plan import LAWS, law_from
-from sero_mj.control.target_motions import (
+from sero_mj.base.errors import DeclarationError
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.simulate.control.plan import LAWS, law_from
+from sero_mj.simulate.control.target_motions import (
     Chirp,
     Constant,
     JointLaw,
@@ -25,14 +26,13 @@ from sero_mj.control.target_motions import (
     Step,
     quintic,
 )
-from sero_mj.control.way_points import (
+from sero_mj.simulate.control.way_points import (
     WayPoints,
     quintic_duration,
     trapezoid,
     trapezoid_blend,
     trapezoid_duration,
 )
-from sero_mj.errors import DeclarationError
 
 Array = NDArray[np.float64]
 SPEEDS = np.array([1.0, 2.0, 0.5])

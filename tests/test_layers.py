@@ -15,31 +15,36 @@ import pytest
 import sero_mj
 
 PACKAGE = Path(sero_mj.__file__).parent
-# The folders of the README, top to bottom, and `load.py`; what is in the first place is above all.
+# The folders of the README, top to bottom, and `load.py`; the package itself is above all.
 ORDER = (
     "",
-    "describe",
-    "assemble",
-    "foreign",
-    "receive",
-    "record",
-    "drive",
-    "send",
-    "control",
-    "runs",
+    "base",
+    "robots.importers",
+    "robots.assemble",
+    "robots.external",
+    "data.receive",
+    "data.record",
+    "data.drive",
+    "data.send",
+    "simulate.control",
+    "simulate.runs",
     "simulate",
     "load",
     "study",
-    "decor",
-    "show",
-    "environment",
+    "viewer.decor",
+    "viewer",
+    "study.learning",
     "cli",
     "__main__",
 )
 ROOMS = [folder for folder in ORDER if folder not in ("", "load", "__main__")]
-ABOVE_ALL = ("errors", "paths", "plugins", "declaration", "frames", "toml_file", "dotted_keys")
+WINGS = ("robots", "data")  # that have no files of their own
 # What the independent check and the packet layer must do without.
 NO_MUJOCO = (
+    *("robots.importers.x3d", "robots.importers.wrl", "robots.assemble.dh", "base.frames"),
+    *("robots.assemble.shapes", "data.receive", "data.record.replay"),
+)
+MUJOCO = (
     *("describe.x3d", "describe.wrl", "assemble.dh", "assemble.shapes", "frames", "receive"),
     "record.replay",
 )
@@ -97,9 +102,10 @@ def imports_of(module: str, modules: dict[str, str]) -> list[tuple[int, str]]:
 
 
 def folder_of(module: str) -> str:
-    """Its place in the order; `errors` and `paths` share the first with the package itself."""
-    top = module.partition(".")[0]
-    return "" if top in ABOVE_ALL else top
+    """Its place in the order: the innermost folder with one; a wing itself has the first."""
+    parts = module.split(".")
+    folders = [".".join(parts[:count]) for count in range(len(parts), 0, -1)]
+    return next((folder for folder in folders if folder in ORDER), "")
 
 
 def rank(module: str) -> int:
@@ -160,9 +166,8 @@ def reachable(start: str, modules: dict[str, str]) -> dict[str, list[str]]:
 
 
 def test_every_file_is_in_a_folder_of_the_design() -> None:
-    tops = {module.split(".")[0] for module in read_package()}
-    assert tops <= {*ORDER, *ABOVE_ALL}
-    assert {"", "errors", "assemble", "receive", "drive", "decor", "show", "cli"} <= tops
+    nowhere = {module for module in read_package() if not folder_of(module)}
+    assert nowhere == {"", *WINGS}
 
 
 def test_every_import_goes_up_or_beside_without_circles() -> None:
@@ -176,31 +181,36 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
 @pytest.mark.parametrize(
     ("module", "line", "found"),
     [
-        ("assemble.dh", "from ..receive.source import age", "imports receive.source"),
-        ("assemble.dh", "from ..receive import source", "imports receive.source"),
-        ("assemble.dh", "from .. import receive", "imports receive"),
-        ("assemble.dh", "import sero_mj.receive.udp", "imports receive.udp"),
-        ("assemble.dh", "from sero_mj.drive.wiring import wire", "imports drive.wiring"),
-        ("assemble.dh", "from sero_mj import Mirror", "imports drive.mirror"),
-        ("assemble.dh", "from .. import HeadlessRenderer", "imports show.headless"),
-        ("receive.source", "from ..drive.place import follow", "imports drive.place"),
-        ("send.play", "from ..drive._units import UNITS", "imports drive._units"),
-        ("drive.place", "from ..decor.pen import Pen", "imports decor.pen"),
-        ("drive.place", "if TYPE_CHECKING:\n    from ..decor.pen import Pen", "decor.pen"),
-        ("drive.place", "def f():\n    from ..show import camera", "imports show.camera"),
-        ("decor.pen", "from ..show.camera import list_cameras", "imports show.camera"),
-        ("show.camera", "from ..cli import main", "imports cli"),
-        ("errors", "from .assemble import dh", "imports assemble.dh"),
-        ("paths", "def f():\n    from .cli import main", "imports cli"),
-        ("assemble", "from .. import decor", "imports decor"),
+        ("robots.assemble.dh", "from ...data.receive.source import age", "imports data.receive"),
+        ("robots.assemble.dh", "from ...data.receive import source", "imports data.receive"),
+        ("robots.assemble.dh", "from ...data import receive", "imports data.receive"),
+        ("robots.assemble.dh", "import sero_mj.data.receive.udp", "imports data.receive.udp"),
+        ("robots.assemble.dh", "from sero_mj.data.drive.wiring import wire", "data.drive.wiring"),
+        ("robots.assemble.dh", "from sero_mj import Mirror", "imports data.drive.mirror"),
+        ("robots.assemble.dh", "from ... import HeadlessRenderer", "imports viewer.headless"),
+        ("data.receive.source", "from ..drive.place import follow", "imports data.drive.place"),
+        ("data.send.play", "from ..drive._units import UNITS", "imports data.drive._units"),
+        ("data.drive.place", "from ...viewer.decor.pen import Pen", "imports viewer.decor.pen"),
+        ("data.drive.place", "if TYPE_CHECKING:\n    from ...viewer.decor import pen", "decor.pen"),
+        ("data.drive.place", "def f():\n    from ...viewer import camera", "imports viewer.camera"),
+        ("viewer.decor.pen", "from ..camera import list_cameras", "imports viewer.camera"),
+        ("viewer.camera", "from ..cli import main", "imports cli"),
+        ("study.figure", "from .learning.make import make_environment", "imports study.learning"),
+        ("base.errors", "from ..robots.assemble import dh", "imports robots.assemble.dh"),
+        ("base.paths", "def f():\n    from ..cli import main", "imports cli"),
+        ("robots.assemble", "from ...viewer import decor", "imports viewer.decor"),
         ("cli.fk", "from ..__main__ import main", "imports __main__"),
-        ("assemble.dh", "from .mjcf import build_spec", "circle: assemble.dh > assemble.mjcf"),
-        ("errors", "from . import paths", "circle: errors > paths > errors"),
-        ("drive.place", "from . import place", "circle: drive.place > drive.place"),
-        ("drive.place", "import_module('sero_mj.decor.pen')", "hides what it imports"),
-        ("drive.place", "importlib.import_module(name)", "hides what it imports"),
-        ("drive.place", "import sero_mj", "hides what it imports"),
-        ("drive.place", "__import__('sero_mj.decor.pen')", "hides what it imports"),
+        (
+            "robots.assemble.dh",
+            "from .mjcf import build_spec",
+            "circle: robots.assemble.dh > robots.assemble.mjcf",
+        ),
+        ("base.errors", "from . import paths", "circle: base.errors > base.paths > base.errors"),
+        ("data.drive.place", "from . import place", "circle: data.drive.place > data.drive.place"),
+        ("data.drive.place", "import_module('sero_mj.viewer.decor.pen')", "hides what it imports"),
+        ("data.drive.place", "importlib.import_module(name)", "hides what it imports"),
+        ("data.drive.place", "import sero_mj", "hides what it imports"),
+        ("data.drive.place", "__import__('sero_mj.viewer.decor.pen')", "hides what it imports"),
     ],
 )
 def test_the_rule_catches_what_breaks_it(module: str, line: str, found: str) -> None:
@@ -212,13 +222,14 @@ def test_the_rule_catches_what_breaks_it(module: str, line: str, found: str) -> 
 @pytest.mark.parametrize(
     ("module", "line"),
     [
-        ("drive.place", "from ..assemble.world import World"),
-        ("drive.place", "from ..receive import source"),
-        ("drive.place", "from .. import paths, __version__"),
-        ("drive.place", "from .. import SerialRobot"),
+        ("data.drive.place", "from ...robots.assemble.world import World"),
+        ("data.drive.place", "from ..receive import source"),
+        ("data.drive.place", "from ... import __version__"),
+        ("data.drive.place", "from ...base import paths"),
+        ("data.drive.place", "from ... import SerialRobot"),
         ("cli.fk", "from ._arguments import port"),
-        ("__main__", "import sero_mj.show.headless.backend"),
-        ("errors", "import mujoco.viewer, decor"),  # somebody else's decor
+        ("__main__", "import sero_mj.viewer.headless.backend"),
+        ("base.errors", "import mujoco.viewer, decor"),  # somebody else's decor
     ],
 )
 def test_the_rule_allows_what_keeps_it(module: str, line: str) -> None:
@@ -238,10 +249,10 @@ def test_what_checks_mujoco_and_what_reads_packets_does_without_it(name: str) ->
 def test_mujoco_is_found_wherever_it_is_imported() -> None:
     modules = read_package()
     for module, line in (
-        ("frames", "def f():\n    import mujoco.viewer"),
-        ("errors", "from dm_control.mjcf import RootElement"),
+        ("base.frames", "def f():\n    import mujoco.viewer"),
+        ("base.errors", "from dm_control.mjcf import RootElement"),
     ):
-        found = reachable("receive.udp", {**modules, module: f"{modules[module]}\n{line}\n"})
+        found = reachable("data.receive.udp", {**modules, module: f"{modules[module]}\n{line}\n"})
         assert set(found[module]) & set(MUJOCO)
         assert "structure" in " ".join(found)
 
@@ -265,7 +276,7 @@ def test_importing_the_package_imports_neither_numpy_nor_mujoco() -> None:
 
 def test_reading_packets_and_checking_kinematics_load_no_mujoco() -> None:
     names = [m for m in read_package() if any(f"{m}.".startswith(f"{n}.") for n in NO_MUJOCO)]
-    assert "receive.udp" in names
+    assert "data.receive.udp" in names
     loaded = loaded_after(*(f"sero_mj.{name}" for name in names))
     assert "numpy" in loaded
     assert not loaded & set(MUJOCO)
@@ -303,14 +314,16 @@ def test_a_name_that_is_not_there_is_told() -> None:
 
 def test_the_readme_s_map_is_the_order_that_imports_keep() -> None:
     text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
-    mapped = re.findall(r"^\| `(\w+)` \| ", text.partition("## The rooms")[2], re.MULTILINE)
-    assert mapped == ROOMS
-    assert set(mapped) == {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    mapped = re.findall(r"^\| `([\w/]+)` \| ", text.partition("## The wings")[2], re.MULTILINE)
+    assert mapped == [room.replace(".", "/") for room in ROOMS]
+    tops = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    assert {name.partition("/")[0] for name in mapped} == tops
 
 
-@pytest.mark.parametrize("folder", ROOMS[:-1])
+@pytest.mark.parametrize("folder", [*WINGS, *ROOMS[:-1]])
 def test_every_room_says_what_comes_in_what_goes_out_and_where_to_begin(folder: str) -> None:
     about = import_module(f"sero_mj.{folder}").__doc__ or ""
+    folder = folder.replace(".", "/")
     assert "\nIn: " in about and "Out: " in about and "\nOpen first: " in about
     for file in re.findall(r"`([\w/]+\.py)`", about):
         assert (PACKAGE / folder / file).is_file(), file

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.decor.layout import (
+from sero_mj.viewer.decor.layout import (
     LEFT,
     RIGHT,
     columns,

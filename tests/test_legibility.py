@@ -19,10 +19,10 @@ from decor_tools import world_of
 from numpy.typing import NDArray
 from PIL import Image
 
-from sero_mj.assemble.world import World
-from sero_mj.decor.pen import Kind
-from sero_mj.drive.place import follow
-from sero_mj.show.headless.render import HeadlessRenderer
+from sero_mj.data.drive.place import follow
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.headless.render import HeadlessRenderer
 
 POSES = examples(44)  # and as many cameras
 MOST_WRONG = 0.02  # of all numbers

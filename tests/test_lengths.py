@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sero_mj import Scene, SerialRobot, World, load_scene
+from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
-from sero_mj.errors import DeclarationError
 from sero_mj.simulate.scenario_file import read_scenario
 
 MM = [[0, 0, 0, 310], [1.5, 0, 0, 0], [-1.5, 0, 0, 400], [0, 300, 0, 400]]

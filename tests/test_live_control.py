@@ -12,22 +12,22 @@ from decor_tools import view_at
 from scripted_widgets import ScriptedWidgets
 
 import sero_mj
+from sero_mj.base.errors import DeclarationError, SimulationError
+from sero_mj.base.frames import frame, rotation_angle, rotation_from_rpy
 from sero_mj.cli import main
-from sero_mj.decor.handles import CUBE, HANDLE_NAMES
-from sero_mj.decor.toggles import Toggles
-from sero_mj.drive.mirror import Mirror
-from sero_mj.errors import DeclarationError, SimulationError
-from sero_mj.frames import frame, rotation_angle, rotation_from_rpy
+from sero_mj.data.drive.mirror import Mirror
 from sero_mj.load import load_scene
-from sero_mj.runs.run_recording import read_run
-from sero_mj.show.clock import Clock
-from sero_mj.show.handle_drag import dragged
-from sero_mj.show.panels.steering_panel import SteeringPanel
-from sero_mj.show.pulling import Pulling
-from sero_mj.show.scene_decor import SceneDecor
-from sero_mj.show.steering import Steering
 from sero_mj.simulate import endless_run
 from sero_mj.simulate.endless_run import bent_pose, endless_scene
+from sero_mj.simulate.runs.run_recording import read_run
+from sero_mj.viewer.decor.handles import CUBE, HANDLE_NAMES
+from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.panels.steering_panel import SteeringPanel
+from sero_mj.viewer.session.clock import Clock
+from sero_mj.viewer.session.scene_decor import SceneDecor
+from sero_mj.viewer.tools.handle_drag import dragged
+from sero_mj.viewer.tools.pulling import Pulling
+from sero_mj.viewer.tools.steering import Steering
 
 BENT = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
 

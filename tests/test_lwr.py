@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from sero_mj import paths
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.scene_file import read_scene_file
-from sero_mj.assemble.surroundings import Object
-from sero_mj.assemble.world import World
+from sero_mj.base import paths
 from sero_mj.load import load_scene
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.scene_file import read_scene_file
+from sero_mj.robots.assemble.surroundings import Object
+from sero_mj.robots.assemble.world import World
 
 HALF_PI = math.pi / 2
 SNIPPET = (

@@ -10,16 +10,16 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import sero_mj
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.control.compiler import Compiler
-from sero_mj.control.model_rows import ModelRows
-from sero_mj.environment.environment import Environment
-from sero_mj.environment.gymnasium_vector import GymnasiumVector, make_gymnasium_vector
-from sero_mj.environment.make import RobotSettings
-from sero_mj.environment.many import ManyEnvironments
-from sero_mj.environment.tasks import Reach
-from sero_mj.errors import DeclarationError, SimulationError
+from sero_mj.base.errors import DeclarationError, SimulationError
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.simulate.control.compiler import Compiler
+from sero_mj.simulate.control.model_rows import ModelRows
 from sero_mj.simulate.scenario import Run
+from sero_mj.study.learning.environment import Environment
+from sero_mj.study.learning.gymnasium_vector import GymnasiumVector, make_gymnasium_vector
+from sero_mj.study.learning.make import RobotSettings
+from sero_mj.study.learning.many import ManyEnvironments
+from sero_mj.study.learning.tasks import Reach
 
 # What noise, delays and quantised encoders add to the truth.
 SENSORS = {

@@ -10,14 +10,9 @@ from humanoid import humanoid
 from scripted_widgets import ScriptedWidgets
 
 import sero_mj
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.panels import Panels
-from sero_mj.drive.place import follow
-from sero_mj.show.interaction import click
-from sero_mj.show.panels.robot_panel import RobotPanel
-from sero_mj.show.picking import Picked
+from sero_mj.data.drive.place import follow
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.study.align import align
@@ -25,6 +20,11 @@ from sero_mj.study.compare import as_table as pair_table
 from sero_mj.study.compare import compare
 from sero_mj.study.summary import as_table as summary_table
 from sero_mj.study.summary import summarise
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.panels import Panels
+from sero_mj.viewer.panels.robot_panel import RobotPanel
+from sero_mj.viewer.session.interaction import click
+from sero_mj.viewer.session.picking import Picked
 
 SIZES = [(1280, 800), (640, 480)]
 

@@ -17,12 +17,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from polling import until
 
-from sero_mj.errors import DeclarationError, UnknownName
-from sero_mj.frames import nearest_rotation, rotation_from_rpy
-from sero_mj.receive.intake import Counters, find_not_frame
-from sero_mj.receive.source import Packet, make_source
-from sero_mj.receive.structure import are_frames
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.base.errors import DeclarationError, UnknownName
+from sero_mj.base.frames import nearest_rotation, rotation_from_rpy
+from sero_mj.data.receive.intake import Counters, find_not_frame
+from sero_mj.data.receive.source import Packet, make_source
+from sero_mj.data.receive.structure import are_frames
+from sero_mj.data.receive.udp import UdpReceiver
 
 NAN, INF = math.nan, math.inf
 # A quarter turn about z, at 0.5, 0, 0.25: as it stands in books, row by row.

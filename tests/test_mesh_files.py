@@ -14,16 +14,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from sero_mj.assemble.dynamics import Dynamics
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.describe import mesh_files
-from sero_mj.describe.mesh_files import MeshPiece, read_mesh
-from sero_mj.describe.package_files import find_file, package_of
-from sero_mj.describe.urdf import read_urdf
-from sero_mj.errors import DeclarationError
-from sero_mj.frames import Array
+from sero_mj.base.errors import DeclarationError
+from sero_mj.base.frames import Array
+from sero_mj.robots.assemble.dynamics import Dynamics
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.robots.importers import mesh_files
+from sero_mj.robots.importers.mesh_files import MeshPiece, read_mesh
+from sero_mj.robots.importers.package_files import find_file, package_of
+from sero_mj.robots.importers.urdf import read_urdf
 
 BOX = trimesh.creation.box((1.0, 2.0, 3.0))
 

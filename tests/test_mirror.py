@@ -22,14 +22,14 @@ from numpy.typing import NDArray
 from polling import until
 from source_slots import get_source
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.robot_parts import VALUE_INPUTS
-from sero_mj.assemble.scene import Scene
-from sero_mj.drive.mirror import Mirror, restore
-from sero_mj.errors import SourceError
+from sero_mj.base.errors import SourceError
+from sero_mj.data.drive.mirror import Mirror, restore
+from sero_mj.data.receive.source import Packet, age
+from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.load import load_scene
-from sero_mj.receive.source import Packet, age
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.robot_parts import VALUE_INPUTS
+from sero_mj.robots.assemble.scene import Scene
 
 Array = NDArray[np.float64]
 SCENES = Path(__file__).parent.parent / "scenes"

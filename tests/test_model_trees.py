@@ -8,10 +8,10 @@ import pytest
 from foreign_models import arm, compiled, jaco
 
 import sero_mj
-from sero_mj.assemble.decor_sizes import measure
-from sero_mj.assemble.solids import Solids
-from sero_mj.describe.mjcf_tree import torque_limits
-from sero_mj.foreign._model_trees import Tree, find_trees, without_scope
+from sero_mj.robots.assemble.decor_sizes import measure
+from sero_mj.robots.assemble.solids import Solids
+from sero_mj.robots.external._model_trees import Tree, find_trees, without_scope
+from sero_mj.robots.importers.mjcf_tree import torque_limits
 
 
 def body(name: str, inside: str = "<joint/>") -> str:

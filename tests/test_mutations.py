@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 from conftest import examples
 
-from sero_mj.control.compiler import Compiler
-from sero_mj.errors import SimulationError
-from sero_mj.paths import find_scenario, list_scenarios
+from sero_mj.base.errors import SimulationError
+from sero_mj.base.paths import find_scenario, list_scenarios
+from sero_mj.simulate.control.compiler import Compiler
 from sero_mj.simulate.expect import Expect
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario

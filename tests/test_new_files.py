@@ -14,10 +14,10 @@ from conftest import ROOT
 from test_cli import run
 
 from sero_mj import Mirror, SerialRobot, World, load_scene
+from sero_mj.base.declaration import Declaration
+from sero_mj.base.plugins import SOURCES, plugins
 from sero_mj.cli.listing import scenario_tables, scene_tables
 from sero_mj.cli.schema import KINDS, schema_of
-from sero_mj.declaration import Declaration
-from sero_mj.plugins import SOURCES, plugins
 
 SHIPPED = {
     "robot": "models/*/robot.toml",

@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 from simulated import START, Loop, lwr_model
 
-from sero_mj.control.controller import Sensed, Target
-from sero_mj.control.joint_control import JointImpedance
-from sero_mj.control.observer import MomentumObserver
+from sero_mj.simulate.control.controller import Sensed, Target
+from sero_mj.simulate.control.joint_control import JointImpedance
+from sero_mj.simulate.control.observer import MomentumObserver
 
 Array = NDArray[np.float64]
 STEP = 1e-3

@@ -12,17 +12,17 @@ from photos import LENSES, camera, lwr
 from PIL import Image
 
 from sero_mj import Double, Placer, Scene, World
+from sero_mj.base.errors import RenderError
+from sero_mj.base.frames import Array, inverse
 from sero_mj.cli import main
-from sero_mj.errors import RenderError
-from sero_mj.frames import Array, inverse
-from sero_mj.show.camera_file import write_camera
-from sero_mj.show.footage import Video, at_rate, upright
-from sero_mj.show.headless.film import FilmWriter
-from sero_mj.show.headless.over import PhotoRenderer
-from sero_mj.show.headless.render import make_renderer
-from sero_mj.show.over_photo import PhotoPainter
-from sero_mj.show.photo_camera import PhotoCamera, PhotoView, PlanePicture
-from sero_mj.show.scene_decor import SceneDecor
+from sero_mj.viewer.headless.film import FilmWriter
+from sero_mj.viewer.headless.over import PhotoRenderer
+from sero_mj.viewer.headless.render import make_renderer
+from sero_mj.viewer.photo.camera_file import write_camera
+from sero_mj.viewer.photo.footage import Video, at_rate, upright
+from sero_mj.viewer.photo.over_photo import PhotoPainter
+from sero_mj.viewer.photo.photo_camera import PhotoCamera, PhotoView, PlanePicture
+from sero_mj.viewer.session.scene_decor import SceneDecor
 
 BOX = [-0.6, 0.9, -0.6, 0.6, 0.0, 1.1]  # of points about the robot, m
 

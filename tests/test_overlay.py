@@ -11,12 +11,12 @@ from decor_tools import GEOM, belonging, labels, look, of_kind
 from foreign_models import arm, compiled, jaco
 
 import sero_mj
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import Kind, Pen
-from sero_mj.decor.picture_view import PictureView
-from sero_mj.decor.toggles import Toggles
-from sero_mj.errors import UnknownName, UsageError
+from sero_mj.base.errors import UnknownName, UsageError
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.pen import Kind, Pen
+from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.decor.toggles import Toggles
 
 EVERYWHERE = look((2.0, -2.0, 1.5), (0.0, 0.0, 0.4))
 

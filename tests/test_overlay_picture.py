@@ -14,10 +14,10 @@ from foreign_models import JACO_TORQUES, arm, jaco
 from PIL import Image
 
 import sero_mj
-from sero_mj.assemble.world import World
-from sero_mj.errors import RenderError
-from sero_mj.show.headless.film import Picture
-from sero_mj.show.headless.render import HeadlessRenderer
+from sero_mj.base.errors import RenderError
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.headless.film import Picture
+from sero_mj.viewer.headless.render import HeadlessRenderer
 
 pytestmark = pytest.mark.gl
 

@@ -12,7 +12,7 @@ import pytest
 from foreign_models import ARM, arm, compiled
 
 import sero_mj
-from sero_mj.errors import DeclarationError, SeroError, UnknownName, UsageError
+from sero_mj.base.errors import DeclarationError, SeroError, UnknownName, UsageError
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def test_geoms_are_the_same_where_their_memory_is_not_as_expected(monkeypatch: A
     scenes = []
     for fast in (True, False):
         if not fast:
-            monkeypatch.setattr("sero_mj.decor.scene_writer.struct_view", lambda scene: None)
+            monkeypatch.setattr("sero_mj.viewer.decor.scene_writer.struct_view", lambda scene: None)
         overlay = sero_mj.overlay(*arm(), doubles=[double])
         scene = scene_of(overlay)
         overlay.draw(scene)

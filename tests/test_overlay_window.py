@@ -13,8 +13,8 @@ from foreign_models import arm
 from window_tools import MISSING, screen
 
 import sero_mj
-from sero_mj.drive.mirror import Watch
-from sero_mj.show.clock import Clock
+from sero_mj.data.drive.mirror import Watch
+from sero_mj.viewer.session.clock import Clock
 
 SCRIPT = """
 import sys
@@ -22,8 +22,8 @@ sys.path.insert(0, {folder!r})
 import mujoco
 import sero_mj
 from foreign_models import arm
-from sero_mj.drive.mirror import Watch
-from sero_mj.show.window.host import Window
+from sero_mj.data.drive.mirror import Watch
+from sero_mj.viewer.window.host import Window
 
 model, data = arm()
 size = model.vis.global_.offwidth, model.vis.global_.offheight
@@ -62,7 +62,7 @@ sys.path.insert(0, {folder!r})
 import mujoco, numpy as np
 import sero_mj
 from foreign_models import arm
-from sero_mj.show.camera import find_camera
+from sero_mj.viewer.camera import find_camera
 
 model, data = arm()
 goal, twin = (sero_mj.Double(name=name, of="arm") for name in ("goal", "twin"))

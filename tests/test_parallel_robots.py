@@ -12,16 +12,16 @@ from conftest import ROOT, import_script
 from decor_tools import labels, toggles_of, view_at
 from polling import until
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.flange_check import flange_difference
-from sero_mj.drive.mirror import Mirror
-from sero_mj.drive.place import Placer
-from sero_mj.frames import rotation_angle
+from sero_mj.base.frames import rotation_angle
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.drive.place import Placer
+from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.load import load_scene
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.flange_check import flange_difference
 
 SENDER = ROOT / "scenes" / "parallel_sender.py"
 TIMES = np.linspace(0.0, 12.0, 13)

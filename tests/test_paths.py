@@ -18,14 +18,14 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 import sero_mj
-from sero_mj import paths
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene_file import read_scene_file
-from sero_mj.assemble.world import World
+from sero_mj.base import paths
+from sero_mj.base.errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
+from sero_mj.base.toml_file import key_lines, located
 from sero_mj.cli import main
-from sero_mj.errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
 from sero_mj.load import load_scene
-from sero_mj.toml_file import key_lines, located
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene_file import read_scene_file
+from sero_mj.robots.assemble.world import World
 
 MINIMAL = 'dh_convention = "craig"\n'
 

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from polling import until
 
-from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.surroundings import Camera, Object
-from sero_mj.assemble.world import World
-from sero_mj.decor.flange_check import flange_difference
-from sero_mj.drive.mirror import Mirror
-from sero_mj.drive.place import Placer
-from sero_mj.errors import DeclarationError
-from sero_mj.frames import frame_from, inverse
+from sero_mj.base.errors import DeclarationError
+from sero_mj.base.frames import frame_from, inverse
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.drive.place import Placer
+from sero_mj.data.send.play import MotionPackets
 from sero_mj.load import load_scene
-from sero_mj.send.play import MotionPackets
+from sero_mj.robots.assemble.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.surroundings import Camera, Object
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.flange_check import flange_difference
 
 Q = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 BASE = {"xyz": [0.2, -0.3, 0.1], "rpy": [0.1, -0.2, 1.0]}

@@ -14,11 +14,11 @@ import pytest
 from polling import until
 from recordings import begin, record
 
+from sero_mj.base.errors import CsvError, RecordingError, UsageError
 from sero_mj.cli import main
-from sero_mj.errors import CsvError, RecordingError, UsageError
-from sero_mj.receive.shm import ShmReader
-from sero_mj.receive.structure import Structure
-from sero_mj.send.playback import RecordedPackets, TablePackets, timed
+from sero_mj.data.receive.shm import ShmReader
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.send.playback import RecordedPackets, TablePackets, timed
 
 LAYOUT = Structure("2F1V1M")  # what `recordings` declares
 PACKETS = [

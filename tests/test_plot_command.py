@@ -11,13 +11,13 @@ import pytest
 from PIL import Image
 from runs import simulated, sine_run, two_joints
 
-from sero_mj.assemble.scene import Scene
+from sero_mj.base.errors import CsvError, UsageError
 from sero_mj.cli import main
-from sero_mj.errors import CsvError, UsageError
-from sero_mj.runs.run_csv import write_run_csv
-from sero_mj.runs.run_log import RunLog
-from sero_mj.runs.run_recording import read_run_table
+from sero_mj.robots.assemble.scene import Scene
 from sero_mj.simulate.log_output import RunRecorder
+from sero_mj.simulate.runs.run_csv import write_run_csv
+from sero_mj.simulate.runs.run_log import RunLog
+from sero_mj.simulate.runs.run_recording import read_run_table
 
 
 @pytest.fixture(scope="module")

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from window_tools import MISSING, Driven, screen
 
-from sero_mj.decor.picture_view import PictureView
-from sero_mj.drive.mirror import Mirror
-from sero_mj.errors import DeclarationError, UsageError
+from sero_mj.base.errors import DeclarationError, UsageError
+from sero_mj.data.drive.mirror import Mirror
 from sero_mj.load import load_scene
-from sero_mj.runs.run_recording import read_run
-from sero_mj.show.clock import Clock
-from sero_mj.show.headless.render import HeadlessRenderer
-from sero_mj.show.pulling import Pulling, target_of
 from sero_mj.simulate.disturbances import Force
 from sero_mj.simulate.hand import LIMIT
+from sero_mj.simulate.runs.run_recording import read_run
 from sero_mj.simulate.save_pushes import save_pushes
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
+from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.session.clock import Clock
+from sero_mj.viewer.tools.pulling import Pulling, target_of
 
 _SIGNALS = ("actual_angles", "joint_angles", "torques", "external_torques", "commanded_torques")
 

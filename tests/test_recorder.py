@@ -18,11 +18,11 @@ import pytest
 from mcap.reader import make_reader
 from polling import until
 
-from sero_mj.errors import RecordingError, UnknownName
-from sero_mj.receive.intake import pad_packets
-from sero_mj.receive.structure import Structure
-from sero_mj.record.recorder import Recorder
-from sero_mj.record.recording import Recording
+from sero_mj.base.errors import RecordingError, UnknownName
+from sero_mj.data.receive.intake import pad_packets
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.record.recorder import Recorder
+from sero_mj.data.record.recording import Recording
 
 LAYOUT = Structure("2F1V")
 

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from recordings import DECLARED, EVENTS, begin, record
 
-from sero_mj.errors import UnknownName
-from sero_mj.receive.structure import Structure
-from sero_mj.record.recording import Recording
-from sero_mj.record.recording_format import RecordingClock
-from sero_mj.record.recording_writer import SHORT_ENDING, RecordingWriter
-from sero_mj.record.replay import Replay
+from sero_mj.base.errors import UnknownName
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.recording_format import RecordingClock
+from sero_mj.data.record.recording_writer import SHORT_ENDING, RecordingWriter
+from sero_mj.data.record.replay import Replay
 
 
 def test_what_goes_in_comes_out(tmp_path: Path) -> None:

@@ -18,9 +18,9 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from recordings import begin, numbered, record
 
-from sero_mj.errors import RecordingError, UnknownName
-from sero_mj.record.recording import Recording
-from sero_mj.record.recording_writer import RecordingWriter
+from sero_mj.base.errors import RecordingError, UnknownName
+from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.recording_writer import RecordingWriter
 
 
 def test_what_is_not_closed_is_a_whole_file_without_an_index(tmp_path: Path) -> None:
@@ -164,7 +164,7 @@ def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
 FILL = """
 import random, resource, sys
 from recordings import begin
-from sero_mj.errors import RecordingError
+from sero_mj.base.errors import RecordingError
 hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
 packets = [random.Random(i).randbytes(100) for i in range(1000)]
 for limit in map(int, sys.argv[3:]):

@@ -15,13 +15,13 @@ import pytest
 from polling import until
 
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, UdpReceiver
-from sero_mj.assemble.inputs import SOURCE_FIELDS
+from sero_mj.base.errors import DeclarationError, SourceError
 from sero_mj.cli import main
-from sero_mj.drive.record_sources import record_sources
-from sero_mj.errors import DeclarationError, SourceError
+from sero_mj.data.drive.record_sources import record_sources
+from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.replay import Replay
 from sero_mj.load import load_scene
-from sero_mj.record.recording import Recording
-from sero_mj.record.replay import Replay
+from sero_mj.robots.assemble.inputs import SOURCE_FIELDS
 
 STRUCTURE = "number:1H 7F1M 7f"
 ROUTES = {

@@ -10,11 +10,11 @@ import pytest
 from recordings import SCENE, moving, record
 
 from sero_mj import Mirror, Scene, SerialRobot
-from sero_mj.assemble.inputs import SOURCE_FIELDS
+from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
-from sero_mj.errors import DeclarationError
+from sero_mj.data.record.replay import Replay
 from sero_mj.load import load_scene
-from sero_mj.record.replay import Replay
+from sero_mj.robots.assemble.inputs import SOURCE_FIELDS
 
 PACKETS = moving(11)
 

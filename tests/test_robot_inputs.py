@@ -12,9 +12,9 @@ from foreign_models import arm
 
 import sero_mj
 from sero_mj import Double, Scene, SerialRobot, World
-from sero_mj.decor.quantities import joint_values
-from sero_mj.errors import UnknownName
-from sero_mj.show.robot_inputs import RobotInputs
+from sero_mj.base.errors import UnknownName
+from sero_mj.viewer.decor.quantities import joint_values
+from sero_mj.viewer.tools.robot_inputs import RobotInputs
 
 
 @dataclass

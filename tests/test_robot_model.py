@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from simulated import MOTORS, lwr_model, lwr_mujoco, lwr_robot
 
-from sero_mj.control.robot_model import RobotModel
+from sero_mj.simulate.control.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 MODEL = lwr_model()

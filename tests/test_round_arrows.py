@@ -8,21 +8,21 @@ from decor_tools import GEOM, drawn, labels, of_kind, toggles_of, view_at, world
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.shapes import housing_radii
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import CAPACITY, MAX_GEOMS, Kind
-from sero_mj.decor.ribbons import ribbon_shape
-from sero_mj.decor.round_arrows import (
+from sero_mj.data.drive.place import follow
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.shapes import housing_radii
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.pen import CAPACITY, MAX_GEOMS, Kind
+from sero_mj.viewer.decor.ribbons import ribbon_shape
+from sero_mj.viewer.decor.round_arrows import (
     NEGATIVE_RGBA,
     POSITIVE_RGBA,
     TURNING_SPEED,
     WIDEST,
     arrow_widths,
 )
-from sero_mj.drive.place import follow
 
 BAND = np.array([0.002])  # the default dead band
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])

@@ -11,19 +11,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.assemble.inputs import OWNER_TOGGLES, list_inputs
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.robot_parts import VALUE_INPUTS
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.drive.mirror import Mirror
-from sero_mj.drive.place import Router
-from sero_mj.drive.wiring import wire
-from sero_mj.errors import DeclarationError
+from sero_mj.base.errors import DeclarationError
+from sero_mj.base.plugins import SOURCES, plugins
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.drive.place import Router
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.receive.source import make_source
+from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.load import load_scene
-from sero_mj.plugins import SOURCES, plugins
-from sero_mj.receive.source import make_source
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.robots.assemble.inputs import OWNER_TOGGLES, list_inputs
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.robot_parts import VALUE_INPUTS
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
 
 KINDS = [*plugins(SOURCES)]
 LISTED = ", ".join(sorted(KINDS))

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from route_scenes import messages, scene_of
 
-from sero_mj.assemble.inputs import list_inputs
-from sero_mj.drive.wiring import wire
+from sero_mj.data.drive.wiring import wire
+from sero_mj.robots.assemble.inputs import list_inputs
 
 
 @pytest.mark.parametrize(

@@ -10,19 +10,19 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from runs import HOME, in_old_words, record_packets, record_run, simulated
 
-from sero_mj.assemble.scene_file import read_scene_file
+from sero_mj.base.errors import CsvError, RecordingError, UsageError
 from sero_mj.cli import main
 from sero_mj.cli._arguments import replay_instead
-from sero_mj.drive.mirror import Mirror
-from sero_mj.errors import CsvError, RecordingError, UsageError
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.recording_writer import FLUSH_AFTER
 from sero_mj.load import load_scene
-from sero_mj.record.recording import Recording
-from sero_mj.record.recording_writer import FLUSH_AFTER
-from sero_mj.runs._recorded_signals import spread_bunches
-from sero_mj.runs.run_csv import write_run_csv
-from sero_mj.runs.run_log import event_of
-from sero_mj.runs.run_recording import read_run, read_run_table
+from sero_mj.robots.assemble.scene_file import read_scene_file
 from sero_mj.simulate.log_output import RunRecorder
+from sero_mj.simulate.runs._recorded_signals import spread_bunches
+from sero_mj.simulate.runs.run_csv import write_run_csv
+from sero_mj.simulate.runs.run_log import event_of
+from sero_mj.simulate.runs.run_recording import read_run, read_run_table
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulated_scene import SOURCE, simulated_scene
 from sero_mj.simulate.simulation import Simulation

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sero_mj.receive.intake import Intake
-from sero_mj.receive.structure import Structure
+from sero_mj.data.receive.intake import Intake
+from sero_mj.data.receive.structure import Structure
 
 LAYOUT = Structure("n:1I t:1d")
 EVERY = 0.005  # s

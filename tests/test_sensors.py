@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.errors import DeclarationError, UnknownName
+from sero_mj.base.errors import DeclarationError, UnknownName
 from sero_mj.simulate.sensors import SensorErrors, Sensors
 
 RAMP = np.arange(200.0)[:, None, None] * np.ones((3, 4)) + np.arange(4)

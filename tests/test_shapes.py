@@ -12,15 +12,15 @@ from conftest import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from sero_mj import paths
-from sero_mj.assemble.dh import DhTable
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.scene_file import read_scene_file
-from sero_mj.assemble.shapes import generate_shapes
-from sero_mj.assemble.surroundings import Object
-from sero_mj.assemble.world import World
-from sero_mj.errors import DeclarationError
+from sero_mj.base import paths
+from sero_mj.base.errors import DeclarationError
+from sero_mj.robots.assemble.dh import DhTable
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.scene_file import read_scene_file
+from sero_mj.robots.assemble.shapes import generate_shapes
+from sero_mj.robots.assemble.surroundings import Object
+from sero_mj.robots.assemble.world import World
 
 ANGLES = st.sampled_from([0.0, pi / 2, -pi / 2, pi]) | st.floats(-pi, pi)
 # From a watch to a crane; shorter steps than 1 um are not drawn, so none are asked for here.

@@ -12,14 +12,15 @@ import pytest
 from foreign_models import arm
 
 import sero_mj
-from sero_mj import Double, Object, Scene, SerialRobot, SmartArrow, UdpReceiver, World, errors
-from sero_mj.decor.quantities import joint_values
-from sero_mj.drive.mirror import Mirror
-from sero_mj.errors import SeroError
-from sero_mj.foreign.model_world import ModelWorld
+from sero_mj import Double, Object, Scene, SerialRobot, SmartArrow, UdpReceiver, World
+from sero_mj.base import errors
+from sero_mj.base.errors import SeroError
+from sero_mj.data.drive.mirror import Mirror
 from sero_mj.load import load_scene
-from sero_mj.show.viewer_memory import OverlayMemory, SceneMemory, SharedArrays
-from sero_mj.show.viewer_process import _pickled
+from sero_mj.robots.external.model_world import ModelWorld
+from sero_mj.viewer.decor.quantities import joint_values
+from sero_mj.viewer.session.viewer_memory import OverlayMemory, SceneMemory, SharedArrays
+from sero_mj.viewer.session.viewer_process import _pickled
 
 
 def test_an_array_is_read_once_and_whole_or_not_at_all() -> None:

@@ -16,14 +16,14 @@ import pytest
 from polling import until
 from shm_tools import block, make, needs_posix, remove
 
-from sero_mj.drive.record_sources import record_sources
-from sero_mj.receive import shm, shm_block
-from sero_mj.receive.report import describe, report
-from sero_mj.receive.shm import ShmReader
-from sero_mj.receive.shm_block import Block
-from sero_mj.receive.structure import Structure
-from sero_mj.record.replay import Replay
-from sero_mj.send.sender import ShmWriter
+from sero_mj.data.drive.record_sources import record_sources
+from sero_mj.data.receive import shm, shm_block
+from sero_mj.data.receive.report import describe, report
+from sero_mj.data.receive.shm import ShmReader
+from sero_mj.data.receive.shm_block import Block
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.record.replay import Replay
+from sero_mj.data.send.sender import ShmWriter
 
 __all__ = ["block"]  # a fixture
 pytestmark = needs_posix
@@ -190,7 +190,7 @@ def test_the_same_bytes_are_no_new_packet_so_it_goes_stale(
         assert until(lambda: shown(reader) == [1.5])
         assert reader.receiving
         made.write(struct.pack("<d", 1.5))
-        monkeypatch.setattr("sero_mj.receive.source.QUIET_AFTER", 0.0)
+        monkeypatch.setattr("sero_mj.data.receive.source.QUIET_AFTER", 0.0)
         assert not reader.receiving and reader.receive_trigger == 1
         made.write(bytes(8))  # 0 is a value, unless the block is new
         assert until(lambda: shown(reader) == [0.0])

@@ -11,14 +11,14 @@ import pytest
 from pydantic import ValidationError
 from shm_tools import block, needs_posix
 
+from sero_mj.base.errors import DeclarationError, SourceError
 from sero_mj.cli import main
-from sero_mj.errors import DeclarationError, SourceError
-from sero_mj.receive import shm, shm_block
-from sero_mj.receive.shm import ShmReader
-from sero_mj.receive.shm_block import block_path
-from sero_mj.receive.source import make_source
-from sero_mj.receive.structure import Structure
-from sero_mj.send.sender import ShmWriter
+from sero_mj.data.receive import shm, shm_block
+from sero_mj.data.receive.shm import ShmReader
+from sero_mj.data.receive.shm_block import block_path
+from sero_mj.data.receive.source import make_source
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.send.sender import ShmWriter
 
 __all__ = ["block"]  # a fixture
 pytestmark = needs_posix

@@ -18,15 +18,15 @@ from conftest import ROOT, examples
 from polling import until
 from shm_tools import block, compile_c, make, needs_posix, remove, unlink
 
-from sero_mj.decor.staleness import Staleness
-from sero_mj.drive.mirror import Mirror
-from sero_mj.errors import SourceError
+from sero_mj.base.errors import SourceError
+from sero_mj.base.paths import find_scene
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.receive.shm import ShmReader
+from sero_mj.data.receive.shm_block import Block
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.send.sender import ShmWriter
 from sero_mj.load import load_scene
-from sero_mj.paths import find_scene
-from sero_mj.receive.shm import ShmReader
-from sero_mj.receive.shm_block import Block
-from sero_mj.receive.structure import Structure
-from sero_mj.send.sender import ShmWriter
+from sero_mj.viewer.decor.staleness import Staleness
 
 __all__ = ["block"]  # a fixture
 pytestmark = needs_posix

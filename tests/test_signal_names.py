@@ -13,9 +13,9 @@ from mcap.reader import make_reader
 
 from sero_mj import Group, Scene, SerialRobot, SmartArrow, UdpReceiver
 from sero_mj.cli import main
-from sero_mj.drive.record_sources import RoutedSignals, joint_names, record_sources
-from sero_mj.drive.wiring import wire
-from sero_mj.record.recording import Recording
+from sero_mj.data.drive.record_sources import RoutedSignals, joint_names, record_sources
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.record.recording import Recording
 
 STRUCTURE = "2F2F1V1F"
 TWO = {

@@ -18,9 +18,9 @@ from polling import until
 
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot
 from sero_mj.cli import main
-from sero_mj.record.recording import Recording
-from sero_mj.runs.run_source import RunSource
+from sero_mj.data.record.recording import Recording
 from sero_mj.simulate.log_output import RunRecorder
+from sero_mj.simulate.runs.run_source import RunSource
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulated_scene import SOURCE, with_routes
 from sero_mj.simulate.simulation import Simulation

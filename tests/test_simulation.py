@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from test_scenarios import HOME, lwr, ran, scenario
 
-from sero_mj.assemble.surroundings import Object
-from sero_mj.errors import SimulationError
-from sero_mj.runs.run_log import MEASURED, event_of
+from sero_mj.base.errors import SimulationError
+from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.simulate.disturbances import DeadSensor
+from sero_mj.simulate.runs.run_log import MEASURED, event_of
 from sero_mj.simulate.simulation import Simulation
 
 PUSH = {"kind": "force", "at": "lwr/flange", "force": [5.0, 10.0, -40.0]}

@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from sero_mj.decor.singularity import FAR, inverse_condition, jacobian, towards_singularity
-from sero_mj.drive.place import follow
+from sero_mj.data.drive.place import follow
+from sero_mj.viewer.decor.singularity import FAR, inverse_condition, jacobian, towards_singularity
 
 
 def condition_at(world, data, q) -> tuple[float, np.ndarray]:

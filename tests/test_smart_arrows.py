@@ -9,16 +9,16 @@ from decor_tools import GEOM, belonging, of_kind, rigid, toggles_of, turned, vie
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import Kind, Pen
-from sero_mj.decor.round_arrows import ARROW_GEOMS
-from sero_mj.decor.smart_arrows import frames_along
-from sero_mj.drive.place import Placer
+from sero_mj.data.drive.place import Placer
+from sero_mj.robots.assemble.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.pen import Kind, Pen
+from sero_mj.viewer.decor.round_arrows import ARROW_GEOMS
+from sero_mj.viewer.decor.smart_arrows import frames_along
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 TARGET = np.array([-0.4, 0.9, 0.1, -1.1, 0.6, 0.5, -0.3])

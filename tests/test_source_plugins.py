@@ -14,11 +14,11 @@ from polling import until
 from pydantic import PrivateAttr
 
 from sero_mj import Mirror, Recording, Replay, Scene, SerialRobot, load_scene, record_sources
+from sero_mj.base.errors import DeclarationError, SourceError
+from sero_mj.base.plugins import SOURCES, plugins
 from sero_mj.cli import main
-from sero_mj.errors import DeclarationError, SourceError
-from sero_mj.plugins import SOURCES, plugins
-from sero_mj.receive.source import Source
-from sero_mj.show.clock import Clock
+from sero_mj.data.receive.source import Source
+from sero_mj.viewer.session.clock import Clock
 
 EXAMPLE = Path(__file__).parent / "plugins" / "json_lines.py"
 ENTRY_POINTS = """\
@@ -160,7 +160,7 @@ def test_kinds_of_other_packages_are_listed(capsys: pytest.CaptureFixture[str]) 
     assert ended.value.code == 0
     out = capsys.readouterr().out
     assert "  json_lines         json_lines_example:JsonLines, of json-lines-example\n" in out
-    assert "  udp                sero_mj.receive.udp:UdpReceiver\n" in out  # ours stays
+    assert "  udp                sero_mj.data.receive.udp:UdpReceiver\n" in out  # ours stays
 
 
 @pytest.mark.usefixtures("installed")

@@ -22,7 +22,7 @@ import sero_mj  # noqa: F401  registers the environments
 
 IS_INSTALLED = find_spec("stable_baselines3") is not None
 OPTIONS: dict[str, Any] = {"time_limit": 0.1, "action": "impedance"}
-NAME, ADAPTER = "sero_mj/lwr-reach-v0", "sero_mj.environment.stable_baselines"
+NAME, ADAPTER = "sero_mj/lwr-reach-v0", "sero_mj.study.learning.stable_baselines"
 
 
 class StandIn(ABC):

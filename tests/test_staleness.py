@@ -6,18 +6,18 @@ import pytest
 from decor_tools import belonging, labels, of_kind, rectangle, texts_in, toggles_of, view_at
 from source_slots import set_source
 
-from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.surroundings import Object
-from sero_mj.assemble.world import World
-from sero_mj.decor.axes import AXIS_RGB
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import GREY, Kind
-from sero_mj.decor.scene_writer import SceneWriter
-from sero_mj.drive.place import Placer
-from sero_mj.show.headless.render import HeadlessRenderer
+from sero_mj.data.drive.place import Placer
+from sero_mj.robots.assemble.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.surroundings import Object
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.axes import AXIS_RGB
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.pen import GREY, Kind
+from sero_mj.viewer.decor.scene_writer import SceneWriter
+from sero_mj.viewer.headless.render import HeadlessRenderer
 
 GEOM = mujoco.mjtGeom
 

@@ -17,14 +17,14 @@ from hypothesis import strategies as st
 from PIL import Image
 from recordings import DECLARED, EVENTS, moving
 
-from sero_mj import paths
+from sero_mj.base import paths
+from sero_mj.base.errors import SeroError, UsageError
 from sero_mj.cli._opening import is_temporary, view_of_file
-from sero_mj.errors import SeroError, UsageError
+from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.load import load_scene
-from sero_mj.record.recording_writer import RecordingWriter
-from sero_mj.show import recent_views as recent
-from sero_mj.show.recent_views import MOST, RecentView, recent_views, remember_view
-from sero_mj.show.start_page import Awaited, Listening, sections
+from sero_mj.viewer.session import recent_views as recent
+from sero_mj.viewer.session.recent_views import MOST, RecentView, recent_views, remember_view
+from sero_mj.viewer.session.start_page import Awaited, Listening, sections
 
 ARM = """
 [robots.two]
@@ -226,7 +226,7 @@ def test_files_are_told_apart(tmp_path: Path) -> None:
     assert not is_temporary(view)
 
 
-uploads = pytest.importorskip("sero_mj.show.web.uploads", reason="MuJoCo without Studio")
+uploads = pytest.importorskip("sero_mj.viewer.web.uploads", reason="MuJoCo without Studio")
 
 
 @pytest.mark.parametrize(

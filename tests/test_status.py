@@ -14,20 +14,20 @@ from decor_tools import GEOM, belonging, labels, of_kind, rectangle, view_at
 from polling import until
 from source_slots import set_source
 
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.decor.cards import move_below
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.font import line_height
-from sero_mj.decor.panels import Panels
-from sero_mj.decor.pen import Kind
-from sero_mj.decor.status import FAULT_RGBA, Status
-from sero_mj.decor.toggles import Toggles
-from sero_mj.drive.mirror import Mirror
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.receive.structure import Structure
 from sero_mj.load import load_scene
-from sero_mj.receive.structure import Structure
-from sero_mj.show.typesetting import Typesetter
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.cards import move_below
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.font import line_height
+from sero_mj.viewer.decor.panels import Panels
+from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.status import FAULT_RGBA, Status
+from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.typesetting import Typesetter
 
 
 def udp_scene(**udp: Any) -> Scene:

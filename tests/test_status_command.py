@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from sero_mj.cli import main
-from sero_mj.receive.report import describe, report
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.data.receive.report import describe, report
+from sero_mj.data.receive.udp import UdpReceiver
 
 SCENE = """
 [robots.arm]

@@ -40,7 +40,7 @@ def test_a_dragged_handle_moves_the_target_and_the_robot_follows(
         window.until("w.toggles.handles is not None and w.clock.time > 0.2")
         # The arrow along the flange's z, which points down.
         window.ask("globals().update(start=w.toggles.handles.pose.copy())")
-        unit = "__import__('sero_mj.decor.handles', fromlist=['x']).handle_length"
+        unit = "__import__('sero_mj.viewer.decor.handles', fromlist=['x']).handle_length"
         tip = f"start[:3, 3] + 5.5 * {unit}(start[:3, 3], w.decor.view) * start[:3, 2]"
         x, y = pixel(window, tip)
         camera = "[w.navigator.camera.azimuth, w.navigator.camera.elevation]"
@@ -97,7 +97,7 @@ def test_the_button_simulates_what_is_shown_from_where_it_is(display: str, tmp_p
 import sys
 import numpy as np
 from sero_mj.cli import main
-from sero_mj.show.window import host
+from sero_mj.viewer.window import host
 shown = []
 frame = host.Window.frame
 def framed(window, **options):

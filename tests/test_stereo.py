@@ -11,10 +11,10 @@ from PIL import Image
 from window_tools import MISSING, SIZE, Driven, screen
 
 from sero_mj import HeadlessRenderer, Scene, SerialRobot, World, render_film, render_picture
+from sero_mj.base.errors import RenderError
+from sero_mj.base.frames import Array
 from sero_mj.cli import main
-from sero_mj.errors import RenderError
-from sero_mj.frames import Array
-from sero_mj.show.stereo import anaglyph, each_eye, looked_at
+from sero_mj.viewer.stereo import anaglyph, each_eye, looked_at
 
 WIDTH, HEIGHT, EYES = 640, 400, 0.1
 VALUES = {

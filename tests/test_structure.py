@@ -17,9 +17,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from polling import until
 
-from sero_mj.errors import SeroError, StructureError
-from sero_mj.receive.structure import Structure
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.base.errors import SeroError, StructureError
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.receive.udp import UdpReceiver
 
 MAX_BYTES = 65_507  # of UDP over IPv4: 65,535 less 20 bytes of IP and 8 of UDP header
 SPACES = "".join(c for c in map(chr, range(0x3001)) if c.isspace())

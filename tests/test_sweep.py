@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from sero_mj.base.errors import CsvError, DeclarationError, UsageError
+from sero_mj.base.paths import find_scenario
 from sero_mj.cli import main
-from sero_mj.errors import CsvError, DeclarationError, UsageError
-from sero_mj.paths import find_scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.study.sweep import Sweep, Vary, full_grid, latin_hypercube

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from decor_tools import view_at
 
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.toggles import Toggles
-from sero_mj.drive.mirror import Mirror
-from sero_mj.drive.wiring import wire
+from sero_mj.base.paths import find_scene, list_scenes
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.drive.wiring import wire
 from sero_mj.load import load_scene
-from sero_mj.paths import find_scene, list_scenes
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.toggles import Toggles
 
 # Of the haptic device's user, half axes of an ellipsoid, m.
 CHEST, CHEST_SIZE = np.array([0.0, 0.0, 1.02]), np.array([0.12, 0.19, 0.27])

@@ -10,10 +10,10 @@ import pytest
 from mujoco.studio import messages, sim
 
 from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver
-from sero_mj.decor.staleness import NO_DATA_YET, Staleness
 from sero_mj.load import load_scene
-from sero_mj.show.clock import Clock
-from sero_mj.show.web.studio_controls import TimeControl
+from sero_mj.viewer.decor.staleness import NO_DATA_YET, Staleness
+from sero_mj.viewer.session.clock import Clock
+from sero_mj.viewer.web.studio_controls import TimeControl
 
 
 class Handle:

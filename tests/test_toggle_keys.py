@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sero_mj import Double, Scene, SerialRobot, World
-from sero_mj.decor.toggles import Toggles
-from sero_mj.show.interaction import KEYS, press_toggle
+from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.session.interaction import KEYS, press_toggle
 
 
 @pytest.fixture(scope="module")

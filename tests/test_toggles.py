@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from decor_tools import belonging, labels, rectangle, toggles_of, view_at
 
-from sero_mj.assemble.cartesian import ReceivedFrame, SmartArrow
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene, SceneToggles
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import Kind
-from sero_mj.decor.toggles import Toggles
-from sero_mj.drive.place import Placer
-from sero_mj.show.headless.render import HeadlessRenderer
-from sero_mj.show.interaction import (
+from sero_mj.data.drive.place import Placer
+from sero_mj.robots.assemble.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene, SceneToggles
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.session.interaction import (
     CLICKS,
     DOUBLE_CLICK_TIME,
     KEYS,
@@ -27,7 +27,7 @@ from sero_mj.show.interaction import (
     click,
     hover,
 )
-from sero_mj.show.picking import Picked, pick
+from sero_mj.viewer.session.picking import Picked, pick
 
 Q = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 HERE = (100.0, 100.0)

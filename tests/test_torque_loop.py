@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from sero_mj import Plant, Scenario, Scene, SerialRobot, Simulation, World
-from sero_mj.assemble.dynamics import TorqueControl
-from sero_mj.assemble.robot_dynamics import robot_dynamics
-from sero_mj.control.torque_loop import LoopGains, TorqueLoop
-from sero_mj.errors import DeclarationError, SimulationError
+from sero_mj.base.errors import DeclarationError, SimulationError
+from sero_mj.robots.assemble.dynamics import TorqueControl
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
+from sero_mj.simulate.control.torque_loop import LoopGains, TorqueLoop
 from sero_mj.simulate.drives import Drives
 from sero_mj.simulate.scenario import Run
 

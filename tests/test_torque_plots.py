@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from source_slots import set_source
 
 from sero_mj import World
-from sero_mj.drive.wiring import wire
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.receive.source import Packets
 from sero_mj.load import load_scene
-from sero_mj.receive.source import Packets
-from sero_mj.show.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
-from sero_mj.show.web.torque_plots import decimate
-from sero_mj.show.window.plots import TorquePlot, y_range
+from sero_mj.viewer.tools.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
+from sero_mj.viewer.web.torque_plots import decimate
+from sero_mj.viewer.window.plots import TorquePlot, y_range
 
 
 @pytest.fixture(scope="module")

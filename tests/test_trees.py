@@ -12,17 +12,17 @@ from humanoid import humanoid
 from test_joint_tree import tree_robot, values_of
 
 from sero_mj import Plant, Scene, SerialRobot, World
-from sero_mj.assemble.double import Double
-from sero_mj.assemble.mounts import base_frames, unmounted
-from sero_mj.assemble.robot_dynamics import RobotDynamics, robot_dynamics
-from sero_mj.control.robot_model import RobotModel
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import MAX_GEOMS, Kind
-from sero_mj.decor.singularity import jacobian, towards_singularity
-from sero_mj.drive.place import Placer
-from sero_mj.frames import frame, rotation_from_rpy
+from sero_mj.base.frames import frame, rotation_from_rpy
+from sero_mj.data.drive.place import Placer
+from sero_mj.robots.assemble.double import Double
+from sero_mj.robots.assemble.mounts import base_frames, unmounted
+from sero_mj.robots.assemble.robot_dynamics import RobotDynamics, robot_dynamics
+from sero_mj.simulate.control.robot_model import RobotModel
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.pen import MAX_GEOMS, Kind
+from sero_mj.viewer.decor.singularity import jacobian, towards_singularity
 
 G = np.array([0.0, 0.0, -9.81])
 STILL = ("viscous_friction", "coulomb_friction")

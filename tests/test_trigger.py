@@ -15,17 +15,17 @@ import pytest
 from polling import until
 
 from sero_mj import Scene, SerialRobot, UdpReceiver
+from sero_mj.base.errors import RouteError
+from sero_mj.base.frames import Array
 from sero_mj.cli import main
-from sero_mj.drive.record_sources import record_events, record_last, record_sources
-from sero_mj.drive.trigger import Trigger
-from sero_mj.drive.wiring import wire
-from sero_mj.errors import RouteError
-from sero_mj.frames import Array
-from sero_mj.receive.intake import pad_packets
-from sero_mj.receive.structure import Structure
-from sero_mj.record.recording import Recording
-from sero_mj.record.triggered_recorder import TriggeredRecorder
-from sero_mj.runs.run_recording import read_run
+from sero_mj.data.drive.record_sources import record_events, record_last, record_sources
+from sero_mj.data.drive.trigger import Trigger
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.receive.intake import pad_packets
+from sero_mj.data.receive.structure import Structure
+from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.triggered_recorder import TriggeredRecorder
+from sero_mj.simulate.runs.run_recording import read_run
 
 LAYOUT = Structure("7F7F7F")
 ROUTES = {

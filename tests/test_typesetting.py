@@ -7,9 +7,9 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from sero_mj.decor.panels import Panels
-from sero_mj.decor.value_columns import value_columns
-from sero_mj.show.typesetting import Placed, Text, Typesetter, compose
+from sero_mj.viewer.decor.panels import Panels
+from sero_mj.viewer.decor.value_columns import value_columns
+from sero_mj.viewer.typesetting import Placed, Text, Typesetter, compose
 
 BLACK = (0.0, 0.0, 0.0, 1.0)
 VALUES = [b"A2  cmd   -12.5 Nm", b"    pos   3.0625 rad", b"    limit no data"]
@@ -106,6 +106,6 @@ def test_what_is_not_ascii_is_a_question_mark(setter) -> None:
 
 
 def test_the_licence_is_beside_the_typeface() -> None:
-    folder = resources.files("sero_mj.show") / "fonts"
+    folder = resources.files("sero_mj.viewer") / "fonts"
     assert "SIL Open Font License" in (folder / "OFL.txt").read_text()
     assert sum((folder / f"Inter-{w}.ttf").stat().st_size for w in ("Medium", "SemiBold")) < 3e5

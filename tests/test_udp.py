@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 from polling import until
 
-from sero_mj.errors import SeroError, SourceError
-from sero_mj.receive.intake import Counters, Intake
-from sero_mj.receive.source import Packet
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.base.errors import SeroError, SourceError
+from sero_mj.data.receive.intake import Counters, Intake
+from sero_mj.data.receive.source import Packet
+from sero_mj.data.receive.udp import UdpReceiver
 
 LINUX = sys.platform == "linux"
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from polling import until
 
-from sero_mj.errors import DeclarationError
-from sero_mj.receive import source as source_module
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.base.errors import DeclarationError
+from sero_mj.data.receive import source as source_module
+from sero_mj.data.receive.udp import UdpReceiver
 
 LINUX = sys.platform == "linux"
 NUMBERED = "number:1H 1F"

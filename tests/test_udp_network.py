@@ -11,12 +11,12 @@ from contextlib import ExitStack
 import pytest
 from polling import until
 
+from sero_mj.base.errors import DeclarationError, SourceError
 from sero_mj.cli import main
-from sero_mj.errors import DeclarationError, SourceError
-from sero_mj.receive import _udp_socket
-from sero_mj.receive._udp_socket import Datagrams, pack_address, unpack_address
-from sero_mj.receive.sniffer import Sniffer
-from sero_mj.receive.udp import UdpReceiver
+from sero_mj.data.receive import _udp_socket
+from sero_mj.data.receive._udp_socket import Datagrams, pack_address, unpack_address
+from sero_mj.data.receive.sniffer import Sniffer
+from sero_mj.data.receive.udp import UdpReceiver
 
 GROUP, GROUP6 = "239.255.73.1", "ff02::7357"
 

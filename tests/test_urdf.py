@@ -15,11 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sero_mj import DhTable, World, load_scene
-from sero_mj.assemble.robot_dynamics import robot_dynamics
-from sero_mj.describe.described import Described
-from sero_mj.describe.urdf import UrdfFile, read_urdf
-from sero_mj.errors import DeclarationError
-from sero_mj.frames import Array, frame, rotation_about, rotation_from_rpy
+from sero_mj.base.errors import DeclarationError
+from sero_mj.base.frames import Array, frame, rotation_about, rotation_from_rpy
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
+from sero_mj.robots.importers.described import Described
+from sero_mj.robots.importers.urdf import UrdfFile, read_urdf
 
 # A gripper on an arm: axes along and across, a fixed sensor with a mass, a mimic finger, odd names,
 # a prismatic joint, a continuous one, materials global and local.

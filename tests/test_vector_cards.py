@@ -20,14 +20,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from source_slots import set_source
 
-from sero_mj.assemble.cartesian import SmartArrow
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Scene
-from sero_mj.assemble.world import World
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.pen import Kind
-from sero_mj.drive.place import Placer
-from sero_mj.frames import nice
+from sero_mj.base.frames import nice
+from sero_mj.data.drive.place import Placer
+from sero_mj.robots.assemble.cartesian import SmartArrow
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.pen import Kind
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 VECTOR = [3.0, -4.0, 12.0]  # 13 long

@@ -12,19 +12,19 @@ from photos import camera, lwr
 from scipy.ndimage import gaussian_filter1d
 
 from sero_mj import Scene, UdpReceiver, World
+from sero_mj.base.errors import UsageError
+from sero_mj.base.frames import Array
 from sero_mj.cli import main
-from sero_mj.drive.record_sources import record_sources
-from sero_mj.drive.wiring import wire
-from sero_mj.errors import UsageError
-from sero_mj.frames import Array
-from sero_mj.receive.intake import pad_packets
-from sero_mj.receive.structure import Structure
-from sero_mj.show.camera_file import write_camera
-from sero_mj.show.footage import Video
-from sero_mj.show.headless.film import FilmWriter
-from sero_mj.show.headless.render import make_renderer
-from sero_mj.show.photo_camera import PhotoCamera, PlanePicture
-from sero_mj.show.video_offset import correlate, match
+from sero_mj.data.drive.record_sources import record_sources
+from sero_mj.data.drive.wiring import wire
+from sero_mj.data.receive.intake import pad_packets
+from sero_mj.data.receive.structure import Structure
+from sero_mj.viewer.headless.film import FilmWriter
+from sero_mj.viewer.headless.render import make_renderer
+from sero_mj.viewer.photo.camera_file import write_camera
+from sero_mj.viewer.photo.footage import Video
+from sero_mj.viewer.photo.photo_camera import PhotoCamera, PlanePicture
+from sero_mj.viewer.photo.video_offset import correlate, match
 
 FPS, RATE, SECONDS = 25.0, 100.0, 20.0
 LAYOUT = Structure("7F")

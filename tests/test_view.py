@@ -7,7 +7,7 @@ from decor_tools import view_at
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.decor.picture_view import PictureView
+from sero_mj.viewer.decor.picture_view import PictureView
 
 
 @given(

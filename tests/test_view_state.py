@@ -20,16 +20,15 @@ from PIL import Image
 from window_tools import MISSING, Driven, screen
 
 from sero_mj import World
+from sero_mj.base.errors import SeroError, UnknownName, UsageError
 from sero_mj.cli import view
-from sero_mj.decor.draw import Decor
-from sero_mj.decor.handles import SEGMENTS
-from sero_mj.decor.toggles import Toggles
-from sero_mj.errors import SeroError, UnknownName, UsageError
 from sero_mj.load import load_scene
-from sero_mj.show.camera import find_camera
-from sero_mj.show.kept_views import file_of, find_view, keep_view
-from sero_mj.show.undo import Undo
-from sero_mj.show.view_state import (
+from sero_mj.viewer.camera import find_camera
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.handles import SEGMENTS
+from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.session.kept_views import file_of, find_view, keep_view
+from sero_mj.viewer.session.view_state import (
     SWITCH_NAMES,
     Seen,
     ViewState,
@@ -39,6 +38,7 @@ from sero_mj.show.view_state import (
     rounded_camera,
     switches_text,
 )
+from sero_mj.viewer.tools.undo import Undo
 
 SET = ("lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0", "lwr.torques=20,60,-30,40,-9,5,3")
 
@@ -283,10 +283,10 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
     window.key("ctrl+y")
     window.until("w.toggles.arrows.all()")
     before = window.ask("[w.view_state().to_text(), w.layout]")
-    window.ask("sys.modules.__setitem__('sero_mj.show.window.panel_layer', None)")
+    window.ask("sys.modules.__setitem__('sero_mj.viewer.window.panel_layer', None)")
     window.key("Tab")
-    assert window.ask("w.notice.text").startswith("no panel: import of sero_mj.show.window.panel")
-    window.ask("sys.modules.pop('sero_mj.show.window.panel_layer')")
+    assert window.ask("w.notice.text").startswith("no panel: import of sero_mj.viewer.window.panel")
+    window.ask("sys.modules.pop('sero_mj.viewer.window.panel_layer')")
     window.ask("w.toggle_panel() or w.toggle_plot()")
     window.ask("w.keep_view()")
     window.ask("w.toggles.reset() or w.choose_camera(0) and w.toggle_panel() or w.toggle_plot()")

@@ -14,8 +14,8 @@ import pytest
 
 import sero_mj
 from sero_mj import Scene, SerialRobot
-from sero_mj.errors import SeroError, UsageError
-from sero_mj.show.viewer import Viewer, _to_show
+from sero_mj.base.errors import SeroError, UsageError
+from sero_mj.viewer.session.viewer import Viewer, _to_show
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from window_tools import screen
 
 import sero_mj
 from sero_mj import Scene, SerialRobot, Viewer
-from sero_mj.errors import RenderError, UnknownName, UsageError
+from sero_mj.base.errors import RenderError, UnknownName, UsageError
 
 pytestmark = pytest.mark.gl
 

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.describe.vrml import parse_document, read_document
-from sero_mj.describe.vrml_nodes import Node, Value, instance, read_field, walk
-from sero_mj.describe.wrl import read_wrl
-from sero_mj.describe.x3d import read_x3d
-from sero_mj.errors import DeclarationError
+from sero_mj.base.errors import DeclarationError
+from sero_mj.robots.importers.vrml import parse_document, read_document
+from sero_mj.robots.importers.vrml_nodes import Node, Value, instance, read_field, walk
+from sero_mj.robots.importers.wrl import read_wrl
+from sero_mj.robots.importers.x3d import read_x3d
 
 FIG7 = Path(__file__).parent / "fig7.x3d"
 HERE = Path("scene.x3d")

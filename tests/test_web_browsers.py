@@ -11,9 +11,9 @@ from websockets.sync.client import ClientConnection, connect
 
 from sero_mj import Mirror
 from sero_mj.load import load_scene
-from sero_mj.show.web import browsers as browsers_module
-from sero_mj.show.web.browsers import Browsers
-from sero_mj.show.web.host import WebHost
+from sero_mj.viewer.web import browsers as browsers_module
+from sero_mj.viewer.web.browsers import Browsers
+from sero_mj.viewer.web.host import WebHost
 
 # Studio's server ends without closing the connection of its user interface.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")

@@ -18,10 +18,10 @@ from websockets.sync.client import connect
 
 from sero_mj import Mirror
 from sero_mj.load import load_scene
-from sero_mj.show.web import browsers
-from sero_mj.show.web.compression import CompressedResponses
-from sero_mj.show.web.host import WebHost
-from sero_mj.show.web.studio import find_files
+from sero_mj.viewer.web import browsers
+from sero_mj.viewer.web.compression import CompressedResponses
+from sero_mj.viewer.web.host import WebHost
+from sero_mj.viewer.web.studio import find_files
 
 # Studio's server ends without closing the connection of its user interface.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")

@@ -23,10 +23,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from sero_mj import Mirror
-from sero_mj.errors import RenderError
+from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
-from sero_mj.show.web.guard import is_loopback
-from sero_mj.show.web.host import WebHost
+from sero_mj.viewer.web.guard import is_loopback
+from sero_mj.viewer.web.host import WebHost
 
 # Studio's server ends without closing the connection of its user interface.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
@@ -273,7 +273,8 @@ def test_a_studio_that_cannot_be_guarded_serves_nothing(
         stop.wait()
 
     monkeypatch.setattr(web_server, "_run_server", other)
-    monkeypatch.setattr("sero_mj.show.web.guard.GuardedRun.wait.__defaults__", (0.1,), raising=True)
+    waits = "sero_mj.viewer.web.guard.GuardedRun.wait.__defaults__"
+    monkeypatch.setattr(waits, (0.1,), raising=True)
     with (
         Mirror(load_scene("lwr")) as mirror,
         pytest.raises(RenderError, match="requests of other sites could not be refused"),

@@ -23,11 +23,11 @@ from polling import until
 from websockets.sync.client import connect
 
 from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver
-from sero_mj.errors import RenderError
+from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
-from sero_mj.show.status_line import Mood
-from sero_mj.show.web.host import WebHost
-from sero_mj.show.web.studio_widgets import mood_rgb
+from sero_mj.viewer.session.status_line import Mood
+from sero_mj.viewer.web.host import WebHost
+from sero_mj.viewer.web.studio_widgets import mood_rgb
 
 # Studio's server ends without closing the connection of its user interface.
 pytestmark = [

@@ -14,18 +14,18 @@ import pytest
 from mujoco.studio.web import state_payload
 from websockets.exceptions import ConnectionClosedError
 
+from sero_mj.base.errors import RenderError, UsageError
 from sero_mj.cli import main
 from sero_mj.cli.view import wants_page
-from sero_mj.decor.font import DEFAULT_FONT, Font
-from sero_mj.decor.panels import labels_at
-from sero_mj.decor.pen import MAX_GEOMS
-from sero_mj.decor.picture_view import PictureView
-from sero_mj.errors import RenderError, UsageError
-from sero_mj.show.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER, help_columns
-from sero_mj.show.web import studio_controls
-from sero_mj.show.web.guard import Guard
-from sero_mj.show.web.host import check_address, page_url
-from sero_mj.show.web.studio import (
+from sero_mj.viewer.decor.font import DEFAULT_FONT, Font
+from sero_mj.viewer.decor.panels import labels_at
+from sero_mj.viewer.decor.pen import MAX_GEOMS
+from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.session.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER, help_columns
+from sero_mj.viewer.web import studio_controls
+from sero_mj.viewer.web.guard import Guard
+from sero_mj.viewer.web.host import check_address, page_url
+from sero_mj.viewer.web.studio import (
     _DISCONNECT_FILTER,
     ChangesOnlyServer,
     ThrottledUi,
@@ -100,8 +100,8 @@ def test_panels_stay_clear_of_what_the_host_covers() -> None:
 
 def test_labels_stand_where_the_host_takes_them_from() -> None:
     """A host that centres labels below their position shows the same lines."""
-    from sero_mj.decor.panels import Panels, draw_panels
-    from sero_mj.decor.pen import Pen
+    from sero_mj.viewer.decor.panels import Panels, draw_panels
+    from sero_mj.viewer.decor.pen import Pen
 
     def places(anchor: tuple[float, float]) -> tuple[np.ndarray, PictureView]:
         font = Font(DEFAULT_FONT.height, DEFAULT_FONT.widths, anchor)
@@ -133,7 +133,7 @@ def test_the_page_has_its_title_and_studios_files() -> None:
 
 def test_a_state_is_sent_once(monkeypatch: pytest.MonkeyPatch) -> None:
     now = [10.0]
-    monkeypatch.setattr("sero_mj.show.web.studio.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("sero_mj.viewer.web.studio.time.monotonic", lambda: now[0])
     with socket.socket() as one, socket.socket() as two:
         guard = Guard(b"", "127.0.0.1", "localhost", None)
         server = ChangesOnlyServer(guard, http_sock=one, tcp_sock=two)
@@ -167,8 +167,8 @@ def test_the_user_interface_has_half_the_frames(
     def sleep(seconds: float) -> None:
         now[0] += seconds
 
-    monkeypatch.setattr("sero_mj.show.web.studio.time.monotonic", lambda: now[0])
-    monkeypatch.setattr("sero_mj.show.web.studio.time.sleep", sleep)
+    monkeypatch.setattr("sero_mj.viewer.web.studio.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("sero_mj.viewer.web.studio.time.sleep", sleep)
     ui = FakeUi(is_ready=is_ready)
     calm = ThrottledUi(ui)
     begin = now[0]
@@ -205,19 +205,19 @@ def options(**given: Any) -> argparse.Namespace:
 
 
 def test_there_is_a_page_where_there_is_no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sero_mj.show.headless.backend.has_display", lambda: True)
+    monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: True)
     assert not wants_page(options())
     assert wants_page(options(web=True))
     assert wants_page(options(port=8081))
     assert wants_page(options(host="0.0.0.0"))
-    monkeypatch.setattr("sero_mj.show.headless.backend.has_display", lambda: False)
+    monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: False)
     assert wants_page(options())
 
 
 def test_it_says_why_it_is_a_page_once_there_is_a_scene(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("sero_mj.show.headless.backend.has_display", lambda: False)
+    monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: False)
     monkeypatch.setattr("sero_mj.cli.view.Session.show", lambda session, scene: None)
     for scene, said in (("lwr", True), ("lrw", False)):
         with pytest.raises(SystemExit):
@@ -241,7 +241,7 @@ def test_it_says_why_it_is_a_page_once_there_is_a_scene(
 def test_options_of_the_other_host_are_refused(
     monkeypatch: pytest.MonkeyPatch, given: dict[str, Any], expected: str
 ) -> None:
-    monkeypatch.setattr("sero_mj.show.headless.backend.has_display", lambda: False)
+    monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: False)
     with pytest.raises(UsageError, match=expected):
         wants_page(options(**given))
 

@@ -22,13 +22,14 @@ from web_tools import MISSING, Visitor
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from sero_mj import Mirror, load_scene, paths
-from sero_mj.assemble.scene import Scene
-from sero_mj.errors import DeclarationError, UsageError
-from sero_mj.show.recent_views import RecentView
-from sero_mj.show.start_page import Listening
-from sero_mj.show.web.host import WebHost
-from sero_mj.show.web.start_host import StartHost
+from sero_mj import Mirror, load_scene
+from sero_mj.base import paths
+from sero_mj.base.errors import DeclarationError, UsageError
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.viewer.session.recent_views import RecentView
+from sero_mj.viewer.session.start_page import Listening
+from sero_mj.viewer.web.host import WebHost
+from sero_mj.viewer.web.start_host import StartHost
 
 PATHS = ("/", "/sero-mj/tiles", "/sero-mj/pictures/0", "/sero-mj/start", "/sero-mj/files")
 
@@ -215,7 +216,9 @@ _DROP = """(files) => {
 def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
     browser: Any, tmp_path: Path, home: None
 ) -> None:
-    program = "from sero_mj.show import start_page\n"  # without the ports of shipped scenes
+    program = (
+        "from sero_mj.viewer.session import start_page\n"  # without the ports of shipped scenes
+    )
     program += "start_page.listening = lambda: start_page.Listening([])\n"
     program += "from sero_mj.cli import main\nmain(['view', '--web', '--fresh'])"
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(tmp_path)}

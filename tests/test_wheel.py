@@ -29,8 +29,8 @@ def test_the_wheel_works_from_another_directory(tmp_path: Path) -> None:
     assert {f"sero_mj/scenes/lwr_shm{end}" for end in (".toml", "_writer.c", "_writer.py")} <= {
         *names
     }
-    assert {"sero_mj/py.typed", "sero_mj/show/fonts/Inter-Medium.ttf"} <= {*names}
-    assert "sero_mj/show/fonts/OFL.txt" in names
+    assert {"sero_mj/py.typed", "sero_mj/viewer/fonts/Inter-Medium.ttf"} <= {*names}
+    assert "sero_mj/viewer/fonts/OFL.txt" in names
     (metadata,) = (name for name in names if name.endswith(".dist-info/METADATA"))
     with zipfile.ZipFile(wheel) as archive:
         about = archive.read(metadata).decode()

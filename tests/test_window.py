@@ -14,8 +14,8 @@ import pytest
 from PIL import Image
 from window_tools import MISSING, ROOT, SIZE, Driven, screen
 
-from sero_mj.record.recording_writer import RecordingWriter
-from sero_mj.runs.run_recording import read_run
+from sero_mj.data.record.recording_writer import RecordingWriter
+from sero_mj.simulate.runs.run_recording import read_run
 
 pytestmark = [
     pytest.mark.gl,
@@ -369,7 +369,7 @@ def test_without_a_display_the_command_says_so(tmp_path: Path) -> None:
 
 _CLOSED = """
 import sero_mj
-from sero_mj.errors import RenderError
+from sero_mj.base.errors import RenderError
 with sero_mj.view("lwr", size=(320, 240)) as viewer:
     assert viewer.sync()
     viewer.picture()
@@ -446,7 +446,7 @@ _BLENDED = """(lambda np, setting, placed, full, bare: [
     setting.compose(bare, placed) or int(np.abs(full.astype(int) - bare).max()),
 ])(
     __import__("numpy"),
-    __import__("sero_mj.show.typesetting", fromlist=[""]),
+    __import__("sero_mj.viewer.typesetting", fromlist=[""]),
     w.decor._typesetter.place(w.decor.panels),
     w.picture(),
     [w.decor.panels.clear(), w.picture()][1],

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from sero_mj import Scene, SerialRobot, View, World
-from sero_mj.assemble.surroundings import Camera as SceneCamera
-from sero_mj.decor.picture_view import PictureView
-from sero_mj.errors import UnknownName
-from sero_mj.show.camera import Navigator, axes
+from sero_mj.base.errors import UnknownName
+from sero_mj.robots.assemble.surroundings import Camera as SceneCamera
+from sero_mj.viewer.camera import Navigator, axes
+from sero_mj.viewer.decor.picture_view import PictureView
 
 
 @pytest.fixture

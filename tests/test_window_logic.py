@@ -14,10 +14,19 @@ from source_slots import set_source
 
 from sero_mj import Mirror, Scene, SerialRobot, World
 from sero_mj.load import load_scene
-from sero_mj.show.capture import due_frames, unused_name
-from sero_mj.show.clock import SPEEDS, Clock, time_text
-from sero_mj.show.input import DOUBLE_CLICK_TIME, LEFT, MIDDLE, RIGHT, Clicked, Event, Mouse, Moved
-from sero_mj.show.interaction import (
+from sero_mj.viewer.session.capture import due_frames, unused_name
+from sero_mj.viewer.session.clock import SPEEDS, Clock, time_text
+from sero_mj.viewer.session.input import (
+    DOUBLE_CLICK_TIME,
+    LEFT,
+    MIDDLE,
+    RIGHT,
+    Clicked,
+    Event,
+    Mouse,
+    Moved,
+)
+from sero_mj.viewer.session.interaction import (
     CLICKS,
     HOST_KEYS,
     HOST_MOUSE,
@@ -26,13 +35,13 @@ from sero_mj.show.interaction import (
     help_columns,
     pages,
 )  # fmt: skip
-from sero_mj.show.live import LiveHost
-from sero_mj.show.moments import Moments
-from sero_mj.show.status_line import clock_text, source_text, status_pieces
-from sero_mj.show.torque_history import TorqueHistory
-from sero_mj.show.window.glfw_window import spread_times
-from sero_mj.show.window.host import Pace
-from sero_mj.show.window.hud import TimeLine, arrange
+from sero_mj.viewer.session.live import LiveHost
+from sero_mj.viewer.session.status_line import clock_text, source_text, status_pieces
+from sero_mj.viewer.tools.moments import Moments
+from sero_mj.viewer.tools.torque_history import TorqueHistory
+from sero_mj.viewer.window.glfw_window import spread_times
+from sero_mj.viewer.window.host import Pace
+from sero_mj.viewer.window.hud import TimeLine, arrange
 
 # ---- clock
 
@@ -85,7 +94,7 @@ def test_a_simulation_may_take_as_long_as_the_drawing_of_slow_frames() -> None:
     mirror: Any = SimpleNamespace(is_live=False, sources={"run": run}, advance=lambda time: None)
     pieces, before = [], 0.0
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sero_mj.show.clock.clock", SimpleNamespace(monotonic=lambda: now))
+        patch.setattr("sero_mj.viewer.session.clock.clock", SimpleNamespace(monotonic=lambda: now))
         clock = Clock(mirror)
         for drawing in (0.15, 0.15, 0.15, 0.01, 0.01):
             simulated = now - before
@@ -530,7 +539,7 @@ def test_keys_do_what_the_tables_say_in_every_host(
     lwr_world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = FakeClock()
-    monkeypatch.setattr("sero_mj.show.live.Clock", lambda mirror: clock)
+    monkeypatch.setattr("sero_mj.viewer.session.live.Clock", lambda mirror: clock)
     host = Host(lwr_world)
     for key in (" ", ".", ",", "-", "+", "backspace", "left", "right", "home", "_"):
         host.press(key)

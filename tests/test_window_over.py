@@ -11,13 +11,13 @@ from photos import POSE, camera
 from polling import until
 from window_tools import MISSING, SIZE, Driven, screen
 
+from sero_mj.base.errors import DeclarationError, RenderError, UsageError
 from sero_mj.cli import main
 from sero_mj.cli._arguments import read_scene
 from sero_mj.cli.view import _feed
-from sero_mj.errors import DeclarationError, RenderError, UsageError
-from sero_mj.show.camera_feed import CameraFeed, VideoFeed
-from sero_mj.show.camera_file import write_camera
-from sero_mj.show.headless.film import FilmWriter
+from sero_mj.viewer.headless.film import FilmWriter
+from sero_mj.viewer.photo.camera_feed import CameraFeed, VideoFeed
+from sero_mj.viewer.photo.camera_file import write_camera
 
 SETTINGS = (
     f"lwr.joint_angles={POSE}",

@@ -16,11 +16,11 @@ from PIL import Image, ImageGrab
 from window_tools import MISSING, screen
 
 from sero_mj import Placer, Scene, World
-from sero_mj.frames import Array
-from sero_mj.show.calibration import point_of, points_apart
-from sero_mj.show.camera_file import read_camera, write_camera
-from sero_mj.show.photo_camera import PhotoCamera
-from sero_mj.show.point_board import PointBoard
+from sero_mj.base.frames import Array
+from sero_mj.viewer.photo.calibration import point_of, points_apart
+from sero_mj.viewer.photo.camera_file import read_camera, write_camera
+from sero_mj.viewer.photo.photo_camera import PhotoCamera
+from sero_mj.viewer.photo.point_board import PointBoard
 
 SIZE = (1000, 640)
 PHOTO = (640, 400)

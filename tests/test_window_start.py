@@ -20,11 +20,11 @@ _DRIVER = """
 import os
 os.environ["MUJOCO_GL"] = "glfw"
 from pathlib import Path
-from sero_mj.assemble.scene import Scene
-from sero_mj.errors import UsageError
-from sero_mj.show.recent_views import RecentView
-from sero_mj.show.start_page import Listening
-from sero_mj.show.window.start_window import StartWindow
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.base.errors import UsageError
+from sero_mj.viewer.session.recent_views import RecentView
+from sero_mj.viewer.session.start_page import Listening
+from sero_mj.viewer.window.start_window import StartWindow
 size, heard = json.loads(sys.argv[1])
 opened = []
 def open_it(what):

@@ -10,13 +10,13 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from sero_mj import frames
-from sero_mj.assemble.robot import SerialRobot
-from sero_mj.assemble.scene import Camera, Light, Scene
-from sero_mj.assemble.surroundings import Object
-from sero_mj.assemble.world import World
-from sero_mj.decor.quantities import joint_values
-from sero_mj.errors import DeclarationError, UnknownName
+from sero_mj.base import frames
+from sero_mj.base.errors import DeclarationError, UnknownName
+from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.assemble.scene import Camera, Light, Scene
+from sero_mj.robots.assemble.surroundings import Object
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.decor.quantities import joint_values
 
 OBJ = mujoco.mjtObj
 POSE = frames.frame(frames.rotation_from_rpy(np.array([0.3, -0.2, 0.5])), np.array([0.1, 0.2, 0.3]))

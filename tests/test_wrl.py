@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sero_mj.describe.wrl import read_wrl
-from sero_mj.describe.wrl_geometry import Triangles, clip_ears
-from sero_mj.errors import DeclarationError
-from sero_mj.frames import Array
+from sero_mj.base.errors import DeclarationError
+from sero_mj.base.frames import Array
+from sero_mj.robots.importers.wrl import read_wrl
+from sero_mj.robots.importers.wrl_geometry import Triangles, clip_ears
 
 # An L, whose outline is concave, of height 1; and a notched one with a hole, joined by a bridge.
 L_SHAPE = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]

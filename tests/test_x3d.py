@@ -13,12 +13,12 @@ import pytest
 from polling import until
 
 from sero_mj import DeclarationError, Mirror, World, load_scene, record_sources
+from sero_mj.base.frames import Array
 from sero_mj.cli import main
-from sero_mj.describe.described import Described
-from sero_mj.describe.x3d import read_x3d
-from sero_mj.frames import Array
-from sero_mj.receive.udp import UdpReceiver
-from sero_mj.runs.run_recording import read_run
+from sero_mj.data.receive.udp import UdpReceiver
+from sero_mj.robots.importers.described import Described
+from sero_mj.robots.importers.x3d import read_x3d
+from sero_mj.simulate.runs.run_recording import read_run
 
 FIG7 = Path(__file__).parent / "fig7.x3d"
 # The rows as the paper prints them.

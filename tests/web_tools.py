@@ -67,10 +67,10 @@ _PASS = """() => new Promise(resolve => {
 _PROGRAM = """
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from sero_mj.cli._arguments import read_scene, replay_instead
-from sero_mj.drive.mirror import Mirror
-from sero_mj.show.viewer import open_page
-from sero_mj.show.web import page_windows, studio
-from sero_mj.show.web.studio_controls import IMGUI_KEYS
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.viewer.session.viewer import open_page
+from sero_mj.viewer.web import page_windows, studio
+from sero_mj.viewer.web.studio_controls import IMGUI_KEYS
 from pathlib import Path
 page_windows._NARROW = 0.0  # else the panel is folded on a page as narrow as ours
 studio.RATE = 25.0  # as many as browsers here draw: what they do with more costs as much again

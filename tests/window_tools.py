@@ -13,7 +13,7 @@ from typing import Any
 
 from driver import ROOT, Driver
 
-from sero_mj.show.input import DOUBLE_CLICK_TIME
+from sero_mj.viewer.session.input import DOUBLE_CLICK_TIME
 
 SIZE = (640, 480)
 MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
@@ -24,8 +24,8 @@ _DRIVER = """
 import os
 os.environ["MUJOCO_GL"] = "glfw"
 from sero_mj.cli._arguments import read_scene, replay_instead
-from sero_mj.drive.mirror import Mirror
-from sero_mj.show.window.host import Window
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.viewer.window.host import Window
 from pathlib import Path
 scene, settings, size, options, replay, control = json.loads(sys.argv[1])
 scene = read_scene(scene, settings, by_hand=not replay)
@@ -49,8 +49,8 @@ for name in ("button", "checkbox", "combo", "slider_float", "input_double", "col
 clicks = []
 if "over" in options:  # a camera and its file
     from functools import partial
-    from sero_mj.show.camera_feed import CameraFeed
-    from sero_mj.show.window.photo_viewport import PhotoViewport
+    from sero_mj.viewer.photo.camera_feed import CameraFeed
+    from sero_mj.viewer.window.photo_viewport import PhotoViewport
     what, camera_file = options.pop("over")
     feed = CameraFeed(what, Path(camera_file))
     options["make_viewport"] = partial(PhotoViewport, feed=feed)

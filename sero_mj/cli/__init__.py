@@ -8,8 +8,8 @@ import os
 import sys
 
 from .. import __version__
-from ..errors import DeclarationError, SeroError
-from ..show.headless.backend import choose_backend
+from ..base.errors import DeclarationError, SeroError
+from ..viewer.headless.backend import choose_backend
 from . import (
     calibrate,
     check,

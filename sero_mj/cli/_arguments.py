@@ -18,21 +18,21 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from ..describe.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
-from ..errors import DeclarationError, Problem, RecordingError, UsageError
+from ..base.errors import DeclarationError, Problem, RecordingError, UsageError
+from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ..assemble.scene import Scene
-    from ..record.recording import Recording
-    from ..runs.run_log import RunLog
+    from ..data.record.recording import Recording
+    from ..robots.assemble.scene import Scene
+    from ..simulate.runs.run_log import RunLog
 
 # Subparsers have no public type.
 Commands = Any
 LOOKS = ("light", "dark")
 QUALITIES = ("draft", "normal", "fine")
-STEREO = ("side-by-side", "anaglyph")  # as in `show.stereo`, which takes a while to import
+STEREO = ("side-by-side", "anaglyph")  # as in `viewer.stereo`, which takes a while to import
 EYE_DISTANCE = 0.065
 DEFAULT_SIZE = (1280, 800)
 
@@ -285,9 +285,9 @@ def offset_of_video(scene: Scene, video: Path, camera_file: Path, *, quiet: bool
     """Finds when in a recording or scenario a video begins, s, and says so unless `quiet`."""
     from rich.console import Console
 
-    from ..show.camera_file import read_camera
-    from ..show.footage import Video
-    from ..show.video_offset import find_offset
+    from ..viewer.photo.camera_file import read_camera
+    from ..viewer.photo.footage import Video
+    from ..viewer.photo.video_offset import find_offset
 
     with Video(video) as opened:
         camera = read_camera(camera_file, opened.size)
@@ -400,8 +400,8 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         RecordingError: it cannot be read.
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
-    from ..record.recording import Recording
-    from ..runs.run_log import routes_from_recording
+    from ..data.record.recording import Recording
+    from ..simulate.runs.run_log import routes_from_recording
 
     with Recording(file) as recording:
         recorded = {name: list(source.events) for name, source in recording.sources.items()}
@@ -465,7 +465,7 @@ def check_part(options: argparse.Namespace) -> None:
 
 def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> RunLog:
     """Reads a recording or a table, for a command that can be given the `--scene` it may lack."""
-    from ..runs.run_recording import read_run, read_run_table
+    from ..simulate.runs.run_recording import read_run, read_run_table
 
     if path.suffix.lower() == ".csv":
         if scene is None:
@@ -481,7 +481,7 @@ def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> Ru
 
 def check_span(recording: Recording, start: float | None, stop: float | None = None) -> None:
     """Raises UsageError for `--start` and `--stop`, s, between which a recording has nothing."""
-    from ..record.replay import check_start
+    from ..data.record.replay import check_start
 
     if start is not None:
         try:

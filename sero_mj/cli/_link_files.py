@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from ..assemble.link_geometry import drawn_geoms
-from ..describe.x3d_text import face_set, shape_lines
-from ..errors import DeclarationError, Problem
-from ..frames import Array, frame, rotation_about, rotation_from_quat
+from ..base.errors import DeclarationError, Problem
+from ..base.frames import Array, frame, rotation_about, rotation_from_quat
+from ..robots.assemble.link_geometry import drawn_geoms
+from ..robots.importers.x3d_text import face_set, shape_lines
 
 if TYPE_CHECKING:
-    from ..assemble.robot import SerialRobot
+    from ..robots.assemble.robot import SerialRobot
 
 _CREASE = 0.7  # rad; MuJoCo draws sharper edges than these as such
 _UPRIGHT = frame(rotation_about(0, np.pi / 2))  # from z, the axis of MuJoCo's cylinders, to y

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from .. import paths
-from ..errors import SeroError, UsageError
-from ..show.recent_views import RecentView, recent_views
+from ..base import paths
+from ..base.errors import SeroError, UsageError
+from ..viewer.session.recent_views import RecentView, recent_views
 from ._arguments import read_scene, replay_instead
 
 
@@ -46,7 +46,7 @@ def view_of_file(path: Path, shown: str | None) -> RecentView:
 
 
 def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
-    from ..record.recording import Recording
+    from ..data.record.recording import Recording
 
     if shown is not None:
         yield shown

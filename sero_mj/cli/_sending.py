@@ -7,13 +7,13 @@ import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Self
 
-from ..errors import SimulationError, UsageError
+from ..base.errors import SimulationError, UsageError
 from ._arguments import port, read_scene
 
 if TYPE_CHECKING:
-    from ..receive.source import Source
-    from ..receive.structure import Structure
-    from ..send.sender import ShmWriter, UdpSink
+    from ..data.receive.source import Source
+    from ..data.receive.structure import Structure
+    from ..data.send.sender import ShmWriter, UdpSink
     from ..simulate.simulation import Simulation
 
 _EVERY = 0.05  # s between two looks at the clock, where nobody waits for packets
@@ -39,7 +39,7 @@ def make_sink(
     options: argparse.Namespace, source: Source, structure: Structure
 ) -> UdpSink | ShmWriter:
     """Where the packets go: what the command line says, else where the source receives."""
-    from ..send.sender import ShmWriter, UdpSink
+    from ..data.send.sender import ShmWriter, UdpSink
 
     if goes_to_shm(options, source):
         if source.memory is None:
@@ -78,7 +78,7 @@ class Sender:
     """Sends a simulation while it runs."""
 
     def __init__(self, simulation: Simulation, options: argparse.Namespace) -> None:
-        from ..send.play import MotionPackets
+        from ..data.send.play import MotionPackets
         from ..simulate.log_output import LogSignals
 
         scene = read_scene(options.send)
@@ -96,7 +96,7 @@ class Sender:
 
     def run(self) -> Iterator[tuple[int, int]]:
         """Sends a packet for every step; tells which rows are new."""
-        from ..send.sender import send
+        from ..data.send.sender import send
 
         simulation = self._simulation
         stopped: list[SimulationError] = []

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import UsageError
+from ..base.errors import UsageError
 from ._arguments import (
     Commands,
     add_command,
@@ -26,10 +26,10 @@ from ._arguments import (
 )
 
 if TYPE_CHECKING:
-    from ..assemble.scene import Scene
-    from ..assemble.world import World
-    from ..show.calibration import Calibration, ClickedPoint
-    from ..show.photo_camera import PhotoCamera
+    from ..robots.assemble.scene import Scene
+    from ..robots.assemble.world import World
+    from ..viewer.photo.calibration import Calibration, ClickedPoint
+    from ..viewer.photo.photo_camera import PhotoCamera
 
 _CAREFUL = 6.0  # pixels that clicks are off at most
 _EPILOG = """\
@@ -87,7 +87,7 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Finds the camera; returns 0."""
-    from ..show.headless.backend import has_display
+    from ..viewer.headless.backend import has_display
 
     if options.points is None and not options.names:
         if not has_display():
@@ -96,9 +96,15 @@ def run(options: argparse.Namespace) -> int:
                 "which pixel shows which point of the robot"
             )
         os.environ["MUJOCO_GL"] = "glfw"  # MuJoCo takes its OpenGL from the window here
-    from ..show.calibration import calibrate, point_names, point_of, read_points, write_points
-    from ..show.camera_file import ENDINGS, write_camera
-    from ..show.footage import read_photo
+    from ..viewer.photo.calibration import (
+        calibrate,
+        point_names,
+        point_of,
+        read_points,
+        write_points,
+    )
+    from ..viewer.photo.camera_file import ENDINGS, write_camera
+    from ..viewer.photo.footage import read_photo
 
     if options.output is not None:
         check_ending(f"-o {options.output}", options.output, ENDINGS)
@@ -155,8 +161,8 @@ def _scene_of_photo(options: argparse.Namespace) -> Scene:
 
 def _lens(camera_file: Path | None, size: tuple[int, int]) -> PhotoCamera:
     """The lens that a file says; else one of which the focal length is still to be found."""
-    from ..show.camera_file import read_intrinsics
-    from ..show.photo_camera import PhotoCamera
+    from ..viewer.photo.camera_file import read_intrinsics
+    from ..viewer.photo.photo_camera import PhotoCamera
 
     if camera_file is not None:
         return read_intrinsics(camera_file, size)
@@ -166,9 +172,9 @@ def _lens(camera_file: Path | None, size: tuple[int, int]) -> PhotoCamera:
 
 def _pose(scene: Scene, *, is_replayed: bool) -> tuple[World, Any]:
     """The world and its state, as declared or as the recordings say."""
-    from ..assemble.world import World
-    from ..drive.mirror import Mirror
-    from ..drive.place import Placer
+    from ..data.drive.mirror import Mirror
+    from ..data.drive.place import Placer
+    from ..robots.assemble.world import World
 
     if is_replayed:
         with Mirror(scene) as mirror:
@@ -189,9 +195,9 @@ def _click(
     options: argparse.Namespace, world: Any, data: Any, pixels: Any, lens: PhotoCamera
 ) -> list[ClickedPoint]:
     """Lets the user click points in a window."""
-    from ..show.calibration import ClickedPoint, point_of, points_apart
-    from ..show.point_board import PointBoard
-    from ..show.window.point_window import PointWindow
+    from ..viewer.photo.calibration import ClickedPoint, point_of, points_apart
+    from ..viewer.photo.point_board import PointBoard
+    from ..viewer.window.point_window import PointWindow
 
     names = points_apart(world, data)
     points = np.array([point_of(world, data, name, np.zeros(3)) for name in names])

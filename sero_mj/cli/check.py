@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..frames import rpy_from_rotation
+from ..base.frames import rpy_from_rotation
 from ._arguments import Commands, add_command, add_package_option, read_scene
 
 if TYPE_CHECKING:
-    from ..assemble.robot import SerialRobot
-    from ..receive.source import Source
+    from ..data.receive.source import Source
+    from ..robots.assemble.robot import SerialRobot
 
 _TIED = "\0"  # a space at which no line is broken
 _EPILOG = """\
@@ -34,10 +34,10 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Prints; returns 0."""
-    from ..assemble.scene import parts_of_origin
-    from ..assemble.world import World
-    from ..drive.wiring import wire
-    from ..show.camera import list_cameras
+    from ..data.drive.wiring import wire
+    from ..robots.assemble.scene import parts_of_origin
+    from ..robots.assemble.world import World
+    from ..viewer.camera import list_cameras
 
     scene = read_scene(options.scene)
     world = World(scene)
@@ -96,7 +96,7 @@ def _kind(robot: SerialRobot) -> str:
 
 def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     """Lines about a robot: its joints, limbs and dynamics."""
-    from ..assemble.robot_dynamics import about_masses, robot_dynamics
+    from ..robots.assemble.robot_dynamics import about_masses, robot_dynamics
 
     lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
     lines.append(f"          flange: {_about_flange(robot)}")

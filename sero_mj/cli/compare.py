@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from ..errors import UsageError
+from ..base.errors import UsageError
 from ._arguments import (
     Commands,
     add_command,
@@ -24,7 +24,7 @@ from ._arguments import (
 )
 
 if TYPE_CHECKING:
-    from ..runs.run_log import RunLog
+    from ..simulate.runs.run_log import RunLog
     from ..study.align import Pair
     from ..study.explanation import Explanation
     from ..study.torque_residuals import TorqueResiduals
@@ -202,7 +202,7 @@ def _check_options(options: argparse.Namespace) -> None:
     if options.plot is not None:
         check_ending(f"--plot {options.plot}", options.plot, SUFFIXES, ", ")
     if options.render is not None:
-        from ..show.headless.film import FILMS
+        from ..viewer.headless.film import FILMS
 
         check_ending(f"--render {options.render}", options.render, FILMS, ", ")
 

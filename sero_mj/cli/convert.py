@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import UsageError
-from ..paths import SCENE_ENDINGS
+from ..base.errors import UsageError
+from ..base.paths import SCENE_ENDINGS
 from ._arguments import Commands, add_command, check_ending, read_scene
 
 if TYPE_CHECKING:
-    from ..assemble.robot import SerialRobot
-    from ..assemble.robot_parts import LinkGeometry
-    from ..assemble.scene import Scene
-    from ..declaration import Declaration
+    from ..base.declaration import Declaration
+    from ..robots.assemble.robot import SerialRobot
+    from ..robots.assemble.robot_parts import LinkGeometry
+    from ..robots.assemble.scene import Scene
 
 _EPILOG = """\
 examples:
@@ -79,8 +79,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _as_toml(name: str, output: Path) -> str:
     """The text of a TOML file; what the X3D has besides has been logged while it was read."""
-    from ..describe.toml_text import toml_text
-    from ..describe.x3d import read_x3d
+    from ..robots.importers.toml_text import toml_text
+    from ..robots.importers.x3d import read_x3d
 
     read_scene(name)  # tells all that is wrong, also what is wrong with robots and sources
     described = read_x3d(Path(name))
@@ -104,7 +104,7 @@ def _relative(folder: Path, output: Path) -> str:
 
 def _as_x3d(name: str, output: Path, files: dict[Path, str]) -> tuple[str, list[str]]:
     """The text of a file of X3D, what is left out, and in `files` those of links."""
-    from ..describe.x3d_text import x3d_text
+    from ..robots.importers.x3d_text import x3d_text
 
     text, lost = x3d_text(scene_tables(read_scene(name), output, files))
     if "SerialRobot {" not in text and "Shape {" not in text:
@@ -120,7 +120,7 @@ def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str
         output: a file; folders are relative to its own.
         files: gets the texts of files of links, to be written.
     """
-    from ..drive.wiring import wire
+    from ..data.drive.wiring import wire
 
     sources = {}
     for key, source in wire(scene).sources.items():

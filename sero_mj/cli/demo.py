@@ -30,9 +30,9 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Renders; returns 0."""
-    from .. import paths
+    from ..base import paths
     from ..load import load_scene
-    from ..show.headless.render import render_picture
+    from ..viewer.headless.render import render_picture
     from .render import film_with_progress
 
     shown = {"lwr.show_billboards": True}

@@ -12,7 +12,7 @@ import subprocess
 import sys
 from typing import Any
 
-from ..show.headless.backend import BACKENDS, PACKAGES, has_display, has_osmesa
+from ..viewer.headless.backend import BACKENDS, PACKAGES, has_display, has_osmesa
 from ._arguments import Commands, add_command
 
 _EPILOG = """\
@@ -124,7 +124,7 @@ def window_problem() -> str | None:
 def page_problem() -> str | None:
     """Why no web page can be served; None when one can."""
     try:
-        from ..show.web import studio  # noqa: F401
+        from ..viewer.web import studio  # noqa: F401
     except ImportError as error:
         return f"this MuJoCo comes without Studio's web viewer ({error})"
     return None

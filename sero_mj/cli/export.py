@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..errors import UsageError
+from ..base.errors import UsageError
 from ._arguments import Commands, add_command, add_package_option, check_ending, read_scene
 
 _EPILOG = """\
@@ -29,7 +29,7 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Writes; returns 0."""
-    from ..assemble.world import World
+    from ..robots.assemble.world import World
 
     check_ending(str(options.output), options.output, (".xml",))
     world = World(read_scene(options.scene))

@@ -6,7 +6,7 @@ import argparse
 import math
 from pathlib import Path
 
-from ..errors import UsageError
+from ..base.errors import UsageError
 from ._arguments import Commands, add_command, check_span, not_negative
 
 _EPILOG = """\
@@ -32,9 +32,9 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Writes; returns 0, or 1 where there are packets and none could be read."""
-    from ..record.csv_files import export_csv
-    from ..record.recording import Recording
-    from ..record.replay import Replay
+    from ..data.record.csv_files import export_csv
+    from ..data.record.recording import Recording
+    from ..data.record.replay import Replay
 
     if options.output.exists() and not options.overwrite:
         raise UsageError(f"{options.output}: exists already; choose another name, or --overwrite")

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import UsageError, did_you_mean
+from ..base.errors import UsageError, did_you_mean
 from ._arguments import Commands, add_command, add_package_option, numbers
 
 if TYPE_CHECKING:
-    from ..assemble.robot import SerialRobot
+    from ..robots.assemble.robot import SerialRobot
 
 _EPILOG = """\
 examples:
@@ -96,9 +96,9 @@ def compare(robot: Any, q: Any) -> dict[str, Any]:
     """Base-to-flange of a robot by both routes, and how far they are apart (m, rad)."""
     import mujoco
 
-    from .. import frames
-    from ..assemble.scene import Scene
-    from ..assemble.world import World
+    from ..base import frames
+    from ..robots.assemble.scene import Scene
+    from ..robots.assemble.world import World
 
     # Alone: what carries it does not matter from its base on.
     alone = robot.model_copy(update={"mount": None})

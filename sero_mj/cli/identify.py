@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..errors import RenderError
+from ..base.errors import RenderError
 from ._arguments import (
     Commands,
     add_command,

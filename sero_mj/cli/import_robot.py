@@ -10,17 +10,17 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from ..declaration import is_name
-from ..describe.robot_file import is_urdf
-from ..errors import UsageError
-from ..paths import SCENE_ENDINGS, format_of_file, model_name
+from ..base.declaration import is_name
+from ..base.errors import UsageError
+from ..base.paths import SCENE_ENDINGS, format_of_file, model_name
+from ..robots.importers.robot_file import is_urdf
 from ._arguments import Commands, add_command, add_package_option, check_ending
 from .new import scene_text
 from .schema import schema_text
 
 if TYPE_CHECKING:
-    from ..assemble.robot import SerialRobot
-    from ..describe.described import Described
+    from ..robots.assemble.robot import SerialRobot
+    from ..robots.importers.described import Described
 
 _EPILOG = """\
 example:
@@ -56,7 +56,7 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Writes the files; returns 0."""
-    from ..assemble.robot import SerialRobot
+    from ..robots.assemble.robot import SerialRobot
 
     _check_format(options.file)
     source = _read(options)
@@ -112,10 +112,10 @@ class _Source(NamedTuple):
 
 
 def _read(options: argparse.Namespace) -> _Source:
-    from ..describe.mjcf_file import as_spec, write_mjcf
-    from ..describe.mjcf_robot import plain_tables, read_mjcf
-    from ..describe.robot_text import copied_meshes, robot_text
-    from ..describe.urdf import UrdfFile
+    from ..robots.importers.mjcf_file import as_spec, write_mjcf
+    from ..robots.importers.mjcf_robot import plain_tables, read_mjcf
+    from ..robots.importers.robot_text import copied_meshes, robot_text
+    from ..robots.importers.urdf import UrdfFile
 
     path: Path = options.file
     if path.suffix == ".xml" and not is_urdf(path):

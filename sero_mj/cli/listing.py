@@ -7,12 +7,12 @@ import tomllib
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from .. import paths
-from ..plugins import DECOR, SOURCES, is_own, load_plugin, plugins
+from ..base import paths
+from ..base.plugins import DECOR, SOURCES, is_own, load_plugin, plugins
 from ._arguments import Commands, add_command
 
 if TYPE_CHECKING:
-    from ..declaration import Declaration
+    from ..base.declaration import Declaration
 
 
 def add_to(commands: Commands) -> None:
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _print_environments() -> None:
-    from ..environment.make import TASKS
+    from ..study.learning.make import TASKS
 
     print("environments, for sero_mj.make_environment (dm_env)")
     for robot in paths.list_models():
@@ -85,15 +85,15 @@ def _about(scene: str) -> str:
 
 
 def _print_fields() -> None:
-    from ..assemble.robot import SerialRobot
+    from ..robots.assemble.robot import SerialRobot
 
     _print_declaration(SerialRobot)
 
 
 def _print_scenario_fields() -> None:
     """Every table of a scenario with its kinds, keys, defaults and meanings."""
-    from ..runs.measures import MEASURES
-    from ..runs.monitor import KINDS
+    from ..simulate.runs.measures import MEASURES
+    from ..simulate.runs.monitor import KINDS
 
     for k, (title, declaration) in enumerate(scenario_tables().items()):
         print(f"{chr(10) if k else ''}{title}")
@@ -104,14 +104,14 @@ def _print_scenario_fields() -> None:
 
 def scene_tables() -> dict[str, type[Declaration]]:
     """The tables of robot and scene files, by their headers."""
-    from ..assemble.cartesian import ReceivedFrame, SmartArrow
-    from ..assemble.couplings import Coupling
-    from ..assemble.double import Double
-    from ..assemble.dynamics import Dynamics, TorqueControl
-    from ..assemble.groups import Group
-    from ..assemble.robot import SerialRobot
-    from ..assemble.scene import SceneToggles
-    from ..assemble.surroundings import Camera, Light, Object, View
+    from ..robots.assemble.cartesian import ReceivedFrame, SmartArrow
+    from ..robots.assemble.couplings import Coupling
+    from ..robots.assemble.double import Double
+    from ..robots.assemble.dynamics import Dynamics, TorqueControl
+    from ..robots.assemble.groups import Group
+    from ..robots.assemble.robot import SerialRobot
+    from ..robots.assemble.scene import SceneToggles
+    from ..robots.assemble.surroundings import Camera, Light, Object, View
 
     kinds = plugins(SOURCES)
     return {
@@ -134,11 +134,11 @@ def scene_tables() -> dict[str, type[Declaration]]:
 
 def scenario_tables() -> dict[str, type[Declaration]]:
     """The tables that a scenario file has beside those of a scene, by their headers."""
-    from ..control.make_controller import CONTROLLERS
-    from ..control.plan import LAWS
-    from ..runs.monitor import Monitor
+    from ..simulate.control.make_controller import CONTROLLERS
+    from ..simulate.control.plan import LAWS
     from ..simulate.disturbances import DISTURBANCES, FAULTS
     from ..simulate.expect import Expect
+    from ..simulate.runs.monitor import Monitor
     from ..simulate.scenario import Run
     from ..simulate.sensors import SIGNALS, SensorErrors
 

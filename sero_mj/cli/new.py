@@ -6,9 +6,9 @@ import argparse
 import shutil
 from pathlib import Path
 
-from .. import paths
-from ..declaration import is_name
-from ..errors import UsageError
+from ..base import paths
+from ..base.declaration import is_name
+from ..base.errors import UsageError
 from ._arguments import Commands, add_command, check_whole
 from .schema import schema_text
 
@@ -97,7 +97,7 @@ def _joints(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Writes the files; returns 0."""
-    from ..assemble.robot import SerialRobot
+    from ..robots.assemble.robot import SerialRobot
 
     name = options.name
     try:

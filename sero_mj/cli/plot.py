@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import UsageError
+from ..base.errors import UsageError
 from ._arguments import (
     Commands,
     add_command,
@@ -17,8 +17,8 @@ from ._arguments import (
 )
 
 if TYPE_CHECKING:
-    from ..assemble.scene import Scene
-    from ..runs.run_log import RunLog
+    from ..robots.assemble.scene import Scene
+    from ..simulate.runs.run_log import RunLog
 
 _EPILOG = """\
 examples:
@@ -72,8 +72,8 @@ def run(options: argparse.Namespace) -> int:
     check_part(options)
     scene = None if options.scene is None else read_scene(options.scene)
     logs = [_read(path, scene, options) for path in options.recordings]
-    from ..show.headless.film import check_writable
     from ..study.plot import plot_run
+    from ..viewer.headless.film import check_writable
 
     check_writable(output)
     plot_run(logs, output, robots=options.robot, joints=options.joints)

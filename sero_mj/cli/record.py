@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import RouteError, UsageError
+from ..base.errors import RouteError, UsageError
 from ._arguments import (
     Commands,
     add_command,
@@ -26,8 +26,8 @@ from ._arguments import (
 )
 
 if TYPE_CHECKING:
-    from ..record.recorder import Recorder
-    from ..record.triggered_recorder import RecordedEvent, TriggeredRecorder
+    from ..data.record.recorder import Recorder
+    from ..data.record.triggered_recorder import RecordedEvent, TriggeredRecorder
 
 _EPILOG = """\
 examples:
@@ -98,8 +98,8 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Records; returns 0, or 1 when nothing came."""
-    from ..drive.record_sources import record_sources
-    from ..drive.wiring import wire
+    from ..data.drive.record_sources import record_sources
+    from ..data.drive.wiring import wire
 
     if options.out is not None and options.output is not None:
         raise UsageError(f"found OUT {options.output} and --out {options.out}; expected one")
@@ -147,11 +147,11 @@ def _record_events(options: argparse.Namespace) -> int:
     """Records events; returns 0, or 1 when nothing came."""
     from rich.console import Console
 
-    from ..drive.record_sources import record_events
-    from ..drive.trigger import Trigger
-    from ..drive.wiring import wire
-    from ..record.recording import Recording
-    from ..record.recording_format import RecordingClock
+    from ..data.drive.record_sources import record_events
+    from ..data.drive.trigger import Trigger
+    from ..data.drive.wiring import wire
+    from ..data.record.recording import Recording
+    from ..data.record.recording_format import RecordingClock
 
     scene = read_scene(options.scene)
     begin = time.time() - time.monotonic()  # of the clock of arrivals, s since the epoch

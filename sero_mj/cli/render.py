@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UsageError
+from ..base.errors import UsageError
 from ._arguments import (
     DEFAULT_SIZE,
     Commands,
@@ -27,7 +27,7 @@ from ._arguments import (
 )
 
 if TYPE_CHECKING:
-    from ..assemble.scene import Scene
+    from ..robots.assemble.scene import Scene
 
 _EPILOG = """\
 examples:
@@ -138,7 +138,7 @@ def _switch(text: str) -> tuple[str, str]:
 
 def run(options: argparse.Namespace) -> int:
     """Renders; returns 0."""
-    from ..show.headless.film import FILMS
+    from ..viewer.headless.film import FILMS
 
     output: Path = options.output
     is_film = check_picture_or_film("-o", output)
@@ -147,7 +147,7 @@ def run(options: argparse.Namespace) -> int:
     if is_film and options.at is not None:
         raise UsageError(f"-o {output}: --at is for pictures; a film begins at the start")
     if options.clicks:  # what was hit is worth a line
-        logging.getLogger("sero_mj.show.headless.render").setLevel(logging.INFO)
+        logging.getLogger("sero_mj.viewer.headless.render").setLevel(logging.INFO)
     check_stereo_options(options)
     check_over_options(options)
     if options.over is not None:
@@ -171,7 +171,7 @@ def run(options: argparse.Namespace) -> int:
             eye_distance=options.eye_distance,
         )
     else:
-        from ..show.headless.render import render_picture
+        from ..viewer.headless.render import render_picture
 
         silent = render_picture(
             scene,
@@ -204,8 +204,8 @@ def _told(options: argparse.Namespace, silent: list[str]) -> int:
 
 def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
     """Renders over a photo or a video."""
-    from ..show.footage import is_photo
-    from ..show.headless.over import render_film_over, render_picture_over
+    from ..viewer.headless.over import render_film_over, render_picture_over
+    from ..viewer.photo.footage import is_photo
 
     over: Path = options.over
     of_photo = is_photo(over)
@@ -264,7 +264,7 @@ def _run_over(options: argparse.Namespace, *, is_film: bool) -> int:
 
 def check_picture_or_film(option: str, path: Path) -> bool:
     """Whether a name is a film's; raises UsageError where it is no picture's either."""
-    from ..show.headless.film import FILMS, PICTURES
+    from ..viewer.headless.film import FILMS, PICTURES
 
     suffix = path.suffix.lower()
     if suffix not in (*FILMS, *PICTURES):
@@ -292,7 +292,7 @@ def film_with_progress(
     from rich import progress as bars
     from rich.console import Console
 
-    from ..show.headless.render import render_film
+    from ..viewer.headless.render import render_film
 
     columns = (
         bars.TextColumn("{task.description}"),

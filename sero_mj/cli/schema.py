@@ -12,7 +12,7 @@ from ._arguments import Commands, add_command
 from .listing import field_rows, scenario_tables, scene_tables
 
 if TYPE_CHECKING:
-    from ..declaration import Declaration
+    from ..base.declaration import Declaration
 
 KINDS = ("robot", "group", "scene", "scenario")
 Schema = dict[str, Any]
@@ -132,7 +132,7 @@ class _Definitions:
 
 
 def _sources() -> dict[str, type[Declaration]]:
-    from ..plugins import SOURCES, load_plugin, plugins
+    from ..base.plugins import SOURCES, load_plugin, plugins
 
     return {kind: load_plugin(SOURCES, kind) for kind in plugins(SOURCES)}
 
@@ -199,8 +199,8 @@ def _scene_sections(definitions: _Definitions) -> dict[str, Schema]:
 
 
 def _scenario_sections(definitions: _Definitions) -> dict[str, Schema]:
-    from ..control.make_controller import CONTROLLERS
-    from ..control.plan import LAWS
+    from ..simulate.control.make_controller import CONTROLLERS
+    from ..simulate.control.plan import LAWS
     from ..simulate.disturbances import DISTURBANCES, FAULTS
     from ..simulate.sensors import SIGNALS
 

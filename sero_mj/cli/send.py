@@ -6,16 +6,16 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UsageError
-from ..paths import list_scenarios
+from ..base.errors import UsageError
+from ..base.paths import list_scenarios
 from ._arguments import Commands, add_command, not_negative, positive, read_scene, refuse
 from ._sending import Sender, add_sink_options, goes_to_shm, make_sink
 
 if TYPE_CHECKING:
-    from ..assemble.scene import Scene
-    from ..receive.source import Source
-    from ..receive.structure import Structure
-    from ..send.playback import Playback
+    from ..data.receive.source import Source
+    from ..data.receive.structure import Structure
+    from ..data.send.playback import Playback
+    from ..robots.assemble.scene import Scene
 
 _EPILOG = """\
 examples:
@@ -91,9 +91,9 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Sends; returns 0."""
-    from ..drive.wiring import wire
-    from ..receive.structure import Structure
-    from ..send.play import choose_source
+    from ..data.drive.wiring import wire
+    from ..data.receive.structure import Structure
+    from ..data.send.play import choose_source
 
     if (options.rate or 0.0) > FASTEST:
         raise UsageError(f"--rate {options.rate:g}: expected at most {FASTEST:g} packets/s")
@@ -119,8 +119,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _send_motion(options: argparse.Namespace, scene: Scene) -> int:
-    from ..send.play import MotionPackets
-    from ..send.sender import PacketBuffer, paced, send
+    from ..data.send.play import MotionPackets
+    from ..data.send.sender import PacketBuffer, paced, send
 
     rate = 1000.0 if options.rate is None else options.rate
     amplitude = 1.0 if options.amplitude is None else options.amplitude
@@ -161,9 +161,9 @@ def _declare_source(scene: Scene, options: argparse.Namespace) -> None:
 
 def _send_file(options: argparse.Namespace, source: Source) -> int:
     """Sends what is in a recording or a table; returns 0."""
-    from ..send.play import structure_for
-    from ..send.playback import timed
-    from ..send.sender import send
+    from ..data.send.play import structure_for
+    from ..data.send.playback import timed
+    from ..data.send.sender import send
 
     if options.amplitude is not None:
         raise UsageError("--amplitude is for a motion; it does nothing with --play")
@@ -199,8 +199,8 @@ def _print_notes(notes: list[str]) -> int:
 def _open_file(
     options: argparse.Namespace, source: Source, structure: Structure, to_shm: bool
 ) -> Playback:
-    from ..record.recording import Recording
-    from ..send.playback import RecordedPackets, TablePackets
+    from ..data.record.recording import Recording
+    from ..data.send.playback import RecordedPackets, TablePackets
 
     file: Path = options.play
     if file.suffix.lower() == ".csv":
@@ -233,8 +233,8 @@ def _send_simulation(options: argparse.Namespace) -> int:
 
 def _send_fri(options: argparse.Namespace, scene: Scene, source: Any) -> int:
     """Sends as the controller of the robot that the source moves; returns 0."""
-    from ..send.fri_controller import FriController, NetworkFaults
-    from ..send.sender import UdpSink
+    from ..data.send.fri_controller import FriController, NetworkFaults
+    from ..data.send.sender import UdpSink
 
     if options.shm is not None:
         raise UsageError("--shm: FRI is a protocol of UDP; leave it out")

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import SimulationError, UsageError
+from ..base.errors import SimulationError, UsageError
 from ._arguments import (
     Commands,
     add_command,
@@ -98,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     error = _simulate(simulation, options)
     seconds = time.perf_counter() - begin
     if options.csv is not None:
-        from ..runs.run_csv import write_run_csv
+        from ..simulate.runs.run_csv import write_run_csv
 
         write_run_csv(simulation.layout, simulation.rows[: simulation.step + 1], options.csv)
     if options.plot is not None:
@@ -198,8 +198,8 @@ def _simulate(
 
 
 def _render(simulation: Simulation, options: argparse.Namespace) -> None:
-    from ..show.headless.render import render_picture
     from ..simulate.simulated_scene import simulated_scene
+    from ..viewer.headless.render import render_picture
 
     scene = simulated_scene(simulation)
     if check_picture_or_film("--render", options.render):

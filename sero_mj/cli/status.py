@@ -8,11 +8,11 @@ import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UsageError
+from ..base.errors import UsageError
 from ._arguments import Commands, add_command, positive, print_json, read_scene, until_ended
 
 if TYPE_CHECKING:
-    from ..receive.source import Source
+    from ..data.receive.source import Source
 
 _EPILOG = """\
 examples:
@@ -42,8 +42,8 @@ def add_to(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Watches; returns 0 when every source has received something good, else 1."""
-    from ..drive.wiring import wire
-    from ..receive.report import report
+    from ..data.drive.wiring import wire
+    from ..data.receive.report import report
 
     scene = read_scene(options.scene)
     wiring = wire(scene).check(scene)
@@ -68,7 +68,7 @@ def _watch(sources: list[Source], duration: float | None, *, live: bool) -> None
     """Waits, and refreshes the table on a terminal."""
     from rich.live import Live
 
-    from ..receive.report import report
+    from ..data.receive.report import report
 
     begin = time.monotonic()
     end = begin + (float("inf") if duration is None else duration)
@@ -93,7 +93,7 @@ def _watch(sources: list[Source], duration: float | None, *, live: bool) -> None
 def _table(found: list[dict[str, Any]]) -> Any:
     from rich.table import Table
 
-    from ..receive.report import describe
+    from ..data.receive.report import describe
 
     table = Table("source", "", "", "")
     for entry in found:
@@ -107,7 +107,7 @@ def _table(found: list[dict[str, Any]]) -> Any:
 
 
 def _print(found: list[dict[str, Any]]) -> None:
-    from ..receive.report import describe
+    from ..data.receive.report import describe
 
     for entry in found:
         print(f"{entry['source']}: {entry['about']}")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import StructureError, UsageError
+from ..base.errors import StructureError, UsageError
 from ._arguments import (
     Commands,
     add_command,
@@ -28,9 +28,9 @@ from ._arguments import (
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-    from ..receive.language import Item
-    from ..receive.sniffer import Guess, Sniffer, Stream
-    from ..receive.structure import Structure
+    from ..data.receive.language import Item
+    from ..data.receive.sniffer import Guess, Sniffer, Stream
+    from ..data.receive.structure import Structure
 
 _REFRESH = 0.25  # s between two pictures of a terminal
 _TELL_EVERY = 2.0  # s between two lines about a stream where there is no terminal
@@ -113,7 +113,7 @@ def _check_options(options: argparse.Namespace) -> None:
 
 def _read(options: argparse.Namespace) -> Structure:
     """The structure that is given; where it is wrong, a line points at the character."""
-    from ..receive.structure import Structure
+    from ..data.receive.structure import Structure
 
     try:
         return Structure(
@@ -130,7 +130,7 @@ def _read(options: argparse.Namespace) -> Structure:
 
 
 def _print_scene(options: argparse.Namespace) -> int:
-    from ..drive.wiring import wire
+    from ..data.drive.wiring import wire
 
     scene = read_scene(options.scene)
     layouts = {name: source.layout for name, source in wire(scene).sources.items()}
@@ -145,7 +145,7 @@ def _print_scene(options: argparse.Namespace) -> int:
 
 
 def _print_page() -> None:
-    page = resources.files("sero_mj.receive").joinpath("STRUCTURE.md").read_text("utf-8")
+    page = resources.files("sero_mj.data.receive").joinpath("STRUCTURE.md").read_text("utf-8")
     if not sys.stdout.isatty():
         print(page, end="")
         return
@@ -252,7 +252,7 @@ def _layout_as_json(layout: Structure) -> dict[str, Any]:
 
 def _sniff(options: argparse.Namespace, layout: Structure | None) -> int:
     """Listens until the time is over, the packets have come, or Ctrl-C; returns 0."""
-    from ..receive.sniffer import Sniffer
+    from ..data.receive.sniffer import Sniffer
 
     host, interface = options.host or "127.0.0.1", options.interface or ""
     with Sniffer(host, options.sniff, interface) as sniffer:
@@ -398,7 +398,7 @@ def _guess_lines(stream: Stream) -> list[str]:
 
 def _values_by(guess: Guess, stream: Stream) -> dict[str, Any]:
     """The numbers of the last packet by a guess."""
-    from ..receive.structure import Structure
+    from ..data.receive.structure import Structure
 
     layout = Structure(guess.structure, is_double=guess.is_double, column_major=guess.column_major)
     return dict(layout.decode(stream.last[-1]))

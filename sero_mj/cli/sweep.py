@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import UsageError
+from ..base.errors import UsageError
 from ._arguments import (
     Commands,
     add_command,
@@ -78,7 +78,7 @@ def _count(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Runs; returns 0, or 1 when not every variant held."""
-    from ..paths import find_scenario
+    from ..base.paths import find_scenario
     from ..study.sweep import Sweep, Vary
     from ..study.sweep_results import SweepTable, summarise_sweep
 

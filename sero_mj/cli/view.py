@@ -13,10 +13,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
-from ..assemble.scene import Scene
-from ..errors import UsageError
-from ..frames import Array
-from ..show.recent_views import RecentView, remember_view
+from ..base.errors import UsageError
+from ..base.frames import Array
+from ..robots.assemble.scene import Scene
+from ..viewer.session.recent_views import RecentView, remember_view
 from ._arguments import (
     Commands,
     add_command,
@@ -39,9 +39,9 @@ from ._opening import is_temporary, view_of_file
 if TYPE_CHECKING:
     import mujoco
 
-    from ..show.camera_feed import CameraFeed, VideoFeed
-    from ..show.live import LiveHost
-    from ..show.view_state import ViewState
+    from ..viewer.photo.camera_feed import CameraFeed, VideoFeed
+    from ..viewer.session.live import LiveHost
+    from ..viewer.session.view_state import ViewState
 
 Control = Literal["gravity", "joint", "cartesian"]
 CONTROLS: tuple[Control, ...] = get_args(Control)
@@ -196,13 +196,13 @@ class Session:
         """Shows the start page; returns the scene that was chosen there."""
         options = self.options
         self.is_at_start = False  # unless its user goes back to it
-        from ..show.start_page import listening
+        from ..viewer.session.start_page import listening
 
         if self.on_page:
-            from ..show.viewer import no_studio
+            from ..viewer.session.viewer import no_studio
 
             try:
-                from ..show.web.start_host import StartHost
+                from ..viewer.web.start_host import StartHost
             except ImportError as error:
                 raise no_studio(error) from error
             host = options.host or _LOOPBACK
@@ -213,7 +213,7 @@ class Session:
                 options.port, options.token = page.port, page.token or False
                 self._announce("the start page", page.urls, host, is_private=page.is_private)
                 return page.run()
-        from ..show.window.start_window import StartWindow
+        from ..viewer.window.start_window import StartWindow
 
         size, full_screen = options.size or _SIZE, options.full_screen
         with (
@@ -227,8 +227,8 @@ class Session:
 
         The options are then those of the new scene; nothing changes where it is wrong.
         """
-        from ..assemble.world import World
-        from ..drive.wiring import wire
+        from ..data.drive.wiring import wire
+        from ..robots.assemble.world import World
 
         view = what
         if isinstance(view, Path):
@@ -300,8 +300,8 @@ class Session:
         self, host: LiveHost, camera: mujoco.MjvCamera, has_panel: bool, state: ViewState
     ) -> None:
         """Shows the same robots as they were seen a moment ago, simulated or not."""
-        from ..show.camera import copy_camera
-        from ..show.view_state import apply_state
+        from ..viewer.camera import copy_camera
+        from ..viewer.session.view_state import apply_state
 
         copy_camera(camera, host.view_camera)
         # What is new, the doubles at targets, is as declared.
@@ -328,14 +328,14 @@ class Session:
             self._last = copy.copy(host.view_camera), panel, host.view_state()
 
     def _open_window(self, scene: Scene) -> Scene | None:
-        from ..drive.mirror import Mirror
-        from ..show.window.host import Window
+        from ..data.drive.mirror import Mirror
+        from ..viewer.window.host import Window
 
         options = self.options
         with ExitStack() as stack:
             make_viewport = None
             if options.over is not None:
-                from ..show.window.photo_viewport import PhotoViewport
+                from ..viewer.window.photo_viewport import PhotoViewport
 
                 feed = _feed(scene, options)
                 stack.callback(feed.close)
@@ -360,8 +360,8 @@ class Session:
             return window.next_scene
 
     def _serve(self, scene: Scene) -> Scene | None:
-        from ..drive.mirror import Mirror
-        from ..show.viewer import open_page
+        from ..data.drive.mirror import Mirror
+        from ..viewer.session.viewer import open_page
 
         options = self.options
         host = options.host or _LOOPBACK
@@ -439,7 +439,7 @@ def wants_page(options: argparse.Namespace) -> bool:
         raise UsageError(f"--{of_window[0]} is for the window; a page {why}")
     if options.web or of_page:
         return True
-    from ..show.headless.backend import has_display
+    from ..viewer.headless.backend import has_display
 
     if has_display():
         return False
@@ -459,8 +459,8 @@ def _of_page(options: argparse.Namespace) -> list[str]:
 
 def _feed(scene: Scene, options: argparse.Namespace) -> CameraFeed | VideoFeed:
     """The camera, or the video, that the scene is drawn over."""
-    from ..drive.wiring import wire
-    from ..show.camera_feed import CameraFeed, VideoFeed
+    from ..data.drive.wiring import wire
+    from ..viewer.photo.camera_feed import CameraFeed, VideoFeed
 
     sources = wire(scene).check(scene).sources.values()
     file = Path(options.over)

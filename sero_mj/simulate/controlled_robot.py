@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from ..assemble.robot import SerialRobot
-from ..control.controller import ControllerDeclaration, Sensed, Target
-from ..control.joint_control import GravityCompensation
-from ..control.make_controller import LimitedController, make_controller
-from ..control.observer import MomentumObserver
-from ..control.plan import Plan
-from ..control.robot_model import RobotModel
-from ..control.torque_loop import HangingLinks
-from ..frames import Array
+from ..base.frames import Array
+from ..robots.assemble.robot import SerialRobot
+from .control.controller import ControllerDeclaration, Sensed, Target
+from .control.joint_control import GravityCompensation
+from .control.make_controller import LimitedController, make_controller
+from .control.observer import MomentumObserver
+from .control.plan import Plan
+from .control.robot_model import RobotModel
+from .control.torque_loop import HangingLinks
 from .drives import Drives
 from .plant import Plant
 from .scenario import Scenario

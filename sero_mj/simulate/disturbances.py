@@ -9,11 +9,11 @@ from typing import Annotated, ClassVar, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from ..assemble.dynamics import inertia_problem, tensors_from
-from ..assemble.robot import SerialRobot
-from ..declaration import Declaration, Frame, Name, Point, Vector, of_shape
-from ..errors import DeclarationError, Problem, did_you_mean
-from ..frames import Array
+from ..base.declaration import Declaration, Frame, Name, Point, Vector, of_shape
+from ..base.errors import DeclarationError, Problem, did_you_mean
+from ..base.frames import Array
+from ..robots.assemble.dynamics import inertia_problem, tensors_from
+from ..robots.assemble.robot import SerialRobot
 from .plant import Plant
 from .sensors import Signal
 

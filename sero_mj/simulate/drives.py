@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from ..assemble.robot import SerialRobot
-from ..assemble.robot_dynamics import robot_dynamics
-from ..control.joint_control import largest_share
-from ..control.torque_loop import LoopGains, TorqueLoop, unstable_loop
-from ..errors import DeclarationError, Problem, collect
-from ..frames import Array
+from ..base.errors import DeclarationError, Problem, collect
+from ..base.frames import Array
+from ..robots.assemble.robot import SerialRobot
+from ..robots.assemble.robot_dynamics import robot_dynamics
+from .control.joint_control import largest_share
+from .control.torque_loop import LoopGains, TorqueLoop, unstable_loop
 from .plant_rows import PlantRows
 from .scenario import Run
 

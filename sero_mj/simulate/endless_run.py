@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ..assemble.robot import SerialRobot
-from ..assemble.scene import Scene
-from ..frames import Array
-from ..runs.run_source import RunSource
+from ..base.frames import Array
+from ..robots.assemble.robot import SerialRobot
+from ..robots.assemble.scene import Scene
 from .live_control import Control
+from .runs.run_source import RunSource
 from .scenario import Scenario
 from .simulated_scene import simulated_scene
 from .simulation import Simulation

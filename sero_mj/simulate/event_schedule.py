@@ -8,11 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from ..frames import Array
-from ..runs.run_log import event_of
+from ..base.frames import Array
 from .disturbances import Fault, Force, Payload
 from .external_loads import Push
 from .plant import Plant
+from .runs.run_log import event_of
 from .scenario import Scenario
 
 

@@ -9,14 +9,14 @@ from typing import Literal, Protocol
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..assemble.scene import Scene
-from ..declaration import Declaration, Name
-from ..errors import DeclarationError, Problem, did_you_mean
-from ..frames import Array, Bools
-from ..runs.measures import MEASURES, NEED_TARGET, OF_FREE, PER_JOINT, SIGNED
-from ..runs.monitor import KINDS, Finding
-from ..runs.run_log import RunLog
+from ..base.declaration import Declaration, Name
+from ..base.errors import DeclarationError, Problem, did_you_mean
+from ..base.frames import Array, Bools
+from ..robots.assemble.scene import Scene
 from .disturbances import Disturbance, Fault
+from .runs.measures import MEASURES, NEED_TARGET, OF_FREE, PER_JOINT, SIGNED
+from .runs.monitor import KINDS, Finding
+from .runs.run_log import RunLog
 
 
 class RunContext(Protocol):

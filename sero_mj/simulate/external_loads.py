@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..assemble.dynamics import inertia_problem, principal_moments, tensors_from
-from ..assemble.mjcf_dynamics import PAYLOAD
-from ..assemble.parts import robots_of_bodies
-from ..assemble.world import World
-from ..declaration import numbers
-from ..errors import UnknownName
-from ..frames import Array
+from ..base.declaration import numbers
+from ..base.errors import UnknownName
+from ..base.frames import Array
+from ..robots.assemble.dynamics import inertia_problem, principal_moments, tensors_from
+from ..robots.assemble.mjcf_dynamics import PAYLOAD
+from ..robots.assemble.parts import robots_of_bodies
+from ..robots.assemble.world import World
 
 
 class Push:

@@ -9,11 +9,11 @@ from math import sqrt
 import mujoco
 import numpy as np
 
-from ..errors import UsageError
-from ..frames import Array
-from ..runs.run_log import event_of
+from ..base.errors import UsageError
+from ..base.frames import Array
 from .external_loads import Push
 from .plant import Plant
+from .runs.run_log import event_of
 from .scenario import Scenario
 
 LIMIT = 150.0  # N; what a person pulls with an arm

@@ -27,9 +27,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..assemble.mjcf_dynamics import COUPLING, deflection_joint, spring_damping
-from ..assemble.world import World
-from ..frames import Array, Ints
+from ..base.frames import Array, Ints
+from ..robots.assemble.mjcf_dynamics import COUPLING, deflection_joint, spring_damping
+from ..robots.assemble.world import World
 from .rows import ManyRows, OneRow
 
 Index = slice | Ints

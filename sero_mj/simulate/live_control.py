@@ -8,13 +8,13 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from ..assemble.robot import SerialRobot
-from ..control.cartesian_control import CartesianImpedance
-from ..control.controller import ControllerDeclaration, Target
-from ..control.joint_control import GravityCompensation, JointImpedance, largest_share
-from ..control.robot_model import RobotModel
-from ..errors import DeclarationError
-from ..frames import Array
+from ..base.errors import DeclarationError
+from ..base.frames import Array
+from ..robots.assemble.robot import SerialRobot
+from .control.cartesian_control import CartesianImpedance
+from .control.controller import ControllerDeclaration, Target
+from .control.joint_control import GravityCompensation, JointImpedance, largest_share
+from .control.robot_model import RobotModel
 
 Control = Literal["gravity", "joint", "cartesian"]
 CONTROLS: tuple[Control, ...] = get_args(Control)

@@ -9,11 +9,11 @@ from typing import Self
 import numpy as np
 
 from .. import __version__
-from ..drive.record_sources import joint_names
-from ..frames import Array
-from ..record.recording_format import Signals, media_type
-from ..record.recording_writer import RecordingWriter
-from ..runs.run_log import MEASURED, PER_JOINT, event_of
+from ..base.frames import Array
+from ..data.drive.record_sources import joint_names
+from ..data.record.recording_format import Signals, media_type
+from ..data.record.recording_writer import RecordingWriter
+from .runs.run_log import MEASURED, PER_JOINT, event_of
 from .scenario import Scenario
 from .simulated_scene import SOURCE
 from .simulation import Simulation

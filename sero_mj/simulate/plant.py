@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..assemble.parts import RobotPart
-from ..assemble.world import World
-from ..declaration import numbers
-from ..errors import SimulationError, UnknownName
-from ..frames import Array
+from ..base.declaration import numbers
+from ..base.errors import SimulationError, UnknownName
+from ..base.frames import Array
+from ..robots.assemble.parts import RobotPart
+from ..robots.assemble.world import World
 from .external_loads import Push, attach_payload, detach_payload
 from .plant_rows import PlantRows
 from .rows import OneRow

@@ -6,8 +6,8 @@ from typing import NoReturn
 
 import numpy as np
 
-from ..assemble.world import World
-from ..frames import Array
+from ..base.frames import Array
+from ..robots.assemble.world import World
 from .joint_model import JointModel
 from .rows import ManyRows, OneRow
 from .sensors import Sensors

@@ -12,7 +12,7 @@ import numpy as np
 from mujoco import mj_step, mj_step1, mj_step2
 from mujoco.batch import Batch
 
-from ..frames import Array, Bools, Ints
+from ..base.frames import Array, Bools, Ints
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..describe.toml_text import toml_text
-from ..errors import SeroError, UnknownName, UsageError
-from ..paths import find_scenario
+from ..base.errors import SeroError, UnknownName, UsageError
+from ..base.paths import find_scenario
+from ..robots.importers.toml_text import toml_text
 from .hand import Pull
 from .log_output import RunRecorder
 from .scenario import Scenario

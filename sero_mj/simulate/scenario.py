@@ -11,18 +11,17 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..assemble.scene import Scene
-from ..assemble.surroundings import Object
-from ..control.compiler import EARTH
-from ..control.controller import Controller, ControllerDeclaration, within
-from ..control.joint_control import GravityCompensation
-from ..control.make_controller import controller_from
-from ..control.plan import law_from
-from ..control.target_motions import Law
-from ..declaration import Declaration, by_kind, of_shape
-from ..errors import DeclarationError, Problem, collect, did_you_mean
-from ..frames import Array
-from ..runs.monitor import Monitor
+from ..base.declaration import Declaration, by_kind, of_shape
+from ..base.errors import DeclarationError, Problem, collect, did_you_mean
+from ..base.frames import Array
+from ..robots.assemble.scene import Scene
+from ..robots.assemble.surroundings import Object
+from .control.compiler import EARTH
+from .control.controller import Controller, ControllerDeclaration, within
+from .control.joint_control import GravityCompensation
+from .control.make_controller import controller_from
+from .control.plan import law_from
+from .control.target_motions import Law
 from .disturbances import (
     DISTURBANCES,
     FAULTS,
@@ -33,6 +32,7 @@ from .disturbances import (
     Payload,
 )  # fmt: skip
 from .expect import Expect
+from .runs.monitor import Monitor
 from .sensors import SIGNALS, SensorErrors, Sensors
 
 TORQUE_RATE = 3000.0  # Hz, of joint torque control on the LWR

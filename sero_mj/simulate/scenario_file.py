@@ -12,11 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..assemble.robot import SerialRobot
-from ..assemble.scene import Scene
-from ..assemble.scene_file import read_scene_file
-from ..dotted_keys import lacking, no_table, parts_of, with_value
-from ..errors import (
+from ..base.dotted_keys import lacking, no_table, parts_of, with_value
+from ..base.errors import (
     CsvError,
     DeclarationError,
     Problem,
@@ -24,12 +21,15 @@ from ..errors import (
     UnknownName,
     did_you_mean,
 )  # fmt: skip
-from ..frames import Array
-from ..paths import find_scenario, find_scene
-from ..record.csv_files import read_csv
-from ..runs.monitor import Monitor
-from ..runs.run_recording import read_run
-from ..toml_file import key_lines, located, read_toml
+from ..base.frames import Array
+from ..base.paths import find_scenario, find_scene
+from ..base.toml_file import key_lines, located, read_toml
+from ..data.record.csv_files import read_csv
+from ..robots.assemble.robot import SerialRobot
+from ..robots.assemble.scene import Scene
+from ..robots.assemble.scene_file import read_scene_file
+from .runs.monitor import Monitor
+from .runs.run_recording import read_run
 from .scenario import Run, Scenario, build_entry
 from .sections import OTHERS, SECTIONS
 

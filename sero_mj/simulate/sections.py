@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import DeclarationError
-from ..toml_file import read_toml
+from ..base.errors import DeclarationError
+from ..base.toml_file import read_toml
 
 SECTIONS = ("controllers", "targets", "sensors", "disturbances", "faults", "expect", "monitor")
 OTHERS = ("scene", "run", "description", "extends", "set")

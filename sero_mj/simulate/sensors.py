@@ -17,9 +17,9 @@ import numpy as np
 from numpy import add, copyto, divide, multiply, rint
 from pydantic import AfterValidator, BeforeValidator, Field
 
-from ..declaration import Declaration, numbers
-from ..errors import UnknownName
-from ..frames import Array, Bools, Ints
+from ..base.declaration import Declaration, numbers
+from ..base.errors import UnknownName
+from ..base.frames import Array, Bools, Ints
 
 Signal = Literal["angles", "velocities", "torques"]
 SIGNALS: tuple[Signal, ...] = ("angles", "velocities", "torques")

@@ -6,14 +6,14 @@ import copy
 
 import numpy as np
 
-from ..assemble.cartesian import ReceivedFrame, SmartArrow
-from ..assemble.double import Double
-from ..assemble.scene import Scene
-from ..frames import frame
-from ..runs.run_log import RunLayout, event_of
-from ..runs.run_source import RunSource
+from ..base.frames import frame
+from ..robots.assemble.cartesian import ReceivedFrame, SmartArrow
+from ..robots.assemble.double import Double
+from ..robots.assemble.scene import Scene
 from .disturbances import Force
 from .hand import Hand
+from .runs.run_log import RunLayout, event_of
+from .runs.run_source import RunSource
 from .scenario import Scenario
 from .simulation import Simulation
 

@@ -9,21 +9,19 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..assemble.mounts import base_frames, unmounted
-from ..assemble.robot import SerialRobot
-from ..assemble.scene import Scene
-from ..control.cartesian_control import CartesianImpedance
-from ..control.compiler import Compiler
-from ..control.controller import ControllerDeclaration
-from ..control.joint_control import GravityCompensation
-from ..control.plan import Plan, make_plan
-from ..control.robot_model import RobotModel
-from ..control.whole_body import WholeBody
-from ..errors import DeclarationError, Problem, SimulationError, collect
-from ..frames import Array, frame, rotation_from_quat
-from ..receive.structure import Structure
-from ..runs.monitor import Finding
-from ..runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
+from ..base.errors import DeclarationError, Problem, SimulationError, collect
+from ..base.frames import Array, frame, rotation_from_quat
+from ..data.receive.structure import Structure
+from ..robots.assemble.mounts import base_frames, unmounted
+from ..robots.assemble.robot import SerialRobot
+from ..robots.assemble.scene import Scene
+from .control.cartesian_control import CartesianImpedance
+from .control.compiler import Compiler
+from .control.controller import ControllerDeclaration
+from .control.joint_control import GravityCompensation
+from .control.plan import Plan, make_plan
+from .control.robot_model import RobotModel
+from .control.whole_body import WholeBody
 from .controlled_robot import ControlledRobot
 from .drives import Drives
 from .event_schedule import EventSchedule
@@ -32,6 +30,8 @@ from .external_loads import Contacts
 from .hand import Hand
 from .live_control import LiveControl, LiveRobot
 from .plant import Plant
+from .runs.monitor import Finding
+from .runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
 from .scenario import Scenario
 
 T = TypeVar("T")

@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from ..assemble.robot import SerialRobot
-from ..errors import UsageError, did_you_mean
-from ..frames import Array
-from ..runs.run_log import RunLog, compared_signal
+from ..base.errors import UsageError, did_you_mean
+from ..base.frames import Array
+from ..robots.assemble.robot import SerialRobot
+from ..simulate.runs.run_log import RunLog, compared_signal
 
 _MIN_OVERLAP = 0.3  # of the shorter one
 _MIN_SPEED = 1e-4  # rad/s or m/s, root mean square

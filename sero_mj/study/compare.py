@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..assemble.double import Double
-from ..assemble.robot import SerialRobot
-from ..assemble.robot_parts import BillboardLine
-from ..assemble.scene import Scene
-from ..frames import Array
-from ..receive.structure import Structure
-from ..record.csv_files import csv_table
-from ..runs.run_log import TIME
-from ..runs.run_source import FinishedRun, RunSource
+from ..base.frames import Array
+from ..data.receive.structure import Structure
+from ..data.record.csv_files import csv_table
+from ..robots.assemble.double import Double
+from ..robots.assemble.robot import SerialRobot
+from ..robots.assemble.robot_parts import BillboardLine
+from ..robots.assemble.scene import Scene
+from ..simulate.runs.run_log import TIME
+from ..simulate.runs.run_source import FinishedRun, RunSource
 from .align import Pair
 from .explanation import Explanation
 from .reduction import peak, rms

@@ -28,9 +28,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import UsageError
-from ..frames import Array, Bools
-from ..runs.run_log import RunLog
+from ..base.errors import UsageError
+from ..base.frames import Array, Bools
+from ..simulate.runs.run_log import RunLog
 from .explain_search import LEAST_ROWS, Search
 from .explanation import FLANGE, LINKS, MOST_SURE, Explanation
 from .torque_residuals import TorqueResiduals, torque_residuals

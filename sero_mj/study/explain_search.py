@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..frames import Array, Bools
+from ..base.frames import Array, Bools
 from .explanation import FLANGE, LINKS, MOST_SURE, Explanation, Kind, Part
 from .torque_residuals import DELAYS, TorqueResiduals
 

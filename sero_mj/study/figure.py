@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import RenderError, UsageError
-from ..frames import Array
+from ..base.errors import RenderError, UsageError
+from ..base.frames import Array
 from .reduction import envelope
 
 if TYPE_CHECKING:

@@ -30,10 +30,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..assemble.robot import SerialRobot
-from ..errors import UsageError
-from ..frames import Array
-from ..runs.run_log import RunLog
+from ..base.errors import UsageError
+from ..base.frames import Array
+from ..robots.assemble.robot import SerialRobot
+from ..simulate.runs.run_log import RunLog
 from .compare import one_unit, unit_of
 from .figure import BLUE, MIN_SHARE, ORANGE, Figure, check_suffix, save_figures, styled
 from .reduction import rms
@@ -358,7 +358,7 @@ def as_toml(found: Identified) -> str:
 
     What the run does not tell is left as it was declared.
     """
-    from ..assemble.robot_dynamics import robot_dynamics
+    from ..robots.assemble.robot_dynamics import robot_dynamics
 
     declared = robot_dynamics(found.robot)
     lines = [f"# Identified from {found.run}, {found.begin:.3f} s to {found.end:.3f} s.",

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import UsageError, did_you_mean
-from ..frames import Array
-from ..runs.run_log import RunLog, compared_signal, torque_error
+from ..base.errors import UsageError, did_you_mean
+from ..base.frames import Array
+from ..simulate.runs.run_log import RunLog, compared_signal, torque_error
 from .align import Pair
 from .compare import differ_most, one_unit, unit_of
 from .explanation import Explanation
@@ -33,7 +33,7 @@ from .reduction import peak, rms
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from ..runs.monitor import Finding
+    from ..simulate.runs.monitor import Finding
     from ..simulate.scenario import Scenario
 
 

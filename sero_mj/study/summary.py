@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..frames import Array
-from ..runs.run_log import RunLog, torque_error
+from ..base.frames import Array
+from ..simulate.runs.run_log import RunLog, torque_error
 from .compare import MANY_JOINTS, MOST_SHOWN, shown_as, unit_of
 from .reduction import peak, rms
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ..runs.monitor import Finding
+    from ..simulate.runs.monitor import Finding
 
 
 _NOTHING = 5e-4  # Nm, N, deg or mm, in the table

@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 
 from .. import __version__
-from ..errors import DeclarationError, UsageError
-from ..frames import Array
+from ..base.errors import DeclarationError, UsageError
+from ..base.frames import Array
 from ..simulate.log_output import files_of
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario

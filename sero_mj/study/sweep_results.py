@@ -14,8 +14,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..errors import CsvError, RenderError, UsageError
-from ..record.csv_files import csv_table
+from ..base.errors import CsvError, RenderError, UsageError
+from ..data.record.csv_files import csv_table
 from .sweep import Sweep, Vary
 from .variant import UNITS
 

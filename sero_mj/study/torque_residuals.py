@@ -27,12 +27,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..assemble.robot import SerialRobot
-from ..assemble.robot_dynamics import GRAVITY, robot_dynamics
-from ..control.robot_model import RobotModel
-from ..errors import UsageError
-from ..frames import Array, Bools
-from ..runs.run_log import RunLog, compared_signal
+from ..base.errors import UsageError
+from ..base.frames import Array, Bools
+from ..robots.assemble.robot import SerialRobot
+from ..robots.assemble.robot_dynamics import GRAVITY, robot_dynamics
+from ..simulate.control.robot_model import RobotModel
+from ..simulate.runs.run_log import RunLog, compared_signal
 from .align import Pair, at_times
 
 WINDOW = 0.016  # s, standard deviation of the low pass: 10 Hz

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..control.compiler import Compiler
-from ..errors import DeclarationError, SeroError, SimulationError
-from ..runs.run_log import RunLog
+from ..base.errors import DeclarationError, SeroError, SimulationError
+from ..simulate.control.compiler import Compiler
+from ..simulate.runs.run_log import RunLog
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
 from ..simulate.simulation import Simulation

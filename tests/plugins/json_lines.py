@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from pydantic import Field, PrivateAttr
 
-from sero_mj.errors import SourceError
-from sero_mj.receive.source import Source
+from sero_mj.base.errors import SourceError
+from sero_mj.data.receive.source import Source
 
 
 class JsonLines(Source):

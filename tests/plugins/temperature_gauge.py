@@ -12,7 +12,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from sero_mj.decor.feature import Feature, Frame
+from sero_mj.viewer.decor.feature import Feature, Frame
 
 FULL = 80.0  # degrees Celsius: the whole circle
 SEGMENTS = 12

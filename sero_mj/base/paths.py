@@ -1,0 +1,373 @@
+"""Finds shipped and named files, and opens them without waiting or reading without end.
+
+`models/` and `scenes/` are in the wheel, or beside the package in a checkout.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import stat
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import BinaryIO
+
+from .errors import DeclarationError, Problem, UnknownName, nearest
+
+ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
+# Of robot files in other formats than TOML.
+_TELLS_NOTHING = ("robot", "model", "scene", "main")
+# In folders of others: what shows a robot on a floor, and where models are if not in the folder.
+_SCENE_FILE, _INNER = "scene.xml", ("mjcf", "urdf", "robots")
+_MODELS = ("a URDF file", "an MJCF file")
+ROBOT_ENDINGS: tuple[str, ...] = (".urdf", ".xacro", ".xml")
+SCENE_ENDINGS = (".x3d", ".x3dv", ".wrl")  # of scene files in other formats
+_PACKAGE = Path(__file__).resolve().parents[1]
+_KINDS = (
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISSOCK, "a socket"),
+)
+_MB = 1_000_000
+_XML = re.compile(rb"\s*+(?:<[?!](?:--.*?--|[^>]*+)>\s*+)*+<([A-Za-z_][\w.-]{0,40})", re.DOTALL)
+# The packed form of USD is a ZIP archive with a file of USD first.
+_USD = re.compile(rb"#usda |PXR-USDC|PK\x03\x04.{26}[^\0]{1,200}?\.usd[ac]?", re.DOTALL)
+_ROOTS = {
+    "robot": "a URDF file",
+    "mujoco": "an MJCF file",
+    "sdf": "an SDF file",
+    "COLLADA": "a mesh (COLLADA)",
+    "X3D": "X3D in the XML encoding",
+}
+_HEAD = 100_000  # bytes by which a file's format is found
+
+
+def _shipped(folder: str) -> Path:
+    """Returns the folder inside the package (wheel), else beside it (checkout)."""
+    inside = _PACKAGE / folder
+    return inside if inside.is_dir() else _PACKAGE.parent / folder
+
+
+def models_dir() -> Path:
+    """Folder with one sub-folder per shipped robot."""
+    return _shipped("models")
+
+
+def scenes_dir() -> Path:
+    """Folder with the shipped scene files."""
+    return _shipped("scenes")
+
+
+def list_models() -> list[str]:
+    """Names of the shipped robots."""
+    return _models_in(models_dir(), ROBOT_FILE)
+
+
+def list_group_models() -> list[str]:
+    """Names of the shipped models that are groups of robots."""
+    return _models_in(models_dir(), GROUP_FILE)
+
+
+def list_scenes() -> list[str]:
+    """Names of the shipped scenes."""
+    return _toml_files(scenes_dir())
+
+
+def list_all() -> list[str]:
+    """Names of all that is shipped: robots, groups of robots, scenes and scenarios."""
+    return [*list_models(), *list_group_models(), *list_scenes(), *list_scenarios()]
+
+
+def shipped_file(name: str) -> Path | None:
+    """Returns the file of a shipped scene, scenario, robot or group; None where there is none.
+
+    Of several of that name it is the one that `load_scene` takes.
+    """
+    candidates = (
+        scenes_dir() / f"{name}.toml",
+        scenarios_dir() / f"{name}.toml",
+        models_dir() / name / ROBOT_FILE,
+        models_dir() / name / GROUP_FILE,
+    )
+    return next((file for file in candidates if file.is_file()), None)
+
+
+def find_model(name: str, beside: Path | None = None) -> Path:
+    """Returns the robot file that `name` means.
+
+    Args:
+        name: a shipped robot's name, a folder with a `robot.toml`, or a file: TOML, or one of
+            `ROBOT_ENDINGS`. Of another folder it is the file `scene.xml`, else its one URDF or
+            MJCF.
+        beside: folder that relative paths start from; the working directory when None.
+
+    Raises:
+        UnknownName: nothing of that name exists; lists the robots beside it and the shipped ones.
+        DeclarationError: a folder has several models, or the file is in a format that is not read.
+    """
+    return _find_model("robot model", name, beside, ROBOT_FILE)
+
+
+def find_group_model(name: str, beside: Path | None = None) -> Path:
+    """Returns the file of the group of robots that `name` means; as `find_model` does.
+
+    Args:
+        name: a shipped group's name, a folder with a `group.toml`, or a TOML file.
+        beside: folder that relative paths start from; the working directory when None.
+
+    Raises:
+        UnknownName: nothing of that name exists; lists the groups beside it and the shipped ones.
+    """
+    return _find_model("model of a group", name, beside, GROUP_FILE)
+
+
+def _find_model(kind: str, name: str, beside: Path | None, file: str) -> Path:
+    local = (beside or Path.cwd()) / name
+    endings = (".toml", *(ROBOT_ENDINGS if file == ROBOT_FILE else ()))
+    for candidate in (local / file, local, models_dir() / name / file):
+        if candidate.suffix in endings and os.path.isfile(candidate):
+            return _plain(candidate)
+    _refuse_path(name, beside)
+    if file == ROBOT_FILE and name and (inside := _model_in(local)) is not None:
+        return _plain(inside)
+    available = [*_models_in(beside or Path.cwd(), file), *_models_in(models_dir(), file)]
+    raise UnknownName(kind, name, available)
+
+
+def _plain(path: Path) -> Path:
+    plain = Path(os.path.normpath(path))  # a/../b is not b where a is a link
+    return plain if plain.exists() and plain.samefile(path) else path
+
+
+def _model_in(folder: Path) -> Path | None:
+    """The model of a folder of others: its scene, or else the only one; None for none.
+
+    Raises:
+        DeclarationError: there are several.
+    """
+    if os.path.isfile(folder / _SCENE_FILE):
+        return folder / _SCENE_FILE
+    for inner in (folder, *(folder / each for each in _INNER)):
+        named = [inner / each for ending in ROBOT_ENDINGS for each in _files(inner, ending)]
+        found = [path for path in named if path.is_file() and format_of_file(path) in _MODELS]
+        if len(found) > 1:
+            names = ", ".join(sorted(str(path.relative_to(folder)) for path in found))
+            message = f"found {len(found)} models in this folder; expected one of {names}"
+            raise DeclarationError([Problem("", message, str(folder))])
+        if found:
+            return found[0]
+    return None
+
+
+def _models_in(folder: Path, file: str) -> list[str]:
+    """Names of the folders in a folder that hold such a file; none where it cannot be read."""
+    try:
+        return sorted(path.parent.name for path in folder.glob(f"*/{file}"))
+    except OSError:
+        return []
+
+
+def _refuse_path(name: str, beside: Path | None = None) -> None:
+    """Says what is wrong with a name that is meant as a path, where a list would not help.
+
+    Raises:
+        DeclarationError: it ends as a file does, and there is no such file.
+    """
+    path = (beside or Path()) / name
+    ending = path.suffix.lower()
+    if "\0" in name:
+        return
+    is_read = ending in (read := (".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS))
+    if not is_read and os.path.exists(path) and not os.path.isdir(path):
+        try:
+            with open_file(path) as file:
+                found = format_of(file.read(_HEAD)) or "no file of a robot or a scene"
+        except OSError as error:
+            what = f"cannot be read: {error.strerror}"
+        else:
+            what = f"is {found}; expected one of {', '.join(read)}"
+        raise DeclarationError([Problem("", what, str(path))])
+    if is_read:
+        try:
+            open_file(path).close()
+            return  # another kind of file than what is looked for
+        except IsADirectoryError:
+            what = "is a folder; expected a file"
+        except (FileNotFoundError, NotADirectoryError):
+            others = [Path(n).stem for n in _files(path.parent, path.suffix) if n != path.name]
+            near = nearest(path.stem, others)
+            what = "no such file" + (f"; did you mean '{near}{path.suffix}'?" if near else "")
+            if path.is_symlink():
+                what = f"is a link to {os.readlink(path)}, which is not there"
+        except OSError as error:
+            what = f"cannot be read: {error.strerror}"
+        raise DeclarationError([Problem("", what, str(path))])
+
+
+def _toml_files(folder: Path) -> list[str]:
+    """Names of the TOML files of a folder, without their ending; none where it cannot be read."""
+    return [Path(name).stem for name in _files(folder, ".toml")]
+
+
+def format_of(contents: bytes) -> str | None:
+    """Says in which format of others a robot or a scene is, `an SDF file`; None for none known."""
+    contents = contents.removeprefix(b"\xef\xbb\xbf")
+    if _USD.match(contents):
+        return "a USD file"
+    if contents.lstrip().startswith((b"#VRML V1", b"#Inventor")):
+        return "a VRML 1.0 file"
+    root = _XML.match(contents)
+    return None if root is None else _ROOTS.get(tag := root[1].decode(), f"XML <{tag}>")
+
+
+def format_of_file(path: Path) -> str | None:
+    """As `format_of`; None for a file that cannot be read, too."""
+    try:
+        with open_file(path) as file:
+            return format_of(file.read(_HEAD))
+    except (OSError, ValueError):
+        return None
+
+
+def _files(folder: Path, ending: str) -> list[str]:
+    """Names of the files of a folder with this ending; none where it cannot be read."""
+    try:
+        return sorted(path.name for path in folder.glob(f"*{ending}"))
+    except (OSError, ValueError):
+        return []
+
+
+def model_name(path: Path) -> str:
+    """The name of the robot or group of a file: of its folder, or else of the file itself.
+
+    Of the folder as well for an MJCF whose name tells nothing, as `panda/robot.xml`.
+    """
+    if path.suffix == ".toml":
+        return path.parent.name
+    name, folder = path.stem.removesuffix(".urdf"), path.absolute().parent.name
+    if path.suffix == ".xml" and name.lower() in _TELLS_NOTHING and folder:
+        name = folder
+    return re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", name)
+
+
+def file_hint(name: str) -> str:
+    """Points to NAME.toml in the working directory, where only NAME was given; else empty."""
+    if "\0" in name or not os.path.isfile(Path(f"{name}.toml")):
+        return ""
+    return f"; a file is named with its ending: {name}.toml"
+
+
+def scenarios_dir() -> Path:
+    """Folder with the shipped scenarios."""
+    return scenes_dir() / "scenarios"
+
+
+def list_scenarios() -> list[str]:
+    """Names of the shipped scenarios."""
+    return _toml_files(scenarios_dir())
+
+
+def find_scenario(name: str) -> Path:
+    """Returns the scenario file that `name` means: a TOML file, or a shipped scenario's name.
+
+    Raises:
+        UnknownName: nothing of that name exists; lists the shipped scenarios.
+    """
+    return _find("scenario", name, scenarios_dir(), list_scenarios)
+
+
+def find_scene(name: str) -> Path:
+    """Returns the scene file that `name` means: a TOML file, or a shipped scene's name.
+
+    Raises:
+        UnknownName: nothing of that name exists; lists the shipped scenes.
+    """
+    return _find("scene", name, scenes_dir(), list_scenes)
+
+
+def _find(kind: str, name: str, folder: Path, shipped: Callable[[], list[str]]) -> Path:
+    """A file, or a shipped one of that name."""
+    for candidate in (Path(name), folder / f"{name}.toml"):
+        if candidate.suffix not in ROBOT_ENDINGS and os.path.isfile(candidate):
+            return candidate
+    _refuse_path(name)
+    raise UnknownName(kind, name, shipped(), file_hint(name))
+
+
+@cache
+def _temporary() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="sero-mj-")
+
+
+def make_temporary_folder() -> Path:
+    """Makes a folder that ends with this process."""
+    return Path(tempfile.mkdtemp(dir=_temporary().name)).resolve()
+
+
+def is_temporary(path: Path | str) -> bool:
+    """Whether a file is in a folder that ends with this process."""
+    if not _temporary.cache_info().currsize:  # nobody has made one
+        return False
+    return Path(path).is_relative_to(Path(_temporary().name).resolve())
+
+
+def without_temporary(text: str) -> str:
+    """Returns a message with files of such folders, which say nothing, by their paths in there."""
+    if not _temporary.cache_info().currsize:
+        return text
+    folder = re.escape(str(Path(_temporary().name).resolve()))
+    return re.sub(rf"{folder}[/\\][^/\\\s]+[/\\]", "", text)
+
+
+def open_file(path: Path | str, most: int | None = None) -> BinaryIO:
+    """Opens a file to be read.
+
+    Args:
+        path: of the file.
+        most: bytes that it may have.
+
+    Raises:
+        OSError: it cannot be opened, is no regular file (a pipe would keep its reader waiting, a
+            device may have no end), or is longer; `strerror` says so.
+        ValueError: no file can have this name.
+    """
+    # Without O_NONBLOCK a pipe keeps even its opener waiting.
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    file = os.open(path, flags)
+    try:
+        status = os.fstat(file)
+        if stat.S_ISDIR(status.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        if not stat.S_ISREG(status.st_mode):
+            what = next((name for is_it, name in _KINDS if is_it(status.st_mode)), "something else")
+            raise OSError(errno.EINVAL, f"is {what}; expected a file", str(path))
+        if most is not None and status.st_size > most:
+            found = f"has {status.st_size / _MB:.1f} MB; expected at most {most / _MB:g} MB"
+            raise OSError(errno.EFBIG, found, str(path))
+        return os.fdopen(file, "rb")
+    except BaseException:
+        os.close(file)
+        raise
+
+
+def read_file(path: Path | str, most: int) -> bytes:
+    """Returns what is in a file of at most so many bytes; raises as `open_file` does."""
+    with open_file(path, most) as file:
+        return file.read(most)
+
+
+def argument_of(file: Path) -> str:
+    """Returns what commands call a file: its name where it is shipped, else its path from here."""
+    name = model_name(file) if file.name == ROBOT_FILE else file.stem
+    for find in (find_scene, find_scenario, find_model, find_group_model):
+        try:
+            if find(name).samefile(file):
+                return name
+        except (UnknownName, OSError):
+            continue
+    here, file = Path.cwd(), file.resolve()
+    return str(file.relative_to(here)) if file.is_relative_to(here) else str(file)

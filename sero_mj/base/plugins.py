@@ -1,0 +1,71 @@
+"""What other packages add: entry points, by which sero-mj's own parts are found as well.
+
+    sero_mj.sources   kinds of sources in scenes, subclasses of `data.receive.source.Source`
+    sero_mj.decor     visual features, subclasses of `viewer.decor.feature.Feature`
+
+A package adds a kind in its pyproject.toml, and no line of sero-mj changes:
+
+    [project.entry-points."sero_mj.sources"]
+    json = "my_package:JsonLines"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from .errors import PluginError, UnknownName
+
+SOURCES, DECOR = "sero_mj.sources", "sero_mj.decor"
+_OWN = "sero-mj"
+
+
+@cache
+def plugins(group: str) -> Mapping[str, EntryPoint]:
+    """Entry points of a group by name; sero-mj's own first, and never replaced by another's."""
+    found: dict[str, EntryPoint] = {}
+    for point in sorted(entry_points(group=group), key=lambda point: not is_own(point)):
+        found.setdefault(point.name, point)
+    return found
+
+
+def is_own(point: EntryPoint) -> bool:
+    """Whether it is part of sero-mj."""
+    return point.dist is not None and point.dist.name == _OWN
+
+
+def load_plugin(group: str, name: str) -> Any:
+    """Imports what an entry point names.
+
+    Raises:
+        UnknownName: no such name; names the nearest.
+        PluginError: its package cannot be imported.
+    """
+    known = plugins(group)
+    if name not in known:
+        raise UnknownName(group.rpartition(".")[2].removesuffix("s"), name, known)
+    try:
+        return known[name].load()
+    except Exception as error:  # whatever another package raises when it is imported
+        raise PluginError(group, known[name], error) from error
+
+
+def plugin_name(group: str, item: type) -> str:
+    """The name under which a class is an entry point of a group.
+
+    Raises:
+        UnknownName: it is none.
+    """
+    value = f"{item.__module__}:{item.__qualname__}"
+    found = plugins(group)
+    for name, point in found.items():
+        if point.value == value:
+            return name
+    for name, point in found.items():  # its package may export it from another module
+        with suppress(Exception):
+            if not is_own(point) and point.load() is item:
+                return name
+    raise UnknownName(f"entry point in {group}", value, [p.value for p in plugins(group).values()])

@@ -1,0 +1,116 @@
+"""Units in routes: their size in SI, and which of them an input takes.
+
+A dimension is four exponents: of m, kg, s and rad. Angles have one of their own, so that degrees
+are never taken for millimetres. All zero means a plain number, which fits anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...robots.assemble.inputs import Input
+from ...robots.assemble.robot import SerialRobot
+from ...robots.assemble.scene import Scene
+
+Dimension = tuple[int, ...]
+
+NONE: Dimension = (0, 0, 0, 0)
+LENGTH: Dimension = (1, 0, 0, 0)
+_MASS: Dimension = (0, 1, 0, 0)
+_TIME: Dimension = (0, 0, 1, 0)
+_ANGLE: Dimension = (0, 0, 0, 1)
+_FORCE: Dimension = (1, 1, -2, 0)
+_TORQUE: Dimension = (2, 1, -2, 0)
+_SPEED: Dimension = (1, 0, -1, 0)
+_TURN: Dimension = (0, 0, -1, 1)
+
+# Name to its size in SI units and its dimension.
+UNITS: dict[str, tuple[float, Dimension]] = {
+    "rad": (1.0, _ANGLE),
+    "mrad": (1e-3, _ANGLE),
+    "deg": (np.pi / 180.0, _ANGLE),
+    "rpm": (np.pi / 30.0, _TURN),
+    "m": (1.0, LENGTH),
+    "cm": (1e-2, LENGTH),
+    "mm": (1e-3, LENGTH),
+    "N": (1.0, _FORCE),
+    "kN": (1e3, _FORCE),
+    "mN": (1e-3, _FORCE),
+    "Nm": (1.0, _TORQUE),
+    "kNm": (1e3, _TORQUE),
+    "mNm": (1e-3, _TORQUE),
+    "Nmm": (1e-3, _TORQUE),
+    "kg": (1.0, _MASS),
+    "g": (1e-3, _MASS),
+    "s": (1.0, _TIME),
+    "ms": (1e-3, _TIME),
+    "us": (1e-6, _TIME),
+}
+_NAMES: dict[Dimension, str] = {
+    NONE: "a plain number",
+    LENGTH: "a length (m)",
+    _MASS: "a mass (kg)",
+    _TIME: "a time (s)",
+    _ANGLE: "an angle (rad)",
+    _FORCE: "a force (N)",
+    _TORQUE: "a torque (Nm)",
+    _SPEED: "a velocity (m/s)",
+    _TURN: "an angular velocity (rad/s)",
+    (1, 0, -2, 0): "an acceleration (m/s2)",
+    (0, 0, -2, 1): "an angular acceleration (rad/s2)",
+}
+_ARROWS: dict[str, Dimension] = {
+    "force": _FORCE,
+    "torque": _TORQUE,
+    "velocity": _SPEED,
+    "angular_velocity": _TURN,
+}
+# Of a per-joint input, where the joint turns and where it slides.
+_JOINTS: dict[str, tuple[Dimension, Dimension]] = {
+    "joint_angles": (_ANGLE, LENGTH),
+    "torques": (_TORQUE, _FORCE),
+    "commanded_torques": (_TORQUE, _FORCE),
+    "joint_accelerations": ((0, 0, -2, 1), (1, 0, -2, 0)),
+}
+
+
+def describe(dimension: Dimension) -> str:
+    """Says in words what four exponents mean: `an angle (rad)`, `m2 kg s-3`."""
+    units = zip(("m", "kg", "s", "rad"), dimension, strict=True)
+    plain = " ".join(f"{unit}{'' if e == 1 else e}" for unit, e in units if e)
+    return _NAMES.get(dimension, plain)
+
+
+def units_of(scene: Scene, item: Input) -> list[Dimension]:
+    """The units of the numbers of an input; `NONE` for what takes any.
+
+    A robot's output has the unit of the input of that name. An arrow with a `unit` of its own
+    shows what it gets, so it takes any.
+    """
+    if item.kind == "vector":
+        arrow = scene.arrows[item.name]
+        return [_ARROWS[arrow.kind] if arrow.unit is None else NONE] * item.count
+    if item.kind in ("angles", "values") and item.key in _JOINTS:
+        turning, sliding = _JOINTS[item.key]
+        kinematics = robot_of(scene, item).kinematics
+        return [turning if turns else sliding for turns in kinematics.revolute]
+    return [NONE] * item.count
+
+
+def wrong_unit(units: Sequence[Dimension], taken: Sequence[Dimension], target: str) -> str:
+    """Says which number has another unit than the input takes; empty where all fit."""
+    for i, want in enumerate(taken):
+        have = units[i if len(units) > 1 else 0]
+        if any(have) and any(want) and have != want:
+            differ = len({*units}) > 1 or len({*taken}) > 1
+            where = f" at number {i}, counted from 0" if differ else ""
+            return f"is {describe(have)}; {target} takes {describe(want)}{where}"
+    return ""
+
+
+def robot_of(scene: Scene, item: Input) -> SerialRobot:
+    """The robot of a per-joint input; a double's is the one it doubles."""
+    double = scene.doubles.get(item.name)
+    return scene.robots[item.name if double is None else double.of]

@@ -1,0 +1,188 @@
+"""Routes to some joints of a robot, by the names of joints and limbs.
+
+Each such origin is a `JointPart`; all that lead to one input become one route, `whole_route`.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base.errors import DeclarationError, Problem, did_you_mean
+from ...base.frames import Array
+from ...robots.assemble.inputs import Input
+from ...robots.assemble.scene import Scene
+from ._units import robot_of, units_of, wrong_unit
+from .route import Route
+from .values import Value, joined
+
+_MOST_LISTED = 8  # joints in a message
+
+
+class Place(NamedTuple):
+    """A number of an input.
+
+    Attributes:
+        to: the input of a robot or a double.
+        joint: index of the joint.
+    """
+
+    to: Input
+    joint: int
+
+
+@dataclass(frozen=True, eq=False)
+class JointPart:
+    """What leads to some of the joints of an input.
+
+    Attributes:
+        to: the input.
+        joints: which of its numbers, k.
+        value: what they get, (k,).
+        text: where that leads from, as declared.
+        numbers: which of the numbers that the text stands for each of them is, k.
+    """
+
+    to: Input
+    joints: list[int]
+    value: Value
+    text: str
+    numbers: list[int]
+
+
+def places_by_name(
+    scene: Scene, inputs: Sequence[Input], *, in_group: bool
+) -> dict[str, list[Place]]:
+    """Returns the joints that the names of joints and limbs mean.
+
+    In a group these are `ROBOT_JOINT` and `ROBOT_LIMB`, and a robot's own name means all of it.
+    """
+    places: dict[str, list[Place]] = {}
+    for item in inputs:
+        robot = robot_of(scene, item)
+        scope = f"{robot.name}_" if in_group else ""
+        limbs = {scope + limb: joints for limb, joints in robot.limb_joints.items()}
+        if in_group:
+            limbs[robot.name] = list(range(robot.n))
+        limbs |= {scope + name: [i] for i, name in enumerate(robot.names)}
+        places |= {name: [Place(item, i) for i in joints] for name, joints in limbs.items()}
+    return places
+
+
+def named_joints(
+    scene: Scene,
+    owner: str,
+    places: Mapping[str, list[Place]],
+    names: Sequence[str] | None,
+    problems: list[Problem],
+) -> list[Place]:
+    """Returns the joints that are named, in that order; what is wrong is added to the problems."""
+    if names is None:
+        message = "expected each of several origins 'for' the names of joints or limbs"
+        problems.append(Problem("", message))
+    for name in dict.fromkeys(names or []):
+        if name not in places:
+            near = did_you_mean(name, places)
+            problems.append(Problem("", f"{owner} has no joint or limb '{name}'{near}"))
+    return [place for name in names or [] for place in places.get(name, [])]
+
+
+def named_twice(scene: Scene, places: Sequence[Place]) -> list[Problem]:
+    """Returns a problem for each joint that is there more than once."""
+    twice = [place for place, count in Counter(places).items() if count > 1]
+    names = [robot_of(scene, to).names[joint] for to, joint in twice]
+    return [Problem("", f"{name} is named twice; expected each joint once") for name in names]
+
+
+def joint_parts(
+    scene: Scene, value: Value, text: str, places: Sequence[Place], target: str
+) -> list[JointPart]:
+    """Returns what an origin gives to joints, a part for each robot.
+
+    Args:
+        scene: the declaration.
+        value: what the origin means.
+        text: of the origin.
+        places: the joints, in the order of the values; those that are coupled to others of them
+            may be left out in the values.
+        target: the input that is declared, for messages.
+
+    Raises:
+        DeclarationError: a wrong number of values, or of another unit.
+    """
+    named = set(places)
+    free = [place for place in places if not _follows(place, named)]
+    count, is_one = value.entries.size, value.is_constant and not value.shape
+    if count == len(free) < len(places):
+        places = free
+    if value.is_frames or (count != len(places) and not is_one):
+        names = [robot_of(scene, to).names[joint] for to, joint in places]
+        listed = names if len(names) <= _MOST_LISTED else [names[0], "...", names[-1]]
+        many = "1 value" if count == 1 else f"{count} values"
+        fewer = f", or {len(free)} without the coupled ones" if len(free) < len(places) else ""
+        takes = f"{len(places)}{fewer}: {', '.join(listed)}"
+        raise DeclarationError([Problem("", f"{text} has {many}; {target} takes {takes}")])
+    parts = []
+    for item in dict.fromkeys(place.to for place in places):
+        mine = [k for k, place in enumerate(places) if place.to is item]
+        numbers = [0] * len(mine) if is_one else mine
+        joints = [places[k].joint for k in mine]
+        ones = np.ones(len(mine))
+        own = value.gather(np.array(numbers, np.intp), ones, 0.0 * ones)
+        units = units_of(scene, item)
+        if message := wrong_unit(own.units, [units[joint] for joint in joints], target):
+            raise DeclarationError([Problem("", f"{text} {message}")])
+        parts.append(JointPart(item, joints, own, text, numbers))
+    return parts
+
+
+def _follows(place: Place, places: Set[Place]) -> bool:
+    """Whether a joint is coupled to another one of these."""
+    coupled = place.to.coupled
+    if coupled is None:
+        return False
+    leader = int(coupled.independent[coupled.source[place.joint]])
+    return leader != place.joint and Place(place.to, leader) in places
+
+
+def whole_route(scene: Scene, parts: Sequence[JointPart]) -> Route:
+    """One route to an input, from those to some of its joints.
+
+    Joints that are coupled to these follow; the others keep their declared values.
+    """
+    item = parts[0].to
+    rest = _declared_values(scene, item)
+    joints = np.concatenate([part.joints for part in parts]).astype(np.intp)
+    value = joined([part.value for part in parts]).spread(joints, rest)
+    texts, numbers = [""] * item.count, np.zeros(item.count, np.intp)
+    for part in parts:
+        numbers[part.joints] = part.numbers
+        for joint in part.joints:
+            texts[joint] = part.text
+    if item.coupled is not None:
+        coupled = item.coupled
+        leader = coupled.independent[coupled.source]
+        follow = np.isin(leader, joints) & ~np.isin(np.arange(item.count), joints)
+        take = np.where(follow, leader, np.arange(item.count))
+        factors = np.where(follow, coupled.factors(item.key), 1.0)
+        constants = np.where(follow, coupled.constants(item.key), 0.0)
+        value = value.gather(take, factors, constants)
+        numbers, texts = numbers[take], [texts[joint] for joint in take]
+    text = "; ".join(dict.fromkeys(part.text for part in parts))
+    compiled = value.compile(item.count)
+    return Route(item, text, compiled, False, tuple(numbers.tolist()), tuple(texts), rest)
+
+
+def _declared_values(scene: Scene, item: Input) -> Array:
+    """What the joints of an input have while nothing leads to them, (n,)."""
+    robot, double = robot_of(scene, item), scene.doubles.get(item.name)
+    declared = getattr(robot if double is None else double, item.key, None)
+    if declared is None:
+        return robot.home if item.kind == "angles" else np.full(item.count, np.nan)
+    if item.coupled is not None:
+        return item.coupled.full(item.key, declared)
+    return np.asarray(declared, np.float64)

@@ -1,0 +1,216 @@
+"""The language of routes and triggers, parsed by Python's `ast`.
+
+origin     = ["not"] expression, or a condition
+condition  = comparisons of expressions with `<`, `<=`, `>`, `>=`, `==`, `!=`, and `any(condition)`,
+             `all(condition)`, joined by `and`, `or` and `not`
+expression = numbers, names, `+ - * /`, parentheses, lists `[a, b]`, indices `a[0]`, `a[0,3,5]`,
+             `a[1:4]`, as in Python, and in conditions `abs(a)`, `min(a)`, `max(a)`, `norm(a)`
+
+Names hold `-`, `.` and `/`, so these two have spaces about them where they are operators. Python
+parses a text in which cells of one width stand for the words.
+
+`values` computes expressions of routes, and `conditions` conditions, of routes and triggers alike.
+"""
+
+from __future__ import annotations
+
+import ast
+import operator
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NoReturn
+
+from ...base.errors import RouteError, did_you_mean
+from ...robots.assemble.scene import FUNCTIONS, JOINING, NOT, Token, tokens_of
+
+_MAX_DEPTH = 40  # brackets within each other
+_MAX_WORDS = 2000  # their sum takes the square of it
+_ALLOWED = (
+    ast.Name, ast.Constant, ast.Load, ast.List, ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div,
+    ast.UnaryOp, ast.UAdd, ast.USub, ast.Not, ast.BoolOp, ast.And, ast.Or, ast.Compare,
+    ast.Call, ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq,
+)  # fmt: skip
+COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq,
+    "!=": operator.ne,
+}  # fmt: skip
+_CELL = 6  # characters that stand for each word
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A parsed origin.
+
+    Attributes:
+        text: as it is written.
+        negated: whether it is no condition and begins with `not`.
+        tree: of the rest.
+        words: the words of the rest.
+        is_condition: whether there are comparisons, or what joins them.
+    """
+
+    text: str
+    negated: bool
+    tree: ast.expr
+    words: list[Token]
+    is_condition: bool = False
+
+    @property
+    def name(self) -> str | None:
+        """The name that is all there is, else None."""
+        word = self.words[first_word(self.tree)]
+        return word.text if isinstance(self.tree, ast.Name) and word.kind == "name" else None
+
+    def text_of(self, node: ast.expr) -> str:
+        """A part of the text."""
+        last = self.words[word_after(node) - 1]
+        return self.text[self.words[first_word(node)].at : last.at + len(last.text)]
+
+    def behind(self, node: ast.expr) -> int:
+        """Index of the sign behind an operand and its brackets."""
+        at = word_after(node)
+        while self.words[at].text == ")":
+            at += 1
+        return at
+
+    def refuse(self, word: int, reason: str, length: int = 1) -> NoReturn:
+        """Raises a RouteError that points at a word.
+
+        Args:
+            word: its index.
+            reason: what was expected there.
+            length: how many characters are wrong.
+        """
+        raise RouteError(self.text, self.words[word].at, reason, length)
+
+
+def parse(text: str) -> Expression:
+    """Parses an origin.
+
+    Raises:
+        RouteError: points at the first word that is wrong.
+    """
+    words = list(tokens_of(text))
+    if len(words) > _MAX_WORDS:
+        word, found = words[_MAX_WORDS], f"{len(words)} numbers, names and signs"
+        reason = f"expected at most {_MAX_WORDS} before the end; there are {found}"
+        raise RouteError(text, word.at, reason, len(word.text))
+    functions = [
+        word.kind == "name" and behind.text == "(" and word.text not in JOINING
+        for word, behind in pairwise([*words, Token("end", "", len(text))])
+    ]
+    for word, is_function in zip(words, functions, strict=True):
+        if is_function and word.text not in FUNCTIONS:
+            reason = f"expected a function{did_you_mean(word.text, FUNCTIONS)}"
+            raise RouteError(text, word.at, reason, len(word.text))
+    is_condition = any(word.text in (*COMPARISONS, "and", "or", "any", "all") for word in words)
+    negated = bool(words) and words[0].text == NOT and not is_condition
+    words, functions = words[negated:], functions[negated:]
+    depth = 0
+    for word in words:
+        depth += (word.text in ("(", "[")) - (word.text in (")", "]"))
+        if depth > _MAX_DEPTH:
+            reason = f"expected at most {_MAX_DEPTH} brackets within each other"
+            raise RouteError(text, word.at, reason)
+    signs = [
+        word.text if is_function else _sign_of(word, is_condition)
+        for word, is_function in zip(words, functions, strict=True)
+    ]
+    tree = _tree_of(signs)
+    if tree is None:
+        counts = range(1, len(words) + 1)
+        right = bisect_left(counts, True, key=lambda count: not _is_beginning(signs[:count]))
+        word = words[right] if right < len(words) else Token("end", "", len(text))
+        raise RouteError(text, word.at, _expected(signs[:right], word), len(word.text))
+    return Expression(text, negated, tree, words, is_condition)
+
+
+def _sign_of(word: Token, is_condition: bool) -> str:
+    """What stands for a word in the text that Python parses, fewer characters than `_CELL`."""
+    if word.kind == "sign" or (is_condition and word.text in JOINING):
+        return word.text
+    if word.kind == "other" or word.text == NOT:
+        return "$"
+    is_whole = word.text.isdigit() and len(word.text) < 10  # these can be indices
+    return "1" if is_whole else "_"
+
+
+def _tree_of(signs: Sequence[str]) -> ast.expr | None:
+    """The tree of an expression; None of anything else."""
+    try:
+        cells = "".join(sign.ljust(_CELL) for sign in signs)
+        tree = ast.parse(f"({cells})", mode="eval").body
+    except (SyntaxError, RecursionError, MemoryError):
+        return None
+    indices: set[ast.AST] = set()
+    entries: list[ast.AST]
+    for node in ast.walk(tree):
+        match node:
+            case ast.Subscript(slice=ast.Slice() | ast.Tuple() as index):
+                indices.add(index)
+                entries = [
+                    each for each in ast.iter_child_nodes(index) if isinstance(each, ast.expr)
+                ]
+            case ast.Subscript(slice=index):
+                entries = [index]
+            case ast.List(elts=[]) | ast.Tuple(elts=[]) | ast.Call(args=[]):
+                return None
+            case ast.Call(func=ast.Name(id=name), keywords=[]) if name in FUNCTIONS:
+                entries = []
+            case ast.Call():
+                return None
+            case ast.Tuple() | ast.Slice():
+                entries = [] if node in indices else [node]
+            case _:
+                entries = [] if isinstance(node, _ALLOWED) else [node]
+        if not all(map(_is_whole, entries)):
+            return None
+    return tree
+
+
+def _is_whole(node: ast.AST) -> bool:
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        node = node.operand
+    return isinstance(node, ast.Constant)
+
+
+def _is_beginning(signs: Sequence[str]) -> bool:
+    """Whether an expression begins so."""
+    opened: list[str] = []
+    for sign in signs:
+        if sign in "([":
+            opened.append(")" if sign == "(" else "]")
+        elif sign in ")]" and opened:
+            opened.pop()
+    return any(_tree_of([*signs, *rest, *reversed(opened)]) is not None for rest in ("", "1"))
+
+
+def _expected(before: Sequence[str], found: Token) -> str:
+    """What would be right behind the words before."""
+
+    def fits(sign: str) -> bool:
+        return _is_beginning([*before, sign])
+
+    if fits("_"):
+        hint = f"; '{NOT}' only stands in front of all" if found.text == NOT else ""
+        return f"expected an event such as udp.values0, a number, ( or [{hint}"
+    if fits("1"):
+        return "expected a whole number" + " or a slice such as 0:7" * (before[-1] == "[")
+    if fits("]"):
+        return f"expected {' '.join([*filter(fits, ':,'), 'or ]'])}"
+    end = ", or )" if fits(")") else ", or the end"
+    named = found.kind in ("name", "number") and end != ", or )"
+    hint = "; equal is ==" if found.text == "=" else ""
+    return f"expected +, -, * or / between spaces{' before it' if named else end}{hint}"
+
+
+def first_word(node: ast.expr) -> int:
+    """Index of a part's first word."""
+    return node.col_offset // _CELL
+
+
+def word_after(node: ast.expr) -> int:
+    """Index of the word behind a part."""
+    return ((node.end_col_offset or 0) + _CELL - 2) // _CELL

@@ -1,0 +1,393 @@
+"""`Mirror`: a world that follows its sources."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence, Set
+from typing import Protocol
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array
+from ...robots.assemble.scene import Scene
+from ...robots.assemble.world import World
+from ...robots.assemble.world_view import WorldView
+from ...robots.external.model_world import ModelWorld
+from ..receive.intake import Counters
+from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
+from .place import Placer, Router, follow
+from .route import Route
+from .wiring import wire
+
+Listener = Callable[[str, Packets], None]
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+class LiveWorld(Protocol):
+    """A world whose data changes by itself: what windows and pages show."""
+
+    @property
+    def world(self) -> WorldView:
+        """What is shown."""
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """Its state."""
+
+    @property
+    def routes(self) -> Sequence[Route]:
+        """The routes of numbers in force."""
+
+    @property
+    def sources(self) -> Mapping[str, Source]:
+        """Where packets come from, by name."""
+
+    @property
+    def is_live(self) -> bool:
+        """Whether it follows the real time, so that what shows it must as well."""
+
+    def open(self) -> None:
+        """Begins to follow; raises SourceError."""
+
+    def close(self) -> None:
+        """Ends following."""
+
+    def wait(self, timeout: float) -> list[str]:
+        """Waits up to `timeout` s for packets of every source; returns those still silent."""
+
+    def listen(self, listener: Listener, *, to_all: bool = False) -> None:
+        """Calls `listener(source, packets)` in `advance` with all packets that are applied.
+
+        With `to_all` also with those that a newer one has replaced.
+        """
+
+    @property
+    def has_states(self) -> bool:
+        """Whether a picture needs no more than MuJoCo's state, so that it can be made later."""
+
+    def reset(self) -> None:
+        """Goes back to the declared pose."""
+
+    def advance(self, now: float | None = None) -> bool:
+        """Brings `data` up to date; `now` is the time to show, s since it was opened."""
+
+
+class Mirror:
+    """Follows live sources: opens them, applies what arrives, keeps the last good pose.
+
+    Use it as a context manager; `advance` brings `data` up to the latest packets.
+
+    Args:
+        scene: what to compile and follow.
+
+    Attributes:
+        world: the compiled scene.
+        data: its state.
+        routes: the routes of numbers in force.
+        sources: those that a route leads from.
+
+    Raises:
+        DeclarationError: the scene, its sources or its routes are wrong.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        wiring = wire(scene).check(scene)
+        self.world = World(scene)
+        self.data = self.world.make_data()
+        self.routes: list[Route] = wiring.routes
+        used = {name for route in self.routes for name in route.sources}
+        self.sources = {name: wiring.sources[name] for name in wiring.sources if name in used}
+        self._routers = {
+            name: Router(self.world, [r for r in self.routes if r.direct == name]) for name in used
+        }
+        self._placer = Placer(self.world, wiring)
+        self._states = _SourceStates(self.world)
+        self._latest: dict[str, Packet] = {}
+        self._again: set[str] = set()  # whose latest packet is to be applied once more
+        self._listeners: list[Listener] = []
+        self._listeners_to_all: list[Listener] = []
+        self._news = threading.Event()
+        for source in self.sources.values():
+            source.on_receive(self._news.set)
+        self._started = time.monotonic()
+
+    def open(self) -> None:
+        """Opens every source; on failure those already open are closed again.
+
+        Raises:
+            SourceError: a source cannot be opened.
+        """
+        self._latest.clear()
+        self._states.forget()
+        self._again.clear()
+        self._news.clear()
+        try:
+            for source in self.sources.values():
+                source.open()
+        except Exception:
+            self.close()
+            raise
+        self._started = time.monotonic()
+
+    def close(self) -> None:
+        """Closes every source."""
+        for source in self.sources.values():
+            source.close()
+
+    def __enter__(self) -> Mirror:
+        self.open()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    @property
+    def is_live(self) -> bool:
+        """Whether a source follows the real time, so that what shows it must as well."""
+        return any(source.is_live for source in self.sources.values())
+
+    @property
+    def has_states(self) -> bool:
+        """True, see `state`."""
+        return True
+
+    def wait(self, timeout: float) -> list[str]:
+        """Waits until every source has sent a good packet, up to `timeout` s in all.
+
+        Returns:
+            the names of the sources that are still silent.
+        """
+        deadline = time.monotonic() + timeout
+        return [
+            name
+            for name, source in self.sources.items()
+            if not source.wait(max(deadline - time.monotonic(), 0.0))
+        ]
+
+    def wait_fresh(self, timeout: float, now: float | None = None) -> None:
+        """Waits until live sources that send have sent anew, and applies that.
+
+        A packet that came while this thread was busy, making an OpenGL context for example, may
+        be old by then.
+
+        Args:
+            timeout: maximum time, s.
+            now: see `advance`.
+        """
+        deadline = time.monotonic() + timeout
+        live = {name: source for name, source in self.sources.items() if source.is_live}
+        since = {name: source.now() for name, source in live.items() if source.wait(0.0)}
+        while True:
+            self.advance(now)
+            if all(self._latest[name].arrival >= start for name, start in since.items()):
+                return
+            if not self.wait_next(max(deadline - time.monotonic(), 0.0)):
+                return
+
+    def wait_next(self, timeout: float) -> bool:
+        """Waits up to `timeout` s for packets that came since it last returned; did any come?"""
+        came = self._news.wait(timeout)
+        self._news.clear()
+        return came
+
+    def listen(self, listener: Listener, *, to_all: bool = False) -> None:
+        """Calls `listener(source, packets)` in `advance` with all packets that are applied.
+
+        Where a source has `only_latest_packet = false` these are all good ones, in order. A packet
+        sets everything that its source is routed to, so `data` shows the last of them.
+
+        Args:
+            listener: is called before the last packet is applied.
+            to_all: whether it is called with all good packets of every source, also with those that
+                were never applied because a newer one had come by then. Up to 16 MB of them are
+                kept while nothing advances.
+        """
+        if not to_all:
+            self._listeners.append(listener)
+            return
+        self._listeners_to_all.append(listener)
+        for source in self.sources.values():
+            source.keep_all()
+
+    def reset(self) -> None:
+        """Resets the data to the declared pose; the next `advance` applies the latest packets."""
+        self.world.reset(self.data)
+        self._again.update(self._latest)
+
+    def advance(self, now: float | None = None) -> bool:
+        """Applies the latest packet of every source and moves the frames.
+
+        Args:
+            now: time to show, s since the mirror was opened; the real one when None.
+
+        Returns:
+            whether a new packet was applied.
+        """
+        data = self.data
+        data.time = time.monotonic() - self._started if now is None else now
+        fresh = set()
+        for name, source in self.sources.items():
+            source.advance_to(data.time)
+            packets = source.take()
+            if packets is not None:
+                self._latest[name] = packets.last
+                for listener in self._listeners:
+                    listener(name, packets)
+            if self._listeners_to_all and (all_packets := source.take_all()) is not None:
+                for listener in self._listeners_to_all:
+                    listener(name, all_packets)
+            packet = self._latest.get(name)
+            if packet is not None and (packets is not None or name in self._again):
+                self._routers[name].apply(data, {name: packet.values})
+                fresh.add(name)
+        self._states.write(data, self.sources, self._latest)
+        self._again.clear()
+        self._placer.place(data, self._values(fresh))
+        return bool(fresh)
+
+    def _values(self, fresh: Set[str]) -> dict[str, dict[str, Array]]:
+        """The latest values of every source, and whether it receives."""
+        values: dict[str, dict[str, Array]] = {}
+        for name, source in self.sources.items():
+            packet = self._latest.get(name)
+            receiving = age(packet, source.now()) < QUIET_AFTER
+            values[name] = {
+                "receiving": np.array([float(receiving)]),
+                "receive_trigger": np.array([float(name in fresh)]),
+                **({} if packet is None else packet.values),
+            }
+        return values
+
+    def state(self) -> Array:
+        """Returns a copy of everything that a picture of this moment needs."""
+        state = np.empty(mujoco.mj_stateSize(self.world.model, _STATE))
+        mujoco.mj_getState(self.world.model, self.data, state, _STATE)
+        return state
+
+
+def restore(world: World, data: mujoco.MjData, state: Array) -> None:
+    """Puts a state into `data` and moves the frames.
+
+    Args:
+        world: whose state it is.
+        data: gets it.
+        state: what `Mirror.state` returned.
+    """
+    mujoco.mj_setState(world.model, data, state, _STATE)
+    follow(world.model, data)
+
+
+class _SourceStates:
+    """Writes the slots `sources.<name>` of a world's user data, with what `SOURCE_FIELDS` says."""
+
+    def __init__(self, world: WorldView) -> None:
+        self._slots = world.slots
+        self._link: dict[str, tuple[tuple[int, ...], float]] = {}
+        self._foreign: dict[str, tuple[int, float]] = {}
+
+    def forget(self) -> None:
+        """Resets, as the sources do when they are opened."""
+        self._link.clear()
+        self._foreign.clear()
+
+    def write(
+        self, data: mujoco.MjData, sources: Mapping[str, Source], latest: Mapping[str, Packet]
+    ) -> None:
+        """Writes what every source has counted until now."""
+        for name, source in sources.items():
+            packet, counters, now = latest.get(name), source.counters, source.now()
+            data.userdata[self._slots[f"sources.{name}"]] = (
+                counters.received,
+                counters.malformed,
+                age(packet, now) if packet is not None else -1.0,
+                counters.wrong_size,
+                counters.last_size,
+                source.size,
+                max(now - counters.last_fault_time, 0.0) if counters.malformed else -1.0,
+                counters.not_frames,
+                counters.wrong_constant,
+                *((-1.0, -1.0) if packet is None else source.link_state(packet.values)),
+                counters.lost,
+                counters.late,
+                counters.duplicates,
+                counters.restarts,
+                _dropped(source),
+                # One is as it should be, and a recording knows of none.
+                counters.senders if counters.senders > 1 else 0,
+                self._link_age(name, counters, _dropped(source), now),
+                counters.foreign,
+                self._foreign_age(name, counters.foreign, now),
+            )
+
+    def _link_age(self, name: str, counters: Counters, dropped: int, now: float) -> float:
+        """How long ago (s) the link last lost or mixed up something; -1 when it never has."""
+        counts = (counters.lost, counters.late, counters.duplicates, counters.restarts, dropped)
+        before, since = self._link.get(name, ((0,) * len(counts), -1.0))
+        if counts != before:
+            # Less than before after a restart: the numbers that were missed have come after all.
+            since = now if any(map(int.__gt__, counts, before)) else since
+            self._link[name] = counts, since
+        return max(now - since, 0.0) if since >= 0 else -1.0
+
+    def _foreign_age(self, name: str, foreign: int, now: float) -> float:
+        """How long ago (s) a packet of a foreign sender came; -1 when none has."""
+        before, since = self._foreign.get(name, (0, -1.0))
+        if foreign != before:
+            self._foreign[name] = foreign, now
+            return 0.0
+        return max(now - since, 0.0) if since >= 0 else -1.0
+
+
+def _dropped(source: Source) -> int:
+    """What the kernel threw away, where that harms anything: the newest packet always comes."""
+    return 0 if source.only_latest_packet else source.counters.dropped
+
+
+class Watch:
+    """Follows the data of an overlay, as a mirror follows its sources.
+
+    It shows a copy, so that a window that is paused stands still while the user's loop goes on.
+
+    Args:
+        world: of the overlay.
+    """
+
+    def __init__(self, world: ModelWorld) -> None:
+        self.world = world
+        self.data = world.make_data()
+        self._theirs: mujoco.MjData = world.data
+        self.routes: list[Route] = []
+        self.sources: dict[str, Source] = {}
+
+    @property
+    def is_live(self) -> bool:
+        """True: its time is the user's."""
+        return True
+
+    @property
+    def has_states(self) -> bool:
+        """False: what is shown of somebody's model may be any of its fields."""
+        return False
+
+    def open(self) -> None:
+        """Does nothing: there are no sources."""
+
+    def close(self) -> None:
+        """Does nothing: there are no sources."""
+
+    def wait(self, timeout: float) -> list[str]:
+        """Returns at once: no source is silent."""
+        return []
+
+    def listen(self, listener: Listener, *, to_all: bool = False) -> None:
+        """Does nothing: no packets come."""
+
+    def reset(self) -> None:
+        """Does nothing: the data is the user's."""
+
+    def advance(self, now: float | None = None) -> bool:
+        """Takes over the user's data as it is now; `now` has no meaning here."""
+        mujoco.mj_copyData(self.data, self.world.model, self._theirs)
+        return True

@@ -1,0 +1,274 @@
+"""Computes the poses of received frames, mounted bases, followers and doubles from the inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Ints, frame, inverse, rotation_from_quat
+from ...robots.assemble.cartesian import WORLD
+from ...robots.assemble.double import OUT_OF_SIGHT, fade_in
+from ...robots.assemble.inputs import BLANKABLE
+from ...robots.assemble.mounts import mount_pose
+from ...robots.assemble.parts import DoublePart, RobotPart
+from ...robots.assemble.world_view import WorldView
+from .route import FrameRoute, Origin, Route
+from .wiring import Wiring, wire
+
+# The newest values by source and event.
+LatestValues = Mapping[str, Mapping[str, Array]]
+
+
+class Placer:
+    """Moves all frames of a world to where its data says.
+
+    Args:
+        world: the compiled scene.
+        wiring: what `wire` returned for its scene; made anew when None.
+
+    Raises:
+        DeclarationError: the scene's routes are wrong.
+    """
+
+    def __init__(self, world: WorldView, wiring: Wiring | None = None) -> None:
+        wiring = (wiring or wire(world.scene)).check(world.scene)
+        self._world = world
+        self._late = Router(world, wiring.later)
+        self._levels = wiring.levels
+        placing = [route for route in wiring.frame_routes if route.to.key != "flange_check"]
+        self._routes = {route.to.name: route for route in placing}
+        self._checks = [route for route in wiring.frame_routes if route not in placing]
+        later = {name for level in self._levels for name in level}
+        self._at_once = [name for name in world.scene.frames if name not in later]
+
+    def place(self, data: mujoco.MjData, packets: LatestValues | None = None) -> None:
+        """Computes all frames from joint angles and what was received; time does not pass.
+
+        Before, robots get what other robots' outputs lead to them.
+
+        Args:
+            data: the world's state.
+            packets: the latest values by source and event, for routes that need several.
+        """
+        self._late.apply(data, packets or {})
+        for name in self._at_once:
+            self._place_received(data, name)
+        pose_doubles(self._world, data)
+        for level in self._levels:  # each stands on what the one before has placed
+            mujoco.mj_kinematics(self._world.model, data)
+            for name in level:
+                if name in self._routes:
+                    self._follow_route(data, self._routes[name])
+                else:
+                    self._place_received(data, name)
+            pose_doubles(self._world, data)
+        follow(self._world.model, data)
+        for route in self._checks:
+            self._keep(data, route)
+
+    def _origin(self, data: mujoco.MjData, route: FrameRoute) -> Array:
+        if route.is_fwd_kin:
+            return self._world.fwd_kin_base_to_flange(data, route.frame)
+        return self._world.frame(data, route.frame)
+
+    def _follow_route(self, data: mujoco.MjData, route: FrameRoute) -> None:
+        T = self._origin(data, route)
+        if route.to.kind == "frame":
+            self._keep(data, route)
+        self._world.set_pose(data, route.to.name, T)
+        data.userdata[self._world.flags[route.to.target]] = 1.0
+
+    def _keep(self, data: mujoco.MjData, route: FrameRoute) -> None:
+        target, T = route.to.target, self._origin(data, route)
+        if route.to.key == "flange_check" and not route.is_fwd_kin:  # it is from base to flange
+            base = self._world.frame(data, self._world.robots[route.to.name].base_name)
+            T = inverse(base) @ T
+        data.userdata[self._world.slots[target]] = T.ravel()
+        data.userdata[self._world.flags[target]] = 1.0
+
+    def _place_received(self, data: mujoco.MjData, name: str) -> None:
+        """Places a received frame, or hides it while there is none."""
+        world = self._world
+        T = data.userdata[world.slots[f"{name}.frame"]].reshape(4, 4)
+        if data.userdata[world.flags[f"{name}.frame"]] <= 0 or not np.isfinite(T).all():
+            data.mocap_pos[world.placed[name]] = OUT_OF_SIGHT
+            data.userdata[world.flags[f"{name}.frame"]] = 0.0
+            return
+        relative_to = world.scene.frames[name].relative_to
+        parent = np.eye(4) if relative_to == WORLD else world.frame(data, relative_to)
+        world.set_pose(data, name, parent @ T)
+
+
+def follow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Computes frames, cameras and lights from `qpos` and `mocap`, without a time step."""
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)  # MuJoCo's own visualisation needs subtree centres
+    mujoco.mj_camlight(model, data)
+
+
+def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
+    """Writes the poses of all doubles into `mocap_pos` and `mocap_quat`; `follow` moves them."""
+    if any(part.of.mocap < 0 for part in world.doubles.values()):
+        mujoco.mj_kinematics(world.model, data)  # their bases hang on other robots
+    targets: dict[str, Array | None] = {}  # of those that have been asked for
+    for name, part in world.doubles.items():
+        frames = _targets(world, data, name, targets)
+        if frames is None:
+            data.mocap_pos[part.mocap] = data.mocap_pos[part.frames] = OUT_OF_SIGHT
+            continue
+        if part.path is None:
+            _set_poses(data, part.frames, frames[0, 1:])
+        robot = part.of
+        actual = robot.kinematics.frames(data.qpos[robot.qpos], _base(data, robot))
+        _place(data, part, frames, actual)
+
+
+def _targets(
+    world: WorldView, data: mujoco.MjData, name: str, known: dict[str, Array | None]
+) -> Array | None:
+    """Returns the frames of a double, (rows, n + 1, 4, 4), base first; None where it has no pose.
+
+    Args:
+        world: the compiled scene.
+        data: its state.
+        name: of the double.
+        known: those of doubles that others stand on are found and kept there.
+    """
+    if name in known:
+        return known[name]
+    part = world.doubles[name]
+    q = part.path
+    if q is None and data.userdata[world.flags[f"{name}.joint_angles"]] > 0:
+        q = data.userdata[world.slots[f"{name}.joint_angles"]][None]
+    if q is None:
+        known[name] = None
+        return None
+    base = _base(data, part.of)
+    if part.below is not None:
+        below = _targets(world, data, part.below, known)
+        if below is not None:
+            label = (part.robot.mount or "").partition("/")[2]
+            base = mount_pose(world.doubles[part.below].robot, label, below)
+            base = base @ part.robot.base_frame
+    known[name] = frames = part.kinematics.frames(q, base)
+    return frames
+
+
+def _base(data: mujoco.MjData, robot: RobotPart) -> Array:
+    """Returns T_world_base (4, 4) of a robot: as received, or where its carrier has it."""
+    if robot.mocap >= 0:
+        return frame(rotation_from_quat(data.mocap_quat[robot.mocap]), data.mocap_pos[robot.mocap])
+    body = robot.bodies[0]
+    return frame(data.xmat[body].reshape(3, 3), data.xpos[body])
+
+
+def _place(data: mujoco.MjData, part: DoublePart, targets: Array, actual: Array) -> None:
+    rotations = [T[..., :3, :3].reshape(*T.shape[:-2], 9) for T in (targets, actual)]
+    opacity = fade_in(targets[..., :3, 3], rotations[0], actual[:, :3, 3], rotations[1])
+    _set_poses(data, part.mocap.ravel(), targets.reshape(-1, 4, 4))
+    data.mocap_pos[part.mocap[opacity == 0]] = OUT_OF_SIGHT
+
+
+def _set_poses(data: mujoco.MjData, mocap: Ints, poses: Array) -> None:
+    data.mocap_pos[mocap] = poses[:, :3, 3]
+    quats = np.empty((len(mocap), 4))
+    for quat, rotation in zip(quats, poses[:, :3, :3].reshape(-1, 9), strict=True):
+        mujoco.mju_mat2Quat(quat, rotation)
+    data.mocap_quat[mocap] = quats
+
+
+class Router:
+    """Applies routes to a world's data.
+
+    Args:
+        world: the compiled scene.
+        routes: each after those to what it reads.
+    """
+
+    def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
+        self._world = world
+        # How many numbers the routes take at least of each origin.
+        self._sizes: dict[Origin, int] = {}
+        for term in (term for route in routes for term in route.value.terms):
+            needed = int(term.take.max()) + 1
+            self._sizes[term.origin] = max(self._sizes.get(term.origin, 0), needed)
+        self._routes = [(route.value, route.rest, _InputWriter(world, route)) for route in routes]
+
+    def apply(self, data: mujoco.MjData, packets: LatestValues) -> None:
+        """Writes what can be computed; `Placer.place` moves the frames.
+
+        Where an origin has no data yet, the input is left as it is, and of one that has several
+        for different joints these joints.
+
+        Args:
+            data: the world's state.
+            packets: the newest values by source and event.
+        """
+        if not self._routes:
+            return
+        with np.errstate(over="ignore", invalid="ignore"):
+            for value, rest, writer in self._routes:
+                there = [self._has(data, packets, origin) for origin in value.origins]
+                if all(there):
+                    writer.put(data, value.evaluate(lambda o: self._numbers(data, packets, o)))
+                elif rest is not None and any(there):  # joints of the others stay where they are
+                    came = value.evaluate(lambda o: self._numbers_if_there(data, packets, o))
+                    writer.put(data, np.where(np.isnan(came), rest, came))
+
+    def _has(self, data: mujoco.MjData, packets: LatestValues, origin: Origin) -> bool:
+        if origin.is_event:
+            return origin.key in packets.get(origin.name, ())
+        if origin.key == "joint_angles" and origin.name in self._world.robots:
+            return True  # a robot always stands somewhere
+        return bool(data.userdata[self._world.flags[str(origin)]] > 0)
+
+    def _numbers(self, data: mujoco.MjData, packets: LatestValues, origin: Origin) -> Array:
+        if origin.is_event:
+            return packets[origin.name][origin.key].ravel()
+        if origin.key == "joint_angles" and origin.name in self._world.robots:
+            return np.asarray(data.qpos[self._world.robots[origin.name].qpos])
+        return np.asarray(data.userdata[self._world.slots[str(origin)]])
+
+    def _numbers_if_there(
+        self, data: mujoco.MjData, packets: LatestValues, origin: Origin
+    ) -> Array:
+        """Returns the numbers of an origin, NaN where it has no data."""
+        if self._has(data, packets, origin):
+            return self._numbers(data, packets, origin)
+        return np.full(self._sizes[origin], np.nan)
+
+
+class _InputWriter:
+    """Writes an input of the world."""
+
+    def __init__(self, world: WorldView, route: Route) -> None:
+        item = route.to
+        self._world = world
+        self._negated, self._condition = route.negated, route.condition
+        self._blankable = item.kind in BLANKABLE
+        self._flag = world.flags[item.target]
+        self._pose = item.name if item.kind == "pose" else None
+        self._slot = world.slots.get(item.target)
+        robot = world.robots.get(item.name) if item.kind == "angles" else None
+        self._qpos = None if robot is None else robot.qpos
+
+    def put(self, data: mujoco.MjData, values: Array) -> None:
+        """Writes the numbers; overflow is no data, and is not applied to what would move."""
+        if self._condition is not None:
+            values = self._condition(values)
+        if self._negated:
+            values = (values <= 0.5).astype(np.float64)
+        finite = np.isfinite(values)
+        if not finite.all():
+            if not self._blankable:
+                return
+            values = np.where(finite, values, np.nan)
+        if self._pose is not None:
+            self._world.set_pose(data, self._pose, values.reshape(4, 4))
+        elif self._qpos is not None:
+            data.qpos[self._qpos] = values
+        else:
+            data.userdata[self._slot] = values
+        data.userdata[self._flag] = 1.0

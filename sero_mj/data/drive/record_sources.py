@@ -1,0 +1,280 @@
+"""Records what the sources of a scene receive, as they receive it, under the scene's names.
+
+The numbers of joints and arrows are called `lwr.A1.torque [Nm]`, in SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ... import __version__
+from ...base.frames import Array, Bools, Ints
+from ...robots.assemble.inputs import Input
+from ...robots.assemble.robot import SerialRobot
+from ...robots.assemble.scene import Scene
+from ..receive.source import Source
+from ..receive.structure import Rows
+from ..record.recorder import SIGNALS_RATE, Recorder
+from ..record.recording_format import Signals, media_type
+from ..record.triggered_recorder import TriggeredRecorder
+from ._units import robot_of
+from .route import Route
+from .trigger import Trigger
+from .wiring import wire
+
+Shapes = Mapping[str, tuple[int, ...]]
+
+# The last word of a per-joint quantity to what it is for one joint, and to its unit where the
+# joint turns and where it slides.
+_ONE: dict[str, tuple[str, str, str]] = {
+    "angles": ("angle", "rad", "m"),
+    "velocities": ("velocity", "rad/s", "m/s"),
+    "accelerations": ("acceleration", "rad/s2", "m/s2"),
+    "torques": ("torque", "Nm", "N"),
+    "temperatures": ("temperature", "", ""),
+    "values": ("value", "", ""),
+}
+
+
+@contextmanager
+def record_sources(
+    sources: Mapping[str, Source],
+    path: Path | str,
+    *,
+    scene: Scene | None = None,
+    overwrite: bool = False,
+    signals_rate: float = SIGNALS_RATE,
+) -> Iterator[Recorder]:
+    """Records every packet that the sources receive while the context lasts.
+
+    Args:
+        sources: by name, `mirror.sources` say; opened or not. Replays are not recorded again.
+        path: where to, OUT.mcap.
+        scene: its file and those of its robots are kept in the recording, and its routes say what
+            the decoded values are called there: `lwr.A1.torque [Nm]`.
+        overwrite: write over a file that exists.
+        signals_rate: of how many packets per second and source the decoded values are kept as well.
+
+    Raises:
+        RecordingError: the file exists already or cannot be written; at the end, too, when the
+            disk became full. What was written before is kept and can be read.
+    """
+    about = {"sero-mj": __version__, "scene": "" if scene is None else scene.name}
+    with Recorder(path, about=about, overwrite=overwrite, signals_rate=signals_rate) as recorder:
+        recorded = []
+        routes = [] if scene is None else wire(scene).routes
+        try:
+            for name, source in sources.items():
+                if source.is_live:
+                    _add(recorder, name, source, scene, routes)
+                    recorded.append(source)
+            if scene is not None:
+                _attach_files(recorder, scene)
+            yield recorder
+        finally:
+            for source in recorded:
+                source.record_to(None)
+
+
+@contextmanager
+def record_events(
+    sources: Mapping[str, Source],
+    trigger: Trigger,
+    path_of: Callable[[int, float], Path],
+    scene: Scene,
+    **options: Any,
+) -> Iterator[TriggeredRecorder]:
+    """Records what comes shortly before and after a condition is fulfilled, while it lasts.
+
+    Args:
+        sources: by name; opened or not, live or replays.
+        trigger: the condition.
+        path_of: see `TriggeredRecorder`.
+        scene: whose files are kept in every recording.
+        **options: of `TriggeredRecorder`: `before`, `after`, ...
+
+    Raises:
+        RecordingError: a file exists already or cannot be written; at the end, too.
+    """
+
+    def find(name: str, rows: Rows, lengths: Ints) -> tuple[Bools, Callable[[int], str]]:
+        events, index = sources[name].decode_rows(rows, lengths)
+        hits = trigger.find(name, events)
+        holds = np.zeros(len(rows), bool)
+        holds[index] = hits.holds
+        return holds, lambda row: hits.describe(int(np.searchsorted(index, row)))
+
+    about = {"sero-mj": __version__, "scene": scene.name, "trigger": trigger.text}
+    recorder = TriggeredRecorder(path_of, find, about=about, **options)
+    with recorder, _connected(recorder, sources, scene):
+        yield recorder
+
+
+@contextmanager
+def record_last(
+    sources: Mapping[str, Source],
+    path_of: Callable[[int, float], Path],
+    scene: Scene,
+    seconds: float,
+    signals_rate: float = SIGNALS_RATE,
+) -> Iterator[TriggeredRecorder]:
+    """Keeps what came in the last seconds; `record_now` writes it.
+
+    Args:
+        sources: by name; opened or not.
+        path_of: see `TriggeredRecorder`.
+        scene: whose files are kept in every recording.
+        seconds: how much is kept.
+        signals_rate: see `TriggeredRecorder`.
+
+    Raises:
+        RecordingError: a file cannot be written; at the end, too.
+    """
+
+    def nothing(name: str, rows: Rows, lengths: Ints) -> tuple[Bools, Callable[[int], str]]:
+        return np.zeros(len(rows), bool), str
+
+    about = {"sero-mj": __version__, "scene": scene.name}
+    recorder = TriggeredRecorder(
+        path_of, nothing, about=about, before=seconds, after=0.0, signals_rate=signals_rate
+    )
+    with recorder, _connected(recorder, sources, scene):
+        yield recorder
+
+
+@contextmanager
+def _connected(
+    recorder: TriggeredRecorder, sources: Mapping[str, Source], scene: Scene
+) -> Iterator[None]:
+    """Hands packets of sources to a recorder, and files of the scene to its recordings."""
+    routes = wire(scene).routes
+    try:
+        _attach_files(recorder, scene)
+        for name, source in sources.items():
+            _add(recorder, name, source, scene, routes)
+        yield
+    finally:
+        for source in sources.values():
+            source.record_to(None)
+
+
+def _attach_files(recorder: Recorder | TriggeredRecorder, scene: Scene) -> None:
+    for file in scene.files():
+        name = f"{file.parent.name}/{file.name}"
+        recorder.attach(name, media_type(name), file.read_bytes())
+
+
+def _add(
+    recorder: Recorder | TriggeredRecorder,
+    name: str,
+    source: Source,
+    scene: Scene | None,
+    routes: list[Route],
+) -> None:
+    routed = None if scene is None else RoutedSignals(scene, routes, name, source.events)
+
+    def decode(packet: bytes) -> Mapping[str, Array] | None:
+        values = source.decode(packet)
+        return values if values is None or routed is None else routed.of(values)
+
+    recorder.add_source(
+        name,
+        kind=source.original.kind,
+        declared=source.original.decoding_fields(),
+        events=source.events,
+        size=source.size,
+        decode=decode,
+        signals=None if routed is None else routed.signals,
+    )
+
+    source.record_to(partial(recorder.take, name))
+
+
+def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:
+    """Names of a quantity of every joint, n: `lwr.A1.torque [Nm]`.
+
+    Args:
+        name: of the robot or double.
+        robot: with these joints.
+        quantity: `torques`, `joint_angles`, `target_velocities`, or an input of its own, of which a
+            line of its billboards may say the unit.
+    """
+    *before, last = quantity.removeprefix("joint_").split("_")
+    word, turning, sliding = _ONE.get(last, (last, "", ""))
+    if not turning and robot.billboard_lines:
+        declared = [
+            line.unit
+            for line in robot.billboard_lines
+            if line.value == quantity and line.scale == 1.0 and line.unit
+        ]
+        turning = sliding = next(iter(declared), "")
+    word = "_".join((*before, word))
+    units = [turning if kind == "revolute" else sliding for kind in robot.types]
+    return [
+        f"{name}.{joint}.{word}" + (f" [{unit}]" if unit else "")
+        for joint, unit in zip(robot.names, units, strict=True)
+    ]
+
+
+class RoutedSignals:
+    """The packets of a source as a scene shows them: what leads to joints and arrows by its name.
+
+    Numbers are those that the routes compute, in SI units. What leads to neither stays as it came.
+
+    Args:
+        scene: whose routes these are.
+        routes: all of them; those that take more than a packet of this source are left out.
+        source: name of the source.
+        events: event name to its shape.
+
+    Attributes:
+        signals: what they are called.
+    """
+
+    def __init__(self, scene: Scene, routes: Sequence[Route], source: str, events: Shapes) -> None:
+        self._routes = [
+            route
+            for route in routes
+            if route.direct == source and not route.negated and _is_named(route.to)
+        ]
+        names = {route.to.target: _names_of(scene, route.to) for route in self._routes}
+        routed = {event: np.zeros(int(np.prod(shape)), bool) for event, shape in events.items()}
+        origins = {}
+        for route in self._routes:
+            for index, name in enumerate(names[route.to.target]):
+                if origin := route.origin_of(index):
+                    origins[name] = origin
+            for term in route.value.terms:
+                routed[term.origin.key][term.take] = True
+        self._events = [event for event in events if not routed[event].all()]
+        shapes: dict[str, tuple[int, ...]] = {
+            target: (len(each),) for target, each in names.items()
+        }
+        shapes |= {event: tuple(events[event]) for event in self._events}
+        self.signals = Signals(shapes, names, origins)
+
+    def of(self, values: Mapping[str, Array]) -> dict[str, Array]:
+        """Returns the arrays of a decoded packet, as `signals` has them."""
+        found = {}
+        with np.errstate(over="ignore", invalid="ignore"):
+            for route in self._routes:
+                found[route.to.target] = route.value.evaluate(lambda o: values[o.key].ravel())
+        return found | {event: values[event] for event in self._events}
+
+
+def _is_named(item: Input) -> bool:
+    return item.kind in ("angles", "values", "vector")
+
+
+def _names_of(scene: Scene, item: Input) -> list[str]:
+    if item.kind != "vector":
+        return joint_names(item.name, robot_of(scene, item), item.key)
+    arrow = scene.arrows[item.name]
+    unit = arrow.unit_text
+    return [f"{item.name}.{axis}" + (f" [{unit}]" if unit else "") for axis in "xyz"]

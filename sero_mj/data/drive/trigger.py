@@ -1,0 +1,217 @@
+"""Triggers: a condition on what a scene receives, `abs(lwr.torque_error) > 20`, packet by packet.
+
+`language` has its grammar, and `conditions` its meaning. Names are events of sources
+(`udp.values0`), inputs that routes lead to (`lwr.torques`) and, of robots with commanded and
+measured torque, their difference (`lwr.torque_error`).
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...base.errors import did_you_mean
+from ...base.frames import Array, Bools
+from ...robots.assemble.scene import Scene
+from ..receive.source import SIGNALS
+from ._units import robot_of
+from .conditions import Compared, Conditions, Leaf, Signal
+from .language import first_word, parse
+from .route import Origin, Route
+from .wiring import Wiring
+
+ERROR = "torque_error"
+Events = Mapping[str, Array]  # event to its numbers over time, (T, ...)
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """Where a condition holds.
+
+    Attributes:
+        holds: of every row, (T,).
+    """
+
+    holds: Bools
+    _compared: tuple[Compared, ...] = ()
+    _text: str = ""
+
+    def describe(self, row: int) -> str:
+        """Says what holds in a row: `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`."""
+        parts = []
+        for each in self._compared:
+            holds = np.atleast_1d(each.holds[row]).ravel()
+            if not holds.any():
+                continue
+            left, right = (
+                np.broadcast_to(side[row], each.holds[row].shape).ravel()
+                for side in (each.left, each.right)
+            )
+            gap = np.where(holds, np.abs(left - right), -1.0)
+            k = int(np.argmax(gap))
+            label = f"{each.labels[k]}: " if k < len(each.labels) else ""
+            label = "" if label == f"{each.text}: " else label
+            parts.append(f"{label}{each.text} = {left[k]:.4g} {each.sign} {right[k]:.4g}")
+        return ", ".join(parts) or self._text
+
+
+class Trigger:
+    """A condition on what the sources of a scene receive.
+
+    It keeps the newest values of every source: those of others than the packets that are looked
+    at are the last ones that came.
+
+    Args:
+        text: the condition.
+        scene: whose signals it names.
+        wiring: of the scene.
+
+    Attributes:
+        text: the condition.
+
+    Raises:
+        RouteError: it cannot be parsed, names what is not there, or is no condition; points at it.
+    """
+
+    def __init__(self, text: str, scene: Scene, wiring: Wiring) -> None:
+        self.text = text
+        self._scene = scene
+        self._routes = {route.to.target: route for route in [*wiring.routes, *wiring.later]}
+        self._sources = wiring.sources
+        self._expression = parse(text)
+        self._latest: dict[str, dict[str, Array]] = {}
+        # What has no meaning is told now.
+        with np.errstate(all="ignore"):
+            conditions = Conditions(self._expression, self._leaf(_Reader(self, {}, 1)))
+            conditions.truth(self._expression.tree)
+        if self._expression.negated:
+            self._expression.refuse(0, "expected a comparison such as lwr.torques > 20")
+
+    def find(self, source: str, events: Events) -> Hits:
+        """Returns in which of the packets of a source the condition holds.
+
+        Args:
+            source: its name.
+            events: event to its numbers, (T, ...), of good packets in their order.
+        """
+        count = len(next(iter(events.values()), np.empty(0)))
+        if not count:
+            return Hits(np.zeros(0, bool))
+        conditions = Conditions(
+            self._expression, self._leaf(_Reader(self, {source: events}, count))
+        )
+        with np.errstate(all="ignore"):
+            values = conditions.truth(self._expression.tree).values
+        self._latest[source] = {event: array[-1:].copy() for event, array in events.items()}
+        holds = np.broadcast_to(values.reshape(len(values), -1).any(axis=1), count)
+        return Hits(np.asarray(holds), tuple(conditions.compared), self.text)
+
+    def _leaf(self, reader: _Reader) -> Leaf:
+        def leaf(node: ast.expr) -> Signal | None:
+            if not isinstance(node, ast.Name | ast.Constant):
+                return None
+            word = self._expression.words[first_word(node)]
+            if word.kind == "number":
+                return Signal(np.array([float(word.text)]))
+            self._check(first_word(node), word.text)
+            return reader.signal(word.text)
+
+        return leaf
+
+    @property
+    def names(self) -> list[str]:
+        """Names that a condition can have."""
+        events = [
+            f"{name}.{event}"
+            for name, source in self._sources.items()
+            for event in source.events
+            if event not in SIGNALS
+        ]
+        robots = [name for name in self._scene.robots if self._has_error(name)]
+        return [*self._routes, *(f"{name}.{ERROR}" for name in robots), *events]
+
+    def _has_error(self, robot: str) -> bool:
+        return all(f"{robot}.{key}" in self._routes for key in ("torques", "commanded_torques"))
+
+    def _check(self, word: int, name: str) -> None:
+        """Refuses the name of no signal."""
+        names = self.names
+        if name in names:
+            return
+        robot, _, key = name.partition(".")
+        reason = f"expected a signal of scene '{self._scene.name}'{did_you_mean(name, names)}"
+        if key == ERROR and robot in self._scene.robots:
+            missing = [
+                f"{robot}.{each}"
+                for each in ("commanded_torques", "torques")
+                if f"{robot}.{each}" not in self._routes
+            ]
+            reason = f"nothing is routed to {' and '.join(missing)}, which it is made of"
+        self._expression.refuse(word, reason, len(name))
+
+
+class _Reader:
+    """Signals while some packets of one source are looked at."""
+
+    def __init__(self, trigger: Trigger, events: Mapping[str, Events], count: int) -> None:
+        self._trigger, self._events, self._count = trigger, events, count
+        self._inputs: dict[str, Array] = {}
+
+    def signal(self, name: str) -> Signal:
+        """Returns a signal, (T, ...), T being 1 where it does not change meanwhile."""
+        trigger = self._trigger
+        owner, _, key = name.partition(".")
+        if name in trigger._routes:
+            route = trigger._routes[name]
+            return Signal(self._input(route), _labels(trigger._scene, route))
+        if key == ERROR and owner in trigger._scene.robots:
+            commanded, measured = (
+                trigger._routes[f"{owner}.{each}"] for each in ("commanded_torques", "torques")
+            )
+            error = self._input(commanded) - self._input(measured)
+            return Signal(error, _labels(trigger._scene, measured))
+        values = self._event(Origin(owner, key, True))
+        count = values.shape[1] if values.ndim > 1 else 0
+        return Signal(values, [f"{name}[{k}]" for k in range(count)])
+
+    def _event(self, origin: Origin) -> Array:
+        source = self._trigger._sources[origin.name]
+        if origin.key in SIGNALS:
+            return np.ones((1, 1))  # it receives
+        found = self._events.get(origin.name) or self._trigger._latest.get(origin.name)
+        if found is None:
+            return np.full((1, *source.events[origin.key]), np.nan)
+        return np.asarray(found[origin.key], np.float64)
+
+    def _input(self, route: Route) -> Array:
+        target = route.to.target
+        if target not in self._inputs:
+
+            def numbers_of(origin: Origin) -> Array:
+                if origin.is_event:
+                    values = self._event(origin)
+                else:
+                    values = self._input(self._trigger._routes[str(origin)])
+                return np.broadcast_to(
+                    values.reshape(len(values), -1), (self._count, int(np.prod(values.shape[1:])))
+                )
+
+            values = route.value.evaluate(numbers_of)
+            rows = values if values.ndim > 1 else values[None]
+            if route.condition is not None:
+                rows = route.condition(rows)
+            if route.to.kind == "toggle" and route.negated:
+                rows = 1.0 - (rows != 0)
+            self._inputs[target] = rows
+        return self._inputs[target]
+
+
+def _labels(scene: Scene, route: Route) -> list[str]:
+    if route.to.kind in ("angles", "values"):
+        return [f"{route.to.name}/{joint}" for joint in robot_of(scene, route.to).names]
+    if route.to.kind == "vector":
+        return [f"{route.to.name}.{axis}" for axis in "xyz"]
+    return []

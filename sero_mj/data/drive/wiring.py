@@ -1,0 +1,594 @@
+"""Routes: what of which source, robot or frame goes to which input.
+
+route  = target "=" origin
+target = name "." input          lwr.joint_angles, contact.vector, toggles.legend; of a group each
+                                 robot gets its share of the values, in their order
+       | name "." limb "." input icub.left_arm.joint_angles
+origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.torques - lwr.torques;
+                                 `not` negates a toggle
+       | expression "for" joints udp.values0 for l_elbow, r_arm; several of these with ";" between
+       | frame                   lwr/flange: its pose in the world
+       | robot ".fwd_kin_base_to_flange"  likewise in the robot's base
+
+`language` has the grammar of expressions, `values` and `conditions` their meaning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
+from typing import Self
+
+import numpy as np
+
+from ...base.errors import (
+    DeclarationError,
+    Problem,
+    RouteError,
+    UnknownName,
+    collect,
+    did_you_mean,
+    nearest,
+)
+from ...robots.assemble.cartesian import WORLD
+from ...robots.assemble.couplings import CoupledJoints
+from ...robots.assemble.inputs import (
+    BLANKABLE,
+    ROBOT_INPUTS,
+    SCENE,
+    Input,
+    inputs_of_group,
+    list_inputs,
+)
+from ...robots.assemble.mounts import carriers, mount_circles
+from ...robots.assemble.scene import NOT, Scene, names_in, parts_of_origin
+from ..receive.source import SIGNALS, Source, make_source
+from ._units import UNITS, robot_of, units_of, wrong_unit
+from .conditions import condition_of
+from .joint_routes import (
+    JointPart,
+    joint_parts,
+    named_joints,
+    named_twice,
+    places_by_name,
+    whole_route,
+)
+from .language import Expression, parse
+from .route import FrameRoute, Origin, Route
+from .values import Value, constant, evaluate, joined, numbers_of
+
+FWD_KIN = "fwd_kin_base_to_flange"
+# What can be read of robots, doubles and arrows: what can be set, but for switches and poses.
+_READABLE = ("angles", "values", "vector")
+
+
+@dataclass
+class Wiring:
+    """The sources of a scene and the routes from them.
+
+    Attributes:
+        sources: by name, not yet opened.
+        routes: those of numbers that are right.
+        later: those among them that need more than one packet, each after what it reads.
+        frame_routes: those from frames that are right.
+        levels: names of what frames place, each after what it depends on.
+        problems: what is wrong with the others.
+    """
+
+    sources: dict[str, Source] = field(default_factory=dict)
+    routes: list[Route] = field(default_factory=list)
+    later: list[Route] = field(default_factory=list)
+    frame_routes: list[FrameRoute] = field(default_factory=list)
+    levels: list[list[str]] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+
+    def check(self, scene: Scene) -> Self:
+        """Returns itself; raises DeclarationError where something in the scene is wrong."""
+        if self.problems:
+            raise DeclarationError(scene.located(self.problems))
+        return self
+
+
+def wire(scene: Scene) -> Wiring:
+    """Builds the scene's sources and checks its routes, without opening anything.
+
+    Routes to robots and sources that are themselves declared wrongly are left unchecked: one
+    report of one mistake is enough.
+    """
+    wiring = Wiring()
+    for name, declared in scene.sources.items():
+        with collect(wiring.problems, f"sources.{name}"):
+            wiring.sources[name] = make_source(name, declared)
+    wiring.problems += _shared_places(wiring.sources)
+    checker = _RouteChecker(scene, wiring.sources)
+    led_by: dict[tuple[str, int], str] = {}  # which entry leads to a number of an input
+    parts: dict[str, list[JointPart]] = {}
+    for target, origin in scene.routes.items():
+        with collect(wiring.problems, f"routes.{target}"):
+            for route in checker.check(target, origin):
+                to = route.to.target
+                joints = route.joints if isinstance(route, JointPart) else range(route.to.count)
+                before = [joint for joint in joints if (to, joint) in led_by]
+                if before:
+                    raise DeclarationError([_led_twice(scene, route, before[0], led_by)])
+                led_by |= dict.fromkeys([(to, joint) for joint in joints], target)
+                if isinstance(route, JointPart):
+                    parts.setdefault(to, []).append(route)
+                elif isinstance(route, Route):
+                    wiring.routes.append(route)
+                else:
+                    wiring.frame_routes.append(route)
+    wiring.routes += [whole_route(scene, each) for each in parts.values()]
+    _allow_blanks(wiring)
+    try:
+        wiring.later = _routes_in_order(wiring.routes)
+    except CycleError as error:
+        wiring.problems.append(_circle("values", error))
+    try:
+        wiring.levels = _levels_of_frames(scene, wiring.frame_routes)
+    except CycleError as error:
+        wiring.problems.append(_circle("frames", error))
+    return wiring
+
+
+def _led_twice(
+    scene: Scene,
+    route: Route | FrameRoute | JointPart,
+    joint: int,
+    led_by: Mapping[tuple[str, int], str],
+) -> Problem:
+    """Says that a number of an input has an origin already."""
+    first = led_by[route.to.target, joint]
+    if not isinstance(route, JointPart):
+        return Problem("", f"{route.to.target} has a route already, {first}; remove one of them")
+    name = robot_of(scene, route.to).names[joint]
+    message = f"{name} gets its {route.to.key} by {first} already; expected each joint once"
+    return Problem("", message)
+
+
+def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
+    """Ports that two sources of one scene would listen on."""
+    problems = []
+    taken: dict[tuple[str, int], str] = {}
+    for name, source in sources.items():
+        place = source.place
+        if place is None or place[1] == 0:  # no port, or one that the system chooses
+            continue
+        if place in taken:
+            message = f"{place[1]} on {place[0]} is the port of source '{taken[place]}' already"
+            problems.append(Problem(f"sources.{name}.port", message))
+        taken.setdefault(place, name)
+    return problems
+
+
+def _allow_blanks(wiring: Wiring) -> None:
+    """Allows NaN in events that do not move anything, directly or through other routes."""
+    routes = {route.to.target: route for route in wiring.routes}
+    todo = [target for target, route in routes.items() if route.to.kind not in BLANKABLE]
+    moving: dict[str, Route] = {}  # the routes to what moves, and to what these read
+    while todo:
+        target = todo.pop()
+        if target in routes and target not in moving:
+            moving[target] = routes[target]
+            todo += routes[target].outputs
+    finite = {origin for route in moving.values() for origin in route.value.origins}
+    for name, source in wiring.sources.items():
+        # What nobody looks at harms nobody, and its sender may send much that is not routed.
+        source.allow_nan({e for e in source.events if Origin(name, e, True) not in finite})
+
+
+def _routes_in_order(routes: Sequence[Route]) -> list[Route]:
+    """The routes that need more than one packet, each after those to what it reads."""
+    later = {route.to.target: route for route in routes if route.direct is None}
+    after = {target: {*later} & set(route.outputs) for target, route in later.items()}
+    return [later[target] for target in TopologicalSorter(after).static_order()]
+
+
+def _levels_of_frames(scene: Scene, routes: Sequence[FrameRoute]) -> list[list[str]]:
+    """What frames place, in an order in which everything is placed after what it follows."""
+    frames = scene.named_frames()
+    after: dict[str, set[str]] = {
+        name: {double.of} for name, double in scene.doubles.items() if name not in scene.robots
+    }
+    if not mount_circles(scene.robots):  # which are reported elsewhere
+        after |= {name: {*carriers(scene.robots, name)} for name in scene.robots}
+    placed = set()
+    for route in routes:
+        mover = route.frame if route.is_fwd_kin else frames[route.frame].moves_with
+        if route.to.key != "flange_check":  # it moves nothing
+            after.setdefault(route.to.name, set()).add(mover)
+            placed.add(route.to.name)
+    for name, received in scene.frames.items():
+        if received.relative_to in frames:
+            after.setdefault(name, set()).add(frames[received.relative_to].moves_with)
+            placed.add(name)
+    sorter = TopologicalSorter(after)
+    sorter.prepare()
+    levels = []
+    while sorter.is_active():
+        ready = sorter.get_ready()
+        sorter.done(*ready)
+        level = [name for name in ready if name in placed]
+        if level:
+            levels.append(level)
+    return levels
+
+
+def _circle(what: str, error: CycleError) -> Problem:
+    names = list(reversed(error.args[1]))[:-1]
+    first = names.index(min(names))  # which one is found first is chance
+    circle = " -> ".join([*names[first:], *names[:first], names[first]])
+    return Problem("routes", f"{what} that follow each other: {circle}")
+
+
+class _RouteChecker:
+    """Finds what the targets and origins of routes name, and what is wrong with them."""
+
+    def __init__(self, scene: Scene, sources: Mapping[str, Source]) -> None:
+        self._scene, self._sources = scene, sources
+        self._inputs = list_inputs(scene)
+        self._frames = scene.named_frames()
+        self._outputs = {key: item for key, item in self._inputs.items() if item.kind in _READABLE}
+        self._owners = {item.name for item in self._outputs.values()}
+        self._events: dict[Origin, Value] = {}  # made once: an event may have 65,000 numbers
+
+    def check(self, target: str, origin: str) -> list[Route | FrameRoute | JointPart]:
+        """Returns checked routes: one, or one for each member of a group, or for some joints.
+
+        There is none where what is wrong is reported elsewhere.
+
+        Raises:
+            DeclarationError: what is wrong with the target, the origin, or both.
+        """
+        name, _, key = target.partition(".")
+        limb, dot, of_limb = key.partition(".")
+        dot = "" if f"{name}.{limb}" in self._inputs else dot  # lwr.torques.0 is no limb
+        parts = parts_of_origin(origin)
+        if dot or parts[0][1] is not None:
+            if dot and parts[0][1] is not None:
+                message = f"found joints for the limb '{limb}'; expected them for {name}.{of_limb}"
+                raise DeclarationError([Problem("", message)])
+            if dot:
+                key, parts = of_limb, [(origin, [limb])]
+            return self._parts(name, key, parts)
+        members = self._scene.members(name)
+        if members is None:
+            return [*self._check([self._input(target)], origin, target)]
+        if any(each not in {*self._scene.robots, *self._scene.doubles} for each in members):
+            return []  # declared wrongly, or missing
+        return [*self._check(self._group_inputs(name, key, members), origin, target)]
+
+    def _parts(
+        self, name: str, key: str, parts: Sequence[tuple[str, list[str] | None]]
+    ) -> list[Route | FrameRoute | JointPart]:
+        """Returns the routes to some joints of a robot, a double or a group."""
+        scene, target, members = self._scene, f"{name}.{key}", self._scene.members(name)
+        found: Sequence[Input | Problem | None] = [self._input(target)]
+        if members is not None:
+            if any(each not in {*scene.robots, *scene.doubles} for each in members):
+                return []
+            found = self._group_inputs(name, key, members)
+        problems = [item for item in found if isinstance(item, Problem)]
+        inputs = [item for item in found if isinstance(item, Input)]
+        if inputs and inputs[0].kind not in ("angles", "values"):
+            message = f"joints are for what has one value per joint; {target} takes"
+            problems.append(Problem("", f"{message} {inputs[0].meaning}"))
+        if problems or not inputs:
+            raise DeclarationError(problems)
+        places = places_by_name(scene, inputs, in_group=members is not None)
+        joints = [named_joints(scene, name, places, names, problems) for _, names in parts]
+        problems += named_twice(scene, [joint for each in joints for joint in each])
+        made: list[Route | FrameRoute | JointPart] = []
+        for (origin, _), places_of_origin in zip(parts, joints, strict=True):
+            with collect(problems, ""):
+                value = self._value(origin)
+                if value is not None and not problems:
+                    made += joint_parts(scene, *value, places_of_origin, target)
+        if problems:
+            raise DeclarationError(problems)
+        return made
+
+    def _value(self, origin: str) -> tuple[Value, str] | None:
+        """What an origin of numbers means, and its text; None where a fault is told elsewhere."""
+        try:
+            expression = parse(origin)
+        except RouteError as error:
+            raise DeclarationError([Problem("", str(error))]) from None
+        if expression.negated or expression.is_condition:
+            found = f"'{NOT}' is" if expression.negated else "comparisons are"
+            message = f"{found} for switches; joints take numbers"
+            raise DeclarationError([Problem("", message)])
+        return self._evaluated(expression, [])
+
+    def _evaluated(
+        self, expression: Expression, problems: list[Problem]
+    ) -> tuple[Value, str] | None:
+        """What a parsed origin means, and its text; raises with `problems` beside its own."""
+        known = self._known(expression, problems)
+        if known is None:
+            return None
+        text = expression.text.strip()
+        text = text.removeprefix(NOT).lstrip() if expression.negated else text
+        try:
+            return evaluate(expression, known), text
+        except RouteError as error:
+            raise DeclarationError([Problem("", str(error))]) from None
+
+    def _known(
+        self, expression: Expression, problems: Sequence[Problem]
+    ) -> dict[str, Value] | None:
+        """What its names stand for; None where a fault is told elsewhere. Raises as above."""
+        found = {name: self._find(name) for name in names_in(expression.text)}
+        problems = [*problems, *(v for v in found.values() if isinstance(v, Problem))]
+        if problems:
+            raise DeclarationError(problems)
+        known = {name: value for name, value in found.items() if isinstance(value, Value)}
+        return known if len(known) == len(found) else None
+
+    def _group_inputs(
+        self, group: str, key: str, members: Sequence[str]
+    ) -> list[Input | Problem | None]:
+        """The inputs of a group's members that a route leads to, or what is wrong with it."""
+        try:
+            return list(inputs_of_group(self._inputs, group, key, members))
+        except UnknownName as error:
+            near = did_you_mean(key, error.available)
+            return [Problem("", f"no input '{key}' of {group}{near}")]
+        except ValueError as error:
+            return [Problem("", str(error))]
+
+    def _check(
+        self, items: Sequence[Input | Problem | None], origin: str, target: str
+    ) -> list[Route | FrameRoute]:
+        problems = [item for item in items if isinstance(item, Problem)]
+        inputs = [item for item in items if isinstance(item, Input)]
+        item = items[0]
+        try:
+            expression = parse(origin)
+        except RouteError as error:
+            raise DeclarationError([*problems, Problem("", str(error))]) from None
+        if isinstance(item, Input) and expression.negated and item.kind != "toggle":
+            problems.append(Problem("", f"'{NOT}' is for switches; {target} takes {item.meaning}"))
+        frame = expression.name
+        if frame is not None and self._is_frame(frame):
+            route = self._frame_route(problems, item, frame)
+            if problems:
+                raise DeclarationError(problems)
+            return [] if route is None else [route]
+        if expression.is_condition:
+            return self._switches(inputs, expression, problems, target)
+        found = self._evaluated(expression, problems)
+        if found is None or len(inputs) < len(items):
+            return []
+        value, text = found
+        shares = [value] * len(inputs)
+        if len(inputs) > 1 and inputs[0].kind in ("angles", "values"):
+            shares = _shares(value, inputs, text, target)
+        routes: list[Route | FrameRoute] = []
+        first = 0  # of the numbers that a share begins with
+        for item, share in zip(inputs, shares, strict=True):
+            full, numbers = share, np.arange(share.entries.size)
+            if item.coupled is not None and share.shape and share.entries.size == item.coupled.k:
+                full, numbers = _with_coupled(share, item, item.coupled), item.coupled.source
+            units = units_of(self._scene, item)
+            message = _wrong_shape(full, item) or wrong_unit(full.units, units, item.target)
+            if message:
+                raise DeclarationError([Problem("", f"{text} {message}")])
+            numbers = np.broadcast_to(first + numbers, item.count)
+            compiled = full.compile(item.count)
+            routes.append(Route(item, text, compiled, expression.negated, tuple(numbers.tolist())))
+            if len(inputs) > 1 and share is not value:
+                first += share.entries.size
+        return routes
+
+    def _switches(
+        self,
+        items: Sequence[Input],
+        expression: Expression,
+        problems: list[Problem],
+        target: str,
+    ) -> list[Route | FrameRoute]:
+        """Routes from a condition."""
+        if items and items[0].kind != "toggle":
+            message = f"comparisons are for switches; {target} takes {items[0].meaning}"
+            problems = [*problems, Problem("", message)]
+        names = self._known(expression, problems)
+        if names is None:
+            return []
+        try:
+            value, condition = condition_of(expression, names)
+        except RouteError as error:
+            raise DeclarationError([Problem("", str(error))]) from None
+        compiled, text = value.compile(value.entries.size), expression.text.strip()
+        return [Route(item, text, compiled, condition=condition) for item in items]
+
+    def _input(self, target: str) -> Input | Problem | None:
+        """The input that a route leads to, what is wrong with it, or None where that is known."""
+        if target in self._inputs:
+            return self._inputs[target]
+        scene, (name, _, key) = self._scene, target.partition(".")
+        keys = [item.key for item in self._inputs.values() if item.name == name]
+        if scene.is_broken(name) or scene.is_broken(name, ("groups",)):
+            near = nearest(key, ROBOT_INPUTS)  # one of its own inputs may be meant
+            mistyped = near is not None and key not in ROBOT_INPUTS
+            message = f"no input '{key}' of {name}; did you mean '{near}'?"
+            moves = {f"robots.{name}", f"groups.{name}"} & scene.broken
+            return Problem("", message) if mistyped and moves else None
+        double, robot = scene.doubles.get(name), scene.robots.get(name)
+        message = ""
+        if double is not None and double.path is not None and key != "visible":
+            message = f"'{name}' shows a path; nothing can be routed to it"
+        if robot is not None and robot.mount is not None and key == "base_frame":
+            message = f"{name} is mounted on {robot.mount}, which moves its base"
+            message += "; remove this route, or the mount"
+        if message:
+            return Problem("", message)
+        if keys and (double is None or double.of in scene.robots):
+            return Problem("", f"no input '{key}' of {name}{did_you_mean(key, keys)}")
+        if double is not None:
+            return None
+        names = [item.name for item in self._inputs.values() if item.name != SCENE]
+        names += [*scene.declared("groups"), *scene.double_groups]
+        near = did_you_mean(name, dict.fromkeys([*scene.declared("robots"), *names]))
+        return Problem("", f"no robot '{name}'{near}")
+
+    def _is_frame(self, name: str) -> bool:
+        """Whether a name is that of a frame, and not of numbers."""
+        return "/" in name or name in self._frames or self._is_fwd_kin(name)
+
+    def _is_fwd_kin(self, name: str) -> bool:
+        robot, _, key = name.partition(".")
+        return key == FWD_KIN and robot in self._scene.robots and robot not in self._scene.sources
+
+    def _no_frame(self, name: str) -> Problem | None:
+        """Says that there is no such frame; None where its robot is declared wrongly."""
+        if self._scene.is_broken(name.partition("/")[0]):
+            return None
+        events = [f"{n}.{event}" for n, source in self._sources.items() for event in source.events]
+        spaces = _missing_spaces(name, [*UNITS, *self._outputs, *events])
+        return Problem("", f"no frame '{name}'{spaces or did_you_mean(name, self._frames)}")
+
+    def _frame_route(
+        self, problems: list[Problem], item: Input | Problem | None, name: str
+    ) -> FrameRoute | None:
+        is_fwd_kin = self._is_fwd_kin(name)
+        given, name = name, self._scene.frame_name(name)
+        if not is_fwd_kin and name not in self._frames:
+            if (problem := self._no_frame(given)) is not None:
+                problems.append(problem)
+            return None
+        if not isinstance(item, Input):
+            return None
+        received = self._scene.frames.get(item.name)
+        if received is not None and received.relative_to != WORLD and not is_fwd_kin:
+            fix = f"set relative_to of {received.name} to 'world'"
+            problems.append(Problem("", f"{given} is a pose in the world; {fix}"))
+        if item.shape != (4, 4):
+            message = f"{given} is a 4 x 4 frame; {item.target} takes {item.meaning}"
+            problems.append(Problem("", message))
+        return FrameRoute(item, name.partition(".")[0] if is_fwd_kin else name, is_fwd_kin)
+
+    def _find(self, name: str) -> Value | Problem | None:
+        """What a name stands for, what is wrong with it, or None where that is known."""
+        if name in UNITS:
+            return constant(*UNITS[name])
+        return self._no_number(name) if self._is_frame(name) else self._numbers(name)
+
+    def _no_number(self, name: str) -> Problem | None:
+        """Says that a name is a frame's; None where its robot is declared wrongly."""
+        message = f"{name} is a 4 x 4 frame, which cannot be indexed or combined"
+        is_known = self._scene.frame_name(name) in self._frames or self._is_fwd_kin(name)
+        return Problem("", message) if is_known else self._no_frame(name)
+
+    def _numbers(self, name: str) -> Value | Problem | None:
+        owner, _, key = name.partition(".")
+        if self._scene.declares("sources", owner):
+            return self._event(owner, key)
+        members = self._scene.members(owner)
+        if members is not None:
+            return self._group_output(members, key)
+        if owner in self._owners or owner in self._scene.robots:
+            return self._output(owner, key)
+        if self._scene.is_broken(owner, ("robots", "doubles", "arrows", "groups")):
+            return None
+        return Problem("", f"no {self._unknown(owner, is_bare=not key)}")
+
+    def _event(self, name: str, event: str) -> Value | Problem | None:
+        if name not in self._sources:
+            return None
+        events = {**self._sources[name].events, **SIGNALS}
+        if event not in events:
+            hint = _missing_spaces(event, events) or did_you_mean(event, events)
+            return Problem("", f"no event '{event}' of {name}{hint}")
+        origin = Origin(name, event, True)
+        if origin not in self._events:
+            self._events[origin] = numbers_of(origin, tuple(events[event]))
+        return self._events[origin]
+
+    def _output(self, name: str, key: str) -> Value | Problem:
+        item = self._outputs.get(f"{name}.{key}")
+        if item is not None:
+            return numbers_of(Origin(name, key, False), item.shape, units_of(self._scene, item))
+        keys = [item.key for item in self._outputs.values() if item.name == name]
+        hint = _missing_spaces(key, keys)
+        if not hint and name in self._scene.robots:
+            hint = did_you_mean(key, [*keys, FWD_KIN])
+            if nearest(key, [*keys, FWD_KIN]) is None:
+                hint += f"; its frames are {name}/flange and so on"
+        return Problem("", f"no output '{key}' of {name}{hint or did_you_mean(key, keys)}")
+
+    def _group_output(self, members: Sequence[str], key: str) -> Value | Problem | None:
+        """The values of a group's members one after the other."""
+        found = []
+        for name in members:
+            if name not in self._owners:
+                return None  # declared wrongly, or missing, which is reported elsewhere
+            value = self._output(name, key)
+            if isinstance(value, Problem):
+                return value
+            found.append(value)
+        return joined(found)
+
+    def _unknown(self, owner: str, *, is_bare: bool) -> str:
+        """A message about an unknown name, with the nearest known one."""
+        sources = self._scene.declared("sources")
+        if nearest(owner, sources) is None:
+            near = nearest(owner, self._owners)
+            if near is not None:
+                return f"source or robot '{owner}'; did you mean '{near}'?"
+            near = nearest(owner, UNITS) if is_bare else None
+            if near is not None:
+                return f"unit '{owner}'; did you mean '{near}'?"
+        return f"source '{owner}'{did_you_mean(owner, sources)}"
+
+
+def _shares(value: Value, items: Sequence[Input], text: str, target: str) -> list[Value]:
+    """The values of a group's members, in order: of all joints, or of the independent ones.
+
+    Raises:
+        DeclarationError: there are as many values of neither.
+    """
+    if value.is_constant and not value.shape:
+        return [value] * len(items)  # one number for all
+    full = [item.count for item in items]
+    free = [item.count if item.coupled is None else item.coupled.k for item in items]
+    found = value.entries.size
+    counts = free if found == sum(free) else full
+    if found != sum(counts) or value.is_frames:
+        many = "1 value" if found == 1 else f"{found} values"
+        each = ", ".join(f"{item.name} {item.count}" for item in items)
+        fewer = f", or {sum(free)} without the coupled joints" if free != full else ""
+        message = f"{text} has {many}; {target} takes {sum(full)}: {each}{fewer}"
+        raise DeclarationError([Problem("", message)])
+    return value.split(counts)
+
+
+def _with_coupled(value: Value, item: Input, coupled: CoupledJoints) -> Value:
+    """Values of all joints, from those of the independent ones."""
+    factors, constants = coupled.factors(item.key), coupled.constants(item.key)
+    return value.gather(coupled.source, factors, constants)
+
+
+def _wrong_shape(value: Value, item: Input) -> str:
+    """Says why a value has not the shape that an input takes; empty where it has."""
+    count, shape = value.entries.size, value.shape
+    many = "1 value" if count == 1 else f"{count} values"
+    if item.shape == (4, 4):
+        if value.is_frames and count == 16:
+            return ""
+        found = f"has {many}" if len(shape) < 2 else f"is {' x '.join(map(str, shape))}"
+        return f"{found}; {item.target} takes {item.meaning}: 1M in the structure"
+    if value.is_constant and not shape:
+        return ""  # one number for all
+    if count != item.count:
+        return f"has {many}; {item.target} takes {item.meaning}"
+    return f"is a 4 x 4 frame; {item.target} takes {item.meaning}" if value.is_frames else ""
+
+
+def _missing_spaces(name: str, known: Iterable[str]) -> str:
+    """Advice where a known name runs into an operator that can also stand in names."""
+    for i, sign in enumerate(name):
+        if sign in "-/" and name[:i] in known:
+            return f"; put spaces about '{sign}'"
+    return ""

@@ -1,0 +1,422 @@
+"""UDP sockets: opens them, says clearly why one cannot be opened, and reads them in batches.
+
+On Linux one `recvmmsg` call takes up to 256 packets, with the time at which the kernel got each; a
+Python call for each would be too slow for a hundred thousand a second. Elsewhere they are read one
+by one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import errno
+import ipaddress
+import os
+import socket
+import struct
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.errors import SourceError
+from ...base.frames import Array, Ints
+from .structure import Rows
+
+DEFAULT_BUFFER = 4 * 2**20  # bytes; the system may grant less
+_SO_RCVBUFFORCE = 33  # Linux: beyond net.core.rmem_max, where the user may
+_REASONS = {
+    errno.EADDRINUSE: " is in use by another program; close that, or choose another port",
+    errno.EACCES: ": no permission; choose a port above 1023",
+    errno.ENODEV: ": no route for this group; name the network with interface = ...",
+}
+
+BATCH = 256  # packets
+_ADDRESS_BYTES, _V4_BYTES = 28, 16  # of sockaddr_in6, and of sockaddr_in
+_CONTROL_BYTES = 64  # a time stamp (32) and a count of dropped packets (24)
+_MAPPED = bytes(10) + b"\xff\xff"  # before an IPv4 address in one of IPv6
+# Linux's numbers; not in Python's socket module.
+_SO_TIMESTAMPNS = 35
+_SO_RXQ_OVFL = 40
+
+
+class _Iovec(ctypes.Structure):
+    _fields_ = [("base", ctypes.c_void_p), ("length", ctypes.c_size_t)]
+
+
+class _Msghdr(ctypes.Structure):
+    _fields_ = [
+        ("name", ctypes.c_void_p),
+        ("namelen", ctypes.c_uint32),
+        ("iov", ctypes.c_void_p),
+        ("iovlen", ctypes.c_size_t),
+        ("control", ctypes.c_void_p),
+        ("controllen", ctypes.c_size_t),
+        ("flags", ctypes.c_int),
+    ]
+
+
+class _Mmsghdr(ctypes.Structure):
+    _fields_ = [("header", _Msghdr), ("length", ctypes.c_uint)]
+
+
+# The control message that comes first: header, then seconds and nanoseconds of a 64-bit system.
+_STAMP = np.dtype(
+    {
+        "names": ["level", "kind", "seconds", "nanoseconds"],
+        "formats": ["i4", "i4", "i8", "i8"],
+        "offsets": [8, 12, 16, 24],
+        "itemsize": _CONTROL_BYTES,
+    }
+)
+
+OnArrival = Callable[[memoryview, int, bytes], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Datagrams that came one after the other; valid until the next are read.
+
+    Attributes:
+        rows: (n, `most` bytes), uint8; what was longer is cut off.
+        lengths: as they were sent, (n,), bytes; of what was cut off at least the row's length.
+        arrivals: on the clock of `time.monotonic`, (n,), s.
+        senders: socket addresses as the system has them, (n, 28), uint8.
+        dropped: packets that the kernel has dropped so far, or None where it does not say.
+    """
+
+    rows: Rows
+    lengths: Ints
+    arrivals: Array
+    senders: Rows
+    dropped: int | None
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+
+class Datagrams:
+    """Reads a socket in batches.
+
+    Args:
+        sock: a bound datagram socket; it is made non-blocking.
+        most: bytes of a packet that are kept.
+
+    Attributes:
+        on_arrival: called before anything else is done with each packet, with its bytes, as many
+            as are kept; how long it is; and its sender as in `Batch.senders`. None for nothing.
+    """
+
+    def __init__(self, sock: socket.socket, most: int) -> None:
+        sock.setblocking(False)
+        self.on_arrival: OnArrival | None = None
+        self._socket = sock
+        self._rows = np.zeros((BATCH, most), np.uint8)
+        self._senders = np.zeros((BATCH, _ADDRESS_BYTES), np.uint8)
+        self._lengths, self._came = np.zeros(BATCH, np.intp), np.zeros(BATCH)
+        self.waiting = 0
+        self._recvmmsg: Any = None
+        self._sendto: Any = None
+        self._dropped: int | None = None
+        if sys.platform == "linux":
+            for option in (_SO_RXQ_OVFL, _SO_TIMESTAMPNS):
+                sock.setsockopt(socket.SOL_SOCKET, option, 1)
+            # They do not wait, so they need not let other threads run: to come back behind one that
+            # renders takes up to the interpreter's switch interval.
+            library = ctypes.PyDLL(None, use_errno=True)
+            self._recvmmsg = getattr(library, "recvmmsg", None)
+            self._sendto = getattr(library, "sendto", None)
+            self._dropped = 0
+        if self._recvmmsg is not None:
+            self._prepare()
+
+    def _prepare(self) -> None:
+        """Lays out the headers once; each call resets only what the kernel changes."""
+        self._controls = np.zeros((BATCH, _CONTROL_BYTES), np.uint8)
+        self._vectors = np.zeros(BATCH, np.dtype(_Iovec))
+        self._vectors["base"], self._vectors["length"] = _places(self._rows), self._rows.shape[1]
+        self._headers = (_Mmsghdr * BATCH)()
+        states = np.frombuffer(memoryview(self._headers), np.dtype(_Mmsghdr))
+        header = states["header"]
+        header["name"], header["namelen"] = _places(self._senders), _ADDRESS_BYTES
+        header["iov"], header["iovlen"] = _places(self._vectors), 1
+        header["control"], header["controllen"] = _places(self._controls), _CONTROL_BYTES
+        # What the kernel changes.
+        self._got, self._namelen = states["length"], header["namelen"]
+        self._controllen = header["controllen"]
+        self._row_views = [memoryview(row) for row in self._rows]  # type: ignore[arg-type]
+        self._sender_view = memoryview(self._senders.reshape(-1))  # type: ignore[arg-type]
+        self._stamps = self._controls.view(_STAMP)[:, 0]
+        size, flags = ctypes.sizeof(_Mmsghdr), socket.MSG_DONTWAIT | socket.MSG_TRUNC
+        fileno = ctypes.c_int(self._socket.fileno())
+        self._arguments = [
+            (fileno, ctypes.byref(self._headers, first * size), BATCH - first, flags, None)
+            for first in range(BATCH)
+        ]
+
+    def receive(self) -> Batch | None:
+        """Returns what is there, up to 256 packets, or None when there is nothing.
+
+        Raises:
+            OSError: the system says what is wrong with the socket.
+        """
+        self.read()
+        return self.take()
+
+    def read(self) -> int:
+        """Reads what is there behind what is `waiting`; returns how many packets that were.
+
+        Raises:
+            OSError: the system says what is wrong with the socket.
+        """
+        if self.waiting == BATCH:
+            return 0
+        count = self._one_by_one() if self._recvmmsg is None else self._at_once()
+        self.waiting += count
+        return count
+
+    def take(self) -> Batch | None:
+        """Returns what was read since the last one, or None when there is nothing."""
+        count, self.waiting = self.waiting, 0
+        if not count:
+            return None
+        rows, senders = self._rows[:count], self._senders[:count].copy()
+        if self._recvmmsg is None:
+            lengths, arrivals = self._lengths[:count].copy(), self._came[:count].copy()
+            return Batch(rows, lengths, arrivals, senders, self._dropped)
+        lengths = self._got[:count].astype(np.intp)
+        arrivals = self._arrivals(count)
+        if (self._controllen[:count] > 32).any():
+            self._dropped = self._read_dropped(count)
+        self._namelen[:count], self._controllen[:count] = _ADDRESS_BYTES, _CONTROL_BYTES
+        return Batch(rows, lengths, arrivals, senders, self._dropped)
+
+    def send(self, data: bytes, to: bytes) -> None:
+        """Sends a packet to an address as in `Batch.senders`; raises OSError where it cannot."""
+        if self._sendto is None:
+            self._socket.sendto(data, _as_tuple(to))
+            return
+        length = _V4_BYTES if to[0] == socket.AF_INET else _ADDRESS_BYTES
+        sent = self._sendto(
+            ctypes.c_int(self._socket.fileno()),
+            data,
+            ctypes.c_size_t(len(data)),
+            ctypes.c_int(socket.MSG_DONTWAIT),
+            to,
+            ctypes.c_uint(length),
+        )
+        if sent < 0:
+            error = ctypes.get_errno()
+            raise OSError(error, os.strerror(error))
+
+    def _at_once(self) -> int:
+        first = self.waiting
+        count = int(self._recvmmsg(*self._arguments[first]))
+        if count <= 0:
+            error = ctypes.get_errno()
+            if count == 0 or error in (11, 4):  # EAGAIN, EINTR
+                return 0
+            raise OSError(error, os.strerror(error))
+        if (on_arrival := self.on_arrival) is not None:
+            # Without numpy: beside a renderer its code has to come from memory first.
+            for i in range(first, first + count):
+                sender = self._sender_view[i * _ADDRESS_BYTES : (i + 1) * _ADDRESS_BYTES]
+                on_arrival(self._row_views[i], self._headers[i].length, bytes(sender))
+        return count
+
+    def _arrivals(self, count: int) -> Array:
+        """When the kernel got the packets, on the monotonic clock."""
+        now, wall = _both_clocks()
+        stamps = self._stamps[:count]
+        if not (stamps["kind"] == _SO_TIMESTAMPNS).all():
+            return np.full(count, now * 1e-9)
+        stamped = stamps["seconds"] * 1_000_000_000 + stamps["nanoseconds"]
+        # The wall clock may have been set in between; nothing arrives later than it is read.
+        arrivals: Array = (now - np.maximum(wall - stamped, 0)) * 1e-9
+        return arrivals
+
+    def _read_dropped(self, count: int) -> int | None:
+        for control in self._controls[count - 1 :: -1]:
+            level, kind = struct.unpack_from("=ii", control, 40)
+            if level == socket.SOL_SOCKET and kind == _SO_RXQ_OVFL:
+                return int(struct.unpack_from("=I", control, 48)[0])
+        return self._dropped
+
+    def _one_by_one(self) -> int:
+        first, most = self.waiting, self._rows.shape[1]
+        for i in range(first, BATCH):
+            try:
+                length, _, flags, sender = self._socket.recvmsg_into([self._rows[i].data])
+            except BlockingIOError:
+                return i - first
+            self._came[i] = time.monotonic()
+            self._lengths[i] = most + 1 if flags & socket.MSG_TRUNC else length
+            packed = pack_address(*sender[:2])
+            if self.on_arrival is not None:
+                self.on_arrival(self._rows[i].data, int(self._lengths[i]), packed)
+            self._senders[i] = np.frombuffer(packed, np.uint8)
+        return BATCH - first
+
+
+def _places(rows: NDArray[Any]) -> Ints:
+    """Addresses in memory of an array's rows."""
+    return np.asarray(rows.ctypes.data + rows.strides[0] * np.arange(len(rows)))
+
+
+def _both_clocks() -> tuple[int, int]:
+    """The monotonic and the wall clock at one moment, ns; nothing has run in between."""
+    for _ in range(4):
+        before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        if after - before < 20_000:
+            break  # else another thread had the processor, and the two would be apart
+    return before, wall
+
+
+def pack_address(host: str, port: int) -> bytes:
+    """Address and port, 28 bytes, laid out as Linux's `sockaddr_in` and `sockaddr_in6`."""
+    if ":" in host:
+        packed = socket.inet_pton(socket.AF_INET6, host.partition("%")[0])
+        return struct.pack("=H2s4x16s4x", 10, port.to_bytes(2, "big"), packed)
+    packed = socket.inet_pton(socket.AF_INET, host)
+    return struct.pack("=H2s4s20x", 2, port.to_bytes(2, "big"), packed)
+
+
+def unpack_address(packed: bytes) -> tuple[str, int]:
+    """Address and port of one of `Batch.senders`."""
+    port = int.from_bytes(packed[2:4], "big")
+    if packed[0] == 2:
+        return socket.inet_ntop(socket.AF_INET, packed[4:8]), port
+    return socket.inet_ntop(socket.AF_INET6, packed[8:24]), port
+
+
+def _as_tuple(packed: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
+    """One of `Batch.senders` as Python's sockets take it."""
+    host, port = unpack_address(packed)
+    if ":" not in host:
+        return host, port
+    (scope,) = struct.unpack_from("=I", packed, 24)  # link-local addresses need their interface
+    return host, port, 0, scope
+
+
+def canonical_address(packed: bytes) -> tuple[bytes, int]:
+    """Address, 16 bytes, and port of one of `Batch.senders`.
+
+    IPv4 as IPv6 has it (`::ffff:192.168.0.7`), which is how a socket on `::` sees it.
+    """
+    port = int.from_bytes(packed[2:4], "big")
+    return (_MAPPED + packed[4:8] if packed[0] == 2 else packed[8:24]), port
+
+
+def is_multicast(host: str) -> bool:
+    """Whether an address is a group that senders reach with one packet."""
+    try:
+        return ipaddress.ip_address(host.partition("%")[0]).is_multicast
+    except ValueError:
+        return False
+
+
+def _needs_interface(host: str) -> bool:
+    """Whether an address means something only together with a network: `ff02::1`, `fe80::1`."""
+    try:
+        address = ipaddress.IPv6Address(host)
+    except ValueError:
+        return False
+    # Of a group the scope is in its second byte: 1 is this machine, 2 this network.
+    return address.is_link_local or (address.is_multicast and address.packed[1] & 15 in (1, 2))
+
+
+def _interfaces() -> str:
+    return ", ".join(name for _, name in socket.if_nameindex())
+
+
+def open_socket(source: str, host: str, port: int, interface: str, buffer: int) -> socket.socket:
+    """Returns a bound UDP socket.
+
+    Args:
+        source: name of the source, for messages.
+        host: address to listen on, or a multicast group to join.
+        port: to listen on; 0 lets the system choose.
+        interface: name or IPv4 address of the network interface on which a group is joined;
+            empty for the system's choice.
+        buffer: bytes of the receive buffer; 0 for 4 MiB, or what the system grants.
+
+    Raises:
+        SourceError: the port is in use, or the address is not one of this machine.
+    """
+    place = f"UDP port {port} on {host}"
+    address, _, zone = host.partition("%")
+    if _needs_interface(host) and not interface and not zone:
+        why = "such an address is one on every network; name yours with interface = ..."
+        raise SourceError(source, f"{place}: {why}; available: {_interfaces()}")
+    sock = None
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        sock = socket.socket(family, socket.SOCK_DGRAM)
+        _set_buffer(sock, buffer)
+        if is_multicast(host):
+            _join(sock, host, port, interface)
+        elif _needs_interface(host):
+            sock.bind((address, port, 0, socket.if_nametoindex(interface or zone)))
+        else:
+            sock.bind((host, port))
+    # A name that cannot be one makes other errors than a name that is not known.
+    except (OSError, TypeError, UnicodeError) as error:
+        if sock is not None:
+            sock.close()
+        raise SourceError(source, f"{place}{_why(error, interface or zone)}") from error
+    return sock
+
+
+def _set_buffer(sock: socket.socket, size: int) -> None:
+    wanted = size or DEFAULT_BUFFER
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted)
+    except OSError:  # some systems refuse what they cannot grant
+        if size:
+            raise
+    if not size and sys.platform == "linux":
+        with contextlib.suppress(OSError):  # for the administrator only
+            sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, wanted)
+
+
+def _join(sock: socket.socket, group: str, port: int, interface: str) -> None:
+    """Joins a multicast group; several programs of one machine may listen to it."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    if sock.family == socket.AF_INET6:
+        address, _, zone = group.partition("%")
+        index = socket.if_nametoindex(interface or zone) if interface or zone else 0
+        sock.bind((address, port, 0, index))
+        packed = socket.inet_pton(socket.AF_INET6, address)
+        joined = struct.pack("=16sI", packed, index)
+        sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, joined)
+        return
+    # On Linux a socket bound to the group gets nothing else; Windows cannot bind to one.
+    sock.bind((group if sys.platform == "linux" else "", port))
+    here = "0.0.0.0"
+    index = 0
+    if interface:
+        try:
+            here = str(ipaddress.IPv4Address(interface))
+        except ValueError:
+            index = socket.if_nametoindex(interface)
+    joined = socket.inet_aton(group) + socket.inet_aton(here)
+    if index:
+        joined += struct.pack("=i", index)
+    sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, joined)
+
+
+def _why(error: Exception, interface: str) -> str:
+    if not isinstance(error, OSError):
+        return f": not an address: {error}"
+    # Python's own error for an interface that is not there has no number.
+    unknown = (None, errno.ENODEV, errno.EADDRNOTAVAIL, errno.ENXIO)
+    names = [name for _, name in socket.if_nameindex()]
+    if interface and interface not in names and error.errno in unknown:
+        return f": no network interface '{interface}'; available: {_interfaces()}"
+    if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
+        return ": not an address of this machine; expected 127.0.0.1 or 0.0.0.0, say"
+    return _REASONS.get(error.errno or 0, f": {error.strerror or error}")

@@ -1,0 +1,403 @@
+"""`Intake`: sorts packets into those that are applied and those that are only counted."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.frames import Array, Ints
+from ._tracking import (
+    DUPLICATE,
+    LATE,
+    MOST_SENDERS,
+    RESTARTED,
+    Senders,
+    SequenceTracker,
+    StampTracker,
+    Timing,
+)
+from .structure import LAST_ROW, LAST_ROW_TOLERANCE, Rows, Structure, are_frames
+
+# In the order in which they change; who waits for a malformed packet finds the others done.
+_COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
+            "wrong_constant", "wrong_size", "received")  # fmt: skip
+_MOST_KEPT = 2048  # bytes of a malformed packet, or as many as a right one has
+
+
+def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
+    """Puts packets of any length into the rows that `Intake.take` and recorders take.
+
+    Args:
+        packets: bytes of each, n >= 1.
+        size: bytes of a right one.
+
+    Returns:
+        rows (n, `size` or more), with zeros behind a shorter packet; a longer one ends after 2048
+        bytes or `size`; and the lengths that the packets had, (n,).
+    """
+    lengths = np.array([len(packet) for packet in packets], np.intp)
+    width = max(size, min(int(lengths.max()), _MOST_KEPT))
+    text = b"".join(packet[:width].ljust(width, b"\0") for packet in packets)
+    return np.frombuffer(text, np.uint8).reshape(len(packets), width), lengths
+
+
+@dataclass
+class Counters:
+    """What came in since the source was opened.
+
+    Attributes:
+        received: packets of any kind.
+        wrong_size: malformed ones: not as long as the structure says.
+        wrong_constant: malformed ones: another number where the structure demands one.
+        not_finite: malformed ones: with NaN or infinity where these are not allowed.
+        not_frames: malformed ones: with a matrix that is not a rigid frame.
+        foreign: from others than the `sender` that was named; not looked at.
+        lost: sequence numbers that never came.
+        late: came after one with a higher number; applied only when none may be lost.
+        duplicates: came before with the same number; not applied.
+        restarts: how often the sender restarted: with its numbers, or from another port.
+        torn: reads of shared memory given up because the writer was always in between.
+        senders: how many send at once, in turns, within the last 2 s.
+        blanked: good ones with NaN or infinity where these are allowed.
+        superseded: good ones that a later packet replaced before they were used, as intended
+            when a robot sends faster than pictures are made.
+        dropped: packets that the kernel threw away because its buffer was full.
+        last_fault: what was wrong with the last malformed packet.
+        last_size: bytes of the last packet of a wrong size.
+        last_fault_time: when the last malformed packet came, on the clock of `Source.now`.
+    """
+
+    received: int = 0
+    wrong_size: int = 0
+    wrong_constant: int = 0
+    not_finite: int = 0
+    not_frames: int = 0
+    foreign: int = 0
+    lost: int = 0
+    late: int = 0
+    duplicates: int = 0
+    restarts: int = 0
+    torn: int = 0
+    senders: int = 0
+    blanked: int = 0
+    superseded: int = 0
+    dropped: int = 0
+    last_fault: str = ""
+    last_size: int = 0
+    last_fault_time: float = 0.0
+
+    @property
+    def malformed(self) -> int:
+        """Packets that were counted and not applied."""
+        return self.wrong_size + self.wrong_constant + self.not_finite + self.not_frames
+
+
+class Intake:
+    """Checks packets in batches, as they come from a socket, a memory block or a file.
+
+    Args:
+        layout: of the packets.
+        sequence: event that numbers the packets; empty for none.
+        time: event that says when the packet was sent; empty for none.
+        time_scale: s per unit of `time`.
+        lossless: whether late packets are applied as well.
+        nan_allowed: events in which NaN means `no data`.
+        on_fault: called with a line about the last fault of a batch.
+
+    Attributes:
+        nan_allowed: as above.
+        on_fault: as above.
+        counters: what came in.
+        timing: rate, jitter and delay.
+    """
+
+    def __init__(
+        self,
+        layout: Structure,
+        *,
+        sequence: str = "",
+        time: str = "",
+        time_scale: float = 1.0,
+        lossless: bool = False,
+        nan_allowed: frozenset[str] = frozenset(),
+        on_fault: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.layout = layout
+        self.counters = Counters()
+        self.timing = Timing()
+        self.nan_allowed = nan_allowed
+        self._sequence, self._time = sequence, time
+        self._time_scale = time_scale
+        self._lossless = lossless
+        self.on_fault = on_fault
+        self._trackers: OrderedDict[bytes, SequenceTracker | StampTracker] = OrderedDict()
+        self._lost_by_forgotten = 0
+        self._senders = Senders()
+        # What the batch in work adds; it counts only when the good packets have been handed on.
+        self._tally = Counters()
+        self._modulus = 0
+        if sequence:
+            dtype = layout.event_rows(np.zeros((1, layout.size), np.uint8), sequence).dtype
+            self._modulus = 2 ** (8 * dtype.itemsize) if dtype.kind in "iu" else 0
+
+    def take(
+        self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
+    ) -> tuple[Rows, Array]:
+        """Sorts packets, and returns those to apply; `count` then counts them all.
+
+        Args:
+            rows: (n, `size` or more), n >= 1, one packet a row.
+            lengths: of the packets, (n,), bytes; what a row does not hold need not be there.
+            arrivals: (n,), s.
+            senders: addresses, (n, any number of bytes).
+
+        Returns:
+            rows (m, `size`) and arrivals (m,); views into the arguments where all are good.
+        """
+        counters, layout = self._tally, self.layout
+        counters.received += len(rows)
+        rows = rows[:, : layout.size]
+        if (lengths != layout.size).any():
+            bad = lengths != layout.size
+            counters.wrong_size += int(bad.sum())
+            counters.last_size = int(lengths[bad][-1])
+            hint = layout.for_size(counters.last_size)
+            found = f"{counters.last_size} bytes; expected {layout.size}{hint and f'; {hint}'}"
+            self._fault(found, arrivals[bad][-1])
+            rows, arrivals = rows[~bad], arrivals[~bad]
+            senders = None if senders is None else senders[~bad]
+        if len(rows) and (bad := layout.find_wrong_constants(rows)).any():
+            counters.wrong_constant += int(bad.sum())
+            self._fault(layout.describe_wrong_constant(rows[bad][-1:]), arrivals[bad][-1])
+            rows, arrivals = rows[~bad], arrivals[~bad]
+            senders = None if senders is None else senders[~bad]
+        if not len(rows):
+            return rows, arrivals
+        begins = None if senders is None else self._note_senders(senders, arrivals)
+        stamps = self._stamps(rows) if self._time else None
+        places = self._follow(rows, arrivals, stamps, senders)
+        blank = layout.find_not_finite(rows)
+        if is_finite := not blank.any():  # as nearly always
+            good = ~blank
+        else:
+            good = ~layout.find_not_finite(rows, self.nan_allowed)
+            self._count_not_finite(rows, arrivals, good)
+        if required := layout.required_frames:
+            good &= self._are_frames(rows, arrivals, good, required)
+        self._time_good(good, arrivals, stamps, places, begins)
+        # What is malformed has been counted, and is not counted again as late, say.
+        if places.any():
+            duplicate = good & (places == DUPLICATE)
+            late = good & (places == LATE)
+            counters.duplicates += int(duplicate.sum())
+            counters.late += int(late.sum())
+            good &= ~duplicate if self._lossless else ~(duplicate | late)
+        if not is_finite:
+            counters.blanked += int((good & blank).sum())
+        if not good.all():
+            rows, arrivals = rows[good], arrivals[good]
+        return rows, arrivals
+
+    def _count_not_finite(self, rows: Rows, arrivals: Array, good: NDArray[np.bool_]) -> None:
+        if good.all():
+            return
+        self._tally.not_finite += int((~good).sum())
+        last = int(np.flatnonzero(~good)[-1])
+        values = self.layout.decode_rows(rows[last : last + 1])
+        single = {event: array[0] for event, array in values.items()}
+        fault = _describe_not_finite(single, self.nan_allowed) or "a number is out of range"
+        self._fault(fault, arrivals[last])
+
+    def decode(self, rows: Rows) -> dict[str, Array]:
+        """Decodes rows that `take` returned; infinity and NaN in what may be blank are NaN."""
+        values = self.layout.decode_rows(rows)
+        _blank_not_finite(values, self.nan_allowed, self.layout.matrices)
+        return values
+
+    def count(self) -> None:
+        """Adds what the last `take` found to the counters."""
+        tally, counters = self._tally, self.counters
+        self._tally = Counters()
+        for name in _COUNTED:
+            if more := getattr(tally, name):
+                setattr(counters, name, getattr(counters, name) + more)
+        counters.lost = self._lost_by_forgotten + sum(
+            tracker.lost for tracker in self._trackers.values()
+        )
+        counters.senders = self._senders.at_once
+        if tally.malformed:
+            counters.last_size = tally.last_size or counters.last_size
+            counters.last_fault_time = tally.last_fault_time
+            counters.last_fault = tally.last_fault
+            self.on_fault(tally.last_fault)
+
+    def restart(self) -> None:
+        """Registers a restart of the sender that more than its numbers shows."""
+        self._lost_by_forgotten += sum(tracker.lost for tracker in self._trackers.values())
+        self._trackers.clear()
+        self.counters.restarts += 1
+        self.timing.restart()
+
+    def _fault(self, text: str, when: float) -> None:
+        tally = self._tally
+        if when >= tally.last_fault_time:  # the last of the batch, whatever its kind
+            tally.last_fault, tally.last_fault_time = text, float(when)
+
+    def _stamps(self, rows: Rows) -> Array:
+        numbers = self.layout.event_rows(rows, self._time)[:, 0]
+        with np.errstate(over="ignore", invalid="ignore"):
+            return numbers.astype(np.float64) * self._time_scale
+
+    def _time_good(
+        self,
+        good: NDArray[np.bool_],
+        arrivals: Array,
+        stamps: Array | None,
+        places: NDArray[np.int8],
+        begins: int | None,
+    ) -> None:
+        """Measures the packets that are not malformed, from the last restart on."""
+        timed = good.copy()
+        restarts = np.flatnonzero(places == RESTARTED)
+        self._tally.restarts += len(restarts)
+        if len(restarts) or begins is not None:
+            self.timing.restart()
+            timed[: max([begins or 0, *restarts[-1:]])] = False
+        if stamps is not None:
+            timed &= np.isfinite(stamps)  # where NaN is allowed, it tells no time
+        if timed.any():
+            self.timing.add(arrivals[timed], None if stamps is None else stamps[timed])
+
+    def _are_frames(
+        self, rows: Rows, arrivals: Array, finite: NDArray[np.bool_], events: Collection[str]
+    ) -> NDArray[np.bool_]:
+        """Which packets have nothing but frames in these events; NaN is judged elsewhere."""
+        layout = self.layout
+        values = layout.decode_rows(rows, events)
+        matrices = np.concatenate([values[event] for event in events], axis=1)
+        frames = are_frames(matrices.reshape(-1, 4, 4)).reshape(len(rows), -1)
+        if frames.all():
+            return np.ones(len(rows), bool)
+        frames |= ~np.isfinite(matrices).all(axis=(2, 3))
+        good = np.asarray(frames.all(axis=1))
+        bad = finite & ~good
+        if bad.any():
+            self._tally.not_frames += int(bad.sum())
+            last = int(np.flatnonzero(bad)[-1])
+            single = {event: values[event][last] for event in events}
+            _blank_not_finite(single, events, events)
+            column_major = layout.column_major
+            fault = find_not_frame(single, events, column_major=column_major)
+            self._fault(fault, arrivals[last])
+        return good
+
+    def _follow(
+        self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Rows | None
+    ) -> NDArray[np.int8]:
+        """What the packets' numbers or time stamps say, as positions, (n,)."""
+        places = np.zeros(len(rows), np.int8)
+        if not self._sequence and stamps is None:
+            return places
+        if self._sequence:
+            raw = self.layout.event_rows(rows, self._sequence)[:, 0]
+            if raw.dtype.kind == "f":
+                finite = np.isfinite(raw) & (np.abs(raw) < 2.0**62)
+                numbers = np.where(finite, raw, 0.0).astype(np.int64).tolist()
+            else:
+                finite, numbers = np.ones(len(raw), bool), raw.tolist()
+        else:
+            assert stamps is not None
+            finite, numbers = np.isfinite(stamps), stamps.tolist()
+        one_sender = senders is None or (senders == senders[0]).all()
+        if one_sender and finite.all():
+            tracker = self._tracker(b"" if senders is None else senders[0].tobytes())
+            if isinstance(tracker, SequenceTracker) and tracker.is_consecutive(numbers):
+                tracker.skip_to(numbers[-1], float(arrivals[-1]))
+                return places
+        for i, arrival in enumerate(arrivals.tolist()):
+            if finite[i]:
+                tracker = self._tracker(b"" if senders is None else senders[i].tobytes())
+                places[i] = tracker.classify(numbers[i], arrival)
+        return places
+
+    def _tracker(self, sender: bytes) -> SequenceTracker | StampTracker:
+        tracker = self._trackers.get(sender)
+        if tracker is None:
+            tracker = SequenceTracker(self._modulus) if self._sequence else StampTracker()
+            self._trackers[sender] = tracker
+            if len(self._trackers) > MOST_SENDERS:
+                self._lost_by_forgotten += self._trackers.popitem(last=False)[1].lost
+        else:  # who sends is the last to be forgotten
+            self._trackers.move_to_end(sender)
+        return tracker
+
+    def _note_senders(self, senders: Rows, arrivals: Array) -> int | None:
+        """Notes who sent; returns the row from which on another one does, with another clock."""
+        self._senders.note(senders, arrivals)
+        for gone in self._senders.gone:  # its successor is the same program, restarted
+            self._tally.restarts += 1
+            if (tracker := self._trackers.pop(gone, None)) is not None:
+                self._lost_by_forgotten += tracker.lost
+        return self._senders.begins
+
+
+def _describe_not_finite(values: Mapping[str, Array], but: Collection[str]) -> str:
+    """Where the first NaN or infinity stands outside the events `but`; empty when nowhere."""
+    for event, array in values.items():
+        if event in but:
+            continue
+        good = np.isfinite(array)
+        if not good.all():
+            index = tuple(np.argwhere(~good)[0].tolist())
+            return f"{event}[{', '.join(map(str, index))}] is {array[index]}"
+    return ""
+
+
+def _blank_not_finite(
+    values: MutableMapping[str, Array], events: Collection[str], matrices: Collection[str]
+) -> None:
+    """Makes NaN of every infinity in these events, and of a whole matrix with either in it.
+
+    What has to change is replaced by a copy; `values` are those of one packet or of many.
+    """
+    for event in events:
+        array = values.get(event)
+        if array is None:
+            continue
+        good = np.isfinite(array)
+        if good.all():
+            continue
+        if event in matrices:  # part of a frame is none
+            good &= good.all(axis=(-2, -1), keepdims=True)
+        values[event] = np.where(good, array, np.nan)
+
+
+def find_not_frame(
+    values: Mapping[str, Array], events: Collection[str], *, column_major: bool
+) -> str:
+    """Says which is the first matrix that is no rigid frame, and why; empty when all are frames.
+
+    Args:
+        values: event name to its array; matrices that are NaN are left out.
+        events: those that are matrices.
+        column_major: how they were read, for advice when the other way gives a frame.
+    """
+    matrices = np.concatenate([values[event] for event in events])
+    wrong = ~(are_frames(matrices) | np.isnan(matrices[:, 3, 3]))
+    if not wrong.any():
+        return ""
+    first = int(np.argmax(wrong))
+    name = [f"{event}[{i}]" for event in events for i in range(len(values[event]))][first]
+    matrix = matrices[first]
+    if np.abs(matrix[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
+        why = f"last row [{', '.join(f'{number:.7g}' for number in matrix[3])}]"
+    else:
+        why = "upper left 3 x 3 is not a rotation (orthonormal, determinant +1)"
+    if are_frames(matrix.T[None])[0]:
+        other = "false" if column_major else "true"
+        why += f"; its transpose is one: set column_major = {other}"
+    return f"{name} is not a frame: {why}"

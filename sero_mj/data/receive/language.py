@@ -1,0 +1,299 @@
+"""Reads structure strings; STRUCTURE.md, beside this file, is their one page of documentation."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import StructureError, did_you_mean
+
+MAX_PACKET_BYTES = 65_507  # the most that one UDP packet over IPv4 carries
+
+# By letter: the name of the events, and the numbers that one of their items has in the packet.
+KINDS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "F": ("values", ()),
+    "V": ("vectors", (3,)),
+    "M": ("matrices", (4, 4)),
+    "T": ("matrices", (3, 4)),
+}
+# By letter, as in Python's struct module: numpy's type.
+TYPES = {
+    "f": "f4", "d": "f8", "b": "i1", "B": "u1", "h": "i2", "H": "u2",
+    "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "?": "u1",
+}  # fmt: skip
+RESERVED = ("receiving", "receive_trigger")  # events that every source has
+_GAP = re.compile(r"[\s,]*")
+_SPACES = re.compile(r"\s*")
+_NAME = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)\s*:\s*")
+_COUNT = re.compile(r"[0-9]+")
+_EQUALS = re.compile(r"\s*(=)\s*")
+_NUMBER = re.compile(
+    r"size\b|[+-]?(?:0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
+)
+_LONGEST_NUMBER = 40  # characters; Python itself refuses to read thousands of digits
+_NUMBERED = re.compile(r"(values|vectors|matrices)[0-9]+")
+_EXPECTED = "expected a count and F, V, M, T, x or a type, for example 7F1M"
+_TOO_LONG = f"the packet would be too long; expected at most {MAX_PACKET_BYTES} bytes"
+
+
+@dataclass(frozen=True)
+class Item:
+    """One item of a structure string.
+
+    Attributes:
+        name: the event's name, given or numbered; empty for what makes no event.
+        kind: `F`, `V`, `M` or `T`; `x` for bytes that are skipped.
+        count: how many.
+        type: numpy's name of the number's type, with byte order; `u1` when skipped.
+        offset: its first byte in the packet.
+        is_bool: whether any byte but 0 is 1.
+        constant: what every number of it must be; None where anything may stand.
+        is_size: whether that constant is the packet's size.
+        at: index in the text at which it begins; behind `=` for a size.
+    """
+
+    name: str
+    kind: str
+    count: int
+    type: str
+    offset: int = 0
+    is_bool: bool = False
+    constant: int | float | None = None
+    is_size: bool = False
+    at: int = 0
+
+    @cached_property
+    def wire_shape(self) -> tuple[int, ...]:
+        """How its numbers stand in the packet; of matrices row by row."""
+        return (self.count, *(KINDS[self.kind][1] if self.kind in KINDS else ()))
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """Of its event's array; 3 x 4 matrices get their last row."""
+        return (self.count, 4, 4) if self.kind == "T" else self.wire_shape
+
+    @cached_property
+    def numbers(self) -> int:
+        """How many numbers it has in the packet."""
+        return math.prod(self.wire_shape)
+
+    @cached_property
+    def item_bytes(self) -> int:
+        """Bytes of one of its numbers."""
+        return int(self.type[-1])
+
+    @cached_property
+    def dtype(self) -> np.dtype[Any]:
+        """Of one of its numbers in the packet."""
+        return np.dtype(self.type)
+
+    @cached_property
+    def end(self) -> int:
+        """The byte after its last."""
+        return self.offset + self.numbers * self.item_bytes
+
+    @cached_property
+    def is_float(self) -> bool:
+        """Whether NaN can stand there."""
+        return self.type[-2] == "f"
+
+
+def parse(text: str, *, is_double: bool = True, alignment: int = 1) -> list[Item]:
+    """Returns the items of a structure string.
+
+    Args:
+        text: see STRUCTURE.md.
+        is_double: what `F`, `V`, `M` and `T` are where they name no type.
+        alignment: every item begins at a multiple of this many bytes.
+
+    Raises:
+        StructureError: points at the first character that is wrong.
+    """
+    return _Parser(text, is_double, alignment).items()
+
+
+class _Parser:
+    """Reads one string from left to right."""
+
+    def __init__(self, text: str, is_double: bool, alignment: int) -> None:
+        self.text = text
+        self.at = 0
+        self.order = "<"
+        self.default = "d" if is_double else "f"
+        self.alignment = alignment
+        self.numbered = dict.fromkeys(("values", "vectors", "matrices"), 0)
+        self.size = 0
+        self.names: set[str] = set()
+
+    def items(self) -> list[Item]:
+        items: list[Item] = []
+        while self.skip(_GAP) < len(self.text):
+            if self.next in "<>!":
+                self.order = "<" if self.next == "<" else ">"
+                self.at += 1
+            elif self.next in "=@":
+                raise self.wrong(self.expected_instead_of_equals(items))
+            else:
+                items.append(self.item())
+        if not any(item.name for item in items):
+            raise self.wrong(_EXPECTED if not items else "expected something that makes an event")
+        return [self.with_size(item) if item.is_size else item for item in items]
+
+    @property
+    def next(self) -> str:
+        """The character to read; empty at the end."""
+        return self.text[self.at : self.at + 1]
+
+    def wrong(self, reason: str, at: int | None = None) -> StructureError:
+        return StructureError(self.text, self.at if at is None else at, reason)
+
+    def skip(self, pattern: re.Pattern[str]) -> int:
+        """Goes on behind a pattern that may be empty."""
+        if found := pattern.match(self.text, self.at):
+            self.at = found.end()
+        return self.at
+
+    def expected_instead_of_equals(self, items: list[Item]) -> str:
+        if self.next == "=" and items and items[-1].kind == "x":
+            return "skipped bytes cannot be checked; expected a type, for example 1B=0"
+        return "expected < (little-endian) or > (big-endian)"
+
+    def item(self) -> Item:
+        start = self.at
+        name = self.name()
+        count_at = self.at
+        count = self.count()
+        self.skip(_SPACES)
+        kind, letter = self.kind()
+        order = self.order if TYPES[letter][1] != "1" else ""
+        offset = -(-self.size // self.alignment) * self.alignment
+        item = Item(name, kind, count, order + TYPES[letter], offset, letter == "?", at=start)
+        if kind != "x":
+            item = self.with_constant(item)
+            if name in self.names:
+                raise self.wrong(f"two fields have the name '{name}'", start)
+            item = self.with_name(item)
+        elif name:
+            raise self.wrong("skipped bytes have no name", start)
+        if item.end > MAX_PACKET_BYTES:
+            raise self.wrong(_TOO_LONG, count_at)
+        self.size = item.end
+        return item
+
+    def name(self) -> str:
+        found = _NAME.match(self.text, self.at)
+        if found is None:
+            return ""
+        before = self.text[self.at - 1 : self.at]
+        if before and not (before.isspace() or before in ",<>!"):
+            raise self.wrong("expected a space or a comma before a name")
+        name = found[1]
+        if _NUMBERED.fullmatch(name) or name in RESERVED:
+            raise self.wrong(f"'{name}' has a meaning of its own; expected another name")
+        self.at = found.end()
+        return name
+
+    def with_name(self, item: Item) -> Item:
+        """Remembers a name, and numbers an event without one; checks alone make no event."""
+        if item.name:
+            self.names.add(item.name)
+            return item
+        if item.constant is not None or item.is_size:
+            return item
+        events = KINDS[item.kind][0]
+        self.numbered[events] += 1
+        return replace(item, name=f"{events}{self.numbered[events] - 1}")
+
+    def count(self) -> int:
+        found = _COUNT.match(self.text, self.at)
+        if found is None:
+            if self.next and (self.next in KINDS or self.next in TYPES or self.next == "x"):
+                raise self.wrong(f"expected a count before it, for example 1{self.next}")
+            raise self.wrong(_EXPECTED)
+        # int() refuses thousands of digits; the first nine are already too many for a packet.
+        count = int(found[0].lstrip("0")[:9] or "0")
+        if count == 0:
+            raise self.wrong("expected a count of 1 or more")
+        self.at = found.end()
+        return count
+
+    def kind(self) -> tuple[str, str]:
+        """The kind, and the letter of the type."""
+        letter = self.next
+        self.at += 1
+        if letter == "x":
+            return "x", "B"
+        if letter and letter in TYPES:
+            return "F", letter
+        if letter and letter in KINDS:
+            if self.next and self.next in TYPES:
+                self.at += 1
+                return letter, self.text[self.at - 1]
+            return letter, self.default
+        near = did_you_mean(letter.upper(), KINDS) if letter.isalpha() else ""
+        hint = near if "did you mean" in near else ""
+        kinds = "expected F, V, M, T, x or a type after a count"
+        raise self.wrong(f"{kinds}, for example 7F1M{hint}", self.at - 1)
+
+    def with_constant(self, item: Item) -> Item:
+        """Reads what stands behind `=`, if there is any."""
+        equals = _EQUALS.match(self.text, self.at)
+        if equals is None:
+            return item
+        if item.kind in "MT":
+            reason = "a matrix cannot be checked against one number"
+            raise self.wrong(reason, equals.start(1))
+        self.at = equals.end()
+        found = _NUMBER.match(self.text, self.at)
+        if found is None:
+            raise self.wrong("expected a number or the word size, for example 1H=0x2006")
+        if found[0] == "size":
+            item = replace(item, is_size=True, at=self.at)
+        else:
+            item = replace(item, constant=self.number(found[0], item))
+        self.at = found.end()
+        return item
+
+    def number(self, text: str, item: Item) -> int | float:
+        """A number that an item's type can hold; of integers exactly what is written."""
+        if len(text) > _LONGEST_NUMBER:
+            raise self.wrong(f"expected a number of at most {_LONGEST_NUMBER} characters")
+        digits = text.lstrip("+-")
+        value: int | float
+        if digits[:2].lower() == "0x":
+            value = int(text, 16)
+        else:
+            value = int(text) if digits.isdecimal() else float(text)
+        low, high = limits(item)
+        if not low <= value <= high:
+            shown = f"{low:g} to {high:g}" if item.is_float else f"{low} to {high}"
+            raise self.wrong(f"expected a number from {shown}")
+        if item.is_float:
+            return float(value)
+        if value != int(value):
+            raise self.wrong("expected a whole number for this type")
+        return int(value)
+
+    def with_size(self, item: Item) -> Item:
+        """Puts in the packet's size, which is known only at the end."""
+        if self.size > limits(item)[1]:
+            reason = f"the packet has {self.size} bytes; expected a type that holds this number"
+            raise self.wrong(f"{reason}, for example 1H=size", item.at)
+        return replace(item, constant=self.size)
+
+
+def limits(item: Item) -> tuple[int | float, int | float]:
+    """The least and the greatest finite number that an item's type holds."""
+    if item.is_bool:
+        return 0, 1
+    if item.is_float:
+        greatest = sys.float_info.max if item.item_bytes == 8 else (2.0 - 2.0**-23) * 2.0**127
+        return -greatest, greatest
+    bits = 8 * item.item_bytes
+    return (0, 2**bits - 1) if item.type[-2] == "u" else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)

@@ -1,0 +1,589 @@
+"""`Source`: what UDP, shared memory, FRI, recordings and runs have in common.
+
+A source reads off the render thread. What is malformed is counted and never handed on.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time as clock
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
+
+from ...base.declaration import Declaration, kind_of
+from ...base.errors import (
+    DeclarationError,
+    PluginError,
+    Problem,
+    StructureError,
+    UnknownName,
+    did_you_mean,
+)
+from ...base.frames import Array, Ints
+from ...base.plugins import SOURCES, load_plugin, plugin_name, plugins
+from ._tracking import Timing
+from .intake import Counters, Intake, pad_packets
+from .structure import Alignment, Rows, Structure
+
+log = logging.getLogger(__name__)
+
+# Events of every source that come without a packet, and change when none comes: 1 while packets
+# come, else 0; and 1 in a tick in which new ones were applied, else 0.
+SIGNALS: dict[str, tuple[int, ...]] = {"receiving": (1,), "receive_trigger": (1,)}
+QUIET_AFTER = 0.5  # s without a packet until a source counts as silent
+HEARD_BYTES = 16 * 2**20  # of packets that wait for `take_all`; the oldest are dropped
+QUEUE_BYTES = 64 * 2**20  # of packets that wait to be taken when none may be lost
+_WARN_EVERY = 10.0  # s
+# The fields that decide what packets mean; those that say where they come from do not matter.
+_DECODING = (
+    "is_double", "column_major", "alignment", "scale", "structure", "sequence", "time",
+    "time_scale",
+)  # fmt: skip
+# Gets packets as they came: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
+Tap = Callable[[Rows, Ints, Array], object]
+
+
+@dataclass(frozen=True, eq=False)
+class Packet:
+    """One good packet.
+
+    Attributes:
+        values: event name to its array, float64, in the source's shapes. Finite, but for the
+            events in which NaN is allowed; matrices are rigid frames.
+        arrival: when it arrived, on the clock of `Source.now`, s.
+        number: 1 for the first good packet of the source.
+    """
+
+    values: Mapping[str, Array]
+    arrival: float
+    number: int
+
+
+@dataclass(frozen=True, eq=False)
+class Packets:
+    """Good packets, one after the other.
+
+    Attributes:
+        values: event name to its arrays, (n, ...), float64, n >= 1.
+        arrivals: when they arrived, (n,), s, on the clock of `Source.now`.
+        number: of the last one.
+    """
+
+    values: Mapping[str, Array]
+    arrivals: Array
+    number: int
+
+    def __len__(self) -> int:
+        return len(self.arrivals)
+
+    @cached_property
+    def last(self) -> Packet:
+        """The newest one."""
+        values = {event: array[-1] for event, array in self.values.items()}
+        return Packet(values, float(self.arrivals[-1]), self.number)
+
+
+class Source(Declaration):
+    """Where packets of one structure come from; the base of sources in other packages, too.
+
+    A subclass calls `reset` in `open`, hands packets to `accept` on a thread of its own, and in
+    `close` sets `closing` before it waits for that thread.
+
+    Attributes:
+        name: the source's name in routes.
+        structure: what the packets look like, e.g. `7F1M`; see STRUCTURE.md.
+        is_double: `F`, `V`, `M` and `T` are float64, else float32 (`double` in files).
+        column_major: matrices come column by column, else row by row.
+        alignment: items begin at multiples of so many bytes: 1, 2, 4 or 8.
+        scale: times every floating-point number, of matrices the position; not `sequence`, `time`.
+        only_latest_packet: the newest packet wins; when false every packet is handed on in order.
+        sequence: event that numbers the packets, of any type (1d is fine); it tells loss.
+        time: event that says when a packet was sent; it tells jitter and delay.
+        time_scale: s per unit of `time`.
+        debug_level: what is logged: 0 nothing, 1 faults, 2 restarts and loss too, 3 every batch.
+    """
+
+    name: str = "source"
+    is_double: bool = Field(True, alias="double")  # these are before structure: its size needs them
+    column_major: bool = True
+    alignment: Alignment = 1
+    scale: float = Field(1.0, gt=0, lt=1e100)
+    structure: str
+    only_latest_packet: bool = True
+    sequence: str = ""
+    time: str = ""
+    time_scale: float = Field(1.0, gt=0, lt=1e100)
+    debug_level: int = Field(1, ge=0, le=3)
+
+    # What its sender has to keep to beside the structure: `fri`, or nothing more.
+    protocol: ClassVar[str] = ""
+    # Where the structure comes from, for kinds whose structure cannot be declared.
+    _structure_is: ClassVar[str] = ""
+    _intake: Intake | None = PrivateAttr(None)
+    _nan_allowed: frozenset[str] = PrivateAttr(frozenset())
+    _number: int = PrivateAttr(0)  # of good packets so far
+    _last: tuple[Rows, Array, int] | None = PrivateAttr(None)
+    _heard: deque[tuple[Rows, Array]] | None = PrivateAttr(None)  # see `keep_all`
+    _heard_bytes: int = PrivateAttr(0)
+    _decoded: Packets | None = PrivateAttr(None)
+    _looked: int = PrivateAttr(0)
+    _taken: int = PrivateAttr(0)
+    _queue: deque[tuple[Rows, Array]] = PrivateAttr(default_factory=deque)
+    _queued_bytes: int = PrivateAttr(0)
+    _room: threading.Condition = PrivateAttr(default_factory=threading.Condition)
+    _first: threading.Event = PrivateAttr(default_factory=threading.Event)
+    _closing: threading.Event = PrivateAttr(default_factory=threading.Event)
+    _callbacks: list[Callable[[], None]] = PrivateAttr(default_factory=list)
+    _tap: Tap | None = PrivateAttr(None)
+    _warned: float = PrivateAttr(-np.inf)
+
+    @field_validator("structure")
+    @classmethod
+    def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
+        if cls._structure_is:
+            if text:
+                raise ValueError(f"is {cls._structure_is}; leave it out")
+            return text
+        try:
+            _structure_of(text, info)
+        except StructureError as error:
+            raise ValueError(str(error)) from None
+        return text
+
+    @field_validator("sequence", "time")
+    @classmethod
+    def _is_one_number(cls, event: str, info: ValidationInfo) -> str:
+        if not event or "structure" not in info.data:
+            return event
+        events = _structure_of(info.data["structure"], info).events
+        if event not in events:
+            raise ValueError(f"no event '{event}' in the structure{did_you_mean(event, events)}")
+        if events[event] != (1,):
+            found = " x ".join(map(str, events[event]))
+            raise ValueError(f"'{event}' has {found} numbers; expected one, as in {event}:1I")
+        return event
+
+    def __reduce__(self) -> tuple[Callable[..., Source], tuple[type[Source], dict[str, Any]]]:
+        """Pickles what is declared, and nothing of what it has received or opened."""
+        fields = {key: self.__dict__[key] for key in type(self).model_fields}
+        return _declared_again, (type(self), fields)
+
+    @cached_property
+    def layout(self) -> Structure:
+        """The decoder."""
+        return Structure(
+            self.structure,
+            is_double=self.is_double,
+            column_major=self.column_major,
+            alignment=self.alignment,
+            scale=self.scale,
+        )
+
+    @property
+    def kind(self) -> str:
+        """The name of its kind in files."""
+        return plugin_name(SOURCES, type(self))
+
+    def decoding_fields(self) -> dict[str, Any]:
+        """The fields that decide what packets mean, as JSON's types; for recordings.
+
+        Those without which none of its kind can be made (`block`, say) are among them.
+        """
+        required = {key for key, field in type(self).model_fields.items() if field.is_required()}
+        kept = required.union(_DECODING)
+        fields = self.model_dump(mode="json", include=kept, exclude_defaults=True)
+        return {key: value for key, value in fields.items() if value != ""}
+
+    @property
+    def intake(self) -> Intake:
+        """What checks and counts the packets; a new one after every `open`."""
+        if self._intake is None:
+            self._intake = self._new_intake()
+        return self._intake
+
+    def _new_intake(self, *, follows: bool = True) -> Intake:
+        """What checks packets; it `follows` their numbers, or judges each by itself."""
+        return Intake(
+            self.layout,
+            sequence=self.sequence if follows else "",
+            time=self.time if follows else "",
+            time_scale=self.time_scale,
+            lossless=not self.only_latest_packet,
+            nan_allowed=self._nan_allowed,
+            on_fault=self._warn,
+        )
+
+    @property
+    def original(self) -> Source:
+        """What receives the packets; of a recording the source that it was made of."""
+        return self
+
+    @property
+    def counters(self) -> Counters:
+        """What came in since it was opened."""
+        return self.intake.counters
+
+    @property
+    def timing(self) -> Timing:
+        """Rate, jitter and delay since it was opened."""
+        return self.intake.timing
+
+    @property
+    def events(self) -> Mapping[str, tuple[int, ...]]:
+        """Event name to its shape: (n,) values, (n, 3) vectors, (n, 4, 4) matrices."""
+        return self.layout.events
+
+    @property
+    def size(self) -> int:
+        """Bytes of a packet."""
+        return self.layout.size
+
+    @property
+    def about(self) -> str:
+        """Kind and address, as shown to the user."""
+        return self.name
+
+    @property
+    def place(self) -> tuple[str, int] | None:
+        """Address and port it listens on, which no two sources can share; None for no port."""
+        return None
+
+    @property
+    def memory(self) -> tuple[str, str, int] | None:
+        """Name of the shared memory it reads, event that locks it (or ""), and offset in bytes."""
+        return None
+
+    @property
+    def trouble(self) -> str:
+        """Why no packets arrive, as shown to the user; empty when unknown."""
+        return ""
+
+    @property
+    def error(self) -> Exception | None:
+        """Why it cannot go on, where it has failed since it was opened; else None."""
+        return None
+
+    @property
+    def receiving(self) -> bool:
+        """Whether a good packet came within the last half second."""
+        last = self._last
+        return last is not None and self.now() - float(last[1][-1]) < QUIET_AFTER
+
+    @property
+    def receive_trigger(self) -> int:
+        """How many good packets have come: it changes with every one."""
+        return self._number
+
+    @property
+    def is_live(self) -> bool:
+        """Whether packets arrive in real time; those of a recording come as `advance_to` asks."""
+        return True
+
+    @property
+    def end(self) -> float | None:
+        """Until when there are packets, s on the clock of `advance_to`; None where nothing ends."""
+        return None
+
+    @property
+    def begin(self) -> float:
+        """From when on there are packets, s on the clock of `advance_to`."""
+        return 0.0
+
+    @property
+    def newest(self) -> float | None:
+        """Until when there are packets already, s, where nothing ends and the past can be seen."""
+        return None
+
+    @property
+    def step(self) -> float | None:
+        """Time step of a simulation, whose `advance_to` takes long, s; None for all others."""
+        return None
+
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """State of the robot's controller and quality of the link to it; -1 where unknown.
+
+        Args:
+            values: event name to its array, of one packet.
+        """
+        return self.layout.link_state(values)
+
+    def now(self) -> float:
+        """The time on the clock of arrivals, s: that of `time.monotonic`, or of a recording."""
+        return clock.monotonic()
+
+    def advance_to(self, time: float) -> None:
+        """Advances to a time, s, where a source does not follow the real time."""
+
+    def allow_nan(self, events: Collection[str]) -> None:
+        """Lets NaN and infinity mean `no data` in these events, and in no others.
+
+        There they are handed on as NaN, a matrix as a whole, and the rest of the packet is applied
+        (counted as `blanked`); anywhere else they make it malformed. From the next packet on.
+
+        Raises:
+            UnknownName: an event that the structure does not have.
+        """
+        for event in events:
+            if event not in self.events:
+                raise UnknownName("event", event, self.events)
+        self._nan_allowed = frozenset(events)
+        self.intake.nan_allowed = self._nan_allowed
+
+    def on_receive(self, callback: Callable[[], None]) -> None:
+        """Calls back, on the source's thread, whenever good packets have come."""
+        self._callbacks.append(callback)
+
+    def decode(self, packet: bytes) -> dict[str, Array] | None:
+        """Decodes one packet by itself; None for one that would not be applied. Counts nothing."""
+        judge = self._new_intake(follows=False)
+        judge.on_fault = lambda _: None
+        rows, _ = judge.take(*pad_packets([packet], self.size), np.zeros(1))
+        if not len(rows):
+            return None
+        return {event: array[0] for event, array in judge.decode(rows).items()}
+
+    def decode_rows(self, rows: Rows, lengths: Ints) -> tuple[dict[str, Array], Ints]:
+        """Decodes packets, each by itself. Counts nothing.
+
+        Args:
+            rows: (n, bytes), a packet each, as taps get them.
+            lengths: of the packets, (n,).
+
+        Returns:
+            event name to its arrays (m, ...), and which of the rows these are, (m,).
+        """
+        judge = self._new_intake(follows=False)
+        judge.on_fault = lambda _: None
+        good, numbers = judge.take(rows, lengths, np.arange(len(rows), dtype=float))
+        return judge.decode(good), numbers.astype(np.intp)
+
+    def record_to(self, tap: Tap | None) -> None:
+        """Hands all packets, the malformed too, to `tap` as they come; None ends that."""
+        self._tap = tap
+
+    @abstractmethod
+    def open(self) -> None:
+        """Starts receiving; raises SourceError."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Stops receiving; harmless when it is not open."""
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    @property
+    def closing(self) -> threading.Event:
+        """Set while it is being closed: `accept` then no longer waits for room."""
+        return self._closing
+
+    def reset(self) -> None:
+        """Forgets all packets and counters, and takes a changed declaration into account."""
+        self.__dict__.pop("layout", None)
+        self._intake = self._new_intake()
+        self._number = self._looked = self._taken = self._queued_bytes = 0
+        self._last = self._decoded = None
+        self._queue.clear()
+        if self._heard is not None:
+            self.keep_all()
+        self._first.clear()
+        self._closing.clear()
+        self._warned = -np.inf
+
+    def latest(self) -> Packet | None:
+        """Returns the newest good packet, or None when there was none yet."""
+        packets = self._newest()
+        return None if packets is None else packets.last
+
+    def take(self) -> Packets | None:
+        """Returns the good packets since the last call, or None when there is none.
+
+        Only the newest one, unless `only_latest_packet` is false.
+        """
+        if self.only_latest_packet:
+            packets = self._newest()
+            if packets is None or packets.number == self._taken:
+                return None
+            self._taken = packets.number
+            return packets
+        with self._room:
+            batches = list(self._queue)
+            self._queue.clear()
+            self._queued_bytes = 0
+            self._taken = self._looked = self._number
+            self._room.notify()
+        if not batches:
+            return None
+        return self._joined(batches, self._taken)
+
+    def keep_all(self) -> None:
+        """Begins to keep all good packets for `take_all`, whatever `take` returns."""
+        with self._room:
+            self._heard, self._heard_bytes = deque(), 0
+
+    def take_all(self) -> Packets | None:
+        """Returns all good packets since the last call, or None when there is none.
+
+        After `keep_all`. They are kept up to 16 MB, then the oldest are dropped.
+        """
+        with self._room:
+            batches, self._heard_bytes = [*(self._heard or ())], 0
+            if batches:
+                self._heard = deque()
+            number = self._number
+        if not batches:
+            return None
+        return self._joined(batches, number)
+
+    def _joined(self, batches: Sequence[tuple[Rows, Array]], number: int) -> Packets:
+        rows = np.concatenate([rows for rows, _ in batches])
+        arrivals = np.concatenate([arrivals for _, arrivals in batches])
+        return Packets(self.intake.decode(rows), arrivals, number)
+
+    def _newest(self) -> Packets | None:
+        last, decoded = self._last, self._decoded
+        if last is None:
+            return None
+        rows, arrivals, number = last
+        if decoded is None or decoded.number != number:
+            decoded = self._decoded = Packets(self.intake.decode(rows), arrivals, number)
+        if number > self._looked:
+            if self.only_latest_packet:
+                self.counters.superseded += number - self._looked - 1
+            self._looked = number
+        return decoded
+
+    def wait(self, timeout: float) -> bool:
+        """Waits up to `timeout` s until a good packet has come; returns whether one has."""
+        return self._first.wait(timeout)
+
+    def accept(self, packets: Sequence[bytes], arrivals: Sequence[float] | None = None) -> None:
+        """Accepts packets as they came, the malformed too; only for the source's own thread.
+
+        Args:
+            packets: bytes of each, n.
+            arrivals: when each came, n, s on the clock of `now`; now when None.
+
+        Raises:
+            ValueError: not as many arrivals as packets.
+        """
+        times = np.full(len(packets), self.now()) if arrivals is None else np.array(arrivals, float)
+        if len(times) != len(packets):
+            raise ValueError(f"found {len(times)} arrivals for {len(packets)} packets")
+        if len(packets):
+            self._accept(*pad_packets(packets, self.size), times)
+
+    def _accept(
+        self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
+    ) -> None:
+        """Accepts packets in rows; only for the source's own thread."""
+        if (tap := self._tap) is not None:
+            tap(rows, lengths, arrivals)
+        intake = self._intake or self.intake
+        before = (intake.counters.restarts, intake.counters.lost)
+        rows, arrivals = intake.take(rows, lengths, arrivals, senders)
+        if len(rows):
+            self._hand_on(rows, arrivals)
+        intake.count()
+        if self.debug_level >= 2:
+            self._log_batch(before, len(rows))
+        if len(rows):
+            self._call_back()
+
+    def _call_back(self) -> None:
+        for callback in self._callbacks:
+            callback()
+
+    def _hand_on(self, rows: Rows, arrivals: Array) -> None:
+        """Keeps good packets until they are taken."""
+        last = rows[-1:].copy()
+        if self._heard is not None:
+            with self._room:
+                self._heard.append((rows.copy(), arrivals.copy()))
+                self._heard_bytes += rows.size
+                while self._heard_bytes > HEARD_BYTES:
+                    self._heard_bytes -= self._heard.popleft()[0].size
+        if self.only_latest_packet:
+            self._number = number = self._number + len(rows)
+            self._last = (last, arrivals[-1:].copy(), number)
+        else:
+            with self._room:
+                while self._queued_bytes > QUEUE_BYTES and not self._closing.is_set():
+                    self._room.wait(0.1)
+                self._queue.append((rows.copy(), arrivals.copy()))
+                self._queued_bytes += rows.size
+                self._number += len(rows)
+                self._last = (last, arrivals[-1:].copy(), self._number)
+        self._first.set()
+
+    def _warn(self, fault: str) -> None:
+        """Logs a fault, but not each of a flood."""
+        now = clock.monotonic()
+        if self.debug_level >= 1 and now - self._warned > _WARN_EVERY:
+            self._warned = now
+            log.warning("source '%s': a packet is not applied: %s", self.name, fault)
+
+    def _log_batch(self, before: tuple[int, int], good: int) -> None:
+        counters = self.counters
+        if counters.restarts > before[0]:
+            log.info("source '%s': its sender restarted", self.name)
+        if counters.lost > before[1]:
+            log.info("source '%s': %d packets lost", self.name, counters.lost - before[1])
+        if self.debug_level >= 3:
+            log.info("source '%s': %d good packets", self.name, good)
+
+
+def age(packet: Packet | None, now: float) -> float:
+    """Seconds since the packet arrived, `now` being `Source.now()`.
+
+    Infinite without a packet, 0 when it came after `now`.
+    """
+    return float("inf") if packet is None else max(now - packet.arrival, 0.0)
+
+
+def _declared_again(kind: type[Source], fields: Mapping[str, Any]) -> Source:
+    return kind(**fields)
+
+
+def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
+    """Builds a source from a scene's table; a source object is returned as it is.
+
+    Args:
+        name: the source's name in routes.
+        declared: its fields, with `kind`.
+
+    Raises:
+        DeclarationError: no such kind, one that cannot be loaded, or wrong fields.
+    """
+    if not isinstance(declared, Mapping):
+        if isinstance(declared, Source):
+            return declared
+        message = f"found {declared!r}; expected a table with kind, or a source"
+        raise DeclarationError([Problem("", message)])
+    if "name" in declared:
+        raise DeclarationError([Problem("name", "belongs in the header; leave it out")])
+    kind = kind_of(declared, plugins(SOURCES))
+    fields = {key: value for key, value in declared.items() if key != "kind"}
+    try:
+        source: Source = load_plugin(SOURCES, kind)(**fields, name=name)
+    except PluginError as error:
+        raise DeclarationError([Problem("kind", str(error))]) from error
+    return source
+
+
+def _structure_of(text: str, info: ValidationInfo) -> Structure:
+    """The structure of a declaration whose fields before it have been read."""
+    is_double, alignment = info.data.get("is_double", True), info.data.get("alignment", 1)
+    return Structure(text, is_double=is_double, alignment=alignment)

@@ -1,0 +1,425 @@
+"""`Structure`: a decoder and encoder for the packets that a structure string describes.
+
+`are_frames` says whether what was decoded are rigid frames.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...base.errors import UnknownName
+from ...base.frames import Array, Ints
+from .language import Item, limits, parse
+
+Rows = NDArray[np.uint8]  # packets, or addresses of their senders, one a row
+# First and last byte, type, and which of the numbers between these; None for all of them.
+_Block = tuple[int, int, np.dtype[Any], Ints | None]
+Alignment = Literal[1, 2, 4, 8]
+
+_ROTATION_TOLERANCE = 1e-3  # as `nearest_rotation` has it for frames in files
+# Much smaller: a frame sent the other way round has its position there, be that of 1 mm only.
+LAST_ROW_TOLERANCE = 1e-6
+LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+_IDENTITY = np.eye(3)
+_DOUBLE = np.dtype(np.float64)
+
+
+_ALIGNMENTS: tuple[Alignment, ...] = (1, 2, 4, 8)
+
+
+class Structure:
+    """A decoder and encoder for one packet layout, built once.
+
+    Args:
+        text: the structure string; STRUCTURE.md explains it.
+        is_double: `F`, `V`, `M` and `T` are float64 when true, else float32.
+        column_major: matrices come column by column when true, else row by row.
+        alignment: every item begins at a multiple of this many bytes from the packet's start, as
+            Simulink's Byte Pack has it.
+        scale: every floating-point number is multiplied by it, but for those that are checked
+            against a constant; of matrices only the position.
+
+    Attributes:
+        text: the structure string.
+        is_double: see above.
+        column_major: how matrices come.
+        alignment: see above.
+        scale: see above.
+        fields: all items of the string in order, with their places.
+        events: event name to the shape of its array.
+        matrices: names of the events that are matrices.
+        size: bytes of a packet.
+        dtype: numpy's record type of a packet: every event's numbers as they stand there.
+
+    Raises:
+        StructureError: points at the first character that is wrong.
+        ValueError: another alignment than 1, 2, 4 or 8, or a scale that is not above 0.
+    """
+
+    def __init__(
+        self,
+        text: str,
+        *,
+        is_double: bool = True,
+        column_major: bool = True,
+        alignment: Alignment = 1,
+        scale: float = 1.0,
+    ) -> None:
+        if alignment not in _ALIGNMENTS:
+            raise ValueError(f"alignment: found {alignment}; expected 1, 2, 4 or 8")
+        if not 0.0 < scale < math.inf:
+            raise ValueError(f"scale: found {scale}; expected a finite number above 0")
+        self.text = text
+        self.is_double = is_double
+        self.column_major = column_major
+        self.alignment = alignment
+        self.scale = scale
+        self.fields = tuple(parse(text, is_double=is_double, alignment=alignment))
+        self.size = self.fields[-1].end
+        self._by_event = {item.name: item for item in self.fields if item.name}
+        self.events = {name: item.shape for name, item in self._by_event.items()}
+        self.matrices = tuple(name for name, shape in self.events.items() if len(shape) == 3)
+        self.dtype = np.dtype(
+            {
+                "names": list(self.events),
+                "formats": [(item.type, item.wire_shape) for item in self._by_event.values()],
+                "offsets": [item.offset for item in self._by_event.values()],
+                "itemsize": self.size,
+            }
+        )
+        self._constants = [
+            (item, item.dtype.type(item.constant))
+            for item in self.fields
+            if item.constant is not None
+        ]
+        # Event, type, first byte, count, and how to finish what is not just a view.
+        self._plan = [
+            (name, item.dtype, item.offset, item.numbers, self._unless_plain(item))
+            for name, item in self._by_event.items()
+        ]
+        self._is_plain = not any(item for *_, item in self._plan)
+        self._blocks: dict[frozenset[str], list[_Block]] = {}
+
+    def for_size(self, size: int) -> str:
+        """Says what else would have packets of another size: alignment, float32, padding.
+
+        Empty where nothing of these does.
+        """
+        found = []
+        for alignment in _ALIGNMENTS[_ALIGNMENTS.index(self.alignment) :]:
+            for is_double in (self.is_double, not self.is_double):
+                end = Structure(self.text, is_double=is_double, alignment=alignment).size
+                # What a C compiler adds at the end, so that the next one in an array is aligned.
+                padding = size - end
+                if not 0 <= padding < _ALIGNMENTS[-1] or (padding and size % max(alignment, 4)):
+                    continue
+                parts = []
+                if alignment != self.alignment:
+                    parts.append(f"alignment = {alignment}")
+                if is_double != self.is_double:
+                    parts.append(f"double = {'true' if is_double else 'false'}")
+                if padding:
+                    parts.append(f"{padding}x at its end")
+                if parts:
+                    found.append((len(parts), padding, f"with {' and '.join(parts)} it has {size}"))
+        return min(found)[-1] if found else ""
+
+    def _unless_plain(self, item: Item) -> Item | None:
+        is_plain = item.dtype == _DOUBLE and len(item.shape) == 1
+        return None if is_plain and not self._is_scaled(item) else item
+
+    def _is_scaled(self, item: Item) -> bool:
+        return self.scale != 1.0 and item.is_float and item.constant is None
+
+    def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
+        """Returns every event's array, float64, in the shapes of `events`.
+
+        Little-endian float64 is not copied: such arrays are views into the packet, and read-only
+        where it is; 3 x 4 matrices are copied. Constants are not looked at: see
+        `find_wrong_constants`.
+
+        Raises:
+            ValueError: the packet is not `size` bytes long.
+        """
+        if len(packet) != self.size:
+            raise ValueError(f"found {len(packet)} bytes; expected {self.size} for '{self.text}'")
+        values = {}
+        if self._is_plain:  # without the cost of `errstate`
+            for name, dtype, offset, count, _ in self._plan:
+                values[name] = np.frombuffer(packet, dtype, count, offset)
+            return values
+        with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN would warn
+            for name, dtype, offset, count, item in self._plan:
+                numbers = np.frombuffer(packet, dtype, count, offset)
+                values[name] = self._finished(item, numbers) if item else numbers
+        return values
+
+    def decode_rows(self, rows: Rows, events: Collection[str] | None = None) -> dict[str, Array]:
+        """Decodes many packets at once; every array has one more axis at the front.
+
+        What `decode` does not copy is a view into `rows` here.
+
+        Args:
+            rows: (n, `size` or more), one packet a row.
+            events: those that are wanted; all of them when None.
+        """
+        with np.errstate(invalid="ignore", over="ignore"):
+            return {
+                name: self._finished(item := self._by_event[name], _numbers(rows, item))
+                for name in (self._by_event if events is None else events)
+                if name in self._by_event
+            }
+
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """State of the robot's controller and quality of the link to it; -1: packets tell neither.
+
+        Args:
+            values: event name to its array, of one packet.
+        """
+        return -1.0, -1.0
+
+    @property
+    def required_frames(self) -> tuple[str, ...]:
+        """Matrices that make a packet malformed where they are neither frames nor NaN."""
+        return self.matrices
+
+    def field(self, event: str) -> Item:
+        """Where an event stands in the packet; raises UnknownName."""
+        if event not in self._by_event:
+            raise UnknownName("event", event, self.events)
+        return self._by_event[event]
+
+    def event_rows(self, rows: Rows, event: str) -> NDArray[Any]:
+        """One event's numbers of many packets as they stand there, of their own type, (n, k)."""
+        return _numbers(rows, self._by_event[event])
+
+    def _finished(self, item: Item, numbers: NDArray[Any]) -> Array:
+        """Numbers (..., k) of an item as float64 in its event's shape behind these axes."""
+        if item.is_bool:
+            numbers = numbers != 0
+        values: Array = numbers.astype(np.float64, copy=False)
+        before = numbers.shape[:-1]
+        if len(item.shape) == 3:
+            frames = self._frames(values, item, before)
+            if self._is_scaled(item):
+                frames = frames.copy()
+                frames[..., :3, 3] *= self.scale
+            return frames
+        if self._is_scaled(item):
+            values = values * self.scale
+        return values.reshape(*before, *item.shape) if len(item.shape) > 1 else values
+
+    def _frames(self, values: Array, item: Item, before: tuple[int, ...]) -> Array:
+        """Frames (..., count, 4, 4) from numbers (..., 12 or 16 times count)."""
+        count, rows, columns = item.wire_shape
+        if self.column_major:
+            values = values.reshape(*before, count, columns, rows).swapaxes(-1, -2)
+        else:
+            values = values.reshape(*before, count, rows, columns)
+        if rows == 4:
+            return values
+        frames = np.empty((*before, count, 4, 4))
+        frames[..., :3, :] = values
+        frames[..., 3, :] = LAST_ROW
+        return frames
+
+    def find_not_finite(self, rows: Rows, but: Collection[str] = ()) -> NDArray[np.bool_]:
+        """Which packets have NaN or infinity outside the events `but`, (n,).
+
+        A number that `scale` makes infinite counts as well.
+        """
+        bad = np.zeros(len(rows), bool)
+        scaled = self.scale > 1.0
+        for start, end, dtype, columns in self._float_blocks(frozenset(but)):
+            numbers = rows[:, start:end].view(dtype)
+            if columns is not None:
+                numbers = numbers[:, columns]
+            if scaled:
+                with np.errstate(invalid="ignore", over="ignore"):
+                    numbers = numbers.astype(np.float64) * self.scale
+            bad |= ~np.isfinite(numbers).all(axis=1)
+        return bad
+
+    def _float_blocks(self, but: frozenset[str]) -> list[_Block]:
+        """What one look can check: numbers of one type that are whole numbers of it apart."""
+        known = self._blocks.get(but)
+        if known is not None:
+            return known
+        groups: dict[tuple[np.dtype[Any], int], list[Item]] = {}
+        for name, item in self._by_event.items():
+            if item.is_float and item.constant is None and name not in but:
+                key = (item.dtype, item.offset % item.item_bytes)
+                groups.setdefault(key, []).append(item)
+        blocks: list[_Block] = []
+        for (dtype, _), items in groups.items():
+            start, end = items[0].offset, items[-1].end
+            columns = np.concatenate(
+                [np.arange(item.offset - start, item.end - start, dtype.itemsize) for item in items]
+            )
+            columns //= dtype.itemsize
+            is_all = len(columns) * dtype.itemsize == end - start
+            blocks.append((start, end, dtype, None if is_all else columns))
+        if len(self._blocks) > 8:  # who allows NaN here and there again and again
+            self._blocks = {}
+        self._blocks[but] = blocks
+        return blocks
+
+    def find_wrong_constants(self, rows: Rows) -> NDArray[np.bool_]:
+        """Which packets have another number where the string demands one, (n,)."""
+        bad = np.zeros(len(rows), bool)
+        for item, constant in self._constants:
+            bad |= _is_wrong(rows, item, constant).any(axis=1)
+        return bad
+
+    def describe_wrong_constant(self, rows: Rows) -> str:
+        """Says what is wrong with the first packet's constants; empty when nothing is."""
+        for item, constant in self._constants:
+            if (wrong := _is_wrong(rows[:1], item, constant)[0]).any():
+                index = int(np.argmax(wrong))
+                found = _numbers(rows[:1], item)[0, index]
+                name = f"{item.name} " if item.name else ""
+                place = item.offset + index * item.item_bytes
+                said = f"{name}at byte {place} is {_shown(found)}; expected {_shown(constant)}"
+                if item.item_bytes > 1 and found.byteswap() == constant:
+                    other = "<" if item.dtype.byteorder == ">" else ">"
+                    said += f"; these are its bytes in reverse order: '{other}'?"
+                return said
+        return ""
+
+    def encode(self, values: Mapping[str, ArrayLike]) -> bytes:
+        """Returns the packet that carries these events; events that are not given are zero.
+
+        Constants are written, `scale` is undone, and what goes into integers is rounded.
+
+        Args:
+            values: event name to an array in the shape of `events`. A leading 1 may be left out:
+                (4, 4) will do for (1, 4, 4).
+
+        Raises:
+            UnknownName: an event that this structure does not have.
+            ValueError: an event of another shape, a number that its type cannot hold, or another
+                one than the constant that must stand there.
+        """
+        packet = np.zeros((1, self.size), np.uint8)
+        for name, given in values.items():
+            if name not in self.events:
+                raise UnknownName("event", name, self.events)
+            item = self._by_event[name]
+            array = _as_numbers(item, given)
+            allowed = [item.shape, item.shape[1:]] if item.count == 1 else [item.shape]
+            if array.shape not in allowed:
+                expected = " or ".join(map(str, allowed))
+                raise ValueError(f"{name}: found {array.shape}; expected {expected}")
+            _numbers(packet, item)[:] = self._to_write(item, array.reshape(item.shape)).ravel()
+        for item, constant in self._constants:
+            if item.name in values and _is_wrong(packet, item, constant).any():
+                found = _numbers(packet, item)[0]
+                raise ValueError(
+                    f"{item.name}: found {_shown(found[found != constant][0])}; "
+                    f"expected {_shown(constant)}, as '{self.text}' demands"
+                )
+            _numbers(packet, item)[:] = constant
+        return packet.tobytes()
+
+    def _to_write(self, item: Item, array: NDArray[Any]) -> NDArray[Any]:
+        """An event's array as its numbers stand in the packet, of a type that fits there."""
+        if len(item.shape) == 3:
+            array = np.array(array, np.float64)
+            if self._is_scaled(item):
+                array[:, :3, 3] = self._unscaled(item, array[:, :3, 3])
+            if item.kind == "T":
+                off = np.abs(array[:, 3] - LAST_ROW).max(axis=1)
+                if (off > LAST_ROW_TOLERANCE).any():  # NaN is no data, and may be sent
+                    row = ", ".join(f"{number:g}" for number in array[np.argmax(off), 3])
+                    raise ValueError(f"{item.name}: found last row [{row}]; expected [0, 0, 0, 1]")
+                array = array[:, :3]
+            array = array.swapaxes(1, 2) if self.column_major else array
+        elif self._is_scaled(item):
+            array = self._unscaled(item, array)
+        return _fitted(item, array)
+
+    def _unscaled(self, item: Item, array: NDArray[Any]) -> NDArray[Any]:
+        with np.errstate(over="ignore"):
+            unscaled = array / self.scale
+        if (wrong := np.isinf(unscaled) & np.isfinite(array)).any():
+            found = array[wrong].flat[0]
+            raise ValueError(f"{item.name}: found {found}; too large for scale {self.scale:g}")
+        return unscaled
+
+
+def are_frames(matrices: Array) -> NDArray[np.bool_]:
+    """Whether each of the matrices (n, 4, 4) is a rigid frame, (n,).
+
+    The last row is 0 0 0 1 within 1e-6, the upper left 3 x 3 orthonormal within 1e-3 and no mirror
+    image.
+    """
+    # Entries far above 1 are still far from a rotation, and their squares do not overflow.
+    rotations = np.minimum(np.maximum(matrices[:, :3, :3], -2.0), 2.0)  # np.clip is slower
+    off = np.abs(rotations @ rotations.swapaxes(1, 2) - _IDENTITY).max(axis=(1, 2))
+    last_row_off = np.abs(matrices[:, 3] - LAST_ROW).max(axis=1)
+    good: NDArray[np.bool_] = (off <= _ROTATION_TOLERANCE) & (last_row_off <= LAST_ROW_TOLERANCE)
+    good[good] = np.linalg.det(rotations[good]) > 0.0  # of NaN it would warn
+    return good
+
+
+def _numbers(rows: Rows, item: Item) -> NDArray[Any]:
+    return rows[:, item.offset : item.end].view(item.dtype)
+
+
+def _is_wrong(rows: Rows, item: Item, constant: Any) -> NDArray[np.bool_]:
+    """Which numbers of an item are not its constant, (n, k)."""
+    numbers = _numbers(rows, item)
+    wrong: NDArray[np.bool_] = (numbers != 0 if item.is_bool else numbers) != constant
+    return wrong
+
+
+def _shown(number: Any) -> str:
+    """A number, of integers also as ids are written."""
+    if isinstance(number, np.integer) and number > 9:
+        return f"{number} (0x{int(number):x})"
+    return str(number)
+
+
+def _as_numbers(item: Item, given: ArrayLike) -> NDArray[Any]:
+    """An array of numbers; of Python integers for 64-bit ones, which numpy might round."""
+    try:
+        array = np.asarray(given)
+        if array.dtype.kind not in "biuf" or (item.item_bytes == 8 and isinstance(given, list)):
+            objects = np.asarray(given, object)
+            if all(isinstance(number, int) for number in objects.flat):
+                array = objects.astype(np.float64) if item.is_float else objects
+            elif array.dtype.kind not in "biuf":
+                raise TypeError
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{item.name}: expected numbers, all rows of one length") from None
+    return array
+
+
+def _fitted(item: Item, array: NDArray[Any]) -> NDArray[Any]:
+    """The array in an item's type.
+
+    Raises:
+        ValueError: a number is out of its range.
+    """
+    low, high = (0, 255) if item.is_bool else limits(item)
+    if item.is_float:
+        with np.errstate(over="ignore", invalid="ignore"):
+            fitted = array.astype(item.type)
+            fits = np.isfinite(fitted) | ~np.isfinite(array.astype(np.float64))
+        expected = f"numbers from {low:g} to {high:g}"
+    else:
+        whole = np.rint(array) if array.dtype.kind == "f" else array
+        # In float64 the greatest int64 is 2**63, which is one too many.
+        above = float(high) if array.dtype.kind == "f" and high >= 2**53 else None
+        with np.errstate(invalid="ignore"):
+            fits = (whole >= low) & (whole <= high if above is None else whole < above)
+        fitted = (whole != 0) if item.is_bool else whole
+        expected = f"whole numbers from {low} to {high}"
+    if not fits.all():
+        raise ValueError(f"{item.name}: found {array[~fits].flat[0]}; expected {expected}")
+    return fitted

@@ -1,0 +1,285 @@
+"""Tables of comma-separated values: a recording as one, and one to be sent as packets."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import math
+import os
+import re
+from array import array
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.errors import CsvError, SeroError
+from ...base.frames import Array
+from ...base.paths import open_file
+
+if TYPE_CHECKING:
+    from _csv import Reader, Writer
+
+    from .recording import Recording
+
+
+TIME = "time"
+_COMMENT = "#"
+_QUOTED = re.compile(r'"[^"]*"')
+
+
+@contextlib.contextmanager
+def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[Writer]:
+    """Gives a writer of rows; a file of this name is replaced when all of them are written.
+
+    Until then they are in a file beside it, which goes when something fails. What is no file, a
+    pipe say, is written to as it is.
+
+    Args:
+        path: the table.
+        failed: what is said when it fails, in front of the reason.
+
+    Raises:
+        CsvError: the file cannot be written.
+    """
+    path = Path(path)
+    is_file = path.is_file() or not path.exists()
+    whole = path.resolve() if is_file else path  # what a link leads to, not the link
+    partial = whole.with_name(f"{whole.name}.part") if is_file else whole
+    try:
+        with open(partial, "w", newline="", encoding="utf-8") as file:
+            yield csv.writer(file, lineterminator="\n")
+        if is_file:
+            os.replace(partial, whole)
+    except BaseException as error:
+        if is_file:
+            with contextlib.suppress(OSError):  # it may be its folder that is not there
+                partial.unlink()
+        # Some of this package's own errors are OSErrors as well: of where the rows come from.
+        if isinstance(error, OSError) and not isinstance(error, SeroError):
+            raise CsvError(path, f"{failed}: {error.strerror}") from error
+        raise
+
+
+@dataclass
+class Exported:
+    """What was written to a table.
+
+    Attributes:
+        rows: packets, one row each.
+        malformed: packets that are not in it, because they could not be decoded.
+    """
+
+    rows: int = 0
+    malformed: int = 0
+
+
+def column_names(events: Mapping[str, tuple[int, ...]]) -> list[str]:
+    """Returns a name for every number of a packet: `values0[0]`, `vectors0[0][2]`, ..."""
+    return [
+        event + "".join(f"[{i}]" for i in index)
+        for event, shape in events.items()
+        for index in np.ndindex(*shape)
+    ]
+
+
+def export_csv(
+    recording: Recording,
+    name: str,
+    path: Path | str,
+    decode: Callable[[bytes], Mapping[str, NDArray[np.float64]] | None],
+    *,
+    start: float = -math.inf,
+    stop: float | None = None,
+) -> Exported:
+    """Writes a source's good packets into a table, a row each: time, then all of its numbers.
+
+    Numbers have as many digits as it takes to read the same ones again; NaN is `nan`. The file is
+    there when all of it is there: a file of this name is replaced then.
+
+    Args:
+        recording: where from.
+        name: the source.
+        path: the file to write.
+        decode: a packet to its events; None, or ValueError, for a malformed one.
+        start: from when on, s since the recording began.
+        stop: until before when, likewise; None to the end.
+
+    Returns:
+        How many rows it has, and how many packets it has not.
+
+    Raises:
+        CsvError: the file cannot be written.
+        RecordingError: the recording cannot be read.
+        UnknownName: no such source was recorded.
+    """
+    packets = recording.packets(name, start, stop)
+    events = recording.sources[name].events if name in recording.sources else {}
+    written = Exported()
+
+    def rows() -> Iterator[list[float]]:
+        for time, packet in packets:
+            try:
+                values = decode(packet)
+            except ValueError:  # what `Structure.decode` raises for a packet of another size
+                values = None
+            if values is None:
+                written.malformed += 1
+                continue
+            written.rows += 1
+            row = [time]
+            for event in events:
+                row += values[event].ravel().tolist()
+            yield row
+
+    first = next(rows_of := rows(), None)  # what is wrong with the recording comes before a file
+    with csv_table(path) as table:
+        table.writerow([TIME, *column_names(events)])
+        if first is not None:
+            table.writerow(first)
+        table.writerows(rows_of)
+    return written
+
+
+def read_csv(
+    path: Path | str, *, rate: float | None = None, instead: str = ""
+) -> tuple[Array, dict[str, Array]]:
+    """Reads a table of numbers, separated by commas or semicolons, as programs write them.
+
+    The first line may name the columns, also behind `#`, as numpy writes it; without names they are
+    `1`, `2`, ... A column called `time` says when each row is due. A first column that alone has no
+    name counts rows, as pandas does, and is left out. Empty lines and comments, which begin with
+    `#`, are passed over. Between semicolons numbers may have decimal commas.
+
+    Args:
+        path: the file.
+        rate: rows per s, instead of a column `time`, which is left out then.
+        instead: how a rate can be given, for what is said where there is no column `time`.
+
+    Returns:
+        When each row is due, s, (n,), never decreasing; and name to column, (n,). NaN and infinity
+        are read as such, and empty cells as NaN.
+
+    Raises:
+        CsvError: the file, with line and column, what was found, and what would be right.
+        ValueError: a rate that is not above 0.
+    """
+    if rate is not None and not 0.0 < rate < math.inf:
+        raise ValueError(f"rate: found {rate}; expected rows per s, above 0")
+    path = Path(path)
+    try:
+        with io.TextIOWrapper(open_file(path), newline="", encoding="utf-8-sig") as file:
+            names, numbers = _read_rows(path, _reader(file), timed=rate is None)
+    except UnicodeDecodeError as error:
+        raise CsvError(path, f"is no text in UTF-8: {error.reason}") from error
+    except OSError as error:
+        raise CsvError(path, f"cannot be read: {error.strerror}") from error
+    columns = dict(zip(names, numbers.T, strict=True))
+    times = columns.pop(TIME, None)
+    if rate is not None:
+        return np.arange(len(numbers)) / rate, columns
+    if times is None:
+        shown = ", ".join(names[:20])
+        reason = f"found the columns {shown}; expected one called {TIME}, in s{instead}"
+        raise CsvError(path, reason)
+    return times, columns
+
+
+def _reader(lines: Iterator[str]) -> Reader:
+    """Reads cells between semicolons where the first line but comments has any, else commas."""
+    head: list[str] = []
+    for line in lines:
+        head.append(line)
+        if line.strip() and not line.startswith(_COMMENT):
+            break
+    first = _QUOTED.sub("", head[-1]) if head else ""
+    return csv.reader(chain(head, lines), delimiter=";" if ";" in first else ",")
+
+
+def _read_rows(path: Path, reader: Reader, *, timed: bool) -> tuple[list[str], Array]:
+    """Returns the names of the columns, and the numbers, a row for each row."""
+    names: list[str] = []
+    numbers = array("d")
+    earlier = -math.inf
+    has_index = False
+    number = _number if reader.dialect.delimiter == "," else _number_with_comma
+    for line, cells, comment in _filled_rows(path, reader):
+        if not names:
+            is_header = any(number(cell) is None for cell in cells) or _is_count(cells)
+            if is_header:
+                names = [cell.strip() for cell in cells]
+            elif len(comment) == len(cells):
+                names = comment
+            else:
+                names = [str(i) for i in range(1, len(cells) + 1)]
+            has_index = not names[0] and len(names) > 1
+            names = names[has_index:]
+            _check_names(path, line, names, first=1 + has_index)
+            if is_header:
+                continue
+        if len(cells) != len(names) + has_index:
+            wanted = len(names) + has_index
+            reason = f"found {len(cells)} values; expected {wanted}, one for each column"
+            raise CsvError(path, reason, line=line)
+        for name, cell in zip(names, cells[has_index:], strict=True):
+            value = number(cell)
+            if value is None:
+                reason = f"found '{cell.strip()}'; expected a number, or nan"
+                raise CsvError(path, reason, line=line, column=name)
+            if name == TIME and timed:
+                if not (math.isfinite(value) and value >= earlier):
+                    after = f" after {earlier!r}" if math.isfinite(earlier) else ""
+                    found = f"{cell.strip() or 'nothing'}{after}"
+                    reason = f"found {found}; expected s that never decrease"
+                    raise CsvError(path, reason, line=line, column=name)
+                earlier = value
+            numbers.append(value)
+    if not numbers:
+        raise CsvError(path, "has no row of numbers")
+    return names, np.array(numbers).reshape(-1, len(names))
+
+
+def _filled_rows(path: Path, reader: Reader) -> Iterator[tuple[int, list[str], list[str]]]:
+    """Line and cells of every row that is not empty, and cells of the comment above the first."""
+    comment: list[str] = []
+    try:
+        for cells in reader:
+            if cells and cells[0].startswith(_COMMENT):
+                comment = [cell.strip() for cell in (cells[0].lstrip("# "), *cells[1:])]
+            elif any(cell.strip() for cell in cells):
+                yield reader.line_num, cells, comment
+    except csv.Error as error:
+        raise CsvError(path, f"is no table: {error}", line=reader.line_num) from error
+
+
+def _is_count(cells: list[str]) -> bool:
+    """Whether a row names columns by their numbers behind an index, as pandas does."""
+    counted = [str(i) for i in range(len(cells) - 1)]
+    first, *others = (cell.strip() for cell in cells)
+    return bool(others) and not first and others == counted
+
+
+def _check_names(path: Path, line: int, names: list[str], first: int) -> None:
+    """Raises `CsvError` where columns, the first of which has this number, cannot be told apart."""
+    for i, name in enumerate(names):
+        if not name:
+            raise CsvError(path, f"column {i + first} has no name", line=line)
+        if name in names[:i]:
+            raise CsvError(path, "there are two columns of this name", line=line, column=name)
+
+
+def _number(cell: str) -> float | None:
+    """The number in a cell, NaN where it is empty; None where there is something else."""
+    try:
+        return float(cell) if cell.strip() else math.nan
+    except ValueError:
+        return None
+
+
+def _number_with_comma(cell: str) -> float | None:
+    return _number(cell.replace(",", "."))

@@ -1,0 +1,363 @@
+"""`Recording`: reads what `RecordingWriter` wrote, also when that was cut off or damaged."""
+
+from __future__ import annotations
+
+import math
+import threading
+import zlib
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import accumulate
+from pathlib import Path
+
+from mcap.data_stream import ReadDataStream
+from mcap.records import Attachment
+from mcap.writer import MCAP0_MAGIC
+
+from ...base.errors import RecordingError, UnknownName, UsageError, did_you_mean
+from ...base.paths import open_file
+from ._mcap_reader import (
+    BROKEN,
+    ChunkPlace,
+    FileIndex,
+    read_index,
+    read_record,
+    reason_of,
+    unpack_messages,
+)
+from .recording_format import (
+    ABOUT,
+    CLOCK,
+    FORMAT,
+    LOST,
+    SOURCE_KEY,
+    RecordingClock,
+    SourceDeclaration,
+)
+
+_LATEST_NS = 2**64
+_EXPECTED = "expected a file that sero-mj record wrote"
+
+
+@dataclass(frozen=True)
+class RecordedSource(SourceDeclaration):
+    """A source in a recording.
+
+    Attributes:
+        count: its packets.
+        first: when its first packet arrived, s since the recording began; NaN without packets.
+        last: when its last packet arrived, likewise.
+    """
+
+    count: int
+    first: float
+    last: float
+
+    @property
+    def is_unreadable(self) -> bool:
+        """Whether it has packets, and none of them can be read."""
+        return self.count > 0 and math.isnan(self.first)
+
+
+class Recording:
+    """A recording that was written before, or is being written now. For any number of threads.
+
+    Times are s since the recording began. Chunks that are damaged are left out, and told in
+    `faults`; so is everything else that is wrong and can be lived with.
+
+    Args:
+        path: the file.
+
+    Attributes:
+        path: the file.
+        about: what it is a recording of.
+        start: when it began, UTC.
+        duration: s from its beginning to its last packet.
+        sources: name to source.
+        lost: source to the number of its packets that could not be kept.
+        faults: what is wrong with it, a sentence each. Damaged chunks are found as they are read.
+
+    Raises:
+        RecordingError: it cannot be read, or is not a recording.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self.faults: list[str] = []
+        self._lock = threading.Lock()
+        self._damaged: set[int] = set()
+        self._cached: tuple[int, int, list[tuple[int, bytes]]] = (-1, -1, [])
+        try:
+            self._file = open_file(self.path)
+        except (OSError, ValueError) as error:
+            raise self._unreadable(error) from error
+        try:
+            self._read_all_but_messages()
+        except RecordingError:
+            self._file.close()
+            raise
+        except (OSError, *BROKEN) as error:
+            self._file.close()
+            raise self._unreadable(error) from error
+
+    def _read_all_but_messages(self) -> None:
+        begin = self._file.read(len(MCAP0_MAGIC))
+        if begin != MCAP0_MAGIC:
+            found = f"is no MCAP file: found {begin!r} at its beginning" if begin else "is empty"
+            raise RecordingError(self.path, f"{found}; {_EXPECTED}")
+        index = read_index(self._file)
+        self._index = index
+        self.faults += index.faults
+        declarations = self._declarations(index)
+        self._chunks = index.chunks
+        # Chunks are almost in the order of time. These two are in any case, so that they can be
+        # searched: the latest message up to a chunk, and the earliest one from a chunk on.
+        self._latest = list(accumulate((chunk.last for chunk in self._chunks), max))
+        earliest = accumulate((chunk.first for chunk in reversed(self._chunks)), min)
+        self._earliest = list(earliest)[::-1]
+        self._clock = self._read_clock(index)
+        self.start = datetime.fromtimestamp(self._clock.epoch_ns / 1e9, UTC)
+        self.about = dict(index.metadata.get(ABOUT, {}))
+        self.lost = {name: int(count) for name, count in index.metadata.get(LOST, {}).items()}
+        for name, count in self.lost.items():
+            self.faults.append(f"{count} packets of source '{name}' could not be kept")
+        self._channels = {source.name: channel for channel, source in declarations.items()}
+        counts = self._counts(index)
+        self.sources: dict[str, RecordedSource] = {}
+        for channel, source in declarations.items():
+            first, last = self._ends(channel)
+            self.sources[source.name] = RecordedSource(
+                **vars(source), count=counts.get(channel, 0), first=first, last=last
+            )
+        ends = [source.last for source in self.sources.values() if source.count]
+        self.duration = max(ends, default=0.0)
+
+    def _declarations(self, index: FileIndex) -> dict[int, SourceDeclaration]:
+        """Raw channel to what it says of its source."""
+        found = {}
+        for number, channel in index.channels.items():
+            text = channel.metadata.get(SOURCE_KEY)
+            if text is not None:
+                try:
+                    found[number] = SourceDeclaration.from_json(text)
+                except (KeyError, TypeError, AttributeError, ValueError) as error:
+                    reason = f"channel {channel.topic}: its declaration cannot be read: {error!r}"
+                    raise RecordingError(self.path, reason) from error
+        if found or (CLOCK in index.metadata and not index.channels):
+            return found
+        if not index.channels:
+            why = "; ".join(index.faults) or "has no channels"
+            raise RecordingError(self.path, f"{why}; {_EXPECTED}")
+        topics = ", ".join(sorted(channel.topic for channel in index.channels.values())[:10])
+        reason = f"is an MCAP file of another program: found the topics {topics}; {_EXPECTED}"
+        raise RecordingError(self.path, reason)
+
+    def _read_clock(self, index: FileIndex) -> RecordingClock:
+        metadata = index.metadata.get(CLOCK)
+        if metadata is None:  # other tools may leave it out when they write a file anew
+            self.faults.append("does not say when it began; times count from its first packet")
+            return RecordingClock(min(self._earliest, default=0), 0)
+        try:
+            number = int(metadata["format"])
+            clock = RecordingClock.from_metadata(metadata)
+        except (KeyError, ValueError) as error:
+            raise RecordingError(self.path, f"metadata {CLOCK}: {error!r}; {_EXPECTED}") from error
+        if number > FORMAT:
+            reason = f"is of format {number}; this version of sero-mj reads up to {FORMAT}"
+            raise RecordingError(self.path, reason)
+        return clock
+
+    def _counts(self, index: FileIndex) -> dict[int, int]:
+        counts = dict(index.counts)
+        for chunk in index.uncounted:
+            for channel in self._channels.values():
+                found = len(self._messages(chunk, channel))
+                counts[channel] = counts.get(channel, 0) + found
+        return counts
+
+    def _ends(self, channel: int) -> tuple[float, float]:
+        """When the first and the last packet in the file arrived."""
+        first = next((found[0][0] for _, found in self._of(channel, self._chunks)), None)
+        backwards = reversed(self._chunks)
+        last = next((found[-1][0] for _, found in self._of(channel, backwards)), None)
+        if first is None or last is None:
+            return math.nan, math.nan
+        return self._seconds(first), self._seconds(last)
+
+    def choose_source(self, name: str = "", default: str = "") -> str:
+        """Returns the name of one of its sources.
+
+        Args:
+            name: which; empty for `default`, or the only one.
+            default: taken where there is a source of this name and no other is asked for.
+
+        Raises:
+            UsageError: there is no such source, or several to choose from.
+        """
+        names = list(self.sources)
+        chosen = name or (default if default in names or len(names) != 1 else names[0])
+        if chosen in names:
+            return chosen
+        if name:
+            raise UsageError(f"no source '{name}' in {self.path}{did_you_mean(name, names)}")
+        found = f"has several sources: {', '.join(names)}; choose one" if names else "has no source"
+        raise UsageError(f"{self.path} {found}")
+
+    def packets(
+        self, name: str, start: float = -math.inf, stop: float | None = None
+    ) -> Iterator[tuple[float, bytes]]:
+        """Goes through a source's packets in the order of the file; reads only what it must.
+
+        Args:
+            name: the source.
+            start: from when on, s since the recording began.
+            stop: until before when, likewise; None to the end.
+
+        Returns:
+            When each one arrived, s since the recording began, and its bytes.
+
+        Raises:
+            RecordingError: the file cannot be read.
+            UnknownName: no such source was recorded.
+        """
+        channel = self._find(name)
+        begin, end = self._log_time(start), self._log_time(math.inf if stop is None else stop)
+        # Behind the last chunk that is wholly before the start, and before the first that is
+        # wholly behind the end.
+        chunks = (
+            self._chunks[i]
+            for i in range(bisect_right(self._latest, begin - 1), len(self._chunks))
+            if self._chunks[i].last >= begin and self._chunks[i].first < end
+        )
+        for _, found in self._of(channel, chunks):
+            for log_time, data in found:
+                if begin <= log_time < end:
+                    yield self._seconds(log_time), data
+
+    def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
+        """Returns a source's newest packet at or before a time, or None: what a seek begins with.
+
+        Args:
+            name: the source.
+            t: s since the recording began.
+
+        Returns:
+            When it arrived, s since the recording began, and its bytes.
+
+        Raises:
+            RecordingError: the file cannot be read.
+            UnknownName: no such source was recorded.
+        """
+        channel, at = self._find(name), self._log_time(t)
+        best: tuple[int, bytes] | None = None
+        for i in range(bisect_right(self._earliest, at) - 1, -1, -1):
+            if best is not None and self._latest[i] <= best[0]:
+                break
+            for _, found in self._of(channel, [self._chunks[i]]):
+                newest = max((time for time, _ in found if time <= at), default=None)
+                if newest is not None and (best is None or newest > best[0]):
+                    best = [entry for entry in found if entry[0] == newest][-1]
+        return None if best is None else (self._seconds(best[0]), best[1])
+
+    @property
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the files in the recording."""
+        return tuple(self._index.attachments)
+
+    def read_attachment(self, name: str) -> bytes:
+        """Returns a file that is in the recording; raises RecordingError and UnknownName."""
+        if name not in self._index.attachments:
+            raise UnknownName("file in the recording", name, self._index.attachments)
+        offset, length = self._index.attachments[name]
+        try:
+            with self._lock:
+                record = read_record(self._file, offset, length)
+            data = record.getvalue()
+            if zlib.crc32(data[:-4]).to_bytes(4, "little") != data[-4:]:
+                raise ValueError("its check sum differs")
+            return bytes(Attachment.read(ReadDataStream(record)).data)
+        except BROKEN as error:
+            raise RecordingError(
+                self.path, f"file '{name}' in it is damaged: {reason_of(error)}"
+            ) from error
+        except OSError as error:
+            raise self._unreadable(error) from error
+
+    def check_readable(self, name: str) -> None:
+        """Raises RecordingError where none of a source's packets can be read."""
+        source = self.sources[name]
+        if source.is_unreadable:
+            why, *others = self.faults or ["its index is wrong"]
+            more = f" (and {len(others)} more of the kind)" if others else ""
+            reason = f"none of the {source.count} packets of '{name}' can be read: {why}{more}"
+            raise RecordingError(self.path, reason)
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._file.close()
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _find(self, name: str) -> int:
+        if name not in self._channels:
+            raise UnknownName("source", name, self._channels)
+        return self._channels[name]
+
+    def _seconds(self, log_time: int) -> float:
+        return (log_time - self._clock.epoch_ns) / 1e9
+
+    def _log_time(self, seconds: float) -> int:
+        if not math.isfinite(seconds):
+            return 0 if seconds < 0.0 else _LATEST_NS
+        return self._clock.epoch_ns + round(seconds * 1e9)
+
+    def _of(
+        self, channel: int, chunks: Iterator[ChunkPlace] | list[ChunkPlace]
+    ) -> Iterator[tuple[ChunkPlace, list[tuple[int, bytes]]]]:
+        """The chunks that have messages of a channel, and these."""
+        for chunk in chunks:
+            if chunk.channels is None or channel in chunk.channels:
+                found = self._messages(chunk, channel)
+                if found:
+                    yield chunk, found
+
+    def _messages(self, chunk: ChunkPlace, channel: int) -> list[tuple[int, bytes]]:
+        """A chunk's messages of a channel: log time in ns, and data; none when it is damaged."""
+        with self._lock:
+            if self._cached[:2] == (chunk.offset, channel):
+                return self._cached[2]
+            if chunk.offset in self._damaged:
+                return []
+            try:
+                record = read_record(self._file, chunk.offset, chunk.length)
+            except OSError as error:
+                raise self._unreadable(error) from error
+        try:
+            found = unpack_messages(record.getvalue(), channel)
+        except BROKEN as error:
+            self._report_damaged(chunk, error)
+            return []
+        with self._lock:
+            self._cached = (chunk.offset, channel, found)
+        return found
+
+    def _report_damaged(self, chunk: ChunkPlace, error: BaseException) -> None:
+        with self._lock:
+            if chunk.offset in self._damaged:
+                return
+            self._damaged.add(chunk.offset)
+        first, last = self._seconds(chunk.first), self._seconds(chunk.last)
+        self.faults.append(
+            f"the chunk at byte {chunk.offset} is damaged ({reason_of(error)}): "
+            f"what arrived from {first:.3f} s to {last:.3f} s is left out"
+        )
+
+    def _unreadable(self, error: Exception) -> RecordingError:
+        reason = error.strerror if isinstance(error, OSError) else reason_of(error)
+        return RecordingError(self.path, f"cannot be read: {reason}")

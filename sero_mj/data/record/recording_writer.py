@@ -1,0 +1,427 @@
+"""`RecordingWriter`: packets and what they mean, into an MCAP file that is whole at every moment.
+
+Behind the last record there always stands a short ending without an index, which the next records
+are written over and bring along. So a process may be killed at any time, and readers find a whole
+file without an index; only one that was killed in the midst of a write leaves half a chunk at the
+end. On a full disk the same ending has its room already.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, DataEnd, Footer, McapRecord, Schema
+from mcap.writer import MCAP0_MAGIC, Writer
+from numpy.typing import NDArray
+
+from ... import __version__
+from ...base.errors import RecordingError, UnknownName
+from .recording_format import (
+    ABOUT,
+    CLOCK,
+    LOST,
+    RAW_ENCODING,
+    SCHEMA_ENCODING,
+    SIGNALS_ENCODING,
+    SOURCE_KEY,
+    RecordingClock,
+    Signals,
+    SourceDeclaration,
+)
+
+CHUNK_BYTES = 1 << 20
+FLUSH_AFTER = 0.4  # s: so that no more than half a second is lost with its process
+_MESSAGE_HEAD = 31  # bytes of a message's record beside its data
+_BY_US = 1 << 62  # larger than any chunk: the library shall not end one when we do not know it
+_WHY = {
+    errno.ENOSPC: "no space left on the disk",
+    errno.EDQUOT: "the disk quota is used up",
+    errno.EFBIG: "the file has reached the largest size that the system allows",
+}
+
+
+def pack_record(record: McapRecord) -> bytes:
+    """Returns a record as it stands in a file."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())
+
+
+SHORT_ENDING = pack_record(DataEnd(0)) + pack_record(Footer(0, 0, 0)) + MCAP0_MAGIC
+
+
+class McapStream:
+    """A stream for `mcap.writer.Writer`: records wait until `flush` writes them with an ending.
+
+    Args:
+        path: the file.
+        overwrite: write over a file that exists; else that is an error.
+
+    Attributes:
+        path: the file.
+        size: bytes of the file.
+        kept: what is in the file up to the last `flush`, for the error; empty for nothing.
+        error: why nothing more can be written, or None.
+
+    Raises:
+        RecordingError: it exists already, or cannot be written.
+    """
+
+    def __init__(self, path: Path | str, *, overwrite: bool = False) -> None:
+        self.path = Path(path)
+        self.size, self.kept = 0, ""
+        self.error: RecordingError | None = None
+        self._end = 0  # where the records in the file end, and its ending begins
+        self._records = bytearray()
+        try:
+            # Unbuffered: what is left in a buffer would be lost with the process.
+            self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
+        except FileExistsError as error:
+            reason = "exists already; choose another name, or remove it"
+            raise RecordingError(self.path, reason) from error
+        except (OSError, ValueError) as error:
+            raise RecordingError(self.path, f"cannot be written: {_why(error)}") from error
+
+    @property
+    def closed(self) -> bool:
+        """Whether it is finished, or has failed."""
+        return self._file.closed
+
+    def write(self, data: bytes) -> int:
+        """Takes whole records."""
+        self._records += data
+        return len(data)
+
+    def tell(self) -> int:
+        """Where the next record will stand."""
+        return self._end + len(self._records)
+
+    def flush(self) -> None:
+        """Writes the records over the ending, which follows them.
+
+        Raises:
+            RecordingError: there is no room. What was written before is kept.
+        """
+        if self.error is not None:
+            raise self.error
+        if self._records:
+            self._put(self._records + SHORT_ENDING)
+            self._end += len(self._records)
+            self._records.clear()
+
+    def finish(self) -> None:
+        """Writes records of which the last is an ending, and closes; raises as `flush` does."""
+        self._put(self._records)
+        self._file.close()
+
+    def _put(self, data: bytearray) -> None:
+        try:
+            self._put_at_end(data)
+        except OSError as error:
+            self._rescue(error)
+
+    def _put_at_end(self, data: bytes | bytearray) -> None:
+        self._file.seek(self._end)
+        view = memoryview(bytes(data))
+        while view:
+            written = self._file.write(view)
+            if not written:
+                raise OSError(errno.ENOSPC, "nothing was written")
+            view = view[written:]
+        self.size = self._end + len(data)
+
+    def _rescue(self, error: OSError) -> NoReturn:
+        """Removes what is half written, closes the file, and raises the error."""
+        with contextlib.suppress(OSError):
+            # The ending keeps its room on the disk throughout.
+            self._file.truncate(self._end + len(SHORT_ENDING))
+            self._put_at_end(SHORT_ENDING)
+        with contextlib.suppress(OSError):
+            self._file.close()
+        kept = f"{self.kept} are kept in {self.size} bytes" if self.kept else "nothing is kept"
+        reason = f"{_why(error)}; the recording ends here, {kept}"
+        self.error = RecordingError(self.path, reason)
+        raise self.error from error
+
+
+def _why(error: Exception) -> str:
+    if isinstance(error, OSError) and error.errno is not None:
+        return _WHY.get(error.errno) or f"{error.strerror}"
+    return str(error)
+
+
+@dataclass
+class _Channels:
+    """The numbers of a source's two channels, what the second holds, and the next packet's."""
+
+    raw: int
+    decoded: int
+    signals: Signals
+    number: int = 0
+
+
+class RecordingWriter:
+    """Writes a recording. For one thread at a time; `Recorder` is for several.
+
+    The process may be killed at any time: what came more than `flush_after` before is in the file,
+    as long as something is written or `flush_if_old` is called now and then. The file can be read
+    while it is written. The memory it takes grows by the library's chunk index only: less than 1 kB
+    per chunk, so 7 MB in an hour of chunks that are flushed every 0.4 s.
+
+    Args:
+        path: the file.
+        about: what it is a recording of, e.g. `{"scene": "lwr_udp"}`.
+        overwrite: write over a file that exists; else that is an error.
+        chunk_bytes: a chunk is written when its messages are larger than this.
+        flush_after: s until a chunk is written though it is not full.
+
+    Attributes:
+        clock: when the recording began.
+
+    Raises:
+        RecordingError: the file exists already, or cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        *,
+        about: Mapping[str, str],
+        overwrite: bool = False,
+        chunk_bytes: int = CHUNK_BYTES,
+        flush_after: float = FLUSH_AFTER,
+        clock: RecordingClock | None = None,
+    ) -> None:
+        self.clock = RecordingClock() if clock is None else clock
+        self._channels: dict[str, _Channels] = {}
+        self._chunk_bytes, self._flush_after = chunk_bytes, flush_after
+        self._waiting = 0  # bytes of the messages that are not yet in the file
+        self._oldest = 0.0  # when the first of them came, on time.monotonic
+        self._count = 0  # of packets, in the file or not
+        self._span = (2**64, 0)  # log times of the first and the last of them, ns
+        self._file = McapStream(path, overwrite=overwrite)
+        self._writer = Writer(self._file, chunk_size=_BY_US)  # type: ignore[arg-type]
+        self._writer.start(library=f"sero-mj {__version__}")
+        self._writer.add_metadata(CLOCK, self.clock.to_metadata())
+        self._writer.add_metadata(ABOUT, dict(about))
+        self._file.flush()
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._file.path
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file so far."""
+        return self._file.size
+
+    def add_source(
+        self,
+        name: str,
+        *,
+        kind: str,
+        declared: Mapping[str, Any],
+        events: Mapping[str, tuple[int, ...]],
+        size: int,
+        signals: Signals | None = None,
+    ) -> None:
+        """Adds a source: a channel for its packets and one for its decoded values.
+
+        Args:
+            name: the source's name in routes.
+            kind: its kind, e.g. `udp`.
+            declared: its fields in the scene, of JSON's types; a replay makes its decoder of them.
+            events: event name to its shape, (n,), (n, 3) or (n, 4, 4).
+            size: bytes of a packet.
+            signals: what is kept of the decoded packets; their events when None.
+
+        Raises:
+            RecordingError: it cannot be written.
+            TypeError: a field that is not of JSON's types.
+            ValueError: there is a source of this name already.
+        """
+        if name in self._channels:
+            raise ValueError(f"source '{name}' is in the recording already")
+        declaration = SourceDeclaration(name, kind, declared, events, size).to_json()
+        signals = signals or Signals(dict(events))
+        raw = self._add_channel(f"/{name}/raw", RAW_ENCODING, 0, {SOURCE_KEY: declaration})
+        title, text = f"sero-mj.{name}", signals.schema(name)
+        schema: int = self._writer.register_schema(title, SCHEMA_ENCODING, text)
+        self._repeat(Schema(id=schema, name=title, encoding=SCHEMA_ENCODING, data=text))
+        decoded = self._add_channel(f"/{name}/signals", SIGNALS_ENCODING, schema, signals.origins)
+        self._channels[name] = _Channels(raw, decoded, signals)
+        self._file.flush()
+
+    def _add_channel(
+        self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]
+    ) -> int:
+        number: int = self._writer.register_channel(topic, encoding, schema, dict(metadata))
+        self._repeat(
+            Channel(
+                id=number,
+                topic=topic,
+                message_encoding=encoding,
+                schema_id=schema,
+                metadata=dict(metadata),
+            )
+        )
+        return number
+
+    def _repeat(self, record: McapRecord) -> None:
+        """Writes a record outside of chunks too, so that it can be read where a chunk is lost."""
+        self._file.write(pack_record(record))
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Puts a file into the recording: the scene, a robot; raises RecordingError.
+
+        Args:
+            name: the file's name, with folders where that matters.
+            media_type: e.g. `application/toml`.
+            data: its contents.
+        """
+        self._writer.add_attachment(0, self.clock.epoch_ns, name, media_type, data)
+        self._file.flush()
+
+    def write_raw(self, name: str, packet: bytes, arrival: float) -> None:
+        """Writes a packet as it came, numbered from 0 on.
+
+        Args:
+            name: its source.
+            packet: its bytes, well-formed or not.
+            arrival: when it arrived, s on the clock of `time.monotonic`.
+
+        Raises:
+            RecordingError: there is no room. What was written before is kept.
+            UnknownName: no such source was added.
+            ValueError: the arrival is not a time.
+        """
+        channels = self._find(name)
+        log_time = self.clock.log_time(arrival)
+        number = channels.number
+        channels.number = number + 1
+        self._count += 1
+        first, last = self._span
+        self._span = min(first, log_time), max(last, log_time)
+        self._add(channels.raw, packet, log_time, number)
+
+    def write_rows(self, name: str, rows: NDArray[np.uint8], arrivals: NDArray[np.float64]) -> None:
+        """Writes packets of one length; raises as `write_raw` does.
+
+        Args:
+            name: their source.
+            rows: (n, bytes of a packet).
+            arrivals: when each arrived, (n,), s on the clock of `time.monotonic`.
+        """
+        for row, arrival in zip(rows, arrivals.tolist(), strict=True):
+            self.write_raw(name, row.tobytes(), arrival)
+
+    def write_signals(
+        self, name: str, values: Mapping[str, NDArray[np.float64]], arrival: float
+    ) -> None:
+        """Writes the decoded values of a good packet, for other programs; after its `write_raw`.
+
+        Raises as `write_raw` does.
+
+        Args:
+            name: its source.
+            values: key of `Signals.shapes` to its array; events by default.
+            arrival: when the packet arrived, s on the clock of `time.monotonic`.
+        """
+        channels = self._find(name)
+        log_time, number = self.clock.log_time(arrival), max(0, channels.number - 1)
+        self._add(channels.decoded, channels.signals.encode(values), log_time, number)
+
+    def write_signal_rows(
+        self,
+        name: str,
+        table: NDArray[np.float64],
+        arrivals: NDArray[np.float64],
+        sequences: Sequence[int],
+    ) -> None:
+        """Writes the decoded values of many packets; raises as `write_raw` does.
+
+        Args:
+            name: their source.
+            table: (n, k), the numbers of all its signals in their order; matrices row by row.
+            arrivals: when each packet arrived, (n,), s on the clock of `time.monotonic`.
+            sequences: the packets' numbers, n, counted from 0.
+        """
+        channels = self._find(name)
+        messages = channels.signals.encode_table(table)
+        for message, arrival, number in zip(messages, arrivals.tolist(), sequences, strict=True):
+            self._add(channels.decoded, message, self.clock.log_time(arrival), number)
+
+    def _find(self, name: str) -> _Channels:
+        channels = self._channels.get(name)
+        if channels is None:
+            raise UnknownName("source", name, self._channels)
+        return channels
+
+    def _add(self, channel: int, data: bytes, log_time: int, number: int) -> None:
+        """Adds a message to the chunk, and writes that when it is full."""
+        if self._file.error is not None:
+            raise self._file.error
+        if not self._waiting:
+            self._oldest = time.monotonic()
+        self._writer.add_message(channel, log_time, data, log_time, number & 0xFFFFFFFF)
+        self._waiting += _MESSAGE_HEAD + len(data)
+        if self._waiting >= self._chunk_bytes:
+            self.flush()
+
+    def flush(self) -> None:
+        """Writes all that waits into the file; raises RecordingError."""
+        if not self._waiting:
+            return
+        self._writer.flush()
+        self._waiting = 0
+        seconds = max(self._span[1] - self._span[0], 0) / 1e9
+        self._file.kept = f"{self._count} packets over {seconds:.3f} s" if self._count else ""
+
+    def flush_if_old(self) -> float:
+        """Flushes when the oldest message has waited for `flush_after`.
+
+        Returns:
+            The s until it is due; infinite when nothing waits.
+
+        Raises:
+            RecordingError: there is no room.
+        """
+        remaining = self._oldest + self._flush_after - time.monotonic()
+        if self._waiting and remaining > 0.0:
+            return remaining
+        self.flush()
+        return float("inf")
+
+    def close(self, *, lost: Mapping[str, int] | None = None) -> None:
+        """Finishes the file; harmless when it is finished.
+
+        Args:
+            lost: source to the number of its packets that never came here, to be told by readers.
+
+        Raises:
+            RecordingError: there is no room for the rest. What was written before is kept.
+        """
+        if self._file.closed:
+            return
+        self.flush()
+        told = {name: str(count) for name, count in (lost or {}).items() if count}
+        if told:
+            self._writer.add_metadata(LOST, told)
+            self._file.flush()
+        self._writer.finish()
+        self._file.finish()
+
+    def __enter__(self) -> RecordingWriter:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()

@@ -1,0 +1,354 @@
+"""`Replay`: a recording as a source. What was received once is received again, bit for bit."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Collection, Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator
+
+from ...base.errors import (
+    DeclarationError,
+    PluginError,
+    RecordingError,
+    SourceError,
+    did_you_mean,
+)
+from ...base.plugins import SOURCES, load_plugin, plugins
+from ..receive.intake import Intake
+from ..receive.source import Packets, Source, log
+from ..receive.structure import Structure
+from .recording import RecordedSource, Recording
+
+_AT_ONCE = 4096  # packets
+
+
+def _as_path(file: Any) -> Path:
+    if isinstance(file, str | Path) and str(file):
+        return Path(file)
+    raise ValueError(f"found {file!r}; expected the name of a recording, REC.mcap say")
+
+
+class Replay(Source):
+    """Plays one source of a recording, through the decoder that the source had.
+
+    It has no thread: packets come when the clock that drives it has reached their time. A mirror
+    drives it by its own time, so that a film of a recording is the same however long rendering
+    takes.
+
+    Attributes:
+        file: the recording, made by `sero-mj record`.
+        source: which of its sources; the one of this name, or the only one, when empty.
+        speed: 1 is as it was, 2 twice as fast.
+        loop: starts again at the end; else it stays there, and its data become stale.
+        start: where it begins, s since the recording began; at the first packet of any of its
+            sources when None.
+        stop: where it ends, likewise; at the recording's end when None.
+    """
+
+    name: str = "replay"
+    file: Annotated[Path, BeforeValidator(_as_path)]
+    source: str = ""
+    speed: float = Field(1.0, gt=0, le=1e6)
+    loop: bool = False
+    start: float | None = None
+    stop: float | None = None
+    structure: str = ""
+
+    _structure_is: ClassVar[str] = "what the recording says"
+
+    _recording: Recording | None = PrivateAttr(None)
+    _coming: Iterator[tuple[float, bytes]] = PrivateAttr(default_factory=lambda: iter(()))
+    _held: tuple[float, bytes] | None = PrivateAttr(None)
+    _position: float = PrivateAttr(0.0)
+    _beyond: float = PrivateAttr(0.0)  # s since it ended
+    _anchor: tuple[float, float] = PrivateAttr((0.0, 0.0))  # the clock's time, and the position
+    _paused: bool = PrivateAttr(False)
+    _told: int = PrivateAttr(0)  # faults of the recording
+    _lock: Any = PrivateAttr(default_factory=threading.RLock)
+
+    @field_validator("file")
+    @classmethod
+    def _file_is_a_recording(cls, file: Path) -> Path:
+        try:
+            Recording(file).close()
+        except RecordingError as error:
+            raise ValueError(str(error)) from None
+        return file
+
+    @field_validator("source")
+    @classmethod
+    def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
+        if "file" not in info.data:
+            return source
+        with Recording(info.data["file"]) as recording:
+            chosen = recording.choose_source(source, str(info.data.get("name")))
+        try:
+            _receiver_of(recording.path, recording.sources[chosen], chosen)
+        except RecordingError as error:
+            raise ValueError(str(error)) from None
+        return chosen
+
+    @field_validator("start")
+    @classmethod
+    def _begins_in_the_recording(cls, start: float | None, info: ValidationInfo) -> float | None:
+        if start is not None and "file" in info.data:
+            with Recording(info.data["file"]) as recording:
+                check_start(start, recording)
+        return start
+
+    @field_validator("stop")
+    @classmethod
+    def _ends_after_it_begins(cls, stop: float | None, info: ValidationInfo) -> float | None:
+        if stop is None or "file" not in info.data or "start" not in info.data:
+            return stop
+        if info.data["start"] is not None:
+            begin, word = info.data["start"], "start"
+        else:
+            with Recording(info.data["file"]) as recording:
+                begin, word = _first_of(recording), "where its first packet came"
+        if not begin < stop < np.inf:
+            raise ValueError(f"found {stop:g}; expected more than {begin:g}, {word}, in s")
+        return stop
+
+    @cached_property
+    def recorded(self) -> RecordedSource:
+        """The source as it was recorded."""
+        with Recording(self.file) as recording:
+            return recording.sources[self.source]
+
+    @cached_property
+    def original(self) -> Source:
+        """The receiver as it was recorded; never opened, it only decodes."""
+        receiver = _receiver_of(self.file, self.recorded, self.name)
+        receiver.only_latest_packet = self.only_latest_packet
+        return receiver
+
+    @cached_property
+    def layout(self) -> Structure:
+        """The decoder."""
+        return self.original.layout
+
+    @property
+    def events(self) -> Mapping[str, tuple[int, ...]]:
+        """Event name to its shape, as when it was recorded."""
+        return self.original.events
+
+    @property
+    def about(self) -> str:
+        """Kind and address, as shown to the user."""
+        return f"replay of {self.file}, {self.duration:.1f} s"
+
+    @property
+    def duration(self) -> float:
+        """How long it plays at speed 1, s."""
+        return max(self._end - self._begin, 0.0)
+
+    @cached_property
+    def _begin(self) -> float:
+        if self.start is not None:
+            return self.start
+        with Recording(self.file) as recording:
+            return _first_of(recording)
+
+    @property
+    def _end(self) -> float:
+        last = self.recorded.last
+        end = self.stop if self.stop is not None else (0.0 if np.isnan(last) else last)
+        return max(end, self._begin)
+
+    @property
+    def position(self) -> float:
+        """Where it is, s since the recording began."""
+        return self._position
+
+    @property
+    def is_live(self) -> bool:
+        """Packets come as `advance_to` asks."""
+        return False
+
+    @property
+    def end(self) -> float | None:
+        """How long it plays, s; None where it loops."""
+        return None if self.loop else self.duration / self.speed
+
+    def now(self) -> float:
+        """The time on the recording's clock; where it has ended, it goes on without packets."""
+        return self._position + self._beyond
+
+    def allow_nan(self, events: Collection[str]) -> None:
+        """Lets NaN and infinity mean `no data` in these events; see `Source.allow_nan`."""
+        super().allow_nan(events)
+        self.original.allow_nan(events)  # whose decoder this is
+
+    def _new_intake(self, *, follows: bool = True) -> Intake:
+        intake = self.original._new_intake(follows=follows)
+        intake.nan_allowed = self._nan_allowed
+        return intake
+
+    def open(self) -> None:
+        """Opens the file and goes to the start.
+
+        Raises:
+            SourceError: it cannot be read any more.
+        """
+        self.close()
+        try:
+            self._recording = Recording(self.file)
+            self._recording.check_readable(self.source)
+        except RecordingError as error:
+            self.close()
+            raise SourceError(self.name, str(error)) from error
+        self.reset()
+        self._paused = False
+        self._told = 0
+        self._anchor = (0.0, self._begin)
+        self._go_to(self._begin)
+
+    def close(self) -> None:
+        """Closes the file; harmless when it is not open."""
+        if self._recording is not None:
+            self._recording.close()
+        self._recording, self._held = None, None
+        self._coming = iter(())
+
+    def wait(self, timeout: float) -> bool:
+        """Whether there are packets at all; returns at once."""
+        return self.recorded.count > 0
+
+    def advance_to(self, time: float) -> None:
+        """Plays the packets up to a time.
+
+        Args:
+            time: of whoever drives it, s; 0 is where it starts.
+        """
+        clock = time
+        with self._lock:
+            if self._recording is None or self._paused:
+                return
+            position = self._anchor[1] + (clock - self._anchor[0]) * self.speed
+            if self.loop and position > self._end and self.duration > 0:
+                rounds = (position - self._begin) // self.duration
+                position -= rounds * self.duration
+                self._anchor = (clock, position)
+                self._go_to(self._begin)
+            beyond = max(position - self._end, 0.0)
+            position = min(position, self._end)
+            if position < self._position:  # the clock went back: it is a new film, say
+                self._go_to(position)
+            self._play_until(position)
+            self._beyond = beyond
+
+    def seek(self, position: float, clock: float = 0.0) -> None:
+        """Seeks a position.
+
+        Args:
+            position: s since the recording began.
+            clock: the time now of whoever drives it, s.
+        """
+        with self._lock:
+            position = min(max(position, self._begin), self._end)
+            self._anchor = (clock, position)
+            self._go_to(position)
+
+    def pause(self, clock: float = 0.0) -> None:
+        """Pauses; `clock` is the driver's time now."""
+        self.advance_to(clock)
+        self._paused = True
+
+    def resume(self, clock: float = 0.0) -> None:
+        """Resumes at its position; `clock` is the driver's time now."""
+        self._paused = False
+        self._anchor = (clock, self._position)
+
+    def take(self) -> Packets | None:
+        """Returns the good packets since the last call, or None when there is none."""
+        with self._lock:
+            return super().take()
+
+    def _go_to(self, position: float) -> None:
+        """Seeks: discards what was played, and plays the last packet before that time."""
+        assert self._recording is not None
+        number = self._number
+        self._intake = self._new_intake()
+        self._position, self._beyond = position, 0.0
+        name = self.recorded.name
+        before = self._recording.last_before(name, position)
+        # Times are kept in ns: the next one is the first that is not the same packet again.
+        after = position if before is None else before[0] + 1e-9
+        self._coming = self._recording.packets(name, after)
+        self._held = None
+        self._last = None
+        self._number = number  # goes on: whoever takes packets must see that these are new
+        if before is not None:
+            self._hand_in([before])
+        self._log_faults()
+
+    def _play_until(self, position: float) -> None:
+        self._position = position
+        batch: list[tuple[float, bytes]] = []
+        while True:
+            packet = self._held or next(self._coming, None)
+            self._held = None
+            if packet is None or packet[0] > position:
+                self._held = packet
+                break
+            batch.append(packet)
+            if len(batch) == _AT_ONCE:
+                self._hand_in(batch)
+                batch = []
+        if batch:
+            self._hand_in(batch)
+        self._log_faults()
+
+    def _log_faults(self) -> None:
+        """Logs what is wrong with the recording, as it is found."""
+        assert self._recording is not None
+        faults = self._recording.faults
+        for fault in faults[self._told :] if self.debug_level else []:
+            log.warning("%s: %s", self.file, fault)
+        self._told = len(faults)
+
+    def _hand_in(self, batch: list[tuple[float, bytes]]) -> None:
+        arrivals, packets = zip(*batch, strict=True)
+        self.accept(packets, arrivals)
+
+
+def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
+    """The receiver that a recording declares.
+
+    Raises:
+        RecordingError: its kind is not known, its fields are wrong, or they make other events.
+    """
+    kind, of = recorded.kind, f"source '{recorded.name}'"
+    kinds = [known for known in plugins(SOURCES) if known != "replay"]
+    if kind not in kinds:
+        raise RecordingError(file, f"{of}: no kind '{kind}'{did_you_mean(kind, kinds)}")
+    try:
+        receiver: Source = load_plugin(SOURCES, kind)(**{**recorded.declared, "name": name})
+    except PluginError as error:
+        raise RecordingError(file, str(error)) from error
+    except DeclarationError as error:
+        wrong = "; ".join(f"{problem.key}: {problem.message}" for problem in error.problems)
+        raise RecordingError(file, f"how {of} is decoded: {wrong}") from error
+    for event, shape in recorded.events.items():
+        if receiver.events.get(event) != shape:
+            expected = receiver.events.get(event, "no such event")
+            reason = f"events of {of}: found {event} of shape {shape}; expected {expected}"
+            raise RecordingError(file, reason)
+    return receiver
+
+
+def _first_of(recording: Recording) -> float:
+    """When the first packet of any source came, s since the recording began."""
+    return min((s.first for s in recording.sources.values() if s.count), default=0.0)
+
+
+def check_start(start: float, recording: Recording) -> None:
+    """Raises ValueError for a time, s, at which a recording is over."""
+    if not start <= recording.duration:
+        raise ValueError(f"found {start:g}; the recording ends at {recording.duration:.2f} s")

@@ -1,0 +1,483 @@
+"""`TriggeredRecorder`: keeps the last seconds of packets, and a recording of each event in them."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import RecordingError, UnknownName
+from ...base.frames import Array, Bools, Ints
+from ..receive.structure import Rows
+from .recorder import QUEUE_BYTES, SIGNALS_RATE, Decode, RateLimiter, decoded
+from .recording_format import RecordingClock
+from .recording_writer import RecordingWriter
+
+KEPT_BYTES = 256 << 20  # of the last seconds
+_BLOCK = 512  # packets
+_LATE = 0.3  # s that packets may come late from their source's thread
+_POLL = 0.1  # s
+_GATHER = 0.01  # s; many packets at once are looked at in the time of a few
+_SAME = 1e-6  # s; times are kept in ns, and are no further apart than this
+
+# Where packets (n, bytes) of a source fulfil a condition, (n,), and what to say of one of them.
+Find = Callable[[str, Rows, Ints], tuple[Bools, Callable[[int], str]]]
+Clock = Callable[[], float]
+
+
+@dataclass(frozen=True)
+class RecordedEvent:
+    """An event that was recorded.
+
+    Attributes:
+        number: from 1.
+        time: when it began, s on the clock of arrivals.
+        what: what fulfilled the condition: `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`.
+        path: the recording.
+        began: when the recording begins, s on the clock of arrivals.
+        ended: when it ends, likewise; NaN while it goes on.
+        packets: how many it has.
+        again: how often the condition was fulfilled anew meanwhile, after it was not.
+    """
+
+    number: int
+    time: float
+    what: str
+    path: Path
+    began: float
+    ended: float = math.nan
+    packets: int = 0
+    again: int = 0
+
+
+@dataclass(eq=False)
+class _Block:
+    """Packets of one source, up to as many as it has room for."""
+
+    name: str
+    rows: Rows
+    lengths: Ints
+    arrivals: Array
+    count: int = 0
+
+    @property
+    def size(self) -> int:
+        return self.rows.nbytes + self.lengths.nbytes + self.arrivals.nbytes
+
+    @property
+    def last(self) -> float:
+        return float(self.arrivals[self.count - 1])
+
+
+class _Ring:
+    """The packets of the last seconds."""
+
+    def __init__(self, seconds: float, most_bytes: int) -> None:
+        self.size = 0
+        self.forgotten = 0  # packets that were not old enough, but too many
+        self._seconds, self._most = seconds, most_bytes
+        self._blocks: deque[_Block] = deque()
+        self._open: dict[str, _Block] = {}
+
+    def add(self, name: str, rows: Rows, lengths: Ints, arrivals: Array) -> None:
+        """Keeps packets, which are copied, and forgets those that are too old."""
+        while len(rows):
+            block = self._open.get(name)
+            is_full = block is not None and block.count == len(block.rows)
+            if block is None or is_full or block.rows.shape[1] != rows.shape[1]:
+                block = _Block(
+                    name,
+                    np.empty((_BLOCK, rows.shape[1]), np.uint8),
+                    np.empty(_BLOCK, lengths.dtype),
+                    np.empty(_BLOCK),
+                )
+                self._open[name] = block
+                self._blocks.append(block)
+                self.size += block.size
+            count = min(len(block.rows) - block.count, len(rows))
+            place = slice(block.count, block.count + count)
+            block.rows[place], block.lengths[place] = rows[:count], lengths[:count]
+            block.arrivals[place] = arrivals[:count]
+            block.count += count
+            newest = float(arrivals[count - 1])
+            rows, lengths, arrivals = rows[count:], lengths[count:], arrivals[count:]
+            self._forget(newest)
+
+    def _forget(self, now: float) -> None:
+        while len(self._blocks) > 1:
+            oldest = self._blocks[0]
+            is_old = oldest.last < now - self._seconds - _LATE
+            if not is_old and self.size <= self._most:
+                return
+            if oldest is self._open.get(oldest.name):
+                del self._open[oldest.name]
+            self.forgotten += 0 if is_old else oldest.count
+            self.size -= oldest.size
+            self._blocks.popleft()
+
+    def since(self, begin: float) -> list[tuple[float, str, bytes]]:
+        """Arrival, source and bytes of the packets from a time on, in the order of arrival."""
+        found = []
+        for block in self._blocks:
+            for k in np.flatnonzero(block.arrivals[: block.count] >= begin).tolist():
+                packet = block.rows[k, : block.lengths[k]].tobytes()
+                found.append((float(block.arrivals[k]), block.name, packet))
+        found.sort(key=lambda each: each[0])
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    name: str
+    rows: Rows
+    lengths: Ints
+    arrivals: Array
+    size: int
+
+    def part(self, rows: slice) -> _Batch:
+        return replace(
+            self, rows=self.rows[rows], lengths=self.lengths[rows], arrivals=self.arrivals[rows]
+        )
+
+
+@dataclass(eq=False)
+class _Declared:
+    declaration: dict[str, Any]
+    decode: Decode
+
+
+@dataclass(frozen=True)
+class TriggerStatistics:
+    """What was seen so far.
+
+    Attributes:
+        packets: that were looked at.
+        events: how many there were.
+        seconds: since it began.
+        kept_bytes: memory of the last seconds.
+        forgotten: packets of the last seconds for which there was no room.
+        not_seen: source to the packets that came faster than they could be looked at.
+        is_recording: whether an event is being recorded.
+    """
+
+    packets: int
+    events: int
+    seconds: float
+    kept_bytes: int
+    forgotten: int
+    not_seen: Mapping[str, int]
+    is_recording: bool
+
+
+class TriggeredRecorder:
+    """Records what comes shortly before and after a condition is fulfilled, with bounded memory.
+
+    Like `Recorder` it takes packets of any number of threads and never holds them up. Each event
+    is a recording of its own; one that comes while another is recorded prolongs that.
+
+    Use it as a context manager, or call `close`.
+
+    Args:
+        path_of: the file of an event, by its number from 1 and its time.
+        find: where packets fulfil the condition; called on the recorder's thread.
+        about: what these are recordings of.
+        before: s that are kept of before an event.
+        after: s that are recorded after the condition was last fulfilled.
+        overwrite: write over files that exist; else that ends it.
+        signals_rate: of how many packets per second and source the decoded values are kept as well.
+        kept_bytes: most memory of what is kept.
+        clock_at: when, on both clocks, a recording that begins at an arrival begins; of live
+            sources when None.
+        now: the clock of arrivals; None where that does not go on by itself.
+
+    Attributes:
+        events: that were recorded.
+        error: what ended it, or None.
+        on_event: called when an event begins, and again when its recording is complete.
+    """
+
+    def __init__(
+        self,
+        path_of: Callable[[int, float], Path],
+        find: Find,
+        *,
+        about: Mapping[str, str],
+        before: float,
+        after: float,
+        overwrite: bool = False,
+        signals_rate: float = SIGNALS_RATE,
+        kept_bytes: int = KEPT_BYTES,
+        clock_at: Callable[[float], RecordingClock] | None = None,
+        now: Clock | None = time.monotonic,
+    ) -> None:
+        self.events: list[RecordedEvent] = []
+        self.error: Exception | None = None
+        self.on_event: Callable[[RecordedEvent], None] = lambda _: None
+        self._path_of, self._find, self._about = path_of, find, dict(about)
+        self._before, self._after, self._overwrite = before, after, overwrite
+        self._signals_rate, self._clock_at, self._now = signals_rate, clock_at or live_clock, now
+        self._ring = _Ring(before, kept_bytes)
+        self._sources: dict[str, _Declared] = {}
+        self._files: list[tuple[str, str, bytes]] = []
+        self._writer: RecordingWriter | None = None
+        self._limiters: dict[str, RateLimiter] = {}
+        self._until = self._last = math.nan
+        self._count = 0  # packets of the recording that goes on
+        self._packets = 0
+        self._last_seen = math.nan  # arrival of the last packet
+        self._held: dict[str, bool] = {}  # whether the last packet of a source fulfilled it
+        self._not_seen: dict[str, int] = {}
+        self._queue: deque[_Batch] = deque()
+        self._queued = 0
+        self._asked: list[str] = []  # what is to be recorded whatever the condition
+        self._closing = False
+        self._changed = threading.Condition()
+        self._started = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name="triggered recorder", daemon=True)
+        self._thread.start()
+
+    def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:
+        """Adds a source; see `Recorder.add_source`."""
+        with self._changed:
+            self._sources[name] = _Declared(declaration, decode)
+            self._not_seen[name] = 0
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Puts a file into every recording; see `RecordingWriter.attach`."""
+        self._files.append((name, media_type, data))
+
+    def take(self, name: str, rows: Rows, lengths: Ints, arrivals: Array) -> bool:
+        """Takes packets to be looked at soon; see `Recorder.take`."""
+        if name not in self._sources:
+            raise UnknownName("source", name, self._sources)
+        if not len(rows):
+            return True
+        with self._changed:
+            if self._closing or self.error is not None or self._queued + rows.nbytes > QUEUE_BYTES:
+                self._not_seen[name] += len(rows)
+                return False
+            batch = _Batch(name, rows.copy(), lengths.copy(), arrivals.copy(), rows.nbytes)
+            self._queue.append(batch)
+            self._queued += batch.size
+            self._changed.notify_all()
+        return True
+
+    def record_now(self, what: str) -> None:
+        """Records this moment as an event, whatever the condition; returns at once.
+
+        Args:
+            what: it is, for the recording.
+        """
+        with self._changed:
+            self._asked.append(what)
+            self._changed.notify_all()
+
+    @property
+    def statistics(self) -> TriggerStatistics:
+        """What was seen so far."""
+        with self._changed:
+            return TriggerStatistics(
+                self._packets,
+                len(self.events),
+                time.monotonic() - self._started,
+                self._ring.size,
+                self._ring.forgotten,
+                dict(self._not_seen),
+                self._writer is not None,
+            )
+
+    def wait_until_seen(self) -> None:
+        """Waits until all packets that were taken have been looked at, or it has failed."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._queued or self.error is not None)
+
+    def close(self) -> None:
+        """Looks at what was taken, and finishes the recording; harmless when it is closed.
+
+        Raises:
+            RecordingError: the disk is full, or cannot be written for another reason.
+        """
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        self._thread.join()
+        if self.error is not None:
+            raise self.error
+
+    def __enter__(self) -> TriggeredRecorder:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        try:
+            while (batches := self._next()) is not None:
+                for batch in batches:
+                    self._look(batch)
+                with self._changed:
+                    self._queued -= sum(batch.size for batch in batches)
+                    self._packets += sum(len(batch.rows) for batch in batches)
+                    self._changed.notify_all()
+                    asked, self._asked = self._asked, []
+                for what in asked:
+                    self._end()
+                    self._begin(self._last_seen if self._now is None else self._now(), what)
+                self._end_if_over()
+            self._end()
+        except Exception as error:  # whatever it is: close() raises it where it is seen
+            with self._changed:
+                self.error = error
+                self._changed.notify_all()
+            try:
+                self._end()
+            except RecordingError as second:
+                if second is not error:
+                    error.add_note(str(second))
+
+    def _next(self) -> list[_Batch] | None:
+        """What has come, soon after the first packet of it; None when all is seen and it closes."""
+        with self._changed:
+            if not (self._queue or self._asked or self._closing):
+                self._changed.wait(_POLL if self._writer is not None else None)
+            if not self._closing:
+                self._changed.wait_for(lambda: self._closing, _GATHER)
+            found = [*self._queue]
+            self._queue.clear()
+            if not (found or self._asked) and self._closing:
+                return None
+        return _joined(found)
+
+    def _look(self, batch: _Batch) -> None:
+        holds, describe = self._find(batch.name, batch.rows, batch.lengths)
+        hits = np.flatnonzero(holds)
+        is_new = holds & ~np.append(self._held.get(batch.name, False), holds[:-1])
+        self._held[batch.name] = bool(holds[-1])
+        row = 0
+        while row < len(batch.rows):
+            rest = hits[hits >= row]
+            if self._writer is None:
+                if not len(rest):
+                    self._keep(batch.part(slice(row, None)))
+                    return
+                # Up to what fulfils it; that itself is the first packet of what follows.
+                self._keep(batch.part(slice(row, int(rest[0]))))
+                row = int(rest[0])
+                self._begin(float(batch.arrivals[row]), describe(row))
+            # As far as the recording reaches, which every hit within it prolongs.
+            end = row
+            for hit in [*rest.tolist(), len(batch.rows)]:
+                inside = batch.arrivals[row:hit] <= self._until
+                end = row + int(inside.argmin()) if not inside.all() else hit
+                if end < hit or hit == len(batch.rows) or batch.arrivals[hit] > self._until:
+                    break
+                self._prolong(float(batch.arrivals[hit]), is_new=bool(is_new[hit]))
+            part = batch.part(slice(row, end))
+            self._keep(part)
+            self._write(part)
+            row = end
+            if row < len(batch.rows):
+                self._end()
+
+    def _keep(self, batch: _Batch) -> None:
+        if len(batch.rows):
+            self._last_seen = float(batch.arrivals[-1])
+        self._ring.add(batch.name, batch.rows, batch.lengths, batch.arrivals)
+
+    def _begin(self, arrival: float, what: str) -> None:
+        earlier = self._ring.since(arrival - self._before - _SAME)
+        began = min([arrival, *(each[0] for each in earlier[:1])])
+        number = len(self.events) + 1
+        path = self._path_of(number, arrival)
+        about = {**self._about, "event": what, "event_time": f"{arrival - began:.6f}"}
+        self._writer = writer = RecordingWriter(
+            path, about=about, overwrite=self._overwrite, clock=self._clock_at(began)
+        )
+        for name, each in self._sources.items():
+            writer.add_source(name, **each.declaration)
+        for file in self._files:
+            writer.attach(*file)
+        self._limiters = {name: RateLimiter(self._signals_rate) for name in self._sources}
+        event = RecordedEvent(number, arrival, what, path, began)
+        with self._changed:
+            self.events.append(event)
+        self._count = 0
+        for at, name, packet in earlier:
+            self._put(name, packet, at)
+        self._until = arrival + self._after + _SAME
+        self.on_event(event)
+
+    def _prolong(self, arrival: float, *, is_new: bool) -> None:
+        event = self.events[-1]
+        self._until = arrival + self._after + _SAME
+        if is_new and arrival > event.time:
+            self._change(again=event.again + 1)
+
+    def _change(self, **fields: Any) -> None:
+        with self._changed:
+            self.events[-1] = replace(self.events[-1], **fields)
+
+    def _write(self, batch: _Batch) -> None:
+        for row, end, arrival in zip(
+            batch.rows, batch.lengths.tolist(), batch.arrivals.tolist(), strict=True
+        ):
+            self._put(batch.name, row[:end].tobytes(), arrival)
+
+    def _put(self, name: str, packet: bytes, arrival: float) -> None:
+        writer = self._writer
+        assert writer is not None
+        writer.write_raw(name, packet, arrival)
+        values = None
+        if self._limiters[name].allow(arrival):
+            values = decoded(self._sources[name].decode, packet)
+        if values is not None:
+            writer.write_signals(name, values, arrival)
+        self._count += 1
+        self._last = arrival
+
+    def _end_if_over(self) -> None:
+        writer = self._writer
+        if writer is None:
+            return
+        writer.flush_if_old()
+        if self._now is not None and self._now() > self._until + _LATE:
+            self._end()
+
+    def _end(self) -> None:
+        writer, self._writer = self._writer, None
+        if writer is None:
+            return
+        writer.close(lost=self._not_seen)
+        self._change(ended=self._last, packets=self._count)
+        self.on_event(self.events[-1])
+
+
+def _joined(batches: list[_Batch]) -> list[_Batch]:
+    """Joins batches of one source that follow each other."""
+    found: list[_Batch] = []
+    for _, group in groupby(batches, key=lambda each: (each.name, each.rows.shape[1])):
+        parts = list(group)
+        found.append(
+            _Batch(
+                parts[0].name,
+                np.concatenate([part.rows for part in parts]),
+                np.concatenate([part.lengths for part in parts]),
+                np.concatenate([part.arrivals for part in parts]),
+                sum(part.size for part in parts),
+            )
+        )
+    return found
+
+
+def live_clock(arrival: float) -> RecordingClock:
+    """When an arrival, s on `time.monotonic`, was, on both clocks."""
+    ago = round((time.monotonic() - arrival) * 1e9)
+    return RecordingClock(time.time_ns() - ago, round(arrival * 1e9))

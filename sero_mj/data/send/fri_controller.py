@@ -1,0 +1,296 @@
+"""`FriController`: sends what the controller of an LWR sends, as it sends it.
+
+`AnswerStatistics` is what the controller makes of a client's answers, `NetworkFaults` is a network
+that loses packets.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import time
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...base.errors import UsageError, did_you_mean
+from ...robots.assemble.robot import SerialRobot
+from ..receive.fri import COMMAND, CYCLES, QUALITIES, FriLayout
+from ..receive.structure import Structure
+from .motion import FriSignals
+from .sender import SendReport, UdpSink, send
+
+_MONITOR, _COMMAND = 1, 2
+_QUALITY_NUMBERS = {name: number for number, name in QUALITIES.items()}
+_MOST_BYTES = 65_536
+
+WINDOW = 100  # packets that FRI averages over
+_PATIENCE = 2  # packets that may go out before the answer to one is missed; ours
+# The answer rate from which a quality is reached. FRI says that it grades the link in four steps,
+# not where these are; the thresholds are ours.
+_REACHED_FROM = {3: 0.95, 2: 0.8, 1: 0.5, 0: 0.0}
+
+
+class FriController:
+    """The controller's side of FRI 1.0: measurements out, answers in.
+
+    Counters wrap at 16 bits; statistics are over the last 100 packets; the quality follows the
+    answer rate, and with an unacceptable one the interface falls back from command to monitor.
+    Commands are counted and do nothing: the robot goes on with its motion.
+
+    Args:
+        robot: seven joints.
+        cycle: s between packets, 0.001 to 0.1.
+        quality: name of a quality to tell whatever the answers are; None to follow them.
+        commands: whether its program has asked for the command state.
+        counter: send counter of the first packet.
+        amplitude: of the motion, 0 to 1.
+        faults: of the network that `run` sends through; None for a good one.
+
+    Attributes:
+        cycle: s between packets.
+        faults: of the network.
+        sent: packets made so far.
+        answers: good answers so far.
+        wrong_answers: what came and is no command packet.
+        command_flags: all flags that were set in answers; 0 when nothing was commanded.
+
+    Raises:
+        UsageError: another cycle or quality, or a robot of other than seven joints.
+    """
+
+    def __init__(
+        self,
+        robot: SerialRobot,
+        *,
+        cycle: float = 0.01,
+        quality: str | None = None,
+        commands: bool = False,
+        counter: int = 0,
+        amplitude: float = 1.0,
+        faults: NetworkFaults | None = None,
+    ) -> None:
+        if robot.n != 7:
+            raise UsageError(f"FRI is for 7 joints; '{robot.name}' has {robot.n}")
+        least, most = CYCLES
+        if not least - 1e-9 <= cycle <= most + 1e-9:
+            expected = f"expected {least * 1e3:g} to {most * 1e3:g}"
+            raise UsageError(f"FRI's cycle: found {cycle * 1e3:g} ms; {expected}")
+        if quality is not None and quality not in _QUALITY_NUMBERS:
+            raise UsageError(f"no quality '{quality}'{did_you_mean(quality, _QUALITY_NUMBERS)}")
+        self.cycle = cycle
+        self.faults = NetworkFaults() if faults is None else faults
+        self.sent = self.answers = self.wrong_answers = self.command_flags = 0
+        self._quality = None if quality is None else _QUALITY_NUMBERS[quality]
+        self._commands = commands
+        self._first = counter
+        self._signals = FriSignals(robot, amplitude)
+        self._layout, self._command = FriLayout(), Structure(COMMAND)
+        self.restart()
+
+    def restart(self) -> None:
+        """Resets counters and statistics, as after the interface was closed and opened."""
+        self._counter = self._first
+        self._reflected = 0
+        self._statistics = AnswerStatistics()
+
+    def measure(self, t: float, sent_at: float | None = None) -> bytes:
+        """Returns the next measurement packet.
+
+        Args:
+            t: time since it was started, s.
+            sent_at: when the packet goes out, s, by the clock by which answers come; t if None.
+        """
+        counter = self._counter & 0xFFFF
+        quality = self._statistics.quality if self._quality is None else self._quality
+        commands = self._commands and _QUALITY_NUMBERS["unacceptable"] < quality <= 3
+        packet = self._layout.encode(
+            {
+                **self._signals.at(t),
+                "send_counter": [counter],
+                "reflected_counter": [self._reflected],
+                "timestamp": [t],
+                "state": [_COMMAND if commands else _MONITOR],
+                "quality": [quality],
+                "measurement_cycle": [self.cycle],
+                "command_cycle": [self.cycle],
+                **{name: [value] for name, value in self._statistics.values().items()},
+            }
+        )
+        self._counter += 1
+        self.sent += 1
+        self._statistics.send(counter, t if sent_at is None else sent_at)
+        return packet
+
+    def take_answer(self, packet: bytes, came_at: float) -> bool:
+        """Takes an answer that came at a time (s); returns whether it is a command packet."""
+        row = np.frombuffer(packet, np.uint8)[None]
+        if len(packet) != self._command.size or self._command.find_wrong_constants(row)[0]:
+            self.wrong_answers += 1
+            return False
+        values = self._command.decode(packet)
+        self.answers += 1
+        self.command_flags |= int(values["command_flags"][0])
+        self._reflected = int(values["send_counter"][0])
+        self._statistics.answer(int(values["reflected_counter"][0]), came_at)
+        return True
+
+    def run(self, to: UdpSink, duration: float | None = None) -> SendReport:
+        """Sends until the duration (s) is over or the user interrupts, and takes answers.
+
+        Args:
+            to: where to; answers come to its socket.
+            duration: s; None goes on for ever.
+
+        Returns:
+            what was achieved; `packets` are those that were made, also where the network lost them.
+        """
+        to.socket.setblocking(False)
+        before = self.sent
+        report = send(
+            self._packets(to.socket, duration),
+            to,
+            idle=lambda left: self._listen(to.socket, time.perf_counter() + left),
+        )
+        return replace(report, packets=self.sent - before)
+
+    def _packets(
+        self, sock: socket.socket, duration: float | None
+    ) -> Iterator[tuple[float, bytes]]:
+        """When each packet that the network lets through is due, and its bytes."""
+        start = time.perf_counter()
+        total = None if duration is None else max(round(duration / self.cycle), 1)
+        count = 0
+        while total is None or count < total:
+            due = count * self.cycle
+            while self._listen(sock, start + due - self.cycle / 2):
+                pass
+            packets = self.faults.pass_on(self.measure(due, start + due))
+            count += 1
+            packets += self.faults.flush() if count == total else []
+            for packet in packets:
+                yield due, packet
+        while self._listen(sock, start + count * self.cycle):
+            pass
+
+    def _listen(self, sock: socket.socket, until: float) -> bool:
+        """Takes an answer, if one comes until a time of `time.perf_counter`, s; has one come?"""
+        left = until - time.perf_counter()
+        if not select.select([sock], [], [], max(left, 0.0))[0]:
+            return False
+        try:
+            packet = sock.recv(_MOST_BYTES)
+        except OSError:  # an earlier packet met no listener, say
+            return True
+        self.take_answer(packet, time.perf_counter())
+        return True
+
+
+@dataclass
+class _Sent:
+    """One packet: its counter, when it went, and how long its answer took, s."""
+
+    counter: int
+    time: float
+    latency: float | None = None
+
+
+class AnswerStatistics:
+    """Follows which packets were answered.
+
+    Attributes:
+        miss_counter: packets that were not answered in time, so far.
+    """
+
+    def __init__(self) -> None:
+        self.miss_counter = 0
+        self._sent: deque[_Sent] = deque()
+
+    def send(self, counter: int, time: float) -> None:
+        """Notes that a packet goes out at a time (s)."""
+        self._sent.append(_Sent(counter, time))
+        if len(self._sent) > _PATIENCE and self._sent[-1 - _PATIENCE].latency is None:
+            self.miss_counter += 1
+        if len(self._sent) > WINDOW + _PATIENCE:
+            self._sent.popleft()
+
+    def answer(self, reflected: int, time: float) -> None:
+        """Notes an answer that came at a time (s); one that is late counts as missed."""
+        waiting = list(self._sent)[-_PATIENCE:]
+        for packet in waiting:
+            if packet.counter == reflected and packet.latency is None:
+                packet.latency = max(time - packet.time, 0.0)
+
+    def _latencies(self) -> list[float]:
+        """Of the answers to the last 100 packets that can have been answered."""
+        judged = list(self._sent)[:-_PATIENCE]
+        return [packet.latency for packet in judged if packet.latency is not None]
+
+    def values(self) -> dict[str, float]:
+        """FRI's statistics; packets before the first count as not answered."""
+        latencies = self._latencies()
+        rate = len(latencies) / WINDOW
+        return {
+            "answer_rate": rate,
+            "latency": float(np.mean(latencies)) if latencies else 0.0,
+            "jitter": float(np.std(latencies)) if latencies else 0.0,
+            "miss_rate": 1.0 - rate,
+            "miss_counter": self.miss_counter,
+        }
+
+    @property
+    def quality(self) -> int:
+        """0 unacceptable to 3 perfect, by the answer rate."""
+        rate = len(self._latencies()) / WINDOW
+        return next(quality for quality, least in _REACHED_FROM.items() if rate >= least)
+
+
+@dataclass
+class NetworkFaults:
+    """A network that loses, duplicates and reorders packets; reproducible by its seed.
+
+    Attributes:
+        loss: share of the packets that are withheld, 0 to 1.
+        duplicates: share that is sent twice.
+        swaps: share that is sent after the one that follows.
+        seed: of the random numbers.
+        withheld: how many were withheld so far.
+        doubled: how many were sent twice.
+        swapped: how many were sent after the one that follows.
+    """
+
+    loss: float = 0.0
+    duplicates: float = 0.0
+    swaps: float = 0.0
+    seed: int = 0
+    withheld: int = 0
+    doubled: int = 0
+    swapped: int = 0
+    _random: np.random.Generator = field(init=False, repr=False)
+    _held: bytes | None = field(init=False, repr=False, default=None)
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+
+    def pass_on(self, packet: bytes) -> list[bytes]:
+        """Returns the packets that leave when one enters."""
+        chance = self._random.random(3)  # always three, so that one share does not change another
+        after = self.flush()
+        if chance[0] < self.loss:
+            self.withheld += 1
+            return after
+        if not after and chance[1] < self.swaps:
+            self._held = packet
+            return []
+        self.swapped += len(after)
+        if chance[2] < self.duplicates:
+            self.doubled += 1
+            return [packet, packet, *after]
+        return [packet, *after]
+
+    def flush(self) -> list[bytes]:
+        """Returns the packet that waits for the one that follows, if one does."""
+        held, self._held = self._held, None
+        return [] if held is None else [held]

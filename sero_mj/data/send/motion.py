@@ -1,0 +1,280 @@
+"""A motion as a robot would make it, and what can be measured during it.
+
+It is smooth, within the robot's limits, and comes with the torques that it takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array
+from ...robots.assemble.mounts import carriers
+from ...robots.assemble.robot import SerialRobot
+from ...robots.assemble.scene import Scene
+from ...robots.assemble.world import World
+from ..receive.fri import ALL_DRIVES
+
+LEAD = 0.5  # s by which the commanded position, for a double, runs ahead of the measured one
+_AMPLITUDE = 0.4  # of half the joint's range
+_AMPLITUDE_ABOUT_POSE = 0.2  # likewise, about a declared pose
+_BEND = 0.2  # of half the range: the arm swings about a bent pose, not about a stretched one
+_DEFAULT_RANGE = (-1.0, 1.0)  # rad or m, for joints without limits
+_LONGEST_SWING = 1.1  # rad
+_REDUCTION, _REDUCTIONS = 0.75, 10  # of swings that make robots meet, and how often
+_LOOKED_AT = 0.618034 * np.arange(500)  # s; poses of all phases of the joints' periods
+_PERIODS = np.array([7.0, 9.0, 6.0, 8.0, 5.0, 4.0, 3.5])  # s; repeated for more joints
+_FRI_LEAD = 0.3  # s; much, so that the commanded position is seen beside the measured one
+_FORCE = 40.0  # N; as when somebody leans on the tool
+_MOMENT = 4.0  # Nm
+_ROOM_TEMPERATURE, _WARM_UP = 28.0, 14.0  # C
+_JOINT_IMPEDANCE = 3
+
+
+class SineMotion:
+    """Every joint swings with its own period; velocities stay below the limits.
+
+    A robot whose `joint_angles` are declared swings about these, else about a bent pose.
+
+    Args:
+        robot: whose limits to keep.
+        amplitude: scales the swing; 0 stands still.
+    """
+
+    def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
+        limits = robot.position_limits
+        low, high = (limits if limits is not None else np.tile(_DEFAULT_RANGE, (robot.n, 1))).T
+        half = (high - low) / 2
+        sign = np.where(np.arange(robot.n) % 2 == 0, 1.0, -1.0)
+        share = _AMPLITUDE if robot.joint_angles is None else _AMPLITUDE_ABOUT_POSE
+        swing = np.minimum(share * half, _LONGEST_SWING)
+        self._centre = (low + high) / 2 + sign * _BEND * half
+        if robot.joint_angles is not None:
+            self._centre = np.clip(robot.joint_angles, low + swing, high - swing)
+        swing *= min(max(amplitude, 0.0), 1.0)
+        self._omega = 2 * np.pi / np.resize(_PERIODS, robot.n)
+        self._phase = 0.7 * np.arange(robot.n)
+        if robot.velocity_limits is not None:
+            swing = np.minimum(swing, 0.8 * robot.velocity_limits / self._omega)
+        self._swing = swing
+        self._coupled = robot.coupled if robot.couplings else None
+
+    def at(self, t: float) -> tuple[Array, Array, Array]:
+        """Joint positions, velocities and accelerations (n,) at time t (s)."""
+        angle = self._omega * t + self._phase
+        sin, cos = np.sin(angle), np.cos(angle)
+        position = self._centre + self._swing * sin
+        velocity = self._swing * self._omega * cos
+        acceleration = -self._swing * self._omega**2 * sin
+        if self._coupled is not None:
+            free, rates = self._coupled.independent, self._coupled.rates
+            position = self._coupled.positions(position[free])
+            velocity, acceleration = rates(velocity[free]), rates(acceleration[free])
+        return position, velocity, acceleration
+
+
+class InverseDynamics:
+    """Joint torques of robots from their motion, by MuJoCo's inverse dynamics.
+
+    Robots that are mounted on others load these.
+
+    Masses are those of the robot's file; where it has none, they follow from the volume of the
+    links at the density of water, so the torques are then an estimate.
+
+    Attributes:
+        world: of the robots alone.
+        data: its state, as the last motion left it.
+    """
+
+    def __init__(self, *robots: SerialRobot) -> None:
+        self.world = World(Scene(robots=list(robots), floor=False))
+        self.data = self.world.make_data()
+        parts = self.world.robots.values()
+        self._qpos = np.concatenate([part.qpos for part in parts])
+        self._dofs = np.concatenate([part.dofs for part in parts])
+        self.world.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+
+    def torques(self, position: Array, velocity: Array, acceleration: Array) -> Array:
+        """Joint torques that make the motion.
+
+        Args:
+            position: of the joints of all robots, one robot after the other, (n,), rad or m.
+            velocity: of the joints, (n,), rad/s or m/s.
+            acceleration: of the joints, (n,), rad/s2 or m/s2.
+
+        Returns:
+            torques, (n,), Nm or N.
+        """
+        data, dofs = self.data, self._dofs
+        data.qpos[self._qpos], data.qvel[dofs], data.qacc[dofs] = position, velocity, acceleration
+        mujoco.mj_inverse(self.world.model, data)
+        return np.asarray(data.qfrc_inverse[dofs])
+
+
+def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[str, float]:
+    """Returns amplitudes with which robots that move together stay clear of each other.
+
+    What touches as declared, or whatever the amplitudes are, is left as it is. The others' swings,
+    and those of what carries them, are reduced where links meet in poses from all over the motion.
+
+    Args:
+        robots: that move about the same time.
+        amplitude: of each of them, where nothing meets.
+
+    Returns:
+        by name.
+    """
+    by_name = {robot.name: robot for robot in robots}
+    amplitudes = dict.fromkeys(by_name, amplitude)
+    if len(robots) < 2:
+        return amplitudes
+    world = World(Scene(robots=list(robots), floor=False), dynamic=True)
+    model, data = world.model, world.make_data()
+    owners = [name.partition("/")[0] for name in (model.body(i).name for i in range(model.nbody))]
+
+    def meeting(t: float | None) -> set[tuple[str, str]]:
+        for name, part in world.robots.items():
+            angles = part.robot.home if t is None else motions[name].at(t)[0]
+            data.qpos[part.qpos] = angles
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        bodies = model.geom_bodyid[data.contact.geom[data.contact.dist < 0]]
+        return {(owners[a], owners[b]) for a, b in bodies.tolist() if {a, b} <= moving}
+
+    moving = {i for i in range(model.nbody) if owners[i] in by_name}
+    motions = {name: SineMotion(robot, amplitude) for name, robot in by_name.items()}
+    always = meeting(None)
+    for _ in range(_REDUCTIONS):
+        met = {pair for t in _LOOKED_AT for pair in meeting(float(t))} - always
+        if not met:
+            break
+        reduced: set[str] = set()
+        for one, other in met:
+            below, above = set(carriers(by_name, one)), set(carriers(by_name, other))
+            reduced |= (below ^ above) - {one, other} or {one, other}  # of hands that meet the arms
+        for name in reduced:
+            amplitudes[name] *= _REDUCTION
+            motions[name] = SineMotion(by_name[name], amplitudes[name])
+    return amplitudes
+
+
+class CommonMotion:
+    """The motion of robots together, with the torques that it takes; they stay clear of each other.
+
+    Args:
+        robots: that move.
+        amplitude: of the motion, 0 stands still, to 1.
+    """
+
+    def __init__(self, robots: Sequence[SerialRobot], amplitude: float) -> None:
+        amplitudes = clear_amplitudes(robots, amplitude)
+        self._motions = [SineMotion(robot, amplitudes[robot.name]) for robot in robots]
+        self._dynamics = InverseDynamics(*robots)
+        ends = np.cumsum([0, *(robot.n for robot in robots)]).tolist()
+        self._rows = {r.name: slice(*ends[i : i + 2]) for i, r in enumerate(robots)}
+        self._last: tuple[float, Array] | None = None
+
+    def of(self, robot: str, t: float, lead: float) -> Array:
+        """Position, velocity, acceleration, torques and target position of a robot, (5, n).
+
+        Args:
+            robot: its name.
+            t: s.
+            lead: s by which the target is ahead.
+        """
+        if self._last is None or self._last[0] != t:  # once for all robots of a packet
+            states = np.concatenate([motion.at(t) for motion in self._motions], axis=1)
+            targets = np.concatenate([motion.at(t + lead)[0] for motion in self._motions])
+            self._last = t, np.vstack([states, self._dynamics.torques(*states), targets])
+        return self._last[1][:, self._rows[robot]]
+
+
+class RobotSignals:
+    """The measured signals of one robot during a motion.
+
+    Args:
+        robot: that moves.
+        motion: of it, and of what moves with it.
+    """
+
+    def __init__(self, robot: SerialRobot, motion: CommonMotion) -> None:
+        self._robot, self._motion = robot, motion
+
+    def signals(self, t: float) -> Mapping[str, Array]:
+        """Input of a robot (`joint_angles`, `torques`, ...) to its values at time t, s."""
+        position, velocity, acceleration, torques, target = self._motion.of(
+            self._robot.name, t, LEAD
+        )
+        return {
+            "joint_angles": position,
+            "commanded_angles": target,
+            "torques": torques,
+            "commanded_torques": torques,  # a perfect controller: the error is zero
+            "joint_accelerations": acceleration,
+            "billboard_values": velocity,
+            "flange_check": self._robot.fwd_kin_base_to_flange(position),
+            # Of the robot's own inputs nothing is known; temperatures in degrees, say.
+            "further": 30.0 + 5.0 * np.sin(0.2 * t + np.arange(self._robot.n)),
+        }
+
+
+class FriSignals:
+    """Values of FRI's events at any time, consistent with each other.
+
+    The flange frame is computed from the DH table and the rest by MuJoCo, so that a flange check
+    compares two computations. The measured torques are what the motion takes less what the
+    external force does; gravity torques hold the robot. FRI gives the wrench and the Jacobian in
+    the task frame of the controller's stiffness; here that is the flange's frame.
+
+    Args:
+        robot: seven joints.
+        amplitude: of the motion, 0 stands still, to 1.
+    """
+
+    def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
+        self._robot = robot
+        self._motion = SineMotion(robot, amplitude)
+        self._dynamics = InverseDynamics(robot)
+        frames = self._dynamics.world.frames
+        self._site = int(frames.site[frames.names.index(f"{robot.name}/flange")])
+
+    def at(self, t: float) -> Mapping[str, Array]:
+        """Returns event name to value at time t (s)."""
+        model, data = self._dynamics.world.model, self._dynamics.data
+        position, velocity, acceleration = self._motion.at(t)
+        commanded = self._motion.at(t + _FRI_LEAD)[0]
+        gravity = self._dynamics.torques(position, np.zeros(7), np.zeros(7))
+        needed = self._dynamics.torques(position, velocity, acceleration)
+        jacobian = np.zeros((2, 3, 7))
+        mujoco.mj_jacSite(model, data, jacobian[0], jacobian[1], self._site)
+        turned = data.site_xmat[self._site].reshape(3, 3).T  # the world's axes in the flange's
+        jacobian = (turned @ jacobian).reshape(6, 7)
+        mass = np.zeros((7, 7))
+        mujoco.mj_fullM(model, data, mass)
+        force = _FORCE * np.array([np.cos(0.9 * t), np.sin(0.9 * t), 0.6 * np.sin(0.5 * t)])
+        moment = _MOMENT * np.array([np.sin(0.6 * t), np.cos(0.7 * t), np.sin(0.8 * t)])
+        external = jacobian.T @ np.concatenate([force, moment])
+        return {
+            "power": np.array([ALL_DRIVES]),
+            "control": np.array([_JOINT_IMPEDANCE]),
+            "temperatures": self._temperatures(t),
+            "joint_angles": position,
+            "flange_frame": self._robot.fwd_kin_base_to_flange(position),
+            "commanded_angles": commanded,
+            "commanded_frame": self._robot.fwd_kin_base_to_flange(commanded),
+            "torques": needed - external,
+            "external_torques": external,
+            "tcp_force": force,
+            "tcp_moment": moment,
+            "jacobian": jacobian.ravel(),
+            "mass_matrix": mass.ravel(),
+            "gravity_torques": gravity,
+        }
+
+    def _temperatures(self, t: float) -> Array:
+        """Drives warm up within minutes, those near the base more."""
+        warmth = 1.0 - 0.6 * float(np.exp(-t / 300.0))
+        return np.asarray(_ROOM_TEMPERATURE + _WARM_UP * warmth * np.linspace(1.0, 0.6, 7))

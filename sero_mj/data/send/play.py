@@ -1,0 +1,366 @@
+"""Packets as a robot would send them: every receiving feature can be tried without one.
+
+`MotionPackets` makes them; `RouteInverse` follows routes backwards for it: which numbers a packet
+needs for its inputs to get wanted ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from ...base.errors import UsageError, did_you_mean
+from ...base.frames import Array, frame, rotation_about
+from ...robots.assemble.inputs import Input, list_inputs
+from ...robots.assemble.scene import Scene
+from ..drive.route import Origin, Route
+from ..drive.wiring import Wiring, wire
+from ..receive.source import Source
+from ..receive.structure import Structure
+from .motion import CommonMotion, RobotSignals
+
+_SWITCHED_AFTER = 4.0  # s
+_DEPENDENT = 1e-9  # share of a row that is new, below which it says nothing new
+_MAGNITUDES = {"force": 50.0, "torque": 10.0, "velocity": 0.5, "angular_velocity": 1.5}
+
+
+def choose_source(wiring: Wiring, name: str | None = None) -> Source:
+    """The source of this name, or the only one.
+
+    Raises:
+        UsageError: there is none, or several are there to choose from.
+    """
+    sources = wiring.sources
+    if name is None and len(sources) == 1:
+        name = next(iter(sources))
+    if name in sources:
+        return sources[name]
+    if name is not None or not sources:
+        named = f" '{name}'" if name else ""
+        raise UsageError(f"the scene has no source{named}{did_you_mean(name or '', sources)}")
+    names = ", ".join(sources)
+    raise UsageError(f"the scene has several sources; choose with --source: {names}")
+
+
+def structure_for(source: Source, text: str | None = None) -> Structure:
+    """The structure of packets for a source, or another one of the same types."""
+    if text is None:
+        return source.layout
+    return Structure(
+        text, is_double=source.layout.is_double, column_major=source.layout.column_major
+    )
+
+
+class Player(Protocol):
+    """Gives the measured signals of one robot."""
+
+    def signals(self, t: float) -> Mapping[str, Array]:
+        """Input of a robot (`joint_angles`, `torques`, ...) to its values at time t, s."""
+
+
+class MotionPackets:
+    """Packets of a scene's source, with the signals that its routes lead to the robots.
+
+    Args:
+        scene: robots and routes.
+        source: whose packets to make; the scene's only one when None.
+        structure: instead of the source's.
+        amplitude: of the motion, 0 to 1.
+        players: robot name to what says its signals, instead of a motion.
+
+    Attributes:
+        structure: of the packets.
+        source: the receiver they are meant for.
+
+    Raises:
+        DeclarationError: the scene's sources or routes are wrong.
+        UsageError: the scene has no such source, or nothing is routed from it.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        source: str | None = None,
+        structure: str | None = None,
+        amplitude: float = 1.0,
+        players: Mapping[str, Player] | None = None,
+    ) -> None:
+        wiring = wire(scene).check(scene)
+        self.source = choose_source(wiring, source)
+        self.structure = structure_for(self.source, structure)
+        routes = _connected(wiring.routes, self.source.name, self.structure.events)
+        if not routes:
+            raise UsageError(_nothing_to_send(wiring.routes, self.source.name, self.structure))
+        for route in routes:
+            self._check_size(route)
+        self._scene = scene
+        self._inputs = list_inputs(scene)
+        self._routes = {route.to.target: route for route in wiring.routes}
+        # Of routes that ask for different things of one event the first ones get them.
+        routes.sort(key=lambda route: _importance(scene, route.to))
+        self._wanted = [(route.to, route.negated) for route in routes]
+        self._inverse = None if all(r.value.whole for r in routes) else RouteInverse(routes)
+        self._plain: dict[str, str] = {}  # event to the input that gets all of it
+        for route in routes:
+            if route.value.whole is not None:
+                self._plain.setdefault(route.value.whole.key, route.to.target)
+        played = {self._robot_of(item) for item in self._asked(routes)} - {None}
+        self._robots: dict[str, Player] = {}
+        motion = None
+        if players is None and played:
+            motion = CommonMotion([*scene.robots.values()], amplitude)
+        for name in sorted(name for name in played if name):
+            if motion is not None:
+                self._robots[name] = RobotSignals(scene.robots[name], motion)
+            elif players is not None and name in players:
+                self._robots[name] = players[name]
+            else:
+                raise UsageError(
+                    f"nothing is known of robot '{name}'{did_you_mean(name, players or {})}"
+                )
+        self._is_motion = players is None
+
+    def _check_size(self, route: Route) -> None:
+        """Whether the structure has all the numbers that a route takes."""
+        for term in route.value.terms:
+            if term.origin.name != self.source.name or not term.origin.is_event:
+                continue
+            found = math.prod(self.structure.events[term.origin.key])
+            missing = int(term.take.max()) >= found
+            if missing or (route.value.whole is not None and found != route.to.count):
+                wanted = f"takes {route.to.meaning}" if route.value.whole else f"is {route.text}"
+                raise UsageError(
+                    f"structure '{self.structure.text}': {term.origin.key} has {found} values; "
+                    f"{route.to.target} {wanted}"
+                )
+
+    def _asked(self, routes: Sequence[Route]) -> list[Input]:
+        """The inputs of routes, and those that they read of robots, doubles and arrows."""
+        todo = [route.to.target for route in routes]
+        todo += [output for route in routes for output in route.outputs]
+        seen: dict[str, Input] = {}
+        while todo:
+            target = todo.pop()
+            if target not in seen:
+                seen[target] = self._inputs[target]
+                todo += self._routes[target].outputs if target in self._routes else []
+        return list(seen.values())
+
+    def _robot_of(self, item: Input) -> str | None:
+        """The robot whose motion decides what an input gets."""
+        if item.kind in ("angles", "values") or item.key == "flange_check":
+            double = self._scene.doubles.get(item.name)
+            return item.name if double is None else double.of
+        return None
+
+    def at(self, t: float) -> bytes:
+        """Returns the packet of time t (s)."""
+        now = {name: player.signals(t) for name, player in self._robots.items()}
+        wanted = {}
+        for item, negated in self._wanted:
+            value = self._value(item, now, t)
+            wanted[item.target] = 1.0 - value if negated else value
+        if self._inverse is None:
+            values = {event: wanted[target] for event, target in self._plain.items()}
+        else:
+            numbers = self._inverse.solve(
+                {target: np.ravel(value) for target, value in wanted.items()},
+                lambda origin: self._output(str(origin), now, t),
+            )
+            values = {
+                origin.key: numbers(origin, math.prod(self.structure.events[origin.key]))
+                for origin in self._inverse.origins
+                if origin.name == self.source.name
+            }
+        shapes = self.structure.events
+        values = {event: np.reshape(value, shapes[event]) for event, value in values.items()}
+        for event in self.structure.matrices:
+            # What nothing leads from has to be a frame, or the packet is malformed.
+            frames = values.setdefault(event, np.zeros(shapes[event]))
+            values[event] = np.where(frames.any(axis=(1, 2), keepdims=True), frames, np.eye(4))
+        return self.structure.encode(values)
+
+    def _output(self, target: str, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
+        """What can be read of a robot, a double or an arrow at time t."""
+        item, route = self._inputs[target], self._routes.get(target)
+        if route is not None and route.sources:
+            return self._value(item, now, t)
+        if route is not None:
+            return route.value.evaluate(lambda origin: self._output(str(origin), now, t))
+        scene = self._scene
+        if item.key == "joint_angles" and item.name in scene.robots:
+            return scene.robots[item.name].home
+        sections: tuple[Mapping[str, object], ...] = (scene.robots, scene.doubles, scene.arrows)
+        declared = next(section[item.name] for section in sections if item.name in section)
+        value = getattr(declared, item.key, None)
+        return np.zeros(item.count) if value is None else np.asarray(value, np.float64)
+
+    def _value(self, item: Input, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
+        """What an input gets at time t."""
+        scene, robot = self._scene, self._robot_of(item)
+        if robot is not None:
+            # A double gets the command that its robot will follow.
+            is_target = item.key == "joint_angles" and item.name in scene.doubles
+            key = "commanded_angles" if is_target else item.key
+            signals = now[robot]
+            return signals[key] if key in signals else signals["further"]
+        if item.kind == "vector" and not self._is_motion:
+            return np.zeros(3)  # what acts there nobody has measured
+        if item.kind == "vector":
+            size = _MAGNITUDES[scene.arrows[item.name].kind]
+            return size * np.array([np.cos(0.9 * t), np.sin(0.9 * t), 0.6 * np.sin(0.5 * t)])
+        if item.kind == "toggle":
+            phase = int(t / _SWITCHED_AFTER)
+            return np.array([float(phase % (3 if item.key == "arrow_quantity" else 2))])
+        return self._frame(item, t)
+
+    def _frame(self, item: Input, t: float) -> Array:
+        """Where a base, an object or a camera is declared; a received frame goes in a circle."""
+        scene = self._scene
+        if item.name in scene.robots:
+            return scene.robots[item.name].base_frame
+        if item.name in scene.cameras:
+            return scene.cameras[item.name].frame
+        placed = {thing.name: thing.frame for thing in scene.objects}
+        if item.name in placed:
+            return placed[item.name]
+        declared = scene.frames[item.name].frame
+        start = frame(position=np.array([0.5, 0.0, 0.5])) if declared is None else declared
+        return np.asarray(frame(rotation_about(2, 0.4 * t)) @ start)
+
+
+def _connected(routes: Sequence[Route], source: str, events: Collection[str]) -> list[Route]:
+    """Routes that take something from a source, or from what shares a route with it.
+
+    Those that take from the source an event that is not among `events` are left out.
+    """
+    taking = [
+        route
+        for route in routes
+        if route.condition is None  # many numbers fulfil one
+        and all(
+            origin.key in events
+            for origin in route.value.origins
+            if origin.is_event and origin.name == source
+        )
+    ]
+    names = {source}
+    while True:
+        found = [route for route in taking if names & set(route.sources)]
+        more = {name for route in found for name in route.sources} | names
+        if more == names:
+            return found
+        names = more
+
+
+def _nothing_to_send(routes: Sequence[Route], source: str, structure: Structure) -> str:
+    """Why: no route leads from the source, or none takes what the structure has."""
+    taken = {
+        o.key: None for r in routes for o in r.value.origins if o.is_event and o.name == source
+    }
+    if not taken:
+        return f"no route leads from '{source}': there is nothing to send"
+    return (
+        f"structure '{structure.text}' has {', '.join(structure.events)}; the routes from "
+        f"'{source}' take {', '.join(taken)}: there is nothing to send"
+    )
+
+
+def _importance(scene: Scene, item: Input) -> int:
+    """What moves a robot comes first, switches come last; else the order of the routes."""
+    if item.kind == "angles":
+        return int(item.name in scene.doubles)
+    return {"pose": 2, "frame": 2, "values": 3, "vector": 4}.get(item.kind, 5)
+
+
+class RouteInverse:
+    """Solves routes for the numbers of the events that they take.
+
+    What is left open is as small as possible. Where routes ask for things that cannot both be,
+    the first ones get what they want, number by number.
+
+    Args:
+        routes: the most important first; each takes something from an event.
+    """
+
+    def __init__(self, routes: Sequence[Route]) -> None:
+        self._routes = list(routes)
+        self._columns: dict[Origin, dict[int, int]] = {}
+        width = 0
+        for route in routes:
+            for term in route.value.terms:
+                known = self._columns.setdefault(term.origin, {})
+                for number in term.take.tolist() if term.origin.is_event else ():
+                    if number not in known:
+                        known[number] = width
+                        width += 1
+        rows = np.concatenate([self._rows(route, width) for route in routes])
+        self._kept = _independent(rows)
+        self._inverse = np.linalg.pinv(rows[self._kept])
+        # Of each origin: which of its numbers are taken, and where they are in the solution.
+        self._taken = {
+            origin: (np.array(list(columns), np.intp), np.array(list(columns.values()), np.intp))
+            for origin, columns in self._columns.items()
+        }
+
+    @property
+    def origins(self) -> list[Origin]:
+        """The events whose numbers the routes take."""
+        return [origin for origin in self._columns if origin.is_event]
+
+    def _rows(self, route: Route, width: int) -> Array:
+        """What each number of a route takes of each number of the events, (n, width)."""
+        rows = np.zeros((len(route.value.offset), width))
+        for term in route.value.terms:
+            if term.origin.is_event:
+                columns = [self._columns[term.origin][number] for number in term.take.tolist()]
+                rows[term.at, columns] += term.times
+        return rows
+
+    def solve(
+        self, wanted: Mapping[str, Array], output: Callable[[Origin], Array]
+    ) -> Callable[[Origin, int], Array]:
+        """Solves for one packet.
+
+        Args:
+            wanted: what the input of each route is to get, (n,), by `name.key`.
+            output: the numbers of an output that routes read beside events.
+
+        Returns:
+            a function that gives the numbers of an event, of which there are so many, (n,);
+            zero where nothing is asked for.
+        """
+
+        def known(origin: Origin) -> Array:
+            if not origin.is_event:
+                return output(origin)
+            return np.zeros(max(self._columns[origin], default=0) + 1)
+
+        asked = [wanted[r.to.target] - r.value.evaluate(known) for r in self._routes]
+        solution = self._inverse @ np.concatenate(asked)[self._kept]
+
+        def numbers(origin: Origin, count: int) -> Array:
+            found = np.zeros(count)
+            if origin in self._taken:
+                taken, columns = self._taken[origin]
+                found[taken] = solution[columns]
+            return found
+
+        return numbers
+
+
+def _independent(rows: Array) -> list[int]:
+    """Indices of the rows that are no sum of multiples of those before them."""
+    basis = np.empty((0, rows.shape[1]))
+    kept = []
+    for i, row in enumerate(rows):
+        size = np.linalg.norm(row)
+        rest = row - basis.T @ (basis @ row)
+        rest -= basis.T @ (basis @ rest)  # once more, for what rounding has left
+        if size > 0 and np.linalg.norm(rest) > _DEPENDENT * size:
+            basis = np.vstack([basis, rest / np.linalg.norm(rest)])
+            kept.append(i)
+    return kept

@@ -1,0 +1,243 @@
+"""What was recorded, or stands in a table, as packets with the times at which they are due."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...base.errors import CsvError, RecordingError, UsageError, did_you_mean
+from ...base.frames import Array
+from ..receive.structure import Structure
+from ..record.csv_files import column_names, read_csv
+from ..record.recording import Recording
+from ..record.replay import Replay
+
+
+@dataclass
+class Playback(ABC):
+    """Packets to be sent.
+
+    Attributes:
+        structure: of the packets.
+        about: what is played and how, in a few words, for people.
+        count: how many there are to be sent, at most.
+        duration: from the first to the last, s.
+        skipped: how many could not be sent so far: malformed ones, and such whose numbers the
+            structure cannot hold.
+        notes: what is to be known about it, a sentence each: damage of a recording, found so far.
+    """
+
+    structure: Structure
+    about: str
+    count: int
+    duration: float
+    skipped: int = field(default=0, init=False)
+    notes: list[str] = field(default_factory=list, init=False)
+
+    @abstractmethod
+    def packets(self) -> Iterator[tuple[float, bytes]]:
+        """When each packet is due, s after the first, and its bytes."""
+
+    def _encode(self, values: Mapping[str, ArrayLike]) -> bytes | None:
+        try:
+            return self.structure.encode({**_identities(self.structure), **values})
+        except ValueError:  # a number that its type cannot hold
+            self.skipped += 1
+            return None
+
+    def _note_absent(self, events: Collection[str]) -> None:
+        """Says what is sent for those events of the structure that are not among these."""
+        blank = self.structure.decode(self.structure.encode({}))  # constants are not zero
+        absent = [event for event in blank if event not in events and not blank[event].any()]
+        frames = [event for event in absent if event in self.structure.matrices]
+        numbers = [event for event in absent if event not in frames]
+        said = [f"{', '.join(numbers)} as zeros"] * bool(numbers)
+        said += [f"{', '.join(frames)} as identity"] * bool(frames)
+        if said:
+            self.notes.append(f"what is not there is sent all the same: {', '.join(said)}")
+
+
+class RecordedPackets(Playback):
+    """One source of a recording: bit for bit as it came, or in another structure.
+
+    Args:
+        file: the recording.
+        source: which of its sources; may be empty where it has one only.
+        structure: to send in; events keep their names, and those that the recording has not are
+            zero, frames the identity. None for what was recorded.
+        only_whole: leaves out recorded packets that are not as long as the structure says.
+
+    Raises:
+        RecordingError: the file cannot be read.
+        UsageError: no such source, or no event of the structure is in the recording.
+    """
+
+    def __init__(
+        self,
+        file: Path,
+        source: str = "",
+        structure: Structure | None = None,
+        *,
+        only_whole: bool = False,
+    ) -> None:
+        self.file, self._only_whole = file, only_whole
+        with Recording(file) as recording:
+            name = recording.choose_source(source)
+            recording.check_readable(name)
+        self._replay = Replay(file=file, source=name)
+        recorded = self._replay.recorded
+        if not recorded.count:
+            raise RecordingError(file, f"has no packet of '{name}'")
+        layout = structure or self._replay.layout
+        self.is_raw = _is_same(layout, self._replay.layout)
+        events = self._replay.events
+        self._events = [] if self.is_raw else _common(layout, events, f"'{name}' in {file}")
+        how = "bit for bit" if self.is_raw else f"its {', '.join(self._events)}"
+        about = f"{file}, source {name}, {how}"
+        super().__init__(layout, about, recorded.count, recorded.last - recorded.first)
+        self._note(recording.faults)
+        if not self.is_raw:
+            self._note_absent(self._events)
+
+    def packets(self) -> Iterator[tuple[float, bytes]]:
+        """When each packet is due, s after the first, and its bytes; malformed ones too if raw."""
+        recorded = self._replay.recorded
+        with Recording(self.file) as recording:
+            for arrival, packet in recording.packets(recorded.name):
+                sent = packet if self.is_raw else self._again(packet)
+                if self._only_whole and self.is_raw and len(packet) != self.structure.size:
+                    self.skipped += 1
+                elif sent is not None:
+                    yield arrival - recorded.first, sent
+            self._note(recording.faults)
+
+    def _note(self, faults: list[str]) -> None:
+        found = [f"{self.file}: {fault}" for fault in faults]
+        self.notes += [note for note in found if note not in self.notes]
+
+    def _again(self, packet: bytes) -> bytes | None:
+        values = self._replay.decode(packet)
+        if values is None:
+            self.skipped += 1
+            return None
+        return self._encode({event: values[event] for event in self._events})
+
+
+class TablePackets(Playback):
+    """The rows of a table of comma-separated values.
+
+    Columns are called like the numbers of the packet, as `export-csv` writes them: `joints[0]`. A
+    table without names, or with others, has all numbers of the packet, in order. Events may be left
+    out as a whole.
+
+    Args:
+        file: the table.
+        structure: of the packets.
+        rate: rows per s, instead of a column `time`.
+
+    Raises:
+        CsvError: the table is wrong, or its columns do not fit the structure.
+    """
+
+    def __init__(self, file: Path, structure: Structure, rate: float | None = None) -> None:
+        self._times, columns = read_csv(file, rate=rate, instead=", or --rate")
+        names = column_names(structure.events)
+        if not set(columns) & set(names):
+            if len(columns) != len(names):
+                has = f"found {len(columns)} columns beside time: {', '.join([*columns][:4])}, ..."
+                wanted = ", ".join(names[:3])
+                reason = f"{has}; expected {len(names)} for '{structure.text}', or {wanted}, ..."
+                raise CsvError(file, reason)
+            columns = dict(zip(names, columns.values(), strict=True))
+        for name in columns:
+            if name not in names:
+                near = did_you_mean(name, names)
+                raise CsvError(file, f"'{structure.text}' has no such number{near}", column=name)
+        self._columns: dict[str, Array] = {}
+        for event, shape in structure.events.items():
+            own = column_names({event: shape})
+            missing = [name for name in own if name not in columns]
+            if 0 < len(missing) < len(own):  # the others would be made up
+                few = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
+                has = f"has {len(own) - len(missing)} of the {len(own)} numbers of {event}"
+                raise CsvError(file, f"{has}; no column is called {few}")
+            if not missing:
+                numbers = np.stack([columns[name] for name in own], axis=1)
+                self._columns[event] = numbers.reshape(-1, *shape)
+        about = f"{file}, {', '.join(self._columns)}"
+        duration = float(self._times[-1] - self._times[0])
+        super().__init__(structure, about, len(self._times), duration)
+        self._note_absent(self._columns)
+
+    def packets(self) -> Iterator[tuple[float, bytes]]:
+        """When each row is due, s after the first, and its packet."""
+        for k, time in enumerate((self._times - self._times[0]).tolist()):
+            packet = self._encode({event: rows[k] for event, rows in self._columns.items()})
+            if packet is not None:
+                yield time, packet
+
+
+def timed(
+    playback: Playback, *, speed: float = 1.0, loop: bool = False, duration: float | None = None
+) -> Iterator[tuple[float, bytes]]:
+    """Packets at another speed, again and again, or for a while.
+
+    A round begins one average interval after the end of the one before.
+
+    Args:
+        playback: what to play.
+        speed: 2 is twice as fast.
+        loop: without end, unless a duration is given.
+        duration: s, after which nothing is due.
+    """
+    pause = playback.duration / max(playback.count - 1, 1) or 1e-3
+    end = math.inf if duration is None else duration
+    begin = 0.0
+    while True:
+        sent = 0
+        for time, packet in playback.packets():
+            due = (begin + time) / speed
+            if due >= end:
+                return
+            yield due, packet
+            sent += 1
+        if not loop or not sent:
+            return
+        begin += playback.duration + pause
+
+
+def _identities(structure: Structure) -> dict[str, Array]:
+    """Frames for all matrices of a structure: zeros would be none."""
+    shapes = {event: structure.events[event] for event in structure.matrices}
+    return {event: np.broadcast_to(np.eye(4), shape) for event, shape in shapes.items()}
+
+
+def _is_same(one: Structure, other: Structure) -> bool:
+    """Whether two structures mean the same by the same bytes."""
+    return type(one) is type(other) and all(
+        getattr(one, key) == getattr(other, key)
+        for key in ("fields", "column_major", "alignment", "scale")
+    )
+
+
+def _common(to: Structure, events: Mapping[str, tuple[int, ...]], of: str) -> list[str]:
+    """The events that a structure shares with others.
+
+    Raises:
+        UsageError: there is none, or one has another shape.
+    """
+    common = [event for event in to.events if event in events]
+    if not common:
+        has, wanted = ", ".join(events), ", ".join(to.events)
+        raise UsageError(f"{of} has {has}; '{to.text}' has {wanted}: nothing to send")
+    for event in common:
+        if to.events[event] != events[event]:
+            found, expected = (" x ".join(map(str, each[event])) for each in (events, to.events))
+            raise UsageError(f"{event} of {of} is {found}; '{to.text}' expects {expected}")
+    return common

@@ -1,0 +1,363 @@
+"""Sends packets at an exact rate, by UDP or through shared memory.
+
+`UdpSink` and `ShmWriter` are where they go; `PacketBuffer` makes them ahead of time, so that they
+leave on time; `send` keeps the rate.
+"""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import math
+import socket
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from ...base.errors import SourceError, reason_of
+from ..receive.shm_block import Block, block_path
+from ..receive.structure import Rows, Structure
+
+_SPIN = 2e-4  # s; sleeping is not exact to less than this, so the rest is waited for actively
+_COMPUTED = 1000.0  # packets/s; between them floating-point numbers go along straight lines
+_AHEAD = 0.25  # s
+
+
+class Sink(Protocol):
+    """Where packets go: `UdpSink`, `ShmWriter`."""
+
+    def put(self, packet: bytes) -> None:
+        """Takes a packet; raises OSError when the system refuses it."""
+
+
+class UdpSink:
+    """Sends packets to a UDP port.
+
+    Args:
+        host: where to.
+        port: where to.
+
+    Attributes:
+        place: kind, host and port in a few words, for people.
+        socket: that it sends through, and answers come to.
+
+    Raises:
+        SourceError: the address cannot be resolved.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        except (OSError, UnicodeError) as error:
+            reason = reason_of(error)
+            raise SourceError(f"{host}:{port}", f"not an address: {reason}") from error
+        family, kind, _, _, address = found
+        self._address: tuple[Any, ...] = address
+        self.place = f"UDP {host}:{port}"
+        self.socket = socket.socket(family, kind)
+
+    def put(self, packet: bytes) -> None:
+        """Sends a packet; raises OSError when the system refuses it."""
+        self.socket.sendto(packet, self._address)
+
+    def close(self) -> None:
+        """Closes the socket."""
+        self.socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class ShmWriter:
+    """Writes packets of one structure to a block of POSIX shared memory, each over the one before.
+
+    The block is made where there is none, and made larger where it is too small; one that this
+    writer has made goes with it.
+
+    Args:
+        block: name of the shared memory, `robot` or `/robot`.
+        structure: of the packets.
+        lock: event that is made odd before a packet is written and even when it is there (a
+            seqlock); what the packets have there is not used. Empty for none: readers then have to
+            guess whether a packet is whole.
+        offset: where in the block the packet begins, bytes.
+
+    Attributes:
+        place: kind and name in a few words, for people.
+
+    Raises:
+        SourceError: no block can have this name, or it may not be made or written.
+        UnknownName: the structure has no event `lock`.
+        ValueError: `lock` is several numbers.
+    """
+
+    def __init__(self, block: str, structure: Structure, lock: str = "", offset: int = 0) -> None:
+        self.place = f"shared memory {block}"
+        self._size, self._offset = structure.size, offset
+        self._lock = structure.field(lock) if lock else None
+        if self._lock is not None and self._lock.numbers != 1:
+            raise ValueError(f"lock '{lock}' has {self._lock.numbers} numbers; expected one")
+        try:
+            self.place = f"shared memory {block_path(block)}"
+            self._block, self._is_own = _open(block)
+            if self._block.size < offset + self._size:
+                self._block.resize(offset + self._size)
+            self._number = self._found_lock()
+        except (OSError, ValueError) as error:
+            raise SourceError("writer", f"{self.place}: {reason_of(error)}") from error
+
+    def _found_lock(self) -> int:
+        """The lock's number that another writer has left, maybe in the middle of a packet."""
+        if self._lock is None:
+            return 0
+        field = self._lock
+        found = self._block.read(field.end - field.offset, self._offset + field.offset)
+        number = np.frombuffer(found, field.dtype)[0]
+        return int(number) if np.isfinite(number) and 0 <= number < _modulus(field.dtype) else 0
+
+    def put(self, packet: bytes) -> None:
+        """Writes a packet over the one before.
+
+        Raises:
+            OSError: the system refuses, because there is no memory left, say.
+            ValueError: the packet is not as long as the structure says.
+        """
+        if len(packet) != self._size:
+            raise ValueError(f"found {len(packet)} bytes; expected {self._size}")
+        block, offset, field = self._block, self._offset, self._lock
+        if field is None:
+            block.write(packet, offset)
+            return
+        modulus = _modulus(field.dtype)
+        odd = self._number | 1
+        self._number = (odd + 1) % modulus or 2  # 0 means that nothing has been written
+        before, after = (np.array(n, field.dtype).tobytes() for n in (odd, self._number))
+        # Three calls: each has had its effect when the next begins, for readers on every processor.
+        block.write(before, offset + field.offset)
+        block.write(packet[: field.offset] + before + packet[field.end :], offset)
+        block.write(after, offset + field.offset)
+
+    def close(self) -> None:
+        """Closes the block, and removes it where this writer has made it."""
+        if self._is_own:
+            self._block.unlink()
+        self._block.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class PacketBuffer:
+    """Packets of a motion at a high rate, made in the time that is left between two of them.
+
+    Up to 1 kHz every packet is computed; above, as many as that are, and those in between are
+    interpolated: an LWR's joint angles are then 1e-6 rad off at most.
+
+    Args:
+        packet_at: makes the packet of a time (s).
+        structure: of the packets.
+        rate: packets per second.
+        sequence: event that numbers the packets, from 1; empty for none.
+        time: event that says when a packet leaves; empty for none.
+        time_scale: s per unit of `time`.
+    """
+
+    def __init__(
+        self,
+        packet_at: Callable[[float], bytes],
+        structure: Structure,
+        *,
+        rate: float,
+        sequence: str = "",
+        time: str = "",
+        time_scale: float = 1.0,
+    ) -> None:
+        self._packet_at, self._rate = packet_at, rate
+        self._sequence = structure.field(sequence) if sequence else None
+        self._time = structure.field(time) if time else None
+        self._time_scale = time_scale
+        self._floats = [field for field in structure.fields if field.is_float]
+        self._step = max(math.ceil(rate / _COMPUTED), 1)
+        self._packets: deque[bytes] = deque()
+        self._first = 0  # the number of the first of them, from 0
+        self._made = 0
+        self._last: Rows | None = None
+        self._takes = 0.0  # s to make some more
+
+    def at(self, t: float) -> bytes:
+        """Returns the packet of time t (s); times are those of packets, and go up."""
+        number = round(t * self._rate)
+        while self._made <= number:
+            self._make()
+        while self._first < number:
+            self._packets.popleft()
+            self._first += 1
+        return self._packets[0]
+
+    def idle(self, left: float) -> bool:
+        """Makes packets if that takes less than the time left (s); returns whether it has."""
+        if left < 1.5 * self._takes or len(self._packets) > _AHEAD * self._rate:
+            return False
+        self._make()
+        return True
+
+    def _make(self) -> None:
+        """Computes one packet and interpolates those up to the next."""
+        start = time.perf_counter()
+        step, made = self._step, self._made
+        here = self._compute(made) if self._last is None else self._last
+        rows = np.repeat(here[None], step, axis=0)
+        if step > 1:
+            self._last = self._compute(made + step)
+            share = np.arange(step)[:, None] / step
+            for field in self._floats:
+                part = slice(field.offset, field.end)
+                low, high = here[part].view(field.dtype), self._last[part].view(field.dtype)
+                with np.errstate(invalid="ignore", over="ignore"):
+                    between = low + share * (high - low)
+                rows[:, part].view(field.dtype)[:] = between
+        numbers = np.arange(made, made + step)
+        if self._sequence is not None:
+            field = self._sequence
+            # As a counter in C does, it wraps.
+            counted = (numbers + 1).astype("<i8").astype(field.dtype)
+            rows[:, field.offset : field.end].view(field.dtype)[:, 0] = counted
+        if self._time is not None:
+            field, stamps = self._time, numbers / self._rate / self._time_scale
+            if not field.is_float:
+                stamps = np.rint(stamps).astype("<i8")
+            rows[:, field.offset : field.end].view(field.dtype)[:, 0] = stamps.astype(field.dtype)
+        self._packets.extend(row.tobytes() for row in rows)
+        self._made += step
+        took = time.perf_counter() - start
+        self._takes = took if not self._takes else 0.9 * self._takes + 0.1 * took
+
+    def _compute(self, number: int) -> Rows:
+        return np.frombuffer(self._packet_at(number / self._rate), np.uint8)
+
+
+@dataclass
+class SendReport:
+    """What a sender achieved.
+
+    Attributes:
+        packets: how many were sent.
+        seconds: how long it took.
+        refused: how many the system refused to send; the others went on.
+        jitter_p50: median of how late packets left, s.
+        jitter_p99: 99th percentile of the same.
+    """
+
+    packets: int
+    seconds: float
+    refused: int
+    jitter_p50: float
+    jitter_p99: float
+
+    @property
+    def rate(self) -> float:
+        """Packets per second."""
+        return self.packets / self.seconds if self.seconds > 0 else 0.0
+
+    def __str__(self) -> str:
+        late = f"{self.jitter_p50 * 1e6:.0f} us (median), {self.jitter_p99 * 1e6:.0f} us (p99)"
+        refused = f", {self.refused} refused by the system" if self.refused else ""
+        sent = f"sent {self.packets} packets in {self.seconds:.2f} s ({self.rate:.1f} Hz)"
+        return f"{sent}, late by {late}{refused}"
+
+
+def paced(
+    packet_at: Callable[[float], bytes], rate: float, duration: float | None = None
+) -> Iterator[tuple[float, bytes]]:
+    """Packets at equal intervals.
+
+    Args:
+        packet_at: makes the packet of a time (s).
+        rate: packets per second.
+        duration: s; None goes on for ever.
+
+    Returns:
+        When each packet is due, s, and the packet, made when it is asked for.
+    """
+    for number in itertools.count():
+        if duration is not None and number >= max(round(duration * rate), 1):
+            return
+        yield number / rate, packet_at(number / rate)
+
+
+def send(
+    packets: Iterable[tuple[float, bytes]],
+    to: Sink,
+    *,
+    idle: Callable[[float], bool] | None = None,
+) -> SendReport:
+    """Sends packets at exact times until there are no more or the user interrupts.
+
+    Args:
+        packets: when each one is due, s from now on, never decreasing, and its bytes.
+        to: where to.
+        idle: called with the time that is left (s) until a packet leaves, again and again while it
+            returns that it has done something; for what can be done ahead.
+    """
+    late: list[float] = []
+    refused = sent = 0
+    gc.freeze()  # else all that was imported is looked through in between, for 50 ms at a time
+    start = time.perf_counter()
+    try:
+        for due, packet in packets:
+            late.append(wait_until(start + due, idle))
+            try:
+                to.put(packet)
+            except OSError:  # nobody listens yet, or the network is away: a robot goes on
+                refused += 1
+            sent += 1
+            if len(late) > 100_000:
+                del late[:50_000]
+    except KeyboardInterrupt:
+        pass
+    finally:
+        gc.unfreeze()
+    seconds = time.perf_counter() - start
+    p50, p99 = np.percentile(late, [50, 99]) if late else (0.0, 0.0)
+    return SendReport(sent, seconds, refused, float(p50), float(p99))
+
+
+def wait_until(when: float, idle: Callable[[float], bool] | None = None) -> float:
+    """Waits, and returns by how much (s) it was late."""
+    left = when - time.perf_counter()
+    while idle is not None and left > 0 and idle(left):
+        left = when - time.perf_counter()
+    if left > _SPIN:
+        time.sleep(left - _SPIN)
+    while (late := time.perf_counter() - when) < 0:
+        pass
+    return late
+
+
+def _open(name: str) -> tuple[Block, bool]:
+    """The block, and whether it was made just now."""
+    while True:  # another writer may make or remove it meanwhile
+        try:
+            return Block(name, writable=True), False
+        except FileNotFoundError:
+            try:
+                return Block(name, writable=True, create=True), True
+            except FileExistsError:
+                continue
+
+
+def _modulus(dtype: np.dtype[np.generic]) -> int:
+    """Up to where a lock of this type can count exactly."""
+    if dtype.kind == "f":
+        return 2**53 if dtype.itemsize == 8 else 2**24
+    return int(2 ** (8 * dtype.itemsize - (dtype.kind == "i")))

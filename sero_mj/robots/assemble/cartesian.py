@@ -1,0 +1,209 @@
+"""Named frames, received frames, and the vectors of smart arrows (sections 2.4, 2.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BeforeValidator, Field
+
+from ...base.declaration import Declaration, Frame, Name, Point, Rgba, of_shape
+from ...base.frames import Array
+from .double import AXES_OPACITY, Double
+from .robot import SerialRobot
+from .surroundings import Object
+
+WORLD = "world"
+VectorKind = Literal["force", "torque", "velocity", "angular_velocity"]
+# Rotational quantities, shown by a round arrow about their direction.
+ROUND_KINDS = ("torque", "angular_velocity")
+UNITS = {"force": "N", "torque": "Nm", "velocity": "m/s", "angular_velocity": "rad/s"}
+# Metres per unit: 100 N, 20 Nm, 1 m/s and 2 rad/s are large for a light-weight robot.
+_SCALES = {"force": 0.004, "torque": 0.005, "velocity": 0.5, "angular_velocity": 0.05}
+# Neither the colours of joint arrows (orange, blue) nor those of axes (red, green, blue).
+_RGBA = {
+    "force": (0.76, 0.08, 0.50, 1.0),
+    "torque": (0.50, 0.16, 0.72, 1.0),
+    "velocity": (0.00, 0.50, 0.52, 1.0),
+    "angular_velocity": (0.36, 0.42, 0.05, 1.0),
+}
+
+_point = of_shape(3).func
+
+
+def _place(value: Any) -> Any:
+    """Returns a frame's name as it is, or a point in the world (3,), m."""
+    return value if isinstance(value, str) else _point(value)  # type: ignore[call-arg]
+
+
+class SmartArrow(Declaration):
+    """A Cartesian vector drawn at its point of action, as a straight or a round arrow.
+
+    Its input `NAME.vector` is set by a route, as a robot's inputs are.
+
+    Attributes:
+        name: in routes, e.g. `contact` in `contact.vector`.
+        kind: `force`, `torque`, `velocity` or `angular_velocity`.
+        at: the frame it acts at (`lwr/flange`), or a point in the world, m.
+        expressed_in: the frame its components are in, or `world`; None for the frame it acts
+            at, and the world for a point.
+        vector: its components until something is received; None for no data.
+        scale: m per unit of its magnitude: length of a straight arrow, width of a round one.
+        longest: maximum length or width, m; larger magnitudes are drawn striped (round) or dark
+            (straight).
+        radius: of a round arrow, m.
+        unit: shown behind its numbers; None for the kind's SI unit.
+        decimals: of its numbers.
+        rgba: colour; None for the kind's.
+        show: whether it is shown.
+    """
+
+    name: Name
+    kind: VectorKind = "force"
+    at: Annotated[Any, BeforeValidator(_place)]
+    expressed_in: str | None = None
+    vector: Point | None = None
+    scale: float | None = Field(None, gt=0)
+    longest: float | None = Field(None, gt=0)
+    radius: float = Field(0.12, gt=0)
+    unit: str | None = None
+    decimals: int = Field(2, ge=0, le=9)
+    rgba: Rgba | None = None
+    show: bool = True
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it is drawn as a round arrow about its direction."""
+        return self.kind in ROUND_KINDS
+
+    @property
+    def metres_per_unit(self) -> float:
+        """`scale`, or the default of the kind, m per unit."""
+        return _SCALES[self.kind] if self.scale is None else self.scale
+
+    @property
+    def limit(self) -> float:
+        """`longest`, m; by default 0.5, for a round arrow its radius."""
+        if self.longest is not None:
+            return self.longest
+        return self.radius if self.is_round else 0.5
+
+    @property
+    def unit_text(self) -> str:
+        """`unit`, or the SI unit of the kind."""
+        return UNITS[self.kind] if self.unit is None else self.unit
+
+    @property
+    def color(self) -> Array:
+        """`rgba`, or the colour of the kind, (4,)."""
+        return np.array(_RGBA[self.kind]) if self.rgba is None else self.rgba
+
+    @property
+    def site(self) -> str | None:
+        """Name of the site at its fixed point; None when it acts at a frame."""
+        return None if isinstance(self.at, str) else f"arrow-{self.name}"
+
+    @property
+    def components_in(self) -> str:
+        """Name of the frame its components are in, or `world`."""
+        if self.expressed_in is not None:
+            return self.expressed_in
+        return self.at if isinstance(self.at, str) else WORLD
+
+
+class ReceivedFrame(Declaration):
+    """A received frame, shown as axes; routes can also use it as a source.
+
+    Its input `NAME.frame` is T_relative_to_NAME, (4, 4).
+
+    Attributes:
+        name: in routes, e.g. `target` in `target.frame`.
+        relative_to: the frame it is given in, e.g. `lwr/base`, or `world`.
+        frame: initial pose, used until a frame is received; None hides it until then.
+        show_axes: whether its axes are shown.
+        axes_size: length of its axes, m.
+        axes_transparency: 0 opaque, 1 invisible.
+    """
+
+    name: Name
+    relative_to: str = WORLD
+    frame: Frame | None = None
+    show_axes: bool = True
+    axes_size: float = Field(0.2, gt=0)
+    axes_transparency: float = Field(0.0, ge=0, le=1)
+
+
+@dataclass(frozen=True)
+class NamedFrame:
+    """A named frame.
+
+    Attributes:
+        name: e.g. `lwr/link3`.
+        site: its site in the model.
+        shown_with: the robot or double whose `show_axes` applies; empty when it has its own
+            toggle.
+        moves_with: the robot, double or received frame that moves it; empty when it is fixed.
+        size: length of the axes, m.
+        alpha: 0 invisible to 1 opaque.
+        shown: whether it is initially shown, for a frame with its own toggle.
+    """
+
+    name: str
+    site: str
+    shown_with: str
+    moves_with: str
+    size: float
+    alpha: float
+    shown: bool = True
+
+
+def list_frames(
+    robots: Mapping[str, SerialRobot],
+    doubles: Mapping[str, Double],
+    frames: Mapping[str, ReceivedFrame],
+    objects: Sequence[Object],
+) -> dict[str, NamedFrame]:
+    """Returns all frames of a scene by name, except `world`; objects of shape `axes` are some."""
+    found: list[NamedFrame] = []
+    for name, robot in robots.items():
+        look = (name, name, robot.axes_length, 1.0 - robot.axes_transparency)
+        sites = [("base", "base")]
+        sites += [(f"link{i + 1}", f"frame{i + 1}") for i in range(robot.n)]
+        sites += [("flange", "flange_frame")]
+        found += [NamedFrame(f"{name}/{label}", f"{name}/{site}", *look) for label, site in sites]
+        found += _axes_objects(robot.children, name)
+    for name, double in doubles.items():
+        if double.path is None and double.of in robots:
+            robot = robots[double.of]
+            alpha = AXES_OPACITY * (1.0 - robot.axes_transparency)
+            look = (name, name, robot.axes_length, alpha)
+            # A double has the base frame of its robot.
+            labels = [f"link{i + 1}" for i in range(robot.n)] + ["flange"]
+            sites = [(label, label.replace("link", "frame")) for label in labels]
+            found += [
+                NamedFrame(f"{name}/{label}", f"double-{name}-{site}", *look)
+                for label, site in sites
+            ]
+    found += _axes_objects(objects, "")
+    found += [
+        NamedFrame(
+            name, f"frame-{name}", "", name, frame.axes_size, 1.0 - frame.axes_transparency,
+            frame.show_axes,
+        )
+        for name, frame in frames.items()
+    ]  # fmt: skip
+    return {frame.name: frame for frame in found}
+
+
+def _axes_objects(items: Sequence[Object], name: str) -> list[NamedFrame]:
+    """Returns the frames of objects of shape `axes`, which have their own toggle."""
+    scope = f"{name}/" if name else ""
+    return [
+        NamedFrame(
+            f"{scope}{item.name}", f"{scope}axes_{item.name}", "", name, float(item.size[0]), 1.0
+        )
+        for item in items
+        if item.shape == "axes" and item.size is not None
+    ]

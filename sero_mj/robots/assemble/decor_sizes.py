@@ -1,0 +1,187 @@
+"""Measures robots in a compiled model: sizes of their arrows and axes, loads of their joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Ints
+from .robot_dynamics import GRAVITY
+from .solids import Solids, geom_boxes, geoms_of
+
+# Smallest radius of an arrow: of the link's length, or of half the length of the shorter of the
+# bodies that the joint connects, but of the robot's extent at most.
+_SMALLEST, _OF_HALF, _OF_ROBOT = 0.12, 0.25, 0.05
+_OF_SKIN = 0.12  # of the robot's extent: a skin may be much thicker than the bodies inside of it
+_STEP = 1.12  # ratio of the radii that are tried
+_HEIGHT = 0.3  # of an arrow, over its radius
+_HIDDEN = 0.47  # share of an arrow that may be hidden: links extend on one or two sides
+# How much less has to be hidden of an arrow that is larger by a factor of e, and of one that is
+# larger than a fraction of the link's length.
+_PER_SIZE, _PER_LARGE, _LARGEST = 0.06, 0.2, 0.75
+_FAMILY = 5  # number of joints nearest to a joint, which have arrows of similar size
+_GROWN = 1.4  # largest factor by which an arrow is made larger for that
+_NARROWEST = 0.1  # full width of an arrow over its radius
+_AXES = 2.0  # length of axes over the radius of arrows, so that they extend out of the housings
+_AT_ONE_PLACE = 0.02  # of the robot's extent
+_LEAST_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
+
+
+class Seen(NamedTuple):
+    """What of a model is a robot.
+
+    Attributes:
+        bodies: ids of its bodies.
+        joints: ids of its hinges and slides, (n,).
+        trunk: ids of the world's geoms that are part of it.
+    """
+
+    bodies: Ints
+    joints: Ints
+    trunk: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Sizes:
+    """Sizes of a robot's decor.
+
+    Attributes:
+        link: typical distance of neighbouring joints, m.
+        arrow_radius: (n,), m; as small as the arrow can be without being hidden in links.
+        full_width: (n,) of arrows, over their radius: 1, or less for joints close to each other.
+        axes: length of the coordinate axes of the body that each joint moves, (n,), m.
+        load: approximate maximum gravity load of each joint, (n,), Nm or N: the weight it
+            carries times its distance.
+    """
+
+    link: float
+    arrow_radius: Array
+    full_width: Array
+    axes: Array
+    load: Array
+
+
+def measure(model: mujoco.MjModel, data: mujoco.MjData, robot: Seen) -> Sizes:
+    """Computes the sizes of a robot's decor.
+
+    Args:
+        model: compiled.
+        data: in the pose to measure, after `mj_fwdPosition`.
+        robot: which one.
+    """
+    anchors = data.xanchor[robot.joints]
+    low, high = boxes = geom_boxes(model, data)
+    mine = geoms_of(model, robot.bodies, robot.trunk)
+    extent = float((high[mine].max(axis=0) - low[mine].min(axis=0)).max()) if len(mine) else 0.0
+    links = _link_lengths(model, robot, anchors, extent)
+    link = float(np.median(links))
+    radius = _radii(model, data, robot, boxes, links, extent)
+    apart = np.linalg.norm(anchors[:, None] - anchors, axis=2)
+    apart[apart <= _AT_ONE_PLACE * extent] = np.inf
+    width = np.clip(apart.min(axis=1) / radius, _NARROWEST, 1.0)
+    return Sizes(link, radius, width, _AXES * radius, _loads(model, data, robot, link))
+
+
+def _radii(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    robot: Seen,
+    boxes: tuple[Array, Array],
+    links: Array,
+    extent: float,
+) -> Array:
+    """Returns the radius of every arrow, (n,), m.
+
+    The smallest with which the arrow is seen, rarely larger than the bodies that the joint
+    connects, and where these allow it like those of the joints beside it.
+    """
+    anchors, axes = data.xanchor[robot.joints], data.xaxis[robot.joints]
+    solids = Solids(model, data)
+    of_skin = _OF_SKIN * extent if model.nskin else 0.0
+    tried, hidden, smallest = [], [], []
+    half = _half_lengths(model, boxes, robot)
+    for i, body in enumerate(model.jnt_bodyid[robot.joints]):
+        beside = model.body_weldid[[body, model.body_parentid[body]]]
+        lengths = [half[weld] for weld in beside.tolist() if weld in half] or [0.0]
+        least = max(_SMALLEST * links[i], min(_OF_HALF * min(lengths), _OF_ROBOT * extent))
+        most = max(*lengths, of_skin, least)
+        count = int(np.ceil(np.log(most / least) / np.log(_STEP))) + 1
+        radii = np.geomspace(least, most, count)
+        height = _HEIGHT * np.sqrt(least * most)
+        shares = solids.hidden_shares(anchors[i], axes[i], radii, height)
+        large = _LARGEST * max(links[i], float(np.median(links)))
+        cost = np.maximum(shares - _HIDDEN, 0.0) + _PER_SIZE * np.log(radii / least)
+        cost += _PER_LARGE * np.maximum(np.log(radii / large), 0.0)
+        best = min(int(cost.argmin()) + 1, count - 1)  # one step clear of the surface
+        tried.append(radii[best:])
+        hidden.append(shares[best:])
+        smallest.append(radii[best])
+    radius = np.empty(len(links))
+    for i, (radii, shares) in enumerate(zip(tried, hidden, strict=True)):
+        near = np.argsort(np.linalg.norm(anchors - anchors[i], axis=1), kind="stable")[:_FAMILY]
+        wanted = min(float(np.median(np.array(smallest)[near])), _GROWN * smallest[i])
+        fits = radii[shares <= max(_HIDDEN, shares[0])]
+        radius[i] = fits[np.abs(np.log(fits / wanted)).argmin()]
+    return radius
+
+
+def _half_lengths(
+    model: mujoco.MjModel, boxes: tuple[Array, Array], robot: Seen
+) -> dict[int, float]:
+    """Returns half the length of what is welded together, m, by the first body of it.
+
+    Args:
+        model: compiled.
+        boxes: about all geoms, see `geom_boxes`.
+        robot: whose joints connect the bodies; what has no geoms is left out.
+    """
+    low, high = boxes
+    bodies = model.jnt_bodyid[robot.joints]
+    lengths = {}
+    for weld in np.unique(model.body_weldid[[*bodies, *model.body_parentid[bodies]]]).tolist():
+        welded = (model.body_weldid == weld).nonzero()[0]
+        mine = geoms_of(model, welded, robot.trunk if weld == 0 else None)
+        if len(mine):
+            lengths[weld] = float((high[mine].max(axis=0) - low[mine].min(axis=0)).max()) / 2
+    return lengths
+
+
+def _link_lengths(model: mujoco.MjModel, robot: Seen, anchors: Array, extent: float) -> Array:
+    """Returns every joint's distance to the farther of its neighbours in the tree, (n,), m.
+
+    Joints that coincide, as in a wrist or a hip, count as one.
+    """
+    row = {int(body): i for i, body in enumerate(model.jnt_bodyid[robot.joints])}
+    before = np.full(len(anchors), -1)  # the parent joint of each
+    for i, body in enumerate(model.jnt_bodyid[robot.joints]):
+        at = int(body)
+        while at and before[i] < 0:
+            at = int(model.body_parentid[at])
+            k = row.get(at, -1)
+            if k >= 0 and np.linalg.norm(anchors[i] - anchors[k]) > _AT_ONE_PLACE * extent:
+                before[i] = k
+    links = np.zeros(len(anchors))
+    for i in (before >= 0).nonzero()[0].tolist():
+        step = float(np.linalg.norm(anchors[i] - anchors[before[i]]))
+        links[i], links[before[i]] = max(links[i], step), max(links[before[i]], step)
+    for i in range(len(anchors)):  # coinciding joints share the longest
+        beside = np.linalg.norm(anchors - anchors[i], axis=1) <= _AT_ONE_PLACE * extent
+        links[i] = max(links[i], float(links[beside].max()))
+    known = links > 0
+    links[~known] = np.median(links[known]) if known.any() else extent / 2 or 0.2
+    return links
+
+
+def _loads(model: mujoco.MjModel, data: mujoco.MjData, robot: Seen, link: float) -> Array:
+    bodies = model.jnt_bodyid[robot.joints]
+    mass = model.body_subtreemass[bodies]
+    lever = np.linalg.norm(data.subtree_com[bodies] - data.xanchor[robot.joints], axis=1)
+    hinge = model.jnt_type[robot.joints] == mujoco.mjtJoint.mjJNT_HINGE
+    load = GRAVITY * mass * np.where(hinge, np.maximum(lever, 0.1 * link), 1.0)
+    for kind in (hinge, ~hinge):
+        if kind.any():
+            load[kind] = np.maximum(load[kind], _LEAST_SHARE * load[kind].max())
+    return np.asarray(np.maximum(load, 1e-9))

@@ -1,0 +1,118 @@
+"""Denavit-Hartenberg kinematics in numpy, independent of MuJoCo; used to check its results.
+
+Craig (modified):   T_{i-1,i} = Rx(alpha) Tx(a) Rz(theta) Tz(d), joint i turns about z of frame i.
+Standard (classic): T_{i-1,i} = Rz(theta) Tz(d) Tx(a) Rx(alpha), joint i turns about z of frame i-1.
+
+Sources: Craig, Introduction to Robotics, eq. 3.6 (modified); Denavit and Hartenberg 1955 as in
+Spong et al., Robot Modeling and Control, eq. 3.10 (standard). Frame 0 is the base; the joint
+joint angle q_i is added to theta_i (revolute) or to d_i (prismatic). Where robots branch, i - 1 is
+what carries joint i (see `joint_tree`).
+
+Mirrored at the xz plane, a frame T becomes S T S with S = diag(1, -1, 1, 1). S turns the signs of
+alpha and theta (S Rx(alpha) S = Rx(-alpha), S Rz(theta) S = Rz(-theta)), and leaves Tx and Tz as
+they are: the mirror image of a table is one with these two negated, whose revolute joints turn the
+other way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...base.frames import MIRROR, Array, Bools, Ints, rotation_about
+from .joint_tree import JointTree
+
+Convention = Literal["craig", "standard"]
+Column = Literal["alpha", "a", "theta", "d"]
+COLUMNS: tuple[Column, ...] = ("alpha", "a", "theta", "d")
+
+
+@dataclass(frozen=True, eq=False)
+class DhTable(JointTree):
+    """A Denavit-Hartenberg table of n joints.
+
+    Attributes:
+        convention: `craig` or `standard`.
+        alpha: link twists, (n,), rad.
+        a: link lengths, (n,), m.
+        theta: joint offsets, (n,), rad.
+        d: link offsets, (n,), m.
+
+    The others are those of `JointTree`.
+    """
+
+    convention: Convention
+    alpha: Array
+    a: Array
+    theta: Array
+    d: Array
+    revolute: Bools
+    sign: Array | None = None
+    parents: Ints | None = None
+    root: Array | None = None
+
+    @classmethod
+    def from_rows(
+        cls,
+        rows: ArrayLike,
+        convention: Convention,
+        columns: tuple[str, ...] = COLUMNS,
+        revolute: ArrayLike | None = None,
+    ) -> DhTable:
+        """Builds a table from rows with the given column order.
+
+        Args:
+            rows: (n, 4).
+            convention: `craig` or `standard`.
+            columns: a permutation of alpha, a, theta, d. The paper's Fig. 7 shows alpha first
+                and d last and leaves the two between open; alpha, a, theta, d is our reading.
+            revolute: (n,) bool; all revolute when None.
+        """
+        table = np.asarray(rows, dtype=np.float64).reshape(-1, 4)
+        alpha, a, theta, d = (table[:, columns.index(name)].copy() for name in COLUMNS)
+        turns = np.ones(len(table), bool) if revolute is None else np.asarray(revolute, bool)
+        return cls(convention, alpha, a, theta, d, turns)
+
+    @property
+    def turns_in_carrier(self) -> bool:
+        """Whether joint i turns about z of frame i-1."""
+        return self.convention == "standard"
+
+    def mirrored(self) -> DhTable:
+        """Returns the table of the mirror image at the base's xz plane.
+
+        At equal joint values its frames are S T S of those of this one, S = diag(1, -1, 1, 1).
+        """
+        sign = np.where(self.revolute, -1.0, 1.0) * self.signs
+        root = None if self.root is None else MIRROR @ self.root @ MIRROR
+        return replace(self, alpha=-self.alpha, theta=-self.theta, sign=sign, root=root)
+
+    def step_lengths(self) -> Array:
+        """Returns the sum of the lengths a and d of every row, (n,), m."""
+        return np.asarray(np.abs(self.a) + np.abs(self.d))
+
+    def distances(self, extensions: ArrayLike = 0.0) -> Array:
+        """Returns how far the origins of neighbouring frames are apart, (..., n), m."""
+        return np.hypot(self.a, self.d + np.where(self.revolute, 0.0, extensions))
+
+    def transforms(self, joint_values: Array) -> Array:
+        """Returns T_{i-1,i} without `root`, (..., n, 4, 4)."""
+        q = joint_values
+        theta = self.theta + np.where(self.revolute, q, 0.0)
+        d = self.d + np.where(self.revolute, 0.0, q)
+        ca, sa = np.cos(self.alpha), np.sin(self.alpha)
+        rot_x, rot_z = rotation_about(0, self.alpha), rotation_about(2, theta)
+        T = np.zeros((*q.shape, 4, 4))
+        T[..., 3, 3] = 1.0
+        if self.convention == "craig":
+            T[..., :3, :3] = rot_x @ rot_z
+            T[..., 0, 3], T[..., 1, 3], T[..., 2, 3] = self.a, -sa * d, ca * d
+        else:
+            T[..., :3, :3] = rot_z @ rot_x
+            T[..., 0, 3] = self.a * np.cos(theta)
+            T[..., 1, 3] = self.a * np.sin(theta)
+            T[..., 2, 3] = d
+        return T

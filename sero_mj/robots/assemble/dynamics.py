@@ -1,0 +1,334 @@
+"""The tables `[dynamics]` and `[torque_control]` of a robot file.
+
+Link inertias, joint friction and elasticity; what the joint torque control makes of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, model_validator
+
+from ...base.declaration import Declaration, numbers, of_shape
+from ...base.errors import DeclarationError, Problem
+from ...base.frames import Array
+
+# Relative tolerance: typed values are rounded, and a flat plate meets the bound exactly.
+_ROUNDING = 1e-6
+_ZERO = 1e-12  # relative; a moment this small is rounding, and below zero in other axes
+# kg/m3 of a link's hull: hollow aluminium with motors and gears. At 840 the hulls of the LWR's
+# moving links have their true mass of 13.4 kg.
+LINK_DENSITY = 840.0
+
+_POINT_RADIUS = 0.005  # m, of the ball that a point mass becomes
+_INERTIAL = ("masses", "centers_of_mass", "inertias")
+_FRAMES = ("frames", "frame_origins", "mass_scale")
+_PER_LINK = (*_INERTIAL, "frame_origins")
+_PER_JOINT = (
+    "motor_inertias",
+    "viscous_friction",
+    "coulomb_friction",
+    "joint_stiffness",
+    "joint_damping",
+)
+
+
+def tensors_from(value: Any) -> Array:
+    """Parses inertia tensors as given in a file.
+
+    Args:
+        value: one entry per link, each 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the entries of
+            the tensor, as in URDF and MJCF) or 3 x 3.
+
+    Returns:
+        (m, 3, 3), kg m2.
+
+    Raises:
+        ValueError: other counts, or a matrix that is not symmetric.
+    """
+    if not isinstance(value, list | tuple | np.ndarray):
+        raise ValueError(f"found {value!r}; expected one tensor per link")
+    tensors = np.empty((len(value), 3, 3))
+    for k, entry in enumerate(value):
+        array = numbers(entry)
+        if array.shape == (6,):
+            xx, yy, zz, xy, xz, yz = array
+            tensors[k] = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+        elif array.shape == (3, 3):
+            if np.abs(array - array.T).max() > _ROUNDING * max(float(np.abs(array).max()), 1e-300):
+                raise ValueError(
+                    f"{link_name(k)}: found {array.tolist()}; expected a symmetric 3x3"
+                )
+            tensors[k] = (array + array.T) / 2
+        else:
+            found = " x ".join(map(str, array.shape)) or "one number"
+            raise ValueError(
+                f"{link_name(k)}: found {found}; expected 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) "
+                "or 3 x 3"
+            )
+    return tensors
+
+
+def link_name(k: int) -> str:
+    """Returns the name of body k for messages: the base, then the links from 1."""
+    return f"link {k}" if k else "the base"
+
+
+def inertia_problem(tensor: Array) -> str | None:
+    """Returns why no rigid body can have this tensor about its centre of mass; None if one can.
+
+    Its principal moments are positive, and none is larger than the sum of the other two (each
+    is an integral of a sum of two squares).
+
+    Args:
+        tensor: (3, 3), kg m2, symmetric.
+
+    Source: Featherstone, Rigid Body Dynamics Algorithms, 2008, section 2.13.
+    """
+    low, middle, high = np.linalg.eigvalsh(tensor)
+    found = f"found principal moments {low:.4g}, {middle:.4g}, {high:.4g} kg m2"
+    if low <= _ZERO * high:
+        return f"{found}; expected all of them positive"
+    if low + middle < high * (1 - _ROUNDING):
+        return (
+            f"{found}; expected the largest to be at most the sum of the others, "
+            f"{low + middle:.4g} (a tensor about the centre of mass?)"
+        )
+    return None
+
+
+def balanced_tensor(tensor: Array, mass: float) -> Array:
+    """Returns the tensor (3, 3), kg m2, of a body that is like one that no rigid body can have.
+
+    Its axes stay. Principal moments are raised to those of a ball of `_POINT_RADIUS`, and of the
+    two smaller ones each by the same amount until their sum is the largest.
+
+    Args:
+        tensor: about the centre of mass, (3, 3), kg m2, symmetric.
+        mass: kg.
+    """
+    moments, axes = np.linalg.eigh(tensor)
+    moments = np.maximum(moments, 0.4 * mass * _POINT_RADIUS**2)
+    moments[:2] += max(moments[2] - moments[0] - moments[1], 0.0) / 2.0
+    return np.asarray((axes * moments) @ axes.T)
+
+
+def principal_moments(tensor: Array) -> tuple[Array, Array]:
+    """Returns the principal moments (3,), kg m2, and a rotation (3, 3) with their axes as columns.
+
+    Rounding errors in the moments of a flat body are corrected, because MuJoCo tolerates none.
+    """
+    moments, axes = np.linalg.eigh(tensor)
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] = -axes[:, 0]
+    moments[2] = min(moments[2], (moments[0] + moments[1]) * (1 - 1e-12))
+    return moments, axes
+
+
+def rotate_tensors(tensors: Array, rotation: Array) -> Array:
+    """Returns tensors (..., 3, 3) in other axes: rotation_new_old @ I @ rotation_old_new."""
+    return np.asarray(rotation @ tensors @ np.swapaxes(rotation, -1, -2))
+
+
+def _no_negative_mass(masses: Array | None) -> Array | None:
+    for k, mass in enumerate([] if masses is None else masses):
+        if mass < 0:
+            raise ValueError(f"{link_name(k)}: found {mass:g} kg; expected a mass of 0 or more")
+    return masses
+
+
+def _at_least_zero(values: Array | None) -> Array | None:
+    return _bounded(values, 0.0, "0 or more")
+
+
+def _above_zero(values: Array | None) -> Array | None:
+    return _bounded(values, np.finfo(float).tiny, "a positive number")
+
+
+def _bounded(values: Array | None, lowest: float, expected: str) -> Array | None:
+    for i, value in enumerate([] if values is None else values):
+        if value < lowest:
+            raise ValueError(f"joint {i + 1}: found {value:g}; expected {expected}")
+    return values
+
+
+def _read_tensors(value: Any) -> Any:
+    return value if value is None else tensors_from(value)
+
+
+_Rows = Annotated[Array | None, of_shape(None, 3)]
+_Masses = Annotated[Array | None, of_shape(None), AfterValidator(_no_negative_mass)]
+_Tensors = Annotated[Array | None, BeforeValidator(_read_tensors)]
+_NotNegative = Annotated[Array | None, of_shape(None), AfterValidator(_at_least_zero)]
+_Positive = Annotated[Array | None, of_shape(None), AfterValidator(_above_zero)]
+
+
+class Dynamics(Declaration):
+    """Masses, inertias, friction and elasticity of one robot; omitted values are estimated.
+
+    Rows per link are n + 1: the base, then the links. SI units: kg, m, kg m2, Nm s/rad, Nm,
+    Nm/rad; for prismatic joints kg, N s/m, N, N/m.
+
+    Attributes:
+        frames: the frame of centres, tensors and origins: `dh`, the frame of the link's DH row
+            (the base's for the base), or `zero_pose`, its axes parallel to the base's at zero
+            joint angles and its origin in the same place.
+        frame_origins: (n + 1, 3), offsets of the origins of these frames along their own axes,
+            m; for data from a model with other origins of its link frames.
+        masses: (n + 1,); 0, with a tensor of zeros, for a link without any.
+        centers_of_mass: (n + 1, 3).
+        inertias: about the centre of mass, per link 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the
+            entries of the tensor as in URDF, not the products of inertia) or 3 x 3.
+        mend: what is done to tensors that no rigid body can have, as in tables that were
+            identified or have point masses: `none`, they are an error, or `balance`, see
+            `balanced_tensor`; `mended` says which.
+        mass_scale: multiplies masses and tensors of the moving links.
+        density: kg/m3, used to estimate links when no masses are given.
+        motor_inertias: (n,), as seen at the joint: rotor times the square of the gear ratio.
+        viscous_friction: (n,), of motor and gear, before the torque sensor.
+        coulomb_friction: (n,), likewise.
+        joint_stiffness: (n,), of gear and torque sensor, for `elastic_joints`.
+        joint_damping: (n,), in parallel with the stiffness.
+    """
+
+    frames: Literal["dh", "zero_pose"] = "dh"
+    frame_origins: _Rows = None
+    masses: _Masses = None
+    centers_of_mass: _Rows = None
+    inertias: _Tensors = None
+    mend: Literal["none", "balance"] = "none"
+    mass_scale: float = Field(1.0, gt=0)
+    density: float = Field(LINK_DENSITY, gt=0)
+    motor_inertias: _NotNegative = None
+    viscous_friction: _NotNegative = None
+    coulomb_friction: _NotNegative = None
+    joint_stiffness: _Positive = None
+    joint_damping: _NotNegative = None
+
+    _mended: list[str] = PrivateAttr(default_factory=list)
+
+    @property
+    def mended(self) -> list[str]:
+        """What `mend` has changed, a line for every link."""
+        return list(self._mended)
+
+    @model_validator(mode="after")
+    def _physical(self) -> Dynamics:
+        problems: list[Problem] = []
+        tensors = np.empty((0, 3, 3)) if self.inertias is None else self.inertias.copy()
+        for k, tensor in enumerate(tensors):
+            is_massless = self.masses is not None and k < len(self.masses) and not self.masses[k]
+            reason = None if is_massless and not tensor.any() else inertia_problem(tensor)
+            if reason is None:
+                continue
+            if self.mend == "none" or self.masses is None or k >= len(self.masses):
+                hint = '; mend = "balance" changes it to a similar one'
+                problems.append(Problem("inertias", f"{link_name(k)}: {reason}{hint}"))
+                continue
+            balanced = balanced_tensor(tensor, float(self.masses[k]))
+            before, after = (
+                ", ".join(f"{moment:.4g}" for moment in np.linalg.eigvalsh(each))
+                for each in (tensor, balanced)
+            )
+            changed = f"principal moments {before} are now {after} kg m2"
+            self._mended.append(f"{link_name(k)}: {changed}")
+            tensors[k] = balanced
+        if problems:
+            raise DeclarationError(problems)
+        if self._mended:
+            self.__dict__["inertias"] = tensors
+        return self
+
+    @model_validator(mode="after")
+    def _all_or_none(self) -> Dynamics:
+        given = [key for key in _INERTIAL if getattr(self, key) is not None]
+        if given and len(given) < len(_INERTIAL):
+            missing = [key for key in _INERTIAL if key not in given]
+            raise ValueError(
+                f"found {' and '.join(given)} without {' and '.join(missing)}; expected all of "
+                f"{', '.join(_INERTIAL)}, or none for an estimate"
+            )
+        return self
+
+    def check_counts(self, n: int) -> None:
+        """Checks that every table has the number of entries that n joints require.
+
+        Raises:
+            DeclarationError: with the keys of this table.
+        """
+        problems = _count_problems(self, _PER_LINK, n + 1, "the base and one per joint")
+        problems += _count_problems(self, _PER_JOINT, n, _ROWS)
+        if problems:
+            raise DeclarationError(problems)
+
+
+class TorqueControl(Declaration):
+    """The joint torque control between controllers and motors, where `run.torque_control` is on.
+
+    Attributes:
+        inertia_ratio: of what the motors feel like to what they are; a fourth to a tenth is usual
+            (Albu-Schäffer, Ott, Hirzinger 2007).
+        motor_inertias: (n,), what they feel like, where that is not one ratio for all; kg m2 or kg,
+            as seen at the joint.
+        bandwidth: of the low pass that the measured torque goes through, 1/s.
+        damping: ratio, of shaped motor inertia on the spring of an elastic joint with a held link.
+        friction_bandwidth: of the friction observer, 1/s; 0 for no compensation.
+    """
+
+    inertia_ratio: float = Field(0.25, gt=0, le=1)
+    motor_inertias: _Positive = None
+    bandwidth: float = Field(1000.0, gt=0, le=1e5)
+    damping: float = Field(0.7, ge=0, le=2)
+    friction_bandwidth: float = Field(100.0, ge=0, le=1e5)
+
+    def check_counts(self, n: int) -> None:
+        """Checks that there is an entry for each of n joints.
+
+        Raises:
+            DeclarationError: with the key of this table.
+        """
+        problems = _count_problems(self, ("motor_inertias",), n, _ROWS)
+        if problems:
+            raise DeclarationError(problems)
+
+
+_ROWS = "one per row of dh_params"
+
+
+def _count_problems(
+    table: Declaration, keys: Sequence[str], count: int, what: str
+) -> list[Problem]:
+    return [
+        Problem(key, f"found {len(value)} entries; expected {count}: {what}")
+        for key in keys
+        if (value := getattr(table, key)) is not None and len(value) != count
+    ]
+
+
+def merge_tables(file_table: Any, override: Any) -> Any:
+    """Returns a robot file's `[dynamics]` table with single entries overridden.
+
+    When masses, centres and tensors are all overridden, so is the frame they are given in.
+
+    Args:
+        file_table: the file's table.
+        override: the overriding table; a `Dynamics` replaces the file's table as a whole.
+    """
+    if not (isinstance(file_table, Mapping) and isinstance(override, Mapping)):
+        return override
+    whole = set(_INERTIAL) <= set(override)
+    return {
+        **{key: file_table[key] for key in file_table if not (whole and key in _FRAMES)},
+        **override,
+    }
+
+
+def is_overridden(key: str, fields: Mapping[str, Any]) -> bool:
+    """Whether a dotted key of a robot is set by fields that override its file."""
+    name, _, inner = key.partition(".")
+    table = fields.get(name)
+    if name in ("dynamics", "torque_control") and isinstance(table, Mapping) and inner:
+        return inner.partition(".")[0] in table
+    return name in fields

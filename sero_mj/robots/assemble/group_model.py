@@ -1,0 +1,377 @@
+"""Models that are groups: a hand of fingers, a robot of a torso, arms and hands.
+
+`models/NAME/group.toml` has tables of robots and groups, which are mounted on each other, and of
+objects. A group with `model = "NAME"` becomes these before anything else sees it: robots
+`GROUP_ROBOT` in the order of the model's `members`, which stand where the group does.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base import paths
+from ...base.declaration import is_name, numbers
+from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean
+from ...base.frames import MIRROR, Array, frame_from, inverse
+from ...base.toml_file import key_lines, located, read_toml
+from .groups import Group
+from .surroundings import Object, set_directory
+
+Declared = tuple[tuple[Path, str], ...]  # files and keys of a table, outer ones first
+_DEFAULTS = [key for key in Group.model_fields if key not in ("name", "robots")]
+_SECTIONS = ("robots", "groups", "objects")
+_OF_FILE = ["members", *_SECTIONS, *_DEFAULTS]
+_OF_ENTRY = ["model", "mount", "base_frame", "mirrored", "robots", "groups", *_DEFAULTS]
+
+
+@dataclass
+class Expanded:
+    """The tables that groups become.
+
+    Attributes:
+        robots: tables by name, with the place and the model's file of each.
+        groups: tables by name, each with its robots; without models.
+        objects: what is fixed to the base of a robot, by its name.
+        declared: where tables are declared, by `robots.NAME` and `groups.NAME`.
+        problems: everything that is wrong in models and in what names them.
+        broken: `groups.NAME` of those that are left out.
+        most: robots and groups that a scene may have; models that are in several models again
+            become as many as their product, so no more are added beyond.
+    """
+
+    robots: dict[str, dict[str, Any]] = field(default_factory=dict)
+    groups: dict[str, Any] = field(default_factory=dict)
+    objects: dict[str, list[Object]] = field(default_factory=dict)
+    declared: dict[str, Declared] = field(default_factory=dict)
+    problems: list[Problem] = field(default_factory=list)
+    broken: list[str] = field(default_factory=list)
+    most: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def is_full(self) -> bool:
+        """Whether there are more than a scene may have."""
+        groups = len(self.groups) + len(self.broken)
+        return len(self.robots) > self.most["robots"] or groups > self.most["groups"]
+
+
+def expand_groups(tables: Mapping[str, Any], file: Path, most: Mapping[str, int]) -> Expanded:
+    """Returns what the groups of a scene become that have a model; others stay as they are.
+
+    Args:
+        tables: of the scene's `groups`, by name.
+        file: that they are in; models are looked for beside it, and among the shipped ones.
+        most: `robots` and `groups` that there may be; it ends soon after these.
+    """
+    found = Expanded(most=most)
+    for name, table in tables.items():
+        if isinstance(table, Mapping) and "model" in table:
+            entry = _found_from(file.parent, {"groups": {name: table}})["groups"][name]
+            _add_group(found, _Place(), name, entry, ((file, f"groups.{name}"),))
+        else:
+            found.groups[name] = table
+    return found
+
+
+def where(problem: Problem, declared: Declared) -> Problem:
+    """Returns a problem with the file, key and line of a table that several places declare.
+
+    Args:
+        problem: whose key is inside the table.
+        declared: the places; the first one that has the key counts, else the last.
+    """
+    key = problem.key.partition(".")[0]
+    path, prefix = next((place for place in declared if has_key(place, key)), declared[-1])
+    return located(problem.inside(prefix), path, key_lines(path))
+
+
+def has_key(place: tuple[Path, str], key: str) -> bool:
+    """Whether a table of a file, at this key, has a key."""
+    file, prefix = place
+    return Problem(key, "").inside(prefix).key in key_lines(file)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where the members of a model stand, or a scene's robots.
+
+    Attributes:
+        scope: what is before their names, e.g. `justin_left_hand_`.
+        T: frame (4, 4) of the group.
+        mirrored: whether all of it is mirrored at the xz plane of that frame.
+        mount: frame of a robot that T is relative to; None in the world.
+        mounted: where the mount is declared.
+        inside: files of the models that are being expanded, outermost first.
+    """
+
+    scope: str = ""
+    T: Array = field(default_factory=lambda: np.eye(4))
+    mirrored: bool = False
+    mount: str | None = None
+    mounted: Declared = ()
+    inside: tuple[Path, ...] = ()
+
+    def of(self, name: str, table: Mapping[str, Any], declared: Declared) -> _Place:
+        """Returns the place of a member, from its `mount`, `base_frame` and `mirrored`.
+
+        Raises:
+            DeclarationError: one of these is wrong.
+        """
+        T, mirrored, mount = np.eye(4), table.get("mirrored", False), table.get("mount")
+        problems = []
+        try:
+            T = frame_from(table.get("base_frame", T), numbers)
+        except ValueError as error:
+            problems.append(Problem("base_frame", str(error)))
+        if not isinstance(mirrored, bool):
+            problems.append(Problem("mirrored", f"found {mirrored!r}; expected true or false"))
+        if not isinstance(mount, str | None):
+            problems.append(Problem("mount", f"found {mount!r}; expected a frame of a robot"))
+        if problems:
+            raise DeclarationError(problems)
+        if self.mirrored:
+            T = MIRROR @ T @ MIRROR
+        if mount is None:
+            T, mount, declared = self.T @ T, self.mount, self.mounted
+        else:  # on another member, which is mirrored where the group is
+            mount = f"{self.scope}{mount}"
+        scope = f"{self.scope}{name}_"
+        return _Place(scope, T, mirrored != self.mirrored, mount, declared, self.inside)
+
+
+def _add_group(
+    found: Expanded, around: _Place, name: str, entry: Mapping[str, Any], declared: Declared
+) -> None:
+    """Adds a group with a model and all of its members, or tells why it cannot be."""
+    if found.is_full:
+        return
+    problems = [
+        Problem(key, f"unknown key{did_you_mean(key, _OF_ENTRY)}")
+        for key in entry
+        if key not in _OF_ENTRY
+    ]
+    try:
+        is_name(name)
+    except ValueError as error:
+        problems.append(Problem("", f"name: {error}"))
+    path = place = None
+    with collect(problems, ""):
+        place = around.of(name, entry, declared)
+    with collect(problems, "model"):
+        path = _group_file(entry["model"], declared[-1][0].parent, around.inside)
+    found.problems += [where(problem, declared) for problem in problems]
+    if path is None or place is None:
+        found.broken.append(f"groups.{around.scope}{name}")
+        return
+    try:
+        _Members(found, replace(place, inside=(*place.inside, path)), entry, declared).add()
+    except DeclarationError as error:  # its file cannot be read at all
+        found.problems += error.problems
+        found.broken.append(f"groups.{around.scope}{name}")
+
+
+def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
+    """Returns the file of a group's model.
+
+    Raises:
+        DeclarationError: there is none, or it would be in itself.
+    """
+    if not isinstance(model, str | Path):
+        raise DeclarationError([Problem("", f"found {model!r}; expected a group's name")])
+    try:
+        path = model if isinstance(model, Path) else paths.find_group_model(model, beside)
+    except (DeclarationError, UnknownName) as error:
+        raise DeclarationError([Problem("", str(error))]) from None
+    files = [each.resolve() for each in inside]
+    if path.resolve() in files:
+        way = [_name_of(each) for each in (*inside[files.index(path.resolve()) :], path)]
+        message = f"models of groups are in each other in a circle: {' in '.join(way[::-1])}"
+        raise DeclarationError([Problem("", message)])
+    return path
+
+
+def _name_of(path: Path) -> str:
+    """Returns the name of a model with this file: that of its folder."""
+    return path.resolve().parent.name
+
+
+class _Members:
+    """Adds the members of one group with a model.
+
+    Args:
+        found: gets them.
+        place: of the group; the innermost file that it is inside is its model.
+        entry: the group's table, with tables of members whose keys count more than the model's.
+        declared: where that is declared.
+
+    Raises:
+        DeclarationError: the model cannot be read.
+    """
+
+    def __init__(
+        self, found: Expanded, place: _Place, entry: Mapping[str, Any], declared: Declared
+    ) -> None:
+        self._found, self._place, self._entry, self._declared = found, place, entry, declared
+        self._path = place.inside[-1]
+        self._tables = _found_from(self._path.parent, read_toml(self._path), beside=True)
+        self._problems: list[Problem] = []  # in the model
+        self._standing: tuple[str, Array] | None = None  # the robot that carries the objects
+
+    def add(self) -> None:
+        """Adds the group and its members."""
+        name = self._place.scope.removesuffix("_")
+        for key in self._tables:
+            if key not in _OF_FILE:
+                self._wrong(key, f"unknown key{did_you_mean(key, _OF_FILE)}")
+        known = {section: self._section(self._tables, section) for section in _SECTIONS}
+        above = {section: self._section(self._entry, section) for section in ("robots", "groups")}
+        for section, key in ((s, key) for s, keys in above.items() for key in keys):
+            if key not in known[section]:
+                near = did_you_mean(key, known[section])
+                problem = Problem(f"{section}.{key}", f"{_name_of(self._path)} has none{near}")
+                self._found.problems.append(where(problem, self._declared))
+        for key, table in known["robots"].items():
+            self._add_robot(key, {**table, **above["robots"].get(key, {})})
+        for key, table in known["groups"].items():
+            self._add_group(key, _merged(table, above["groups"].get(key, {})))
+        for key, table in known["objects"].items():
+            self._add_object(key, table)
+        members = self._members(known)
+        defaults = {
+            key: value
+            for source in (self._tables, self._entry)
+            for key, value in source.items()
+            if key in _DEFAULTS
+        }
+        self._found.groups[name] = {**defaults, "robots": [self._full(each) for each in members]}
+        self._found.declared[f"groups.{name}"] = (*self._declared, (self._path, ""))
+        lines = key_lines(self._path)
+        self._found.problems += [located(each, self._path, lines) for each in self._problems]
+
+    def _members(self, known: Mapping[str, Mapping[str, Any]]) -> list[str]:
+        """Returns the names of the members in their order: by default all, each once."""
+        every = [*known["robots"], *known["groups"]]
+        others = [name for name, table in known["groups"].items() if "model" not in table]
+        members = self._tables.get("members", [name for name in every if name not in others])
+        if not isinstance(members, list):
+            self._wrong("members", f"found {members!r}; expected names of robots and groups")
+            return every
+        for name in (name for name in members if name not in every):
+            near = did_you_mean(str(name), every)
+            self._wrong("members", f"no robot or group {name!r}{near}")
+        return [name for name in members if name in every]
+
+    def _add_robot(self, name: str, table: dict[str, Any]) -> None:
+        key, full = f"robots.{name}", self._full(name)
+        declared = self._places(key)
+        with collect(self._problems, key):
+            place = self._place.of(name, table, declared)
+            if table.get("mount") is None and not table.get("mirrored") and not self._standing:
+                self._standing = full, frame_from(table.get("base_frame", np.eye(4)), numbers)
+            here = {"base_frame": place.T, "mirrored": place.mirrored, "mount": place.mount}
+            self._found.robots[full] = {**table, **here}
+            self._found.declared[f"robots.{full}"] = (
+                *declared[:-1], *place.mounted, declared[-1],
+            )  # fmt: skip
+
+    def _add_group(self, name: str, table: dict[str, Any]) -> None:
+        declared = self._places(f"groups.{name}")
+        if "model" in table:
+            _add_group(self._found, self._place, name, table, declared)
+            return
+        robots = table.get("robots")
+        if isinstance(robots, list):
+            robots = [self._full(each) if isinstance(each, str) else each for each in robots]
+            table = {**table, "robots": robots}
+        self._found.groups[self._full(name)] = table
+        self._found.declared[f"groups.{self._full(name)}"] = declared
+
+    def _add_object(self, name: str, table: dict[str, Any]) -> None:
+        key = f"objects.{name}"
+        if self._standing is None:
+            self._wrong(key, "no robot to carry it that is neither mounted on another nor mirrored")
+            return
+        robot, T = self._standing
+        with collect(self._problems, key):
+            item = Object(**{**table, "name": name, "on": "base"})
+            item = item.model_copy(update={"frame": inverse(T) @ item.frame})
+            item._declared = self._path, key
+            self._found.objects.setdefault(robot, []).append(item)
+
+    def _section(self, tables: Mapping[str, Any], section: str) -> dict[str, dict[str, Any]]:
+        """Returns the tables of a section, of the model or of the group's table."""
+        entries = tables.get(section, {})
+        wrong = [Problem(section, f"found {entries!r}; expected tables [{section}.NAME]")]
+        if isinstance(entries, Mapping):
+            wrong = [
+                Problem(f"{section}.{name}", f"found {table!r}; expected a table")
+                for name, table in entries.items()
+                if not isinstance(table, Mapping)
+            ]
+        if tables is self._tables:
+            self._problems += wrong
+        else:
+            self._found.problems += [where(problem, self._declared) for problem in wrong]
+        return {} if wrong else {name: dict(table) for name, table in entries.items()}
+
+    def _places(self, key: str) -> Declared:
+        outer = ((file, f"{prefix}.{key}") for file, prefix in self._declared)
+        return (*outer, (self._path, key))
+
+    def _full(self, name: str) -> str:
+        return f"{self._place.scope}{name}"
+
+    def _wrong(self, key: str, message: str) -> None:
+        self._problems.append(Problem(key, message))
+
+
+def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns a table of a group with another one over it, whose members count one by one."""
+    merged = {**below, **above}
+    for section in ("robots", "groups"):
+        one, other = below.get(section), above.get(section)
+        if isinstance(one, dict) and isinstance(other, dict):
+            both = {key: _merged(one.get(key, {}), other[key]) for key in other}
+            merged[section] = {**one, **both}
+    return merged
+
+
+def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -> dict[str, Any]:
+    """Returns tables whose models, meshes and pieces of MJCF are found from anywhere.
+
+    A model that is there becomes the `Path` of its file, from the working directory; a name is
+    looked for beside the file that it stands in.
+
+    Args:
+        folder: that their names are relative to.
+        tables: of a model, with its sections, or of a group in a scene.
+        beside: whether models may also stand beside that folder, as models stand beside each other.
+    """
+    found: dict[str, Any] = deepcopy(dict(tables))
+    whole = folder.absolute()  # names of files in it are not put behind a folder again
+    for section in _SECTIONS:
+        entries = found.get(section)
+        for table in entries.values() if isinstance(entries, dict) else ():
+            if not isinstance(table, dict):
+                continue
+            if section == "groups":
+                table.update(_found_from(folder, table, beside))
+            if section == "objects":
+                set_directory([table], whole)
+            if section == "robots" and isinstance(table.get("directory"), str):
+                table["directory"] = str(whole / table["directory"])
+            set_directory(table.get("children"), whole)
+            find = paths.find_model if section == "robots" else paths.find_group_model
+            around = Path(os.path.normpath(folder / ".."))
+            for place in (folder, around) if beside else (folder,):
+                if isinstance(table.get("model"), str):
+                    with suppress(DeclarationError, UnknownName):  # told where it is used
+                        table["model"] = find(table["model"], place)
+    return found

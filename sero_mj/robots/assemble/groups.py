@@ -1,0 +1,200 @@
+"""`Group`: robots that are moved, switched and shown as one.
+
+A group lists robots and other groups in order. A route to one of its inputs gives each robot its
+share of the values, in that order; a route to one of its switches sets those of all.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+from pydantic import Field, PrivateAttr
+
+from ...base.declaration import Name, Vector
+from ...base.errors import Problem, did_you_mean
+from .robot_parts import VALUE_INPUTS, ArrowQuantity, BillboardLines, Posed
+
+_MOST_MEMBERS = 400  # of a group
+_MOST_TOLD = 5  # members of a group that do not exist; each takes a search for the nearest name
+
+
+class Group(Posed):
+    """An ordered group of robots, and defaults for these.
+
+    What is declared of a robot itself, in its model or in its table, counts more than the default
+    of its group, and a group's more than that of the group around it. None is no default.
+
+    Attributes:
+        name: in routes, e.g. `justin` in `justin.joint_angles`.
+        description: one line about it.
+        robots: names of robots and groups, in the order of the values in packets.
+        joint_angles: initial pose of all of them in that order, rad or m: of all joints, or of the
+            independent ones. It counts more than the poses of its robots and of groups in it.
+        joint_angles_deg: the same in degrees; converted to joint_angles.
+        torques: initial measured torques likewise, Nm or N; this and the three that follow have
+            values of all joints or of the independent ones, and None for no data.
+        commanded_torques: Nm or N.
+        joint_accelerations: rad/s2 or m/s2.
+        billboard_values: in the unit that the billboards show.
+        enable_touch_sensor: whether a click on a robot toggles its features; this and all that
+            follow are defaults of the robots' own fields.
+        stale_after: s.
+        show_axes: whether coordinate axes are shown.
+        axes_size: m.
+        axes_transparency: 0 opaque to 1 invisible.
+        show_arrows: whether round arrows are shown.
+        arrow_quantity: quantity of the arrows.
+        arrow_dead_band: fraction of the limit.
+        arrow_radius: m.
+        arrow_width_scale: m per Nm.
+        show_billboards: whether billboards are shown.
+        billboard_scale: text height, in units of 0.7 times the picture height.
+        billboard_lines: lines of the billboards.
+        elastic_joints: whether simulated joints are elastic.
+    """
+
+    name: Name
+    description: str = ""
+    robots: list[Name] = Field(min_length=1, max_length=_MOST_MEMBERS)
+    torques: Vector | None = None
+    commanded_torques: Vector | None = None
+    joint_accelerations: Vector | None = None
+    billboard_values: Vector | None = None
+    enable_touch_sensor: bool | None = None
+    stale_after: float | None = Field(None, gt=0)
+    show_axes: bool | None = None
+    axes_size: float | None = Field(None, gt=0)
+    axes_transparency: float | None = Field(None, ge=0, le=1)
+    show_arrows: bool | None = None
+    arrow_quantity: ArrowQuantity | None = None
+    arrow_dead_band: float | None = Field(None, ge=0, lt=1)
+    arrow_radius: float | None = Field(None, gt=0)
+    arrow_width_scale: float | None = Field(None, gt=0)
+    show_billboards: bool | None = None
+    billboard_scale: float | None = Field(None, gt=0, le=0.5)
+    billboard_lines: BillboardLines = None
+    elastic_joints: bool | None = None
+
+    # Files and keys of its tables, where it has a model; for problems found later.
+    _declared: tuple[tuple[Path, str], ...] = PrivateAttr(())
+
+    @property
+    def defaults(self) -> dict[str, object]:
+        """The defaults that it has, by the robots' field."""
+        fields = [key for key in type(self).model_fields if key not in _OWN]
+        return {key: getattr(self, key) for key in fields if getattr(self, key) is not None}
+
+    def without_defaults(self) -> Group:
+        """Returns the group as its members alone: poses and looks are those of its robots."""
+        group = Group(name=self.name, robots=self.robots)
+        group._declared = self._declared
+        return group
+
+
+SHARED = ("joint_angles", *VALUE_INPUTS)  # fields whose values its robots share, in their order
+_OWN = ("name", "description", "robots", "joint_angles_deg", *SHARED)  # fields that are no defaults
+
+
+@dataclass(frozen=True)
+class Membership:
+    """Which robots are in which groups.
+
+    Attributes:
+        members: names of the robots of every group in their order, those of groups in it included,
+            each once.
+        around: names of the groups around every robot and group, inner ones first.
+        circles: names of groups that are in each other.
+        twice: groups with a robot that is in them twice, and its name.
+    """
+
+    members: dict[str, list[str]]
+    around: dict[str, list[str]]
+    circles: list[list[str]]
+    twice: dict[str, str]
+
+
+def membership(groups: Mapping[str, Sequence[str]]) -> Membership:
+    """Resolves groups of groups.
+
+    Args:
+        groups: names of robots and groups, by the name of their group.
+    """
+    found = Membership({}, {}, [], {})
+
+    def visit(name: str, way: list[str]) -> list[str]:
+        if name in way:
+            found.circles.append(way[way.index(name) :])
+            return []
+        if name in found.members or name not in groups:
+            return found.members.get(name, [name])
+        every = [each for inner in groups[name] for each in visit(inner, [*way, name])]
+        found.members[name] = once = list(dict.fromkeys(every))
+        if len(once) < len(every):
+            found.twice[name] = Counter(every).most_common(1)[0][0]
+        return once
+
+    for group in groups:
+        visit(group, [])
+    outer: dict[str, dict[str, None]] = {name: {} for name in groups}  # sets in order
+    for group, names in groups.items():
+        for name in names:
+            outer.setdefault(name, {})[group] = None
+    for name in outer:
+        around: dict[str, None] = {}
+        todo = [name]
+        while todo:
+            new = [group for group in outer[todo.pop(0)] if group not in around]
+            todo += new
+            around |= dict.fromkeys(new)
+        found.around[name] = [*around]
+    return found
+
+
+def group_problems(
+    groups: Mapping[str, Group], found: Membership, declared: Collection[str]
+) -> list[Problem]:
+    """Returns members that do not exist or come twice, circles, and defaults that contradict.
+
+    Args:
+        groups: by name.
+        found: what `membership` returned.
+        declared: names of all robots and groups, valid or not.
+    """
+    problems = []
+    for name, group in groups.items():
+        unknown = [each for each in dict.fromkeys(group.robots) if each not in declared]
+        for each in unknown[:_MOST_TOLD]:
+            near = did_you_mean(each, {known for known in declared if known != name})
+            message = f"no robot or group '{each}'{near}"
+            problems.append(Problem(f"groups.{name}.robots", message))
+    for circle in found.circles:
+        way = " in ".join([*circle, circle[0]][::-1])
+        message = f"groups are in each other in a circle: {way}"
+        problems.append(Problem(f"groups.{circle[0]}.robots", message))
+    for name, each in found.twice.items():
+        message = f"'{each}' is in it twice, so its share of the values is ambiguous"
+        problems.append(Problem(f"groups.{name}.robots", message))
+    for name, around in found.around.items():
+        if name not in groups:
+            problems += _contradictions(groups, found, name, around)
+    return problems
+
+
+def _contradictions(
+    groups: Mapping[str, Group], found: Membership, robot: str, around: list[str]
+) -> list[Problem]:
+    """Returns defaults of a robot on which groups that are not in each other do not agree."""
+    problems = []
+    for one, other in combinations(around, 2):
+        first, second = groups[one].defaults, groups[other].defaults
+        if other in found.around[one] or one in found.around[other]:
+            continue
+        for key in sorted(first.keys() & second.keys()):
+            if first[key] != second[key]:
+                message = f"'{robot}' is in {one} as well, which has another {key}"
+                problems.append(Problem(f"groups.{other}.{key}", message))
+    return problems

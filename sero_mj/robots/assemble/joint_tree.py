@@ -1,0 +1,248 @@
+"""`JointTree`: kinematics of a tree of joints in numpy, independent of MuJoCo.
+
+Frame 0 is the base, frame i that of the link that joint i moves. Each joint is on the link of
+another one or on the base: T_0,i = T_0,p(i) T_p(i),i(q_i), with p(i) < i. A serial robot has
+p(i) = i - 1. What T_p(i),i is, a table says: of Denavit and Hartenberg (`dh`), or of the
+joints' frames (`JointFrames`).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...base.frames import MIRROR, Array, Bools, Ints, inverse, rotation_about
+
+
+class JointTree(ABC):
+    """Kinematics of n joints.
+
+    Attributes:
+        revolute: True for revolute joints, False for prismatic ones, (n,) bool.
+        sign: -1 for joints that turn against their z axis, those of a mirrored robot, else 1, (n,);
+            None for 1 throughout.
+        parents: index of the frame that carries each joint, (n,): 0 for the base, i for joint i;
+            None for a serial robot, 0 to n - 1.
+        root: T_base_0, (4, 4): what the rows of joints on the base start from; None for the base.
+    """
+
+    revolute: Bools
+    sign: Array | None
+    parents: Ints | None
+    root: Array | None
+
+    @abstractmethod
+    def transforms(self, joint_values: Array) -> Array:
+        """Returns T_p(i),i without `root`, (..., n, 4, 4), for values (..., n) times `signs`."""
+
+    @abstractmethod
+    def step_lengths(self) -> Array:
+        """Returns how far it is from joint to joint along the table's offsets, (n,), m."""
+
+    @abstractmethod
+    def distances(self, extensions: ArrayLike = 0.0) -> Array:
+        """Returns how far the origins of neighbouring frames are apart, (n,), m.
+
+        Args:
+            extensions: of prismatic joints, (..., n), m.
+        """
+
+    @abstractmethod
+    def mirrored(self) -> Self:
+        """Returns the table of the mirror image at the base's xz plane.
+
+        At equal joint values its frames are S T S of those of this one, S = diag(1, -1, 1, 1).
+        """
+
+    @property
+    def turns_in_carrier(self) -> bool:
+        """Whether joints are on z of what carries them (standard DH), not on their link's own z."""
+        return False
+
+    def __len__(self) -> int:
+        return len(self.revolute)
+
+    @property
+    def signs(self) -> Array:
+        """`sign`, (n,)."""
+        return np.ones(len(self)) if self.sign is None else self.sign
+
+    @property
+    def carriers(self) -> Ints:
+        """`parents`, (n,)."""
+        return np.arange(len(self), dtype=np.intp) if self.parents is None else self.parents
+
+    @cached_property
+    def moves(self) -> Bools:
+        """Whether each frame is moved by each joint, (n + 1, n)."""
+        moves = np.zeros((len(self) + 1, len(self)), bool)
+        for i, parent in enumerate(self.carriers):
+            moves[i + 1] = moves[parent]
+            moves[i + 1, i] = True
+        return moves
+
+    def path_lengths(self, steps: Array) -> Array:
+        """Returns the sums of steps (n,) from the base to every frame, (n + 1,)."""
+        return np.asarray(self.moves @ steps)
+
+    @property
+    def depths(self) -> Ints:
+        """Number of joints that move every link, (n,)."""
+        return np.asarray(self.moves[1:].sum(axis=1))
+
+    def link_transforms(self, joint_angles: ArrayLike) -> Array:
+        """Returns the transform of every row at the given joint angles.
+
+        Args:
+            joint_angles: (..., n), rad for revolute and m for prismatic joints.
+
+        Returns:
+            T_p(i),i, (..., n, 4, 4), of joints on the base with `root`.
+
+        Raises:
+            ValueError: the last axis is not n long.
+        """
+        q = np.asarray(joint_angles, dtype=np.float64)
+        if q.shape[-1:] != (len(self),):
+            raise ValueError(
+                f"joint_angles: found {q.shape}; expected {len(self)} in the last axis"
+            )
+        T = self.transforms(q if self.sign is None else q * self.sign)
+        if self.root is not None:
+            on_base = self.carriers == 0
+            T[..., on_base, :, :] = self.root @ T[..., on_base, :, :]
+        return T
+
+    def frames(self, joint_angles: ArrayLike, base_frame: ArrayLike | None = None) -> Array:
+        """Returns the forward kinematics of every frame.
+
+        Args:
+            joint_angles: (..., n), rad or m.
+            base_frame: T_world_base (..., 4, 4); identity when None.
+
+        Returns:
+            T_world_i for i = 0 (the base) to n, (..., n + 1, 4, 4), translation in m.
+        """
+        links = self.link_transforms(joint_angles)
+        base = np.eye(4) if base_frame is None else np.asarray(base_frame)
+        many = np.broadcast_shapes(links.shape[:-3], base.shape[:-2])
+        T = np.empty((*many, len(self) + 1, 4, 4))
+        T[..., 0, :, :] = base
+        for i, parent in enumerate(self.carriers.tolist()):
+            T[..., i + 1, :, :] = T[..., parent, :, :] @ links[..., i, :, :]
+        return T
+
+    @property
+    def axis_frames(self) -> Array:
+        """Frame of every joint's axis in that of the link it moves, z along it, (n, 4, 4).
+
+        Joint values grow about, or along, z.
+        """
+        T = np.tile(np.eye(4), (len(self), 1, 1))
+        if self.turns_in_carrier:
+            T = inverse(self.link_transforms(np.zeros(len(self))))
+            if self.root is not None:
+                T = np.where((self.carriers == 0)[:, None, None], T @ self.root, T)
+        # The joints of a mirrored robot turn against z of their frames.
+        return np.asarray(np.where(self.signs[:, None, None] > 0, T, T @ _TURNED))
+
+    def joint_axes(self, frames: Array) -> tuple[Array, Array]:
+        """Returns every joint axis as a direction and a point, in the coordinates of `frames`.
+
+        Joint values grow about, or along, the direction.
+
+        Args:
+            frames: what `frames()` returned, (..., n + 1, 4, 4).
+
+        Returns:
+            directions (..., n, 3) of unit length and points (..., n, 3) in m.
+        """
+        own = frames[..., 1:, :, :]
+        if self.turns_in_carrier:
+            own = frames[..., self.carriers, :, :]
+            if self.root is not None:
+                own = np.where((self.carriers == 0)[:, None, None], own @ self.root, own)
+        return own[..., :3, 2] * self.signs[:, None], own[..., :3, 3]
+
+    def jacobian(
+        self,
+        joint_angles: ArrayLike,
+        base_frame: ArrayLike | None = None,
+        flange_frame: ArrayLike | None = None,
+        link: int = -1,
+    ) -> Array:
+        """Returns the geometric Jacobian of the flange.
+
+        Args:
+            joint_angles: (..., n), rad or m.
+            base_frame: T_world_base (4, 4); identity when None.
+            flange_frame: T_link_flange (4, 4); identity when None.
+            link: index of the frame that carries the flange; the last one by default.
+
+        Returns:
+            (..., 6, n): rows 0-2 linear velocity (m per rad or m), rows 3-5 angular velocity,
+            of the flange origin, in world coordinates.
+        """
+        T = self.frames(joint_angles, base_frame)
+        axis, point = self.joint_axes(T)
+        flange = np.eye(4) if flange_frame is None else np.asarray(flange_frame)
+        tip = (T[..., link, :, :] @ flange)[..., None, :3, 3]
+        turns = self.revolute[:, None]
+        linear = np.where(turns, np.cross(axis, tip - point), axis)
+        angular = np.where(turns, axis, 0.0)
+        both = np.concatenate([linear, angular], axis=-1) * self.moves[link][:, None]
+        return np.swapaxes(both, -1, -2)
+
+
+_TURNED = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class JointFrames(JointTree):
+    """A tree of joints with frames of their own, as URDF and MJCF have it.
+
+    T_p(i),i(q) = F_i Rz(q), or F_i Tz(q) for a prismatic joint.
+
+    Attributes:
+        fixed: F, frame of every link on what carries it at joint value zero, (n, 4, 4), m; z is
+            the joint's axis.
+
+    The others are those of `JointTree`.
+    """
+
+    fixed: Array
+    revolute: Bools
+    sign: Array | None = None
+    parents: Ints | None = None
+    root: Array | None = None
+
+    def transforms(self, joint_values: Array) -> Array:
+        """Returns T_p(i),i without `root`, (..., n, 4, 4)."""
+        moved = np.zeros((*joint_values.shape, 4, 4))
+        moved[..., 3, 3] = 1.0
+        moved[..., :3, :3] = rotation_about(2, np.where(self.revolute, joint_values, 0.0))
+        moved[..., 2, 3] = np.where(self.revolute, 0.0, joint_values)
+        return np.asarray(self.fixed @ moved)
+
+    def step_lengths(self) -> Array:
+        """Returns the distances of neighbouring frames, (n,), m."""
+        return self.distances()
+
+    def distances(self, extensions: ArrayLike = 0.0) -> Array:
+        """Returns how far the origins of neighbouring frames are apart, (..., n), m."""
+        extended = np.where(self.revolute, 0.0, extensions)[..., None] * self.fixed[:, :3, 2]
+        return np.asarray(np.linalg.norm(self.fixed[:, :3, 3] + extended, axis=-1))
+
+    def mirrored(self) -> JointFrames:
+        """Returns the table of the mirror image at the base's xz plane."""
+        return replace(
+            self,
+            fixed=MIRROR @ self.fixed @ MIRROR,
+            sign=np.where(self.revolute, -1.0, 1.0) * self.signs,
+            root=None if self.root is None else MIRROR @ self.root @ MIRROR,
+        )

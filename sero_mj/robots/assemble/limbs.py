@@ -1,0 +1,150 @@
+"""Limbs: the unbranched parts of a robot, by which many joints are routed, switched and shown."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+from ...base.errors import Problem, did_you_mean
+
+_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_OF_ANY = ("joint", "j")  # words that say nothing of the limb, as numbers do
+# Words that say to which part of a body a joint belongs, where no word is common to its limb.
+_PARTS = {
+    "arm": ("shoulder", "elbow", "forearm", "wrist"),
+    "leg": ("hip", "thigh", "knee", "calf", "ankle"),
+    "head": ("neck", "eye"),
+    "torso": ("waist", "spine"),
+    "hand": ("finger", "thumb", "knuckle"),
+}
+_PART_OF = {word: part for part, words in _PARTS.items() for word in (part, *words)}
+
+
+def find_limbs(
+    names: Sequence[str], carriers: Sequence[int], followed: Mapping[str, str]
+) -> dict[str, list[int]]:
+    """Returns the limbs of a robot, by what the names of their joints have in common.
+
+    A limb is a run of joints of which each is the only one on the link of the one before, as long
+    as it can be. Runs that only follow another joint belong to that one's: the knuckles of a
+    gripper to its drive. Where names have nothing in common that another limb does not have as
+    well, those of the first and the last joint name it.
+
+    Args:
+        names: of the joints, n.
+        carriers: index of the frame that carries each joint, n: 0 for the base, i for joint i.
+        followed: for each coupled joint the one that it follows.
+
+    Returns:
+        indices of joints by limb; every joint is in one, in the order of the joints.
+    """
+    on = Counter(carriers)
+    runs: list[list[int]] = []
+    for i, carrier in enumerate(carriers):
+        if runs and carrier == i and on[carrier] == 1:
+            runs[-1].append(i)
+        else:
+            runs.append([i])
+    runs = _with_followers(runs, names, followed)
+    found = [_named([names[i] for i in run]) for run in runs]
+    known = Counter(found)
+    limbs: dict[str, list[int]] = {}
+    for run, name in zip(runs, found, strict=True):
+        is_clear = name and known[name] == 1 and (name not in names or len(run) == 1)
+        limbs[name if is_clear else _ends(names, run)] = run
+    return limbs
+
+
+def limb_problems(names: Sequence[str], limbs: Mapping[str, Sequence[str]]) -> list[Problem]:
+    """Returns what is wrong with declared limbs: names and joints that are unknown or used twice.
+
+    Args:
+        names: of the joints.
+        limbs: names of joints by limb.
+    """
+    problems = []
+    limb_of: dict[str, str] = {}
+    for limb, joints in limbs.items():
+        if limb in names and list(joints) != [limb]:
+            message = "a joint has this name; expected another one"
+            problems.append(Problem(limb, message))
+        if not joints:
+            problems.append(Problem(limb, "found no joints; expected one or more"))
+        for i, joint in enumerate(joints):
+            if joint not in names:
+                message = f"no joint '{joint}'{did_you_mean(joint, names)}"
+                problems.append(Problem(f"{limb}.{i}", message))
+            elif joint in limb_of:
+                message = f"{joint} is in {limb_of[joint]} already; expected it in one limb"
+                problems.append(Problem(f"{limb}.{i}", message))
+            limb_of.setdefault(joint, limb)
+    return problems
+
+
+def all_limbs(
+    names: Sequence[str], found: Mapping[str, list[int]], declared: Mapping[str, Sequence[str]]
+) -> dict[str, list[int]]:
+    """Returns the declared limbs, and the joints that are in none of them as they were found.
+
+    Args:
+        names: of the joints.
+        found: what `find_limbs` returned.
+        declared: names of joints by limb, without problems.
+    """
+    index = {name: i for i, name in enumerate(names)}
+    limbs = {limb: [index[joint] for joint in joints] for limb, joints in declared.items()}
+    taken = {i for joints in limbs.values() for i in joints}
+    for limb, joints in found.items():
+        left = [i for i in joints if i not in taken]
+        if left:
+            is_whole = len(left) == len(joints) and limb not in limbs
+            limbs[limb if is_whole else _ends(names, left)] = left
+    return dict(sorted(limbs.items(), key=lambda entry: entry[1][0]))
+
+
+def _with_followers(
+    runs: list[list[int]], names: Sequence[str], followed: Mapping[str, str]
+) -> list[list[int]]:
+    """Returns the runs, those of coupled joints alone put into that of the joint they follow."""
+    number = {names[i]: k for k, run in enumerate(runs) for i in run}
+
+    def leader(k: int) -> int:
+        own = [names[i] for i in runs[k]]
+        if not all(name in followed for name in own):
+            return k
+        name, seen = own[0], set[str]()
+        while name in followed and name not in seen:
+            seen.add(name)
+            name = followed[name]
+        return number.get(name, k)
+
+    whole: dict[int, list[int]] = {}
+    for k, run in enumerate(runs):
+        whole.setdefault(leader(k), []).extend(run)
+    return sorted((sorted(run) for run in whole.values()), key=lambda run: run[0])
+
+
+def _ends(names: Sequence[str], run: Sequence[int]) -> str:
+    """Returns a name by the first and the last joint."""
+    first, last = names[run[0]], names[run[-1]]
+    return first if len(run) == 1 else f"{first}-{last}"
+
+
+def _named(joints: Sequence[str]) -> str:
+    """Returns what the names of a limb's joints have in common; empty where it is nothing."""
+    if len(joints) == 1:
+        return joints[0]
+    words = [_WORDS.findall(name) for name in joints]
+    shared = set.intersection(*({word.lower() for word in each} for each in words))
+    common = [
+        word
+        for word in dict.fromkeys(words[0])
+        if word.lower() in shared and not word.isdigit() and word.lower() not in _OF_ANY
+    ]
+    words_of_all = {word.lower() for each in words for word in each}
+    parts = {_PART_OF[word] for word in words_of_all if word in _PART_OF}
+    told = any(
+        word in _PART_OF or part in word for word in map(str.lower, common) for part in parts
+    )
+    return "_".join([*common, *parts] if len(parts) == 1 and not told else common)

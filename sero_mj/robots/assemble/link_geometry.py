@@ -1,0 +1,142 @@
+"""The geoms of a robot's links: mesh files and primitive shapes as declared, or generated ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.errors import DeclarationError, Problem, collect
+from ...base.frames import MIRROR, Array
+from .mjcf_elements import MESH, Hull, geom_type, half_sizes, mesh_assets, pose, shape_geom
+from .mjcf_links import drawn_links, touching_links
+from .robot import SerialRobot
+from .robot_parts import LinkGeometry
+from .shapes import SHELL, LinkShape, generate_shapes
+
+Geom = dict[str, Any]
+
+
+def generated(robot: SerialRobot) -> list[list[LinkShape]]:
+    """Returns the generated shapes of a robot's base and links."""
+    return generate_shapes(robot.kinematics, robot.T_n_flange, robot.strokes, robot.flange_link)
+
+
+def drawn_geoms(
+    root: mujoco.MjSpec,
+    robot: SerialRobot,
+    problems: list[Problem],
+    shrink: float = 1.0,
+    hull: Hull = "never",
+) -> list[list[Geom]]:
+    """Returns the attributes of the visible geoms of the base and every link, in their frames.
+
+    Args:
+        root: gets the meshes; those that it has are used again.
+        robot: declared or generated shapes.
+        problems: get those of files that cannot be read.
+        shrink: factor of all sizes, about each link's origin.
+        hull: of meshes, see `mesh_assets`.
+    """
+    scope = "" if shrink == 1.0 else f"double-{robot.name}-"
+    if robot.mjcf is not None:
+        with collect(problems, ""):
+            return drawn_links(root, robot, scope, shrink)
+        return [[] for _ in range(robot.n + 1)]
+    if not robot.filenames:
+        links = generated(robot)
+        return [[{"rgba": s.rgba, **shape_geom(s, shrink)} for s in link] for link in links]
+    return _declared(root, robot, "filenames", scope, problems, hull, shrink)
+
+
+def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
+    """Returns those of the declared `collisions`, or of MJCF.
+
+    Raises:
+        DeclarationError: files that cannot be read.
+    """
+    if robot.mjcf is not None:
+        return touching_links(root, robot)
+    problems: list[Problem] = []
+    geoms = _declared(root, robot, "collisions", "touching-", problems, "always")
+    for geom in (geom for link in geoms for geom in link):
+        del geom["rgba"]
+    if problems:
+        raise DeclarationError(problems)
+    return geoms
+
+
+def _declared(
+    root: mujoco.MjSpec,
+    robot: SerialRobot,
+    key: str,
+    scope: str,
+    problems: list[Problem],
+    hull: Hull,
+    shrink: float = 1.0,
+) -> list[list[Geom]]:
+    geoms: list[list[Geom]] = [[] for _ in range(robot.n + 1)]
+    for i, parts in enumerate(getattr(robot, key)):
+        for k, part in enumerate(parts):
+            rgba = None if part.color is None else robot.colors[part.color]
+            if part.shape == "generated":
+                for shape in generated(robot)[i]:
+                    look = shape.rgba if rgba is None else rgba
+                    geoms[i].append({"rgba": look, **shape_geom(shape, shrink)})
+                continue
+            placed = part.model_copy(
+                update={
+                    "frame": _placed(robot, part.frame, shrink),
+                    "scale": shrink * mesh_scale(robot, part),
+                    "size": None if part.size is None else part.size * shrink,
+                }
+            )
+            with collect(problems, f"{key}.{i}"):
+                name, folder = f"{scope}link{i}_{k}", Path(robot.directory)
+                geoms[i] += part_geoms(root, placed, name, folder, rgba, hull)
+    return geoms
+
+
+def part_geoms(
+    root: mujoco.MjSpec, part: LinkGeometry, name: str, folder: Path, rgba: Any, hull: Hull
+) -> list[Geom]:
+    """Returns the attributes of the geoms of a mesh file, one for each colour, or of a shape.
+
+    Args:
+        root: gets the meshes.
+        part: with the scale of its mesh.
+        name: of its mesh.
+        folder: that its file is in.
+        rgba: its colour; None for the file's own.
+        hull: of its mesh, see `mesh_assets`.
+
+    Raises:
+        DeclarationError: the file cannot be read.
+    """
+    at = pose(part.frame)
+    if part.shape is not None:
+        assert part.size is not None  # checked by LinkGeometry
+        size = half_sizes(part.shape, part.size)
+        look = SHELL if rgba is None else rgba
+        return [{"type": geom_type(part.shape), "size": size, "rgba": look, **at}]
+    assert part.scale is not None
+    geoms = []
+    for mesh, own in mesh_assets(root, name, folder / (part.file or ""), part.scale, hull=hull):
+        look = next((each for each in (rgba, own) if each is not None), SHELL)
+        geoms.append({"type": MESH, "meshname": mesh, "rgba": look, **at})
+    return geoms
+
+
+def mesh_scale(robot: SerialRobot, part: LinkGeometry) -> Array:
+    """Returns m per unit of a mesh along x, y and z, (3,); negative where it is mirrored."""
+    scale = np.full(3, robot.mesh_scale) if part.scale is None else part.scale
+    return scale * (MIRROR.diagonal()[:3] if robot.mirrored else 1.0)
+
+
+def _placed(robot: SerialRobot, T: Array, shrink: float) -> Array:
+    """Returns the frame of a part in its link."""
+    T = MIRROR @ T @ MIRROR if robot.mirrored else T.copy()
+    T[:3, 3] *= shrink
+    return T

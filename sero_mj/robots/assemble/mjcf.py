@@ -1,0 +1,449 @@
+"""Builds a scene's robots and surroundings as MJCF, with `mujoco.MjSpec`.
+
+A robot becomes one body at its base frame with a chain of bodies, one per row of its DH table,
+whose frames are the DH frames: body i is at T_{i-1,i}(q_i = 0) and moves about, or along, z of
+its own frame (craig) or of its parent's (standard). The base is a mocap body, or hangs on the body
+of the robot that carries it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base import frames
+from ...base.errors import DeclarationError, Problem, collect
+from ...base.frames import Array, nice
+from ..importers.mjcf_file import as_spec
+from .double import DOUBLE_GROUP, Double, path_fade
+from .inputs import moving
+from .link_geometry import drawn_geoms
+from .mjcf_dynamics import (
+    ON,
+    add_dynamics,
+    exclude_mounted,
+    exclude_neighbours,
+    is_limited,
+    position_range,
+    set_friction,
+    set_inertia,
+    set_up_dynamics,
+)
+from .mjcf_elements import MESH, SITE_GROUP, geom_type, half_sizes, mesh_assets, pose
+from .mounts import base_frames, carrier, mount_order
+from .rigid_urdf import urdf_piece
+from .robot import SerialRobot
+from .robot_dynamics import RobotDynamics, declared_inertia
+from .scene import Scene
+from .surroundings import PALETTES, Look, Object, Palette
+
+OBJECT_GROUP, ROBOT_GROUP = 0, 1
+SKY = "sky"  # name of the texture
+_DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+_KEY_LIGHT = np.array([1.5, -1.5, 4.0])  # position relative to the middle of the robots, m
+_TILE = 0.25  # edge of a tile of the floor, m
+_SCENE_SIZE = 1.25  # of a robot for which position and edge are made, m
+_SPOT = mujoco.mjtLightType.mjLIGHT_SPOT
+# A double is slightly smaller than its robot, so that its surface is inside the robot's where
+# they nearly coincide: no flicker (z-fighting).
+_SHRINK = 0.985
+
+
+def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None) -> mujoco.MjSpec:
+    """Returns the scene as one `MjSpec`, names scoped by robot (`lwr/link1`).
+
+    Args:
+        scene: what to build.
+        dynamics: of every robot, for the simulated variant; None for the display variant.
+
+    Raises:
+        DeclarationError: an MJCF piece cannot be read, or a file is missing.
+    """
+    root = mujoco.MjSpec()
+    root.modelname = scene.name
+    root.compiler.degree = False
+    # A moving body needs a mass, also a link without geometry (in a wrist).
+    root.compiler.boundmass, root.compiler.boundinertia = 1e-9, 1e-12
+    moved = moving(scene)
+    _surroundings(root, scene, moved)
+    if dynamics is not None:
+        set_up_dynamics(root, has_free=any(item.is_free for item in scene.objects))
+    problems = _clashes(scene)
+    if problems:
+        raise DeclarationError(scene.located(problems))
+    for item in scene.objects:
+        with collect(problems, f"objects.{item.name}"):
+            if dynamics is not None and item.is_free:
+                body = root.worldbody.add_body(name=moved_body(item.name), **pose(item.frame))
+                body.add_freejoint(name=moved_body(item.name))
+                _add_object(root, body, item, np.eye(4))
+            elif item.name in moved:
+                _add_object(root, _moved_body(root, item.name, item.frame), item, np.eye(4))
+            else:
+                _add_object(root, root.worldbody, item, item.frame)
+    unbuilt: set[str | None] = set()
+    for name in mount_order(scene.robots):
+        robot, count = scene.robots[name], len(problems)
+        if carrier(robot) not in unbuilt:  # what carries it is wrong, and that is reported
+            with collect(problems, f"robots.{name}"):
+                _add_robot(root, robot, None if dynamics is None else dynamics[name])
+        if len(problems) > count or carrier(robot) in unbuilt:
+            unbuilt.add(name)
+    if problems:
+        raise DeclarationError(scene.located(problems))
+    if dynamics is not None:
+        exclude_mounted(root, scene.robots, _standing_together(scene))
+    bases = base_frames(scene.robots)
+    for double in scene.doubles.values():
+        _add_double(root, double, scene.robots[double.of], bases[double.of])
+    _add_frames(root, scene)
+    return root
+
+
+def _add_frames(root: mujoco.MjSpec, scene: Scene) -> None:
+    for name in scene.frames:
+        body = root.worldbody.add_body(name=f"frame-{name}", mocap=True)
+        body.add_site(name=f"frame-{name}", group=SITE_GROUP)
+    for arrow in scene.arrows.values():
+        if arrow.site is not None:
+            root.worldbody.add_site(name=arrow.site, pos=arrow.at, group=SITE_GROUP)
+
+
+def _add_robot(root: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics | None) -> None:
+    piece = _robot_spec(robot)
+    if dynamics is not None:
+        add_dynamics(piece, robot, dynamics)
+    if robot.mount is None:
+        base = _attach(root, root.worldbody, piece, robot.name, robot.base_frame)
+        base.mocap = dynamics is None or not robot.free_base
+        if dynamics is not None and robot.free_base:
+            base.add_freejoint(name=f"{robot.name}/free_base")
+    else:
+        at = root.site(_mount_site(robot.mount))
+        T_body_mount = frames.frame(frames.rotation_from_quat(at.quat), at.pos)
+        base = _attach(root, at.parent, piece, robot.name, T_body_mount @ robot.base_frame)
+    if dynamics is not None:
+        set_inertia(base, dynamics, 0)
+        exclude_neighbours(root, robot)
+
+
+def _standing_together(scene: Scene) -> list[list[str]]:
+    """Returns the robots that stand in the world, of each group that is one model."""
+    models = [scene.members(name) or [] for name, group in scene.groups.items() if group._declared]
+    return [[name for name in robots if scene.robots[name].mount is None] for robots in models]
+
+
+def _mount_site(mount: str) -> str:
+    """Returns the site of a frame that a robot is mounted on."""
+    name, _, label = mount.partition("/")
+    sites = {"base": "base", "flange": "flange_frame"}
+    if label.startswith("link") and label[4:].isdigit():
+        return f"{name}/frame{label[4:]}"
+    return f"{name}/{sites.get(label, f'axes_{label}')}"
+
+
+def _attach(
+    root: mujoco.MjSpec, parent: Any, piece: mujoco.MjSpec, name: str, T: Array
+) -> mujoco.MjsBody:
+    """Attaches a piece by a body `NAME/`, the parent of the piece's top-level bodies."""
+    prefix = f"{name}/"
+    piece.compiler.boundmass = max(piece.compiler.boundmass, root.compiler.boundmass)
+    piece.compiler.boundinertia = max(piece.compiler.boundinertia, root.compiler.boundinertia)
+    base = parent.add_body(name=prefix, **pose(T))
+    root.attach(piece, prefix=prefix, frame=base.add_frame())
+    return base
+
+
+def moved_body(name: str) -> str:
+    """Returns the name of the body of an object or camera that a route or physics moves."""
+    return f"moved-{name}"
+
+
+def _moved_body(root: mujoco.MjSpec, name: str, T: Array) -> mujoco.MjsBody:
+    return root.worldbody.add_body(name=moved_body(name), mocap=True, **pose(T))
+
+
+def _clashes(scene: Scene) -> list[Problem]:
+    """Returns problems of names that two elements of the model would share."""
+    problems = []
+    taken = {"floor": "the floor has this name"} if scene.floor else {}
+    pieces = {name: "a robot has this name" for name in scene.robots}
+    for item in scene.objects:
+        names = pieces if item.mjcf is not None or item.urdf is not None else taken
+        if item.name in names:
+            message = f"{names[item.name]}; expected another name"
+            problems.append(Problem(f"objects.{item.name}", message))
+        taken[item.name] = pieces[item.name] = "two objects have this name"
+    return problems
+
+
+def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
+    """Returns one robot as an `MjSpec`; its world body is the robot's base."""
+    root = mujoco.MjSpec()
+    root.compiler.degree = False
+    problems: list[Problem] = []
+    inertia = declared_inertia(robot)
+    # Without declared masses those of its meshes say how large its arrows are.
+    geoms = drawn_geoms(root, robot, problems, hull="never" if inertia else "unless flat")
+    body = root.worldbody
+    _add_geoms(body, geoms[0])
+    body.add_site(name="base", group=SITE_GROUP)
+    table, bodies = robot.kinematics, [body]
+    at_zero, axes = table.link_transforms(np.zeros(robot.n)), table.axis_frames
+    centres = joint_centres(robot)
+    for i, carrier_index in enumerate(table.carriers.tolist()):
+        body = bodies[carrier_index].add_body(name=f"link{i + 1}", **pose(at_zero[i]))
+        bodies.append(body)
+        joint: dict[str, Any] = {"axis": axes[i, :3, 2], "pos": axes[i, :3, 3]}
+        if is_limited(robot, i):
+            joint |= {"range": position_range(robot, i), "limited": True}
+        kind = mujoco.mjtJoint.mjJNT_HINGE if table.revolute[i] else mujoco.mjtJoint.mjJNT_SLIDE
+        body.add_joint(name=robot.names[i], type=kind, **joint)
+        _add_geoms(body, geoms[i + 1])
+        if inertia is not None:
+            set_inertia(body, inertia, i + 1)
+        body.add_site(name=f"frame{i + 1}", group=SITE_GROUP)
+        # Site of arrows and billboards; its z is the joint's axis in both conventions.
+        body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(centres[i]))
+    flange = bodies[robot.flange_link].add_body(name="flange", **pose(robot.T_n_flange))
+    flange.add_site(name="flange_frame", group=SITE_GROUP)
+    wrong_children: list[Problem] = []
+    for k, (child, T) in enumerate(zip(robot.children, robot.child_frames, strict=True)):
+        with collect(wrong_children, f"children.{k}"):
+            body = flange if child.on == "flange" else _body_on(root, child.on)
+            _add_object(root, body, child, T, mirrored=robot.mirrored)
+    if wrong_children or problems:
+        raise DeclarationError(wrong_children + problems)
+    return root
+
+
+def _body_on(root: mujoco.MjSpec, label: str) -> mujoco.MjsBody:
+    """Returns the body of the children on a base or link, whose inertia is theirs alone."""
+    name = f"{ON}{label}"
+    body = root.worldbody if label == "base" else root.body(label)
+    return root.body(name) or body.add_body(name=name)
+
+
+def joint_centres(robot: SerialRobot) -> Array:
+    """Returns the frames (n, 4, 4) of the arrow and billboard of every joint, in its link's."""
+    at = np.tile(np.eye(4), (robot.n, 1, 1))
+    at[:, :3, 3] = robot.offsets
+    return np.asarray(robot.kinematics.axis_frames @ at)
+
+
+def _add_geoms(body: Any, geoms: list[dict[str, Any]]) -> None:
+    for geom in geoms:  # a mirrored robot does not collide
+        body.add_geom(group=ROBOT_GROUP, contype=0, conaffinity=0, **geom)
+
+
+def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> None:
+    visual = root.visual
+    palette = PALETTES[scene.view.look]
+    _add_headlight(root, palette)
+    visual.rgba.haze = [*palette.haze, 1]
+    visual.quality.shadowsize, visual.quality.offsamples = 2048, 4
+    visual.quality.numslices, visual.quality.numstacks = 24, 10
+    visual.quality.numquads = 1  # boxes of 12 triangles: arrows have hundreds of them
+    visual.map.znear, visual.map.zfar = 0.01, 50.0
+    _add_sky(root, palette)
+    if scene.floor:
+        _add_floor(root, palette)
+    for name, light in scene.lights.items():
+        kind = _DIRECTIONAL if light.directional else _SPOT
+        root.worldbody.add_light(
+            name=name, pos=light.position, dir=light.direction, diffuse=light.diffuse, type=kind,
+            castshadow=light.cast_shadow,
+        )  # fmt: skip
+    if not scene.lights:
+        # MuJoCo's shadows have dark specks in them far from the axis of a light.
+        bases = [T[:3, 3] for T in base_frames(scene.robots).values()]
+        middle = np.mean(bases, axis=0) if bases else np.zeros(3)
+        _add_key_light(root, palette, middle + _KEY_LIGHT)
+    for name, camera in scene.cameras.items():
+        body = root.worldbody
+        if name in moved:
+            body = _moved_body(root, name, camera.frame)
+        elif (camera.frame != np.eye(4)).any():
+            body = body.add_body(name=f"camera-{name}", **pose(camera.frame))
+        body.add_camera(
+            name=name, pos=camera.position, fovy=camera.fovy_deg,
+            xyaxes=_look_axes(camera.look_at - camera.position),
+        )  # fmt: skip
+
+
+def build_surroundings(
+    look: Look,
+    *,
+    floor: float | None,
+    sky: bool,
+    lights: bool,
+    middle: Array,
+    size: float,
+) -> mujoco.MjSpec:
+    """Returns surroundings as those of scenes, without robots.
+
+    Args:
+        look: colour theme.
+        floor: its height, m; None for no floor.
+        sky: whether there is a sky.
+        lights: whether there are lights.
+        middle: of what is lit, (3,), m.
+        size: of that, m.
+    """
+    root = mujoco.MjSpec()
+    palette = PALETTES[look]
+    root.visual.headlight.active = int(lights)
+    root.visual.rgba.haze = [*palette.haze, 1]
+    if lights:
+        _add_headlight(root, palette)
+        _add_key_light(root, palette, middle + size / _SCENE_SIZE * _KEY_LIGHT)
+    if sky:
+        _add_sky(root, palette)
+    if floor is not None:
+        _add_floor(root, palette, floor, nice(size / _SCENE_SIZE * _TILE))
+    return root
+
+
+def _add_headlight(root: mujoco.MjSpec, palette: Palette) -> None:
+    headlight = root.visual.headlight
+    ambient, diffuse = palette.headlight
+    headlight.ambient, headlight.diffuse = [ambient] * 3, [diffuse] * 3
+    headlight.specular = [0.05] * 3
+
+
+def _add_key_light(root: mujoco.MjSpec, palette: Palette, at: Array) -> None:
+    root.worldbody.add_light(
+        name="key", pos=at, dir=[-0.35, 0.4, -1], type=_DIRECTIONAL,
+        diffuse=[palette.key] * 3, specular=[0.2] * 3, castshadow=True,
+    )  # fmt: skip
+
+
+def _add_sky(root: mujoco.MjSpec, palette: Palette) -> None:
+    root.add_texture(
+        name=SKY, type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=palette.sky[0], rgb2=palette.sky[1], width=64, height=384,
+    )  # fmt: skip
+
+
+def _add_floor(
+    root: mujoco.MjSpec, palette: Palette, height: float = 0.0, tile: float = _TILE
+) -> None:
+    root.add_texture(
+        name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER, mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=palette.tiles[0], rgb2=palette.tiles[1], markrgb=palette.tiles[2],
+        width=256, height=256,
+    )  # fmt: skip
+    floor = root.add_material(name="floor", texrepeat=[0.5 / tile] * 2, texuniform=True)
+    floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    # A floor that casts shadows is speckled by its own shadow map.
+    root.worldbody.add_geom(
+        name="floor", type=geom_type("plane"), pos=[0, 0, height], size=[0, 0, 0.05],
+        material="floor", group=OBJECT_GROUP, castshadow=False,
+    )  # fmt: skip
+
+
+def _look_axes(forward: Array) -> Array:
+    """Returns the x and y axes (6,) of a camera that looks along `forward`, world z up."""
+    up = np.array([0.0, 0.0, 1.0])
+    if np.linalg.norm(np.cross(forward, up)) < 1e-9 * max(float(np.linalg.norm(forward)), 1.0):
+        up = np.array([0.0, 1.0, 0.0])  # looking straight up or down
+    right = np.cross(forward, up)
+    return np.concatenate([right, np.cross(right, forward)])
+
+
+def _add_object(
+    root: mujoco.MjSpec, body: mujoco.MjsBody, item: Object, T: Array, *, mirrored: bool = False
+) -> None:
+    if item.mjcf is not None:
+        _attach(root, body, as_spec(item.mjcf, Path(item.directory)), item.name, T)
+        return
+    if item.urdf is not None:
+        _attach(root, body, urdf_piece(Path(item.directory) / item.urdf), item.name, T)
+        return
+    if item.shape == "axes":
+        body.add_site(name=f"axes_{item.name}", group=SITE_GROUP, **pose(T))
+        return
+    looks: list[dict[str, Any]] = [{}]
+    if item.mesh is not None:
+        path = Path(item.directory) / item.mesh
+        try:
+            scale = item.mesh_scale * (frames.MIRROR.diagonal()[:3] if mirrored else 1.0)
+            meshes = mesh_assets(root, f"object_{item.name}", path, scale)
+        except DeclarationError as error:
+            raise DeclarationError([p.inside("mesh") for p in error.problems]) from error
+        looks = [{"type": MESH, "meshname": mesh, "rgba": rgba} for mesh, rgba in meshes]
+        if len(meshes) > 1 and item.mass is not None:
+            for look, share in zip(looks, _mass_shares(path, scale), strict=True):
+                look["mass"] = item.mass * share
+    else:
+        assert item.size is not None and item.shape is not None  # checked by Object
+        looks = [{"type": geom_type(item.shape), "size": half_sizes(item.shape, item.size)}]
+    for k, look in enumerate(looks):
+        if look.get("rgba") is None or "rgba" in item.model_fields_set:
+            look["rgba"] = item.rgba
+        if item.mass is not None:
+            look.setdefault("mass", item.mass)
+        name = f"{item.name}_{k}" if k else item.name
+        geom = body.add_geom(name=name, group=OBJECT_GROUP, **look, **pose(T))
+        if item.friction is not None:
+            set_friction(geom, item.friction)
+
+
+def _mass_shares(path: Path, scale: Any) -> Array:
+    """Returns how the mass of a mesh file is shared by the hulls of its colours, (k,)."""
+    root = mujoco.MjSpec()
+    for mesh, _ in mesh_assets(root, "mesh", path, scale):
+        root.worldbody.add_body().add_geom(type=MESH, meshname=mesh)
+    masses = root.compile().body_mass[1:]
+    return np.asarray(masses / masses.sum())
+
+
+def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:
+    """Returns the names of the bodies of every double of a declaration, base to last link."""
+    rows = 1 if double.path is None else double.path_length
+    return [
+        [f"double-{double.name}-{row}-link{i}" for i in range(robot.n + 1)] for row in range(rows)
+    ]
+
+
+def frame_names(double: Double, robot: SerialRobot) -> list[str]:
+    """Returns the names of the bodies with the frames of a double's joints; empty for a path."""
+    if double.path is not None:
+        return []
+    return [f"double-{double.name}-frame{i + 1}" for i in range(robot.n)]
+
+
+def _add_double(
+    root: mujoco.MjSpec, double: Double, robot: SerialRobot, T_world_base: Array
+) -> None:
+    """Adds the bodies of a double, at zero joint angles.
+
+    The world hides them after compilation. Compiled out of sight they would make MuJoCo scale
+    near plane, far plane and shadows for a scene of a kilometre.
+    """
+    rows = body_names(double, robot)
+    geoms = drawn_geoms(root, robot, [], _SHRINK)  # problems are told of the robot itself
+    at_zero = robot.kinematics.frames(np.zeros(robot.n), T_world_base)
+    centres = joint_centres(robot)
+    for names, share in zip(rows, path_fade(len(rows)), strict=True):
+        rgba = double.rgba * [1, 1, 1, share]
+        look = {"rgba": rgba, "group": DOUBLE_GROUP, "material": ""}
+        for i, name in enumerate(names):
+            body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i]))
+            for geom in geoms[i]:
+                body.add_geom(contype=0, conaffinity=0, mass=0, **{**geom, **look})
+    # Bodies of their own, since a link that coincides with the robot's is moved out of sight.
+    for i, name in enumerate(frame_names(double, robot)):
+        body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i + 1]))
+        body.add_site(name=name, group=SITE_GROUP)
+        centre = f"double-{double.name}-centre{i + 1}"
+        body.add_site(name=centre, group=SITE_GROUP, **pose(centres[i]))
+        if i == robot.flange_link - 1:
+            flange = f"double-{double.name}-flange"
+            body.add_site(name=flange, group=SITE_GROUP, **pose(robot.T_n_flange))

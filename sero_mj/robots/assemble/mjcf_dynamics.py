@@ -1,0 +1,292 @@
+"""Adds dynamics to a scene for simulation.
+
+Links get masses, joints get motor inertia and friction, and links collide with the world and
+with non-adjacent links. The display variant of the scene has none of this.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations, product
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Bools
+from .dynamics import principal_moments
+from .link_geometry import touching_geoms
+from .mjcf_elements import MESH, hull_asset
+from .mjcf_links import excluded_links
+from .mounts import carrying_link
+from .robot import SerialRobot
+from .robot_dynamics import LinkInertia, RobotDynamics
+from .shapes import housing_radii
+
+TIMESTEP = 1e-3  # s, an LWR's cycle
+HULL_GROUP = 4  # a group that is not shown: links are displayed by their meshes
+ON = "on_"  # before a label: the body of the children that are fixed there
+PAYLOAD = "payload"  # a body at the flange that weighs nothing until something is picked up
+# Links closer than this count as neighbours, in housing radii: those of one wrist or shoulder
+# share a housing and always overlap.
+_ONE_HOUSING = 4.0
+# Coulomb friction at rest creeps by at most 1e-6 rad/s (the default: 1e-4).
+_FRICTION = {"solref_friction": [0.004, 1.0], "solimp_friction": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
+# Friction of metal, plastic and wood on each other; MuJoCo's default is that of rubber.
+_SLIDING = [0.3, 0.005, 1e-4]
+_RUBBER = [1.0, 0.005, 1e-4]
+# Contact stiffness rises over 5 mm, as with a rubber skin. With MuJoCo's default, stiff at once,
+# a sliding probe chatters: its force alternates between 0 and twice the mean every few steps.
+_SOFT, _SUDDEN = [0.0, 0.95, 0.005, 0.5, 2.0], [0.9, 0.95, 1e-3, 0.5, 2.0]
+_TIME_CONSTANT = [0.03, 1.0]
+COUPLING = "-coupling"  # behind a joint's name: the constraint that couples it
+# Gears and tendons that couple joints give way by 1e-4 rad at most.
+_GEAR = {"solref": [0.004, 1.0], "solimp": [0.99, 0.9999, 1e-4, 0.5, 2.0]}
+_ON_FLOOR = 1 << 30  # the mask of geoms that touch the floor, and not each other
+_FAR = 1e6  # rad or m, for a joint with a limit on one side
+# Joint limits are soft, as rubber end stops are.
+_STOP = {"solref_limit": [0.02, 1.0], "solimp_limit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
+
+
+def set_up_dynamics(root: mujoco.MjSpec, *, has_free: bool = False) -> None:
+    """Sets time step, integrator, solver and contact options; adds no artificial stabilization.
+
+    Args:
+        root: of the scene.
+        has_free: whether objects are free, which may be grasped.
+    """
+    root.compiler.boundmass = root.compiler.boundinertia = 0.0
+    root.option.timestep = TIMESTEP
+    root.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    root.option.cone = (
+        mujoco.mjtCone.mjCONE_ELLIPTIC
+    )  # pyramids give a third too little friction when all is soft
+    if has_free:
+        # Friction is ten times as stiff as the contact is soft. What is held in a soft grasp slides
+        # through MuJoCo's soft friction: 4 mm/s of a can of 0.2 kg between two fingers, now 0.4.
+        root.option.impratio = 10.0
+    floor = root.geom("floor")
+    if floor is not None:
+        # Links mounted in the floor do not collide with it, see _collide.
+        floor.contype, floor.conaffinity = 0, 1 | _ON_FLOOR
+
+
+def set_friction(geom: Any, coefficient: float) -> None:
+    """Gives a geom a declared friction, which counts in all its contacts, whatever it touches."""
+    geom.friction[0], geom.priority = coefficient, 1
+
+
+def set_contact_defaults(model: mujoco.MjModel) -> None:
+    """Sets friction and contact softness of geoms that have MuJoCo's defaults."""
+    unsaid = (model.geom_friction == _RUBBER).all(axis=1) & (model.geom_priority == 0)
+    model.geom_friction[unsaid] = _SLIDING
+    sudden = (model.geom_solimp == _SUDDEN).all(axis=1)
+    model.geom_solimp[sudden], model.geom_solref[sudden] = _SOFT, _TIME_CONSTANT
+
+
+def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics) -> None:
+    """Adds masses, joint properties and collision geoms to a robot that is not yet attached."""
+    for i in range(robot.n):
+        body = piece.body(f"link{i + 1}")
+        set_inertia(body, dynamics, i + 1)
+        joint = piece.joint(robot.names[i])
+        joint.armature = dynamics.motor_inertias[i]
+        joint.damping[0] = dynamics.viscous_friction[i]
+        joint.frictionloss = dynamics.coulomb_friction[i]
+        for key, value in {**_FRICTION, **_STOP}.items():
+            setattr(joint, key, value)
+        if robot.elastic_joints:
+            _add_deflection(piece, body, joint, robot, dynamics, i)
+    coupled = robot.coupled
+    for i, source in enumerate(coupled.independent[coupled.source].tolist()):
+        if i != source:
+            coupling = piece.add_equality(
+                name=f"{robot.names[i]}{COUPLING}", type=mujoco.mjtEq.mjEQ_JOINT,
+                name1=robot.names[i], name2=robot.names[source], **_GEAR,
+            )  # fmt: skip
+            coupling.data[:2] = coupled.offset[i], coupled.ratio[i]
+    _add_touching(piece, robot, dynamics.hulls)
+    # Only a fixed body may be massless; this one is fixed to the last link.
+    piece.body("flange").add_body(name=PAYLOAD)
+
+
+def set_inertia(body: mujoco.MjsBody, dynamics: RobotDynamics | LinkInertia, i: int) -> None:
+    """Gives a body the mass, centre and tensor of link i; 0 is the base, which a robot carries."""
+    moments, axes = principal_moments(dynamics.tensors[i])
+    mujoco.mju_mat2Quat(body.iquat, axes.ravel())
+    body.explicitinertial, body.mass = True, dynamics.masses[i]
+    body.ipos, body.inertia = dynamics.centers[i], moments
+
+
+def deflection_joint(name: str) -> str:
+    """Returns the name of the second joint of an elastic joint, between motor and link."""
+    return f"{name}-deflection"
+
+
+def spring_damping(dynamics: RobotDynamics, timestep: float) -> Array:
+    """Returns the damping of the elastic deflections in the model, (n,), Nm s/rad.
+
+    MuJoCo takes springs at the start of a step and damping at its end, and so a light link on a
+    stiff spring is unstable without damping (an LWR's wrist at 1 kHz). Damping of half the
+    stiffness times the step makes it stable for all stiffnesses, links and steps: the spring
+    counts in the middle of the step. So what is declared counts if it is more, and else this.
+
+    Args:
+        dynamics: of n joints.
+        timestep: s.
+
+    Source: the theta scheme of Hairer and Wanner, Solving Ordinary Differential Equations II,
+        1996, IV.3, with theta = 1/2 for the spring and the velocity at the step's end.
+    """
+    return np.maximum(dynamics.joint_damping, 0.5 * timestep * dynamics.joint_stiffness)
+
+
+def is_limited(robot: SerialRobot, i: int) -> bool:
+    """Whether a joint has a position limit, on one side at least."""
+    limits = robot.position_limits
+    return limits is not None and bool(np.isfinite(limits[i]).any())
+
+
+def position_range(robot: SerialRobot, i: int) -> Array:
+    """Returns the position limits (2,) of a joint that has any, rad or m; none is far away."""
+    assert robot.position_limits is not None
+    return np.asarray(np.clip(robot.position_limits[i], -_FAR, _FAR))
+
+
+def _add_deflection(
+    piece: mujoco.MjSpec,
+    body: Any,
+    joint: Any,
+    robot: SerialRobot,
+    dynamics: RobotDynamics,
+    i: int,
+) -> None:
+    """Adds a spring between motor and link: two joints on one axis, whose angles add up."""
+    name = deflection_joint(robot.names[i])
+    deflection = body.add_joint(
+        name=name, type=joint.type, axis=joint.axis, pos=joint.pos, limited=False
+    )
+    deflection.stiffness[0] = dynamics.joint_stiffness[i]
+    deflection.damping[0] = spring_damping(dynamics, TIMESTEP)[i]
+    if is_limited(robot, i):  # of the link, not of the motor
+        joint.limited = False
+        stop = piece.add_tendon(
+            name=f"{robot.names[i]}-stop", limited=True, range=position_range(robot, i), **_STOP
+        )
+        stop.wrap_joint(joint.name, 1.0)
+        stop.wrap_joint(name, 1.0)
+
+
+def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | None]) -> None:
+    """Adds collision geoms to links: the declared ones, else hulls of meshes, and shapes."""
+    sunk = _links_near_base(robot)
+    is_declared = robot.collisions is not None or robot.mjcf is not None
+    declared = touching_geoms(piece, robot) if is_declared else None
+    for i in range(robot.n + 1):
+        body = piece.body(f"link{i}") if i else piece.worldbody
+        touches = {"contype": 0 if sunk[i] else 1, "conaffinity": 1}
+        if declared is not None:
+            for geom in declared[i]:
+                own = {**touches, **geom}
+                # With a mask that others must have, it touches the floor, which has none.
+                own["contype"] = 0 if sunk[i] else own["contype"] or _ON_FLOOR
+                body.add_geom(group=HULL_GROUP, mass=0, **own)
+            continue
+        for geom in body.geoms:
+            if geom.type != MESH:
+                for key, value in touches.items():
+                    setattr(geom, key, value)
+        hull = hulls[i]
+        if hull is not None:
+            asset = hull_asset(piece, f"hull{i}", hull)
+            body.add_geom(type=MESH, meshname=asset, group=HULL_GROUP, mass=0, **touches)
+
+
+def _links_near_base(robot: SerialRobot) -> Bools:
+    """Returns which links are so close to a base in the world that they may overlap its mount.
+
+    (n + 1,). What moves with its base rests on the floor with all links.
+    """
+    if robot.free_base or robot.mount is not None:
+        return np.zeros(robot.n + 1, bool)
+    table = robot.kinematics
+    near = 2.5 * housing_radii(table, robot.T_n_flange, robot.flange_link)[0]
+    along = table.path_lengths(table.step_lengths())
+    near_joints = np.concatenate([[0], table.depths]) < 2
+    return np.asarray((along < near) | near_joints)
+
+
+def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
+    """Excludes collisions between links of one housing, in a scene with the robot attached."""
+    bodies = [_bodies_of(root, robot, i) for i in range(robot.n + 1)]
+    for i, k in [] if robot.mjcf is None else excluded_links(robot):
+        root.add_exclude(bodyname1=bodies[i][0], bodyname2=bodies[k][0])
+    table = robot.kinematics
+    near = _ONE_HOUSING * housing_radii(table, robot.T_n_flange, robot.flange_link)[0]
+    steps, moves = table.step_lengths(), table.moves
+    for i, k in combinations(range(robot.n + 1), 2):
+        between = np.flatnonzero(moves[i] != moves[k])  # the joints on the way from i to k
+        # The offsets between the joint where link i ends and the one where link k begins.
+        offsets = steps[between].sum()
+        if moves[k][moves[i]].all():  # k is farther out on the same branch
+            last = len(between) - table.turns_in_carrier
+            offsets = steps[between[1:last]].sum()
+        if len(between) <= 2 or offsets < near:
+            for one, other in product(bodies[i], bodies[k]):
+                root.add_exclude(bodyname1=one, bodyname2=other)
+
+
+def exclude_mounted(
+    root: mujoco.MjSpec, robots: Mapping[str, SerialRobot], together: Sequence[Sequence[str]]
+) -> None:
+    """Excludes collisions between links that mounts make neighbours.
+
+    As within one robot these are links with up to two joints between them, here over a mount: of
+    the robot that carries and of the carried one, or of two that the same link carries.
+
+    Args:
+        root: gets the exclusions.
+        robots: by name.
+        together: names of robots that stand in the world, on one body each: fingers on a palm.
+    """
+    # By carrying link: robots there, their links near it, and how many joints away these are.
+    ways: dict[tuple[str, int], list[tuple[str, list[tuple[int, int]]]]] = {}
+    for name, robot in robots.items():
+        if robot.mount is None:
+            continue
+        below, link = carrying_link(robots, name)
+        here = ways.setdefault((below, link), [(below, _links_beside(robots[below], link))])
+        here.append((name, _links_beside(robot, 0)))
+    for k, names in enumerate(together):
+        ways["", k] = [(name, _links_beside(robots[name], 0)) for name in names]
+    pairs = {
+        (first, second)
+        for here in ways.values()
+        for (one, links), (other, others) in combinations(here, 2)
+        if one != other
+        for (link, i), (another, k) in product(links, others)
+        if i + k <= 2
+        for first in _bodies_of(root, robots[one], link)
+        for second in _bodies_of(root, robots[other], another)
+    }
+    for first, second in sorted(pairs):
+        root.add_exclude(bodyname1=first, bodyname2=second)
+
+
+def _links_beside(robot: SerialRobot, link: int) -> list[tuple[int, int]]:
+    """Returns the links with up to two joints between them and one, and how many these are."""
+    between = (robot.kinematics.moves != robot.kinematics.moves[link]).sum(axis=1)
+    return [(k, int(between[k])) for k in np.flatnonzero(between <= 2).tolist()]
+
+
+def _bodies_of(root: mujoco.MjSpec, robot: SerialRobot, link: int) -> list[str]:
+    """Returns the names of the bodies of a link and of what is fixed to it, its own first."""
+    scope = f"{robot.name}/"
+    names = [f"{scope}link{link}" if link else scope]
+    fixed = [root.body(f"{scope}{ON}{f'link{link}' if link else 'base'}")]
+    if link == robot.flange_link:
+        fixed.append(root.body(f"{scope}flange"))
+    for body in (each for each in fixed if each is not None):
+        tools = [body.name, *(inner.name for inner in body.find_all("body"))]
+        names += [name for name in tools if name.startswith(scope)]
+    return names

@@ -1,0 +1,99 @@
+"""Elements of MJCF for `MjSpec`: mesh files, poses, generated shapes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...base.frames import Array
+from ..importers.mesh_files import Rgba, read_mesh
+from ..importers.mjcf_file import add_file
+from .shapes import LinkShape
+
+MESH = mujoco.mjtGeom.mjGEOM_MESH
+_CONVEX = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+_SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+SITE_GROUP = 5  # frames are drawn by decor; MuJoCo shows groups 0 to 2
+
+
+def pose(T: Array) -> dict[str, Array]:
+    """Returns `pos` and `quat` of an element for a frame (4, 4)."""
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, T[:3, :3].ravel())
+    return {"pos": T[:3, 3], "quat": quat}
+
+
+Hull = Literal["always", "unless flat", "never"]
+
+
+def mesh_assets(
+    spec: mujoco.MjSpec, name: str, path: Path, scale: ArrayLike, *, hull: Hull = "always"
+) -> list[tuple[str, Rgba | None]]:
+    """Adds a mesh file to the assets.
+
+    Args:
+        spec: gets it; a mesh of the same file and scale that it has is used again.
+        name: of the mesh, where it is a new one.
+        path: of the file, in any format that `read_mesh` takes.
+        scale: m per unit, one number or along x, y and z; negative ones mirror it.
+        hull: whether it gets a convex hull: for what touches or has a mass, with which a flat mesh
+            is refused; for a mass unless it is flat; or never, for what is only seen.
+
+    Returns:
+        name and colour of a mesh for each colour in the file; None where the file has none.
+
+    Raises:
+        DeclarationError: the file cannot be read.
+    """
+    meshes = []
+    for k, piece in enumerate(read_mesh(path)):
+        named = path.with_suffix(piece.ending)
+        file = add_file(spec, named, piece.contents, piece.digest)
+        # Of the hull, so that a mesh with holes has a mass; a hull takes longer than all else.
+        has_hull = hull == "always" or (hull == "unless flat" and not piece.is_flat)
+        inertia = _CONVEX if has_hull else _SHELL
+        same = [mesh for mesh in spec.meshes if (mesh.file, mesh.inertia) == (file, inertia)]
+        mesh = next((mesh for mesh in same if (mesh.scale == scale).all()), None)
+        if mesh is None:
+            mesh = spec.add_mesh(
+                name=f"{name}_{k}" if k else name,
+                file=file,
+                scale=np.broadcast_to(scale, 3),
+                inertia=inertia,
+            )
+        meshes.append((mesh.name, piece.rgba))
+    return meshes
+
+
+def hull_asset(spec: mujoco.MjSpec, name: str, corners: Array) -> str:
+    """Adds a mesh of vertices (k, 3), m, to the assets and returns its name."""
+    spec.add_mesh(name=name, uservert=corners.ravel(), inertia=_CONVEX)
+    return name
+
+
+# Declared sizes are full lengths, MuJoCo's are half lengths; radii are the same.
+_HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": np.array([1, 0.5])}
+
+
+def half_sizes(kind: str, size: Array) -> Array:
+    """Returns MuJoCo's `size` of a shape that is declared with this one, m."""
+    return np.asarray(size * _HALF.get(kind, 1.0))
+
+
+def geom_type(kind: str) -> Any:
+    """Returns MuJoCo's constant for `box`, `sphere`, ..."""
+    return getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")
+
+
+def shape_geom(shape: LinkShape, scale: float = 1.0) -> dict[str, Any]:
+    """Returns the attributes of a geom for a generated shape, scaled about its centre."""
+    middle = shape.ends.mean(axis=0)
+    look = {"type": geom_type(shape.kind), "size": np.atleast_1d(shape.size * scale)}
+    if shape.kind == "box":
+        return {**look, "pos": middle, "zaxis": shape.ends[1] - shape.ends[0]}
+    ends = shape.ends if scale == 1.0 else middle + scale * (shape.ends - middle)
+    return {**look, "fromto": ends.ravel()}

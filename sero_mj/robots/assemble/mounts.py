@@ -1,0 +1,165 @@
+"""Robots mounted on frames of other robots: their order, where they stand, what can be wrong.
+
+A robot with `mount = "arm/flange"` is carried by the robot `arm`: its `base_frame` is relative to
+that frame, and its base moves with it. The robots that carry each other are trees, whose roots
+stand in the world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from graphlib import TopologicalSorter
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...base.errors import Problem, did_you_mean
+from ...base.frames import Array
+from .robot import SerialRobot
+from .robot_parts import frame_labels
+
+
+def carrier(robot: SerialRobot) -> str | None:
+    """Returns the name of the robot that carries a robot; None for one that stands in the world."""
+    return None if robot.mount is None else robot.mount.partition("/")[0]
+
+
+def mount_labels(robot: SerialRobot) -> list[str]:
+    """Returns what can follow `NAME/` in a `mount`: base, links, flange, axes at the flange."""
+    axes = [child.name for child in robot.children if child.shape == "axes"]
+    return [*frame_labels(robot.n), *axes]
+
+
+def mounted_by_joints(robots: Mapping[str, SerialRobot]) -> dict[str, SerialRobot]:
+    """Returns the robots whose `mount` names a joint or link, `icub/l_elbow`, on `icub/link9`."""
+    found = {}
+    for name, robot in robots.items():
+        below, _, label = (robot.mount or "").partition("/")
+        if below in robots and (own := robots[below].frame_label(label)) != label:
+            found[name] = robot.model_copy(update={"mount": f"{below}/{own}"})
+    return found
+
+
+def carriers(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
+    """Returns the names of the robots that a robot stands on, from the nearest on."""
+    found: list[str] = []
+    below = carrier(robots[name])
+    while below is not None and below in robots and below not in (name, *found):
+        found.append(below)
+        below = carrier(robots[below])
+    return found
+
+
+def mount_circles(robots: Mapping[str, SerialRobot]) -> list[list[str]]:
+    """Returns the names of robots that carry each other in circles, each circle once."""
+    ways = [[name, *carriers(robots, name)] for name in robots]
+    return [way for way in ways if carrier(robots[way[-1]]) == way[0] == min(way)]
+
+
+def mount_order(robots: Mapping[str, SerialRobot]) -> list[str]:
+    """Returns the names of all robots, each after the one that carries it, else as declared.
+
+    Raises:
+        CycleError: robots carry each other in a circle.
+    """
+    carriers = {name: carrier(robot) for name, robot in robots.items()}
+    after = {name: {each} & set(robots) if each else set() for name, each in carriers.items()}
+    return list(TopologicalSorter(after).static_order())
+
+
+def carried_by(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
+    """Returns the names of the robots that a robot carries, directly or on others."""
+    found = {name}
+    for each in mount_order(robots):
+        if carrier(robots[each]) in found:
+            found.add(each)
+    return [each for each in robots if each in found - {name}]
+
+
+def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, int]:
+    """Returns the name of the robot that carries a mounted one, and the link, 0 for its base."""
+    below, _, label = (robots[name].mount or "").partition("/")
+    robot = robots[below]
+    label = next((child.on for child in robot.children if child.name == label), label)
+    link = frame_labels(robot.n).index(label)
+    return below, robot.flange_link if link > robot.n else link
+
+
+def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
+    """Returns T_base_mount (..., 4, 4) of a frame that robots can be mounted on.
+
+    Args:
+        robot: that carries.
+        label: one of `mount_labels`.
+        frames: what `robot.kinematics.frames` returned, (..., n + 1, 4, 4).
+    """
+    if label == "base":
+        return frames[..., 0, :, :]
+    if label.startswith("link") and label[4:].isdigit():
+        return frames[..., int(label[4:]), :, :]
+    if label == "flange":
+        return np.asarray(frames[..., robot.flange_link, :, :] @ robot.T_n_flange)
+    k = [child.name for child in robot.children].index(label)
+    return np.asarray(mount_pose(robot, robot.children[k].on, frames) @ robot.child_frames[k])
+
+
+def base_frames(
+    robots: Mapping[str, SerialRobot],
+    joint_angles: Mapping[str, ArrayLike] | None = None,
+    placed: Mapping[str, Array] | None = None,
+) -> dict[str, Array]:
+    """Returns T_world_base (..., 4, 4) of every robot, by the DH tables of what carries it.
+
+    Args:
+        robots: by name.
+        joint_angles: (..., n) by name, rad or m; the declared ones where missing.
+        placed: T_world_base (..., 4, 4) of robots that are elsewhere than declared.
+    """
+    bases: dict[str, Array] = {}
+    for name in mount_order(robots):
+        robot, given = robots[name], joint_angles or {}
+        below = carrier(robot)
+        if robot.mount is None or below not in bases:
+            bases[name] = (placed or {}).get(name, robot.base_frame)
+            continue
+        parent = robots[below]
+        frames = parent.kinematics.frames(given.get(below, parent.home), bases[below])
+        bases[name] = mount_pose(parent, robot.mount.partition("/")[2], frames) @ robot.base_frame
+    return {name: bases[name] for name in robots}
+
+
+def unmounted(robot: SerialRobot, T_world_base: Array) -> SerialRobot:
+    """Returns the same robot, standing in the world for itself."""
+    is_fixed = robot.mount is None and not robot.free_base
+    if is_fixed and np.array_equal(T_world_base, robot.base_frame):
+        return robot
+    alone = {"mount": None, "free_base": False, "base_frame": T_world_base}
+    return robot.model_copy(update=alone)
+
+
+def mount_problems(robots: Mapping[str, SerialRobot], broken: Mapping[str, bool]) -> list[Problem]:
+    """Returns mounts on frames that do not exist, and circles of mounts.
+
+    Args:
+        robots: by name.
+        broken: for every carrier that is not among them, whether it is declared wrongly, which is
+            reported elsewhere.
+    """
+    problems = []
+    frames = [f"{name}/{label}" for name, robot in robots.items() for label in mount_labels(robot)]
+    for name, robot in robots.items():
+        below = carrier(robot)
+        if robot.mount is None or robot.mount in frames or broken.get(below or "", False):
+            continue
+        others = [each for each in frames if each.partition("/")[0] != name]
+        if below in robots:
+            others = [each for each in others if each.partition("/")[0] == below]
+        near = did_you_mean(robot.mount, others)
+        if below in robots and "/" not in robot.mount:
+            near = f"; expected a frame of it: {', '.join(others)}"
+        problems.append(Problem(f"robots.{name}.mount", f"no frame '{robot.mount}'{near}"))
+    for circle in mount_circles(robots):
+        way = " on ".join([*circle, circle[0]])
+        message = f"robots are mounted on each other in a circle: {way}"
+        problems.append(Problem(f"robots.{circle[0]}.mount", message))
+    return problems

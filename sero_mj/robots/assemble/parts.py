@@ -1,0 +1,498 @@
+"""Indices of robots, doubles, joints, frames and smart arrows in a compiled scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Bools, Ints
+from .cartesian import WORLD, NamedFrame
+from .decor_sizes import Sizes
+from .double import Double
+from .joint_tree import JointTree
+from .robot import SerialRobot
+from .robot_parts import ARROW_QUANTITIES, VALUE_INPUTS, BillboardLine
+from .scene import Scene
+
+Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name
+
+_DOUBLE_ARROW_RGBA_SHARE = 0.55  # opacity of a double's arrows
+_DOUBLE_ARROW_SIZE = 0.85  # both arrows are visible where a double coincides with its robot
+
+
+@dataclass(frozen=True, eq=False)
+class RobotPart:
+    """Indices of one robot in the compiled model.
+
+    Attributes:
+        robot: its declaration.
+        kinematics: its Denavit-Hartenberg table, or the frames of its joints.
+        qpos: index of every joint in `qpos`, (n,).
+        dofs: index of every joint in `qvel`, (n,).
+        mocap: index of its base in `mocap_pos` and `mocap_quat`; -1 where another robot carries it,
+            and where it is free.
+        bodies: ids of the base and every link, (n + 1,).
+        flange_body: id of the flange.
+        joints: its rows in the world's `JointTable`.
+        free: index in `qpos` of position and quaternion of a base that is free, (7,); else empty.
+        sizes: of its arrows, measured with `fit_arrows`; None for the declared ones.
+    """
+
+    robot: SerialRobot
+    kinematics: JointTree
+    qpos: Ints
+    dofs: Ints
+    mocap: int
+    bodies: Ints
+    flange_body: int
+    joints: slice
+    free: Ints
+    sizes: Sizes | None = field(default=None, kw_only=True)
+
+    @property
+    def arrow_radii(self) -> Array:
+        """Radius of every joint's arrow, (n,), m."""
+        return self.robot.arrow_radii if self.sizes is None else self.sizes.arrow_radius
+
+    @property
+    def arrow_width_scales(self) -> Array:
+        """`arrow_width_scale` of every joint's arrow, (n,); less for joints close to each other."""
+        scales = self.robot.arrow_width_scales
+        return scales if self.sizes is None else scales * self.sizes.full_width
+
+    @property
+    def arrow_loads(self) -> Array:
+        """Effort at which an arrow without limit is as wide as its radius, (n,), Nm or N.
+
+        Infinite where `arrow_width_scale` sets the width.
+        """
+        if self.sizes is None or "arrow_width_scale" in self.robot.model_fields_set:
+            return self.robot.arrow_loads
+        return self.sizes.load / self.sizes.full_width
+
+    @property
+    def declared(self) -> SerialRobot:
+        """Its declaration: name, toggles, values."""
+        return self.robot
+
+    @property
+    def scope(self) -> str:
+        """Prefix of the names of its sites."""
+        return f"{self.robot.name}/"
+
+    @property
+    def billboard_lines(self) -> list[BillboardLine] | None:
+        """Declared lines of its billboards."""
+        return self.robot.billboard_lines
+
+    @property
+    def base_name(self) -> str:
+        """Name of its base frame."""
+        return f"{self.robot.name}/base"
+
+    @property
+    def flange_name(self) -> str:
+        """Name of its flange frame."""
+        return f"{self.robot.name}/flange"
+
+    @property
+    def link_names(self) -> list[str]:
+        """Names of its base and links, n + 1."""
+        name = self.robot.name
+        return [self.base_name] + [f"{name}/link{i + 1}" for i in range(self.robot.n)]
+
+    @property
+    def own_link_names(self) -> list[str]:
+        """Names of its base and links in the robot's own file, n + 1; else as `link_names`."""
+        own = self.robot.link_names
+        return self.link_names if own is None else [f"{self.robot.name}/{link}" for link in own]
+
+    @property
+    def chain(self) -> Ints:
+        """Indices of its joints that move the flange, in order from the base."""
+        return self.robot.flange_joints
+
+    @property
+    def reach(self) -> float:
+        """Sum of the lengths of its links, of the longest branch, m; 1 where that is zero."""
+        table = self.kinematics
+        return float(table.path_lengths(table.step_lengths()).max()) or 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class DoublePart:
+    """Indices of one double in the compiled model.
+
+    Attributes:
+        double: its declaration.
+        of: the robot it copies.
+        mocap: index in `mocap_pos` of the base and every link, (rows, n + 1); a path has several
+            rows.
+        bodies: their ids, (rows, n + 1).
+        frames: index in `mocap_pos` of the frame of every link, (n,), placed also for hidden
+            links; empty for a path.
+        path: joint angles of every row, (rows, n); None for a single double.
+        joints: its rows in the world's `JointTable`; empty for a path.
+        below: the double of the robot that carries its robot, on which it stands while that has a
+            pose; None where both are not doubles of one group.
+    """
+
+    double: Double
+    of: RobotPart
+    mocap: Ints
+    bodies: Ints
+    frames: Ints
+    path: Array | None
+    joints: slice
+    below: str | None = None
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the model has bodies for it; otherwise decor draws it."""
+        return self.bodies.size > 0
+
+    @property
+    def declared(self) -> Double:
+        """Its declaration: name, toggles, values."""
+        return self.double
+
+    @property
+    def robot(self) -> SerialRobot:
+        """Declaration of the robot it copies."""
+        return self.of.robot
+
+    @property
+    def kinematics(self) -> JointTree:
+        """That of the robot it copies."""
+        return self.of.kinematics
+
+    @property
+    def arrow_radii(self) -> Array:
+        """Those of the robot it copies, (n,), m."""
+        return self.of.arrow_radii
+
+    @property
+    def arrow_width_scales(self) -> Array:
+        """Those of the robot it copies, (n,)."""
+        return self.of.arrow_width_scales
+
+    @property
+    def arrow_loads(self) -> Array:
+        """Those of the robot it copies, (n,), Nm or N."""
+        return self.of.arrow_loads
+
+    @property
+    def scope(self) -> str:
+        """Prefix of the names of its sites."""
+        return f"double-{self.double.name}-"
+
+    @property
+    def flange_name(self) -> str:
+        """Name of its flange frame."""
+        return f"{self.double.name}/{self.of.flange_name.partition('/')[2]}"
+
+    @property
+    def chain(self) -> Ints:
+        """Indices of its joints that move the flange, in order from the base."""
+        return self.of.chain
+
+    @property
+    def reach(self) -> float:
+        """Reach of the robot it copies, m."""
+        return self.of.reach
+
+    @property
+    def billboard_lines(self) -> list[BillboardLine] | None:
+        """Declared lines of its billboards, its own or those of its robot."""
+        return self.double.billboard_lines or self.robot.billboard_lines
+
+
+Owner = RobotPart | DoublePart
+
+
+def robots_of_bodies(model: mujoco.MjModel, robots: Mapping[str, RobotPart]) -> Ints:
+    """Returns of every body the number of the robot that it belongs to, (nbody,); -1 for none.
+
+    What is fixed to a robot belongs to it, and robots that it carries do not.
+    """
+    owner = np.full(model.nbody, -1, np.intp)
+    for number, part in reversed(list(enumerate(robots.values()))):
+        owner[[*part.bodies, part.flange_body]] = number
+    owner[0] = -1
+    for body in np.flatnonzero(owner < 0)[1:]:  # parents come before their children
+        owner[body] = owner[model.body_parentid[body]]
+    return owner
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnDouble:
+    """A double drawn from another state of the same model.
+
+    Attributes:
+        double: name of the double.
+        model: compiled.
+        data: the other state, frames up to date.
+        opacity: factor for every geom of the model, (ngeom,); 0 for those that are not drawn.
+        rgba: its colour, (4,).
+    """
+
+    double: str
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    opacity: Array
+    rgba: Array
+
+
+@dataclass(frozen=True, eq=False)
+class JointTable:
+    """Arrays over all N joints: those of the robots, then those of their doubles.
+
+    Attributes:
+        names: joint names, N.
+        owner: index in the world's `owners`.
+        limb: number of its limb; each owner has its own.
+        of_robot: number of joints of robots; the rest belong to doubles.
+        revolute: True for a revolute, False for a prismatic joint.
+        centre_site: site at the centre of its arrow and billboard, z along the joint's axis; a
+            row of `site_xpos` in what `World.state` returns.
+        qpos: index in `qpos` of the robots' joints, (of_robot,).
+        angle_slots: index in `userdata` of the doubles' joint angles, (N - of_robot,).
+        slots: for each per-joint input, index in `userdata` of its value; -1 where the joint's
+            owner does not have it.
+        has: likewise for the flag that data was received; includes `joint_angles`.
+        torque_limit: Nm or N, inf for none.
+        acceleration_limit: rad/s2 or m/s2, inf for none.
+        arrow_quantity: index in `ARROW_QUANTITIES` of the quantity that its arrow initially
+            shows.
+        arrow_dead_band: fraction of the limit.
+        arrow_radius: m.
+        arrow_width_scale: m per Nm.
+        arrow_load: Nm or N at which the arrow of a joint without limit is as wide as its radius;
+            inf where `arrow_width_scale` sets the width.
+        arrow_alpha: opacity of its arrow.
+    """
+
+    names: list[str]
+    owner: Ints
+    limb: Ints
+    of_robot: int
+    revolute: Bools
+    centre_site: Ints
+    qpos: Ints
+    angle_slots: Ints
+    slots: dict[str, Ints]
+    has: dict[str, Ints]
+    torque_limit: Array
+    acceleration_limit: Array
+    arrow_quantity: Ints
+    arrow_dead_band: Array
+    arrow_radius: Array
+    arrow_width_scale: Array
+    arrow_load: Array
+    arrow_alpha: Array
+
+    def angles(self, data: mujoco.MjData) -> Array:
+        """Returns the angles of all joints (N,), rad or m; zero for a double without any."""
+        return np.concatenate([data.qpos[self.qpos], data.userdata[self.angle_slots]])
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTable:
+    """Arrays over all M named frames.
+
+    Attributes:
+        names: e.g. `lwr/link3`, M.
+        owner: index in the world's `owners` of the robot or double whose axes toggle applies; -1
+            for a frame with its own toggle.
+        site: id of its site.
+        size: length of the axes, m.
+        alpha: 0 invisible to 1 opaque.
+        shown: whether it is initially shown, for frames with their own toggle.
+        has: index in `userdata` of the flag that its pose is known; -1 for always.
+    """
+
+    names: list[str]
+    owner: Ints
+    site: Ints
+    size: Array
+    alpha: Array
+    shown: Bools
+    has: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class ArrowTable:
+    """Arrays over all K smart arrows.
+
+    Attributes:
+        names: K.
+        site: id of the site it acts at.
+        components_site: site of the frame its components are in; -1 for the world.
+        frames: rows in the `FrameTable` of the frame it acts at and of the frame of its
+            components, (K, 2); -1 for a point and for the world.
+        slots: indices in `userdata` of its components, (K, 3).
+        has: index in `userdata` of the flag that data was received.
+        is_round: whether it is drawn as a round arrow about its direction.
+        scale: m per unit.
+        longest: m.
+        radius: of a round one, m.
+        rgba: (K, 4).
+    """
+
+    names: list[str]
+    site: Ints
+    components_site: Ints
+    frames: Ints
+    slots: Ints
+    has: Ints
+    is_round: Bools
+    scale: Array
+    longest: Array
+    radius: Array
+    rgba: Array
+
+
+def make_tables(
+    scene: Scene,
+    owners: Mapping[str, Owner],
+    slots: Mapping[str, slice],
+    flags: Mapping[str, int],
+    sites: Sites,
+) -> tuple[JointTable, FrameTable, ArrowTable]:
+    """Builds the tables of all joints, named frames and smart arrows of a compiled scene.
+
+    Args:
+        scene: the declaration.
+        owners: robots, then doubles that have joints, by name.
+        slots: slice of every input in `userdata`.
+        flags: index in `userdata` of the flag that an input was set, by its name.
+        sites: returns the ids of sites (k,) by their names.
+    """
+    return (
+        _joint_table(owners, slots, flags, sites),
+        _frame_table(scene, list(owners), flags, sites),
+        _arrow_table(scene, slots, flags, sites),
+    )
+
+
+def _joint_table(
+    owners: Mapping[str, Owner],
+    slots: Mapping[str, slice],
+    flags: Mapping[str, int],
+    sites: Sites,
+) -> JointTable:
+    parts = list(owners.values())
+    robots = [part.robot for part in parts]
+    counts = [robot.n for robot in robots]
+
+    def gather(values: Iterable[Any], kind: Any = np.float64) -> Any:
+        """Returns one entry per joint, from one value or one array per owner."""
+        spread = [np.broadcast_to(v, n) for v, n in zip(values, counts, strict=True)]
+        return np.concatenate(spread or [np.empty(0)]).astype(kind)
+
+    def limits_of(field: str) -> Any:
+        limits = [getattr(robot, field) for robot in robots]
+        return gather([np.inf if limit is None else limit for limit in limits])
+
+    def slots_of(key: str) -> list[Any]:
+        found = [slots.get(f"{name}.{key}") for name in owners]
+        return [-1 if s is None else np.arange(s.start, s.stop) for s in found]
+
+    limbs, before = [], 0
+    for robot in robots:
+        found = np.empty(robot.n, np.intp)
+        for number, joints in enumerate(robot.limb_joints.values()):
+            found[joints] = before + number
+        limbs.append(found)
+        before += len(robot.limb_joints)
+    is_double = [isinstance(part, DoublePart) for part in parts]
+    quantities = [part.declared.arrow_quantity or part.robot.arrow_quantity for part in parts]
+    keys = list(dict.fromkeys([*VALUE_INPUTS, *(key for robot in robots for key in robot.inputs)]))
+    doubled = [
+        np.arange(slots[f"{name}.joint_angles"].start, slots[f"{name}.joint_angles"].stop)
+        for name, part in owners.items()
+        if isinstance(part, DoublePart)
+    ]
+    qpos = [part.qpos for part in parts if isinstance(part, RobotPart)]
+    return JointTable(
+        names=[name for robot in robots for name in robot.names],
+        owner=gather(range(len(parts)), np.intp),
+        limb=gather(limbs, np.intp),
+        of_robot=sum(len(q) for q in qpos),
+        revolute=gather([part.kinematics.revolute for part in parts], bool),
+        centre_site=sites([f"{p.scope}centre{i + 1}" for p in parts for i in range(p.robot.n)]),
+        qpos=np.concatenate([*qpos, []]).astype(np.intp),
+        angle_slots=np.concatenate([*doubled, []]).astype(np.intp),
+        slots={key: gather(slots_of(key), np.intp) for key in keys},
+        has={
+            key: gather([flags.get(f"{name}.{key}", -1) for name in owners], np.intp)
+            for key in ("joint_angles", *keys)
+        },
+        torque_limit=limits_of("torque_limits"),
+        acceleration_limit=limits_of("acceleration_limits"),
+        arrow_quantity=gather([ARROW_QUANTITIES.index(q) for q in quantities], np.intp),
+        arrow_dead_band=gather([robot.arrow_dead_band for robot in robots]),
+        arrow_radius=gather(
+            [
+                part.arrow_radii * (_DOUBLE_ARROW_SIZE if double else 1.0)
+                for part, double in zip(parts, is_double, strict=True)
+            ]
+        ),
+        arrow_width_scale=gather([part.arrow_width_scales for part in parts]),
+        arrow_load=gather([part.arrow_loads for part in parts]),
+        arrow_alpha=gather(np.where(is_double, _DOUBLE_ARROW_RGBA_SHARE, 1.0)),
+    )
+
+
+def _frame_table(
+    scene: Scene, owners: Sequence[str], flags: Mapping[str, int], sites: Sites
+) -> FrameTable:
+    rows = scene.named_frames().values()
+
+    def flag(row: NamedFrame) -> int:
+        if row.moves_with in scene.doubles:
+            return flags[f"{row.moves_with}.joint_angles"]
+        return flags[f"{row.moves_with}.frame"] if row.moves_with in scene.frames else -1
+
+    return FrameTable(
+        names=[row.name for row in rows],
+        owner=np.array(
+            [owners.index(row.shown_with) if row.shown_with else -1 for row in rows], np.intp
+        ),
+        site=sites([row.site for row in rows]),
+        size=np.array([row.size for row in rows], np.float64),
+        alpha=np.array([row.alpha for row in rows], np.float64),
+        shown=np.array([row.shown for row in rows], bool),
+        has=np.array([flag(row) for row in rows], np.intp),
+    )
+
+
+def _arrow_table(
+    scene: Scene, slots: Mapping[str, slice], flags: Mapping[str, int], sites: Sites
+) -> ArrowTable:
+    arrows = scene.arrows.values()
+    frames = scene.named_frames()
+
+    def components(name: str) -> int:
+        return -1 if name == WORLD else int(sites([frames[name].site])[0])
+
+    rows = {name: i for i, name in enumerate(frames)} | {WORLD: -1}
+    used = [(rows.get(a.at, -1) if a.site is None else -1, rows[a.components_in]) for a in arrows]
+    starts = np.array([slots[f"{name}.vector"].start for name in scene.arrows], np.intp)
+    return ArrowTable(
+        names=list(scene.arrows),
+        site=sites([arrow.site or frames[arrow.at].site for arrow in arrows]),
+        components_site=np.array([components(arrow.components_in) for arrow in arrows], np.intp),
+        frames=np.array(used, np.intp).reshape(-1, 2),
+        slots=starts[:, None] + np.arange(3),
+        has=np.array([flags[f"{name}.vector"] for name in scene.arrows], np.intp),
+        is_round=np.array([arrow.is_round for arrow in arrows], bool),
+        scale=np.array([arrow.metres_per_unit for arrow in arrows], np.float64),
+        longest=np.array([arrow.limit for arrow in arrows], np.float64),
+        radius=np.array([arrow.radius for arrow in arrows], np.float64),
+        rgba=np.array([arrow.color for arrow in arrows], np.float64).reshape(-1, 4),
+    )

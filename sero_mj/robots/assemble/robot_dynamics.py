@@ -1,0 +1,277 @@
+"""`RobotDynamics`: a robot's masses, friction and elasticity, declared or estimated.
+
+Link inertias that a robot file does not state are estimated from mesh hulls or generated shapes:
+MuJoCo computes volumes, centres of mass and tensors; the density is declared or `LINK_DENSITY`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from ...base import frames
+from ...base.errors import DeclarationError, Problem
+from ...base.frames import MIRROR, Array
+from .dynamics import link_name, rotate_tensors
+from .link_geometry import drawn_geoms, generated
+from .mjcf_elements import MESH, hull_asset, shape_geom
+from .robot import SerialRobot
+
+GRAVITY = 9.81  # m/s2, MuJoCo's default
+
+# Estimates in proportion to a joint's rated effort: its torque limit, or _STRENGTH times the
+# effort that holds the stretched arm (the LWR's limit is 3.8 times that at joint 2). Per Nm of
+# torque limit the LWR has 0.008 to 0.02 kg m2 motor inertia, 0.0013 to 0.005 Nm Coulomb friction
+# and 0.005 to 0.009 Nm viscous friction at 1 rad/s.
+_STRENGTH = 3.5
+_MOTOR_INERTIA = 0.012
+_COULOMB = 0.004
+_VISCOUS = 0.008
+_FIRST_MODE = 10.0  # Hz, motor against held link
+_DAMPING_RATIO = 0.03  # of that mode
+_STEEL = 7800.0  # kg/m3; no link is denser
+# Meshes this much thinner than they are long have no hull; these have one of a sheet of 1 mm.
+_FLAT, _THICKNESS = 1e-5, 0.5e-3  # and half of that, m
+# Lower bound: MuJoCo refuses bodies of smaller mass.
+_LEAST_MASS = 1e-6  # kg
+# A link without a mass, which MuJoCo refuses as well, has this share of its robot's mass, and this
+# radius of gyration in m; and the least of both that MuJoCo takes, in kg and kg m2.
+_BARE_SHARE, _BARE_RADIUS, _LEAST = 1e-9, 0.01, 2e-15
+
+
+class LinkInertia(NamedTuple):
+    """Inertias of the base and every link, in the frames of the DH rows."""
+
+    masses: Array  # (n + 1,), kg
+    centers: Array  # (n + 1, 3), centres of mass, m
+    tensors: Array  # (n + 1, 3, 3), about these, kg m2
+
+
+@dataclass(frozen=True, eq=False)
+class RobotDynamics:
+    """Parameters of a robot's equations of motion, in the frames of the DH rows.
+
+    Attributes:
+        masses: of the base and every link, (n + 1,), kg.
+        centers: centres of mass, (n + 1, 3), m.
+        tensors: about the centres of mass, (n + 1, 3, 3), kg m2.
+        motor_inertias: reflected to the joints, (n,), kg m2.
+        viscous_friction: on the motor side of the torque sensor, (n,), Nm s/rad.
+        coulomb_friction: likewise, (n,), Nm.
+        joint_stiffness: (n,), Nm/rad.
+        joint_damping: (n,), Nm s/rad.
+        estimated: keys of the robot file's `[dynamics]` that are estimated, not declared.
+        hulls: vertices of the links' convex hulls, (k, 3) each, m; None without meshes.
+    """
+
+    masses: Array
+    centers: Array
+    tensors: Array
+    motor_inertias: Array
+    viscous_friction: Array
+    coulomb_friction: Array
+    joint_stiffness: Array
+    joint_damping: Array
+    estimated: tuple[str, ...]
+    hulls: list[Array | None]
+
+
+def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
+    """Returns the declared parameters, in the frames of the DH rows, and estimates for the rest.
+
+    Raises:
+        DeclarationError: a mesh file cannot be read, or joints are elastic without an inertia.
+        ValueError: MuJoCo cannot compile a mesh.
+    """
+    if robot.mirrored:
+        return _mirrored(robot_dynamics(robot.model_copy(update={"mirrored": False})))
+    declared = robot.dynamics
+    hulls = _link_hulls(robot)
+    estimated = []
+    links = declared_inertia(robot)
+    if links is None:
+        links = _estimated_links(robot, hulls)
+        estimated.append("masses")
+    limits = robot.torque_bounds
+    if not np.isfinite(limits).all():
+        held = _STRENGTH * _holding_efforts(robot, links)
+        limits = np.where(np.isfinite(limits), limits, held)
+
+    def given(key: str, estimate: Array) -> Array:
+        value: Array | None = getattr(declared, key)
+        if value is None:
+            estimated.append(key)
+        return estimate if value is None else value
+
+    motor = given("motor_inertias", _MOTOR_INERTIA * limits)
+    viscous = given("viscous_friction", _VISCOUS * limits)
+    coulomb = given("coulomb_friction", _COULOMB * limits)
+    if robot.elastic_joints and (motor <= 0).any():
+        message = (
+            f"joint {int(np.argmax(motor <= 0)) + 1}: found 0; expected a motor inertia above 0 "
+            "for a robot with elastic_joints"
+        )
+        raise DeclarationError([Problem("dynamics.motor_inertias", message)])
+    stiffness = given("joint_stiffness", motor * (2 * np.pi * _FIRST_MODE) ** 2)
+    damping = given("joint_damping", 2 * _DAMPING_RATIO * np.sqrt(stiffness * motor))
+    return RobotDynamics(
+        *links, motor, viscous, coulomb, stiffness, damping, tuple(estimated), hulls
+    )
+
+
+def about_masses(robot: SerialRobot, dynamics: RobotDynamics) -> str:
+    """Returns what a robot weighs, and what of that is not declared."""
+    text = f"{dynamics.masses.sum():.4g} kg"
+    declared = robot.dynamics.masses
+    if declared is None or "masses" in dynamics.estimated:
+        density = min(robot.dynamics.density, _STEEL)
+        return f"{text}, estimated: none are declared, its shapes count with {density:g} kg/m3"
+    none = [link_name(k) for k in np.flatnonzero(declared == 0).tolist()]
+    return f"{text}, as declared" + (f"; {', '.join(none)}: without a mass" if none else "")
+
+
+def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:
+    """Returns the parameters of the mirror image of a robot."""
+    S = MIRROR[:3, :3]
+    return replace(
+        dynamics,
+        centers=dynamics.centers @ S,
+        tensors=S @ dynamics.tensors @ S,
+        hulls=[None if hull is None else hull @ S for hull in dynamics.hulls],
+    )
+
+
+def declared_inertia(robot: SerialRobot) -> LinkInertia | None:
+    """Returns what base and links of a robot are declared to weigh; None if they are not."""
+    if robot.mirrored:
+        links = declared_inertia(robot.model_copy(update={"mirrored": False}))
+        S = MIRROR[:3, :3]
+        return links and LinkInertia(links.masses, links.centers @ S, S @ links.tensors @ S)
+    declared = robot.dynamics
+    if declared.masses is None or declared.centers_of_mass is None or declared.inertias is None:
+        return None
+    scale = np.full(robot.n + 1, declared.mass_scale)
+    scale[0] = 1.0
+    centers = declared.centers_of_mass.copy()
+    if declared.frame_origins is not None:
+        centers += declared.frame_origins
+    tensors = scale[:, None, None] * declared.inertias
+    if declared.frames == "zero_pose":
+        to_link = np.swapaxes(robot.kinematics.frames(np.zeros(robot.n))[:, :3, :3], -1, -2)
+        centers = (to_link @ centers[..., None])[..., 0]
+        tensors = rotate_tensors(tensors, to_link)
+    masses = scale * declared.masses
+    bare = masses == 0
+    masses[bare] = max(_BARE_SHARE * float(masses.sum()), _LEAST)
+    tensors[bare] = max(float(masses[bare].sum()) * _BARE_RADIUS**2, _LEAST) * np.eye(3)
+    return LinkInertia(masses, centers, tensors)
+
+
+def _holding_efforts(robot: SerialRobot, links: LinkInertia) -> Array:
+    """Returns the efforts that hold the arm, stretched from each joint, against gravity, (n,)."""
+    table = robot.kinematics
+    along = table.path_lengths(table.distances())
+    gyration = np.sqrt(np.trace(links.tensors, axis1=1, axis2=2) / links.masses)
+    size = np.linalg.norm(links.centers, axis=1) + gyration
+    levers = np.where(table.revolute, along[:, None] - along[1:] + size[:, None], 1.0)
+    return np.asarray(GRAVITY * (links.masses[:, None] * levers * table.moves).sum(axis=0))
+
+
+def _link_hulls(robot: SerialRobot) -> list[Array | None]:
+    """Returns the vertices (k, 3), m, of the convex hull of every link's meshes, in its DH frame.
+
+    None for a link without meshes. Raises as `robot_dynamics` does.
+    """
+    hulls: list[Array | None] = [None] * (robot.n + 1)
+    if not robot.filenames:
+        return hulls
+    root = mujoco.MjSpec()
+    owners: list[int] = []
+    problems: list[Problem] = []
+    places: list[Array] = []
+    # Without hulls MuJoCo keeps vertices in another frame, whose rounding would change every run.
+    for i, geoms in enumerate(drawn_geoms(root, robot, problems, hull="unless flat")):
+        for geom in (geom for geom in geoms if geom["type"] == MESH):
+            root.worldbody.add_geom(type=MESH, meshname=geom["meshname"], contype=0, conaffinity=0)
+            owners.append(i)
+            places.append(frames.frame(frames.rotation_from_quat(geom["quat"]), geom["pos"]))
+    if problems:
+        raise DeclarationError(problems)
+    if not owners:
+        return hulls
+    model = root.compile()
+    for i in set(owners):
+        clouds = [
+            _corners(model, int(model.geom_dataid[k])) @ places[k][:3, :3].T + places[k][:3, 3]
+            for k, owner in enumerate(owners)
+            if owner == i
+        ]
+        hulls[i] = _hull(np.concatenate(clouds))
+    return hulls
+
+
+def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInertia:
+    """Estimates inertias from the declared density and the hulls and shapes that are drawn."""
+    density = min(robot.dynamics.density, _STEEL)
+    root = mujoco.MjSpec()
+    root.compiler.boundmass, root.compiler.boundinertia = _LEAST_MASS, 1e-12
+    # How far a slide may travel, and so how long its rod is drawn, says nothing of what it weighs.
+    robot = robot.model_copy(update={"position_limits": None})
+    drawn = drawn_geoms(mujoco.MjSpec(), robot, [])
+    others = generated(robot)  # for links without geometry
+    for i, hull in enumerate(hulls):
+        body = root.worldbody.add_body(name=f"link{i}")
+        shapes = [geom for geom in drawn[i] if geom["type"] != MESH]
+        if hull is None and not shapes:
+            shapes = [shape_geom(shape) for shape in others[i]]
+        for geom in shapes:
+            body.add_geom(density=density, **geom)
+        if hull is not None:
+            asset = hull_asset(root, f"hull{i}", hull)
+            body.add_geom(type=MESH, meshname=asset, density=density)
+    model = root.compile()
+    tensors = np.empty((robot.n + 1, 3, 3))
+    for i in range(robot.n + 1):
+        axes = frames.rotation_from_quat(model.body_iquat[i + 1])
+        tensors[i] = axes @ np.diag(model.body_inertia[i + 1]) @ axes.T
+    return LinkInertia(model.body_mass[1:].copy(), model.body_ipos[1:].copy(), tensors)
+
+
+def _corners(model: mujoco.MjModel, mesh: int) -> Array:
+    """Returns the vertices of a mesh in its file's frame; MuJoCo stores them about its centre."""
+    start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    axes = frames.rotation_from_quat(model.mesh_quat[mesh])
+    corners = model.mesh_vert[start : start + count].astype(np.float64)
+    return np.asarray(corners @ axes.T + model.mesh_pos[mesh])
+
+
+def _hull(cloud: Array) -> Array:
+    """Returns the vertices (k, 3) of the convex hull of points (m, 3); they cannot be changed.
+
+    Points in a plane are those of a sheet of a millimetre.
+    """
+    middle = cloud.mean(axis=0)
+    extents, axes = np.linalg.eigh((cloud - middle).T @ (cloud - middle) / len(cloud))
+    thin = extents < _FLAT**2 * max(extents[2], 1e-12)
+    if thin.any():
+        away = _THICKNESS * axes.T[thin].sum(axis=0)
+        cloud = np.concatenate([cloud - away, cloud + away])
+    return _kept_hull(np.ascontiguousarray(cloud).tobytes())
+
+
+@lru_cache(maxsize=128)  # the same meshes in every variant of a sweep: half the time of a world
+def _kept_hull(cloud: bytes) -> Array:
+    root = mujoco.MjSpec()
+    points = np.frombuffer(cloud).reshape(-1, 3)
+    root.worldbody.add_geom(type=MESH, meshname=hull_asset(root, "hull", points))
+    model = root.compile()
+    # Layout of mesh_graph: number of corners and faces, an address and a vertex per corner, ...
+    graph = model.mesh_graph[model.mesh_graphadr[0] :]
+    count = int(graph[0])
+    hull = np.asarray(_corners(model, 0)[graph[2 + count : 2 + 2 * count]])
+    hull.flags.writeable = False
+    return hull

@@ -1,0 +1,333 @@
+"""Types of the fields of `SerialRobot`: tables, limits, link geometry, billboard lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from ...base.declaration import Declaration, Frame, Name, Vector, numbers, of_shape
+from ...base.errors import DeclarationError, Problem, did_you_mean, nearest
+from ...base.frames import Array, frame_from
+from .dh import COLUMNS, Column
+from .surroundings import MeshFile, Object, check_shape_size
+
+if TYPE_CHECKING:
+    from .robot import SerialRobot
+
+ArrowQuantity = Literal["torques", "torque_error", "joint_accelerations", "singularity"]
+ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
+# Per-joint inputs of every robot and double, in addition to joint angles and its own `inputs`.
+VALUE_INPUTS = ("torques", "commanded_torques", "joint_accelerations", "billboard_values")
+BILLBOARD_VALUES = (
+    "torques",
+    "commanded_torques",
+    "torque_error",
+    "joint_accelerations",
+    "joint_angles",
+    "billboard_values",
+)
+MAX_JOINTS = 128
+_MOST_CHILDREN = 2000  # as many as a scene may have objects
+# Fields that can be given in degrees instead.
+IN_DEGREES = {
+    "position_limits_deg": "position_limits",
+    "velocity_limits_deg": "velocity_limits",
+    "joint_angles_deg": "joint_angles",
+}
+# Fields with one entry per joint, checked against dh_params.
+PER_JOINT = (
+    "joint_types",
+    "joint_names",
+    "position_limits",
+    "position_limits_deg",
+    "velocity_limits",
+    "velocity_limits_deg",
+    "torque_limits",
+    "joint_angles",
+    "joint_angles_deg",
+    "offsets_to_center_of_joints",
+    "acceleration_limits",
+    "torques",
+    "commanded_torques",
+    "joint_accelerations",
+    "billboard_values",
+)
+
+
+class Posed(Declaration):
+    """What is declared with a pose in rad and m, or in degrees; see `Double` and `Group`."""
+
+    joint_angles: Vector | None = None
+    joint_angles_deg: Vector | None = None
+
+    @model_validator(mode="after")
+    def _angles_from_degrees(self) -> Self:
+        if self.joint_angles_deg is not None:
+            if self.joint_angles is not None:
+                raise ValueError("found both joint_angles and joint_angles_deg; expected one")
+            # Set without validation, which would come here again.
+            self.__dict__["joint_angles"] = np.deg2rad(self.joint_angles_deg)
+            self.__dict__["joint_angles_deg"] = None
+        return self
+
+    def check_degrees(self, robots: Iterable[SerialRobot]) -> list[Problem]:
+        """Returns what is wrong with a pose in degrees for these robots: prismatic joints."""
+        sliding = [robot.name for robot in robots if "prismatic" in robot.types]
+        if "joint_angles_deg" not in self.model_fields_set or not sliding:
+            return []
+        message = f"is for revolute joints only, and {sliding[0]} has others; use joint_angles"
+        return [Problem("joint_angles_deg", f"{message} in rad and m")]
+
+
+def _is_permutation(columns: list[str]) -> list[str]:
+    if sorted(columns) != sorted(COLUMNS):
+        raise ValueError(f"found {columns}; expected alpha, a, theta, d in any order")
+    return columns
+
+
+def _differ(names: list[str]) -> list[str]:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"'{name}' appears twice; expected different names")
+    return names
+
+
+def _tree_frames(value: Any) -> Any:
+    """Reads frames as files have them, (n, 4, 4)."""
+    if value is None:
+        return None
+    if not isinstance(value, list | tuple | np.ndarray):
+        raise ValueError(f"found {value!r:.200}; expected a list of frames, one per joint")
+    if not 1 <= len(value) <= MAX_JOINTS:
+        raise ValueError(f"found {len(value)} frames; expected 1 to {MAX_JOINTS}, one per joint")
+    found = np.empty((len(value), 4, 4))
+    for i, entry in enumerate(value):
+        try:
+            found[i] = frame_from(entry, numbers)
+        except ValueError as error:
+            raise ValueError(f"joint {i + 1}: {error}") from None
+    return found
+
+
+def _limits_of_shape(*shape: int | None) -> BeforeValidator:
+    """As `of_shape`, where `inf` is no limit."""
+    shaped: Any = of_shape(*shape).func
+
+    def validate(value: Any) -> Any:
+        try:
+            array = np.asarray(value)
+        except ValueError:
+            array = np.empty(0)
+        if array.dtype.kind != "f" or not np.isinf(array).any():
+            return shaped(value)
+        finite = shaped(np.where(np.isinf(array), 0.0, array))
+        array = array.reshape(finite.shape)
+        return np.where(np.isinf(array), array, finite)
+
+    return BeforeValidator(validate)
+
+
+def _are_ordered(limits: Array | None) -> Array | None:
+    if limits is not None and (limits[:, 0] >= limits[:, 1]).any():
+        row = int(np.flatnonzero(limits[:, 0] >= limits[:, 1])[0])
+        raise ValueError(f"row {row + 1} is {limits[row].tolist()}; expected lower < upper")
+    return limits
+
+
+def _are_positive(limits: Array | None) -> Array | None:
+    if limits is not None and (limits <= 0).any():
+        raise ValueError(f"found {limits.tolist()}; expected positive numbers")
+    return limits
+
+
+def _children_differ(children: list[Object]) -> list[Object]:
+    names = [child.name for child in children]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"two children have the name '{name}'")
+    return children
+
+
+def _differ_from_standard(names: list[str]) -> list[str]:
+    taken = {*BILLBOARD_VALUES, *VALUE_INPUTS, "base_frame", "flange_check", "flange_frame"}
+    for name in names:
+        if name in taken or name.startswith("show_") or name == "arrow_quantity":
+            raise ValueError(f"every robot has '{name}'; expected another name")
+    return names
+
+
+Columns = Annotated[list[Column], AfterValidator(_is_permutation)]
+JointNames = Annotated[list[Name], AfterValidator(_differ)]
+OwnInputs = Annotated[list[Name], AfterValidator(_differ), AfterValidator(_differ_from_standard)]
+Ranges = Annotated[Array | None, _limits_of_shape(None, 2), AfterValidator(_are_ordered)]
+Limits = Annotated[Array | None, _limits_of_shape(None), AfterValidator(_are_positive)]
+TreeFrames = Annotated[
+    Array | None,
+    BeforeValidator(_tree_frames, json_schema_input_type=list[list[Any] | dict[str, Any]] | None),
+]
+Children = Annotated[
+    list[Object], Field(max_length=_MOST_CHILDREN), AfterValidator(_children_differ)
+]
+
+
+def _scales(value: Any) -> Any:
+    if value is None:
+        return None
+    scale = numbers(value)
+    if scale.shape not in ((), (3,)) or (scale == 0).any():
+        raise ValueError(f"found {value!r}; expected a number, or three along x, y and z, not 0")
+    return np.broadcast_to(scale, 3).copy()
+
+
+class LinkGeometry(Declaration):
+    """A mesh file or a primitive shape of a link.
+
+    Attributes:
+        file: mesh, relative to the robot's `directory`.
+        shape: a primitive instead; `generated` for the shapes that a link without any file gets.
+        size: of that, full lengths and radii in m, see `SHAPE_SIZES`.
+        color: one of the robot's `colors`.
+        frame: T_link_geometry, in the frame of the link.
+        scale: metres per unit of the mesh file, one number or along x, y and z; None for the
+            robot's `mesh_scale`.
+    """
+
+    file: MeshFile | None = None
+    shape: Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "generated"] | None = None
+    size: Vector | None = None
+    color: str | None = None
+    frame: Frame = Field(default_factory=lambda: np.eye(4))
+    scale: Annotated[
+        Array | None, BeforeValidator(_scales, json_schema_input_type=float | list[float] | None)
+    ] = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> LinkGeometry:
+        if (self.file is None) == (self.shape is None):
+            found = "neither" if self.file is None else "both"
+            raise ValueError(f"found {found} of file and shape; expected one of them")
+        if self.shape is not None and self.shape != "generated":
+            check_shape_size(self.shape, self.size)
+        elif self.size is not None:
+            raise ValueError("size is for shapes; expected scale for a mesh")
+        return self
+
+
+class BillboardLine(Declaration):
+    """One line of a joint's billboard.
+
+    Attributes:
+        value: the per-joint input it shows, including the robot's own `inputs`; `torque_error`
+            is commanded - measured.
+        label: text before the number when a billboard has several lines.
+        unit: text after the number; None for the SI unit of the value.
+        decimals: digits after the point; None for the default of the value.
+        scale: multiplies the value before it is shown (57.2958 for degrees).
+    """
+
+    value: str
+    label: str = ""
+    unit: str | None = None
+    decimals: int | None = Field(None, ge=0, le=9)
+    scale: float = 1.0
+
+
+def frame_labels(n: int) -> list[str]:
+    """Returns what the frames of a robot with n joints are called: base, links, flange."""
+    return ["base", *(f"link{i + 1}" for i in range(n)), "flange"]
+
+
+def frame_label(label: str, joints: Sequence[str], links: Sequence[str] | None) -> str:
+    """Returns what a frame of a robot is called here, if that is how its own file calls it.
+
+    Args:
+        label: the name of a joint or a link; any other is returned as it is.
+        joints: names, n; each stands for the link that it moves.
+        links: names of the base and the links, n + 1; None where they have none.
+    """
+    labels = frame_labels(len(joints))
+    if label in labels:
+        return label
+    if label in joints:
+        return labels[1 + joints.index(label)]
+    return labels[links.index(label)] if links and label in links else label
+
+
+def as_link_geometry(value: Any) -> Any:
+    """Converts a file name, a table with `file` and `color`, a list of these, or "" for none."""
+    if isinstance(value, str):
+        return [{"file": value}] if value else []
+    if isinstance(value, Mapping | LinkGeometry):
+        return [value]
+    if isinstance(value, list):
+        return [{"file": entry} if isinstance(entry, str) else entry for entry in value]
+    return value
+
+
+LinkGeometries = Annotated[
+    list[LinkGeometry],
+    BeforeValidator(
+        as_link_geometry, json_schema_input_type=str | LinkGeometry | list[str | LinkGeometry]
+    ),
+]
+
+
+def as_billboard_lines(value: Any) -> Any:
+    """Converts every line from the name of a value, or from a table."""
+    if isinstance(value, list):
+        return [{"value": line} if isinstance(line, str) else line for line in value]
+    return value
+
+
+BillboardLines = Annotated[
+    list[BillboardLine] | None,
+    BeforeValidator(as_billboard_lines, json_schema_input_type=list[str | BillboardLine]),
+]
+
+
+def check_colors(links: list[list[LinkGeometry]], colors: Mapping[str, Any]) -> None:
+    """Checks that the colours of link geometry are declared; raises ValueError."""
+    for part in (part for link in links for part in link):
+        if part.color is not None and part.color not in colors:
+            near = did_you_mean(part.color, colors)
+            raise ValueError(f"{part.file or part.shape}: no color '{part.color}'{near}")
+
+
+def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None:
+    """Checks that every line of a billboard shows a value that exists, or one of `own` inputs.
+
+    Raises:
+        DeclarationError: names the line, its value, and the existing values.
+    """
+    for k, line in enumerate(lines or []):
+        known = [*BILLBOARD_VALUES, *own]
+        if line.value not in known:
+            near = nearest(line.value, known)
+            choices = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
+            hint = f"did you mean '{near}'?" if near else "add it to inputs for one of your own"
+            message = f"found {line.value!r}; expected {choices}; {hint}"
+            raise DeclarationError([Problem(f"{k}.value", message)])
+
+
+def dh_rows(rows: Array, in_degrees: Array | None, columns: list[str]) -> Array:
+    """Returns the rows (n, 4) of a DH table in rad, converted from degrees where these are given.
+
+    Raises:
+        ValueError: angles that are implausible in rad, or a wrong number of rows.
+    """
+    angles = [columns.index("alpha"), columns.index("theta")]
+    if in_degrees is not None:
+        rows = in_degrees.copy()
+        rows[:, angles] = np.deg2rad(rows[:, angles])
+    elif (np.abs(rows[:, angles]) > 2 * np.pi + 1e-6).any():
+        largest = float(np.abs(rows[:, angles]).max())
+        raise ValueError(
+            f"found an angle of {largest:g} rad; expected alpha and theta in rad, or "
+            "dh_params_deg for degrees"
+        )
+    if not 1 <= len(rows) <= MAX_JOINTS:
+        raise ValueError(f"found {len(rows)} rows; expected 1 to {MAX_JOINTS}")
+    return rows

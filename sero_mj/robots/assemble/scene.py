@@ -1,0 +1,703 @@
+"""`Scene`: the declaration of robots, sources, routes and surroundings."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence, Sized
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeVar
+
+import numpy as np
+
+from ...base.declaration import Declaration
+from ...base.errors import DeclarationError, Problem, collect, did_you_mean, nearest
+from ...base.frames import Array
+from ...base.paths import argument_of
+from ...base.toml_file import key_lines, located
+from .cartesian import WORLD, NamedFrame, ReceivedFrame, SmartArrow, list_frames
+from .double import Double
+from .group_model import has_key, where
+from .groups import SHARED, Group, group_problems, membership
+from .mounts import carrier, mount_problems, mounted_by_joints
+from .robot import SerialRobot
+from .robot_parts import VALUE_INPUTS, check_line_values
+from .surroundings import Camera, Light, Object, View
+
+# Maximum number of entries, so that a scene compiles within seconds.
+MOST_ENTRIES = {
+    "robots": 200,
+    "groups": 100,
+    "doubles": 500,
+    "arrows": 1000,
+    "frames": 1000,
+    "objects": 2000,
+    "cameras": 1000,
+    "lights": 100,
+    "sources": 1000,
+    "routes": 10000,
+}
+# Sections whose entries have frames or are moved.
+_WITH_FRAMES = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
+NOT = "not"
+JOINING = ("and", "or", NOT)  # words between comparisons
+FUNCTIONS = ("abs", "min", "max", "norm", "any", "all")
+_LONGEST_ORIGIN = 100_000  # characters of the text of a route; each may become a word of it
+_FOR, _BETWEEN = " for ", ";"  # of origins that are for some joints only
+_OF_JOINTS = ("from", "joints")
+# Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
+_TOKENS = re.compile(
+    r"(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
+    r"|(?P<name>[A-Za-z_][A-Za-z0-9_./-]*)"
+    r"|(?P<sign>[<>=!]=|[-+*/()\[\],:<>])"
+    r"|(?P<other>[^ \t\r\n])"
+)
+
+
+_Entry = TypeVar("_Entry", SmartArrow, ReceivedFrame)
+
+
+class SceneToggles(Declaration):
+    """Initial toggles of the whole scene; robots declare their own (`show_arrows`, ...).
+
+    Attributes:
+        legend: whether the legend of the arrows is shown.
+        status: whether faults of the sources are shown.
+        frame_names: whether all axes that are shown show their names.
+        flange_checks: whether received flange frames are compared with the robots' own.
+    """
+
+    legend: bool = True
+    status: bool = True
+    frame_names: bool = False
+    flange_checks: bool = True
+
+
+class Scene:
+    """The declaration of a scene.
+
+    Args:
+        robots: by name.
+        groups: ordered groups of robots, which routes and switches serve together.
+        sources: by name; a table with `kind` and its fields, or a source object.
+        routes: origin by input (`lwr.joint_angles`): an event (`udp.values0`), an expression
+            (`udp.values0[0:7] * deg`), or numbers; stored as text. For some of the joints
+            `{"from": "udp.values0", "joints": ["l_elbow", "l_wrist"]}`, a list of these, or one
+            limb in the key, `icub.left_arm.joint_angles`.
+        doubles: transparent doubles of the robots; one of a group becomes one of each of its
+            robots, `DOUBLE_ROBOT`.
+        arrows: Cartesian vectors, shown by smart arrows.
+        frames: received frames.
+        objects: fixed objects.
+        cameras: by name.
+        lights: by name; one that casts shadows when empty, in addition to a headlight.
+        floor: whether there is a floor, at z = 0; `below`: it is as low as the robots reach where
+            they are declared, if that is lower. When None it is `below` with a robot from URDF or
+            MJCF, whose base may be its trunk, else at 0.
+        view: the default view.
+        toggles: initial toggles of the whole scene.
+        description: one line about it, for `sero-mj list` and `check`.
+        note: about its data, shown with the legend.
+        name: shown in titles and messages.
+        file: the file it was read from.
+        broken: sections (`robots`) and entries (`robots.lwr`) of the file that are invalid.
+        lines: of the file by dotted key, where it is no TOML.
+
+    Raises:
+        DeclarationError: two robots have one name, or a route is neither text nor numbers.
+    """
+
+    def __init__(
+        self,
+        *,
+        robots: list[SerialRobot] | None = None,
+        groups: list[Group] | None = None,
+        sources: Mapping[str, Any] | None = None,
+        routes: Mapping[str, Any] | None = None,
+        doubles: list[Double] | None = None,
+        arrows: list[SmartArrow] | None = None,
+        frames: list[ReceivedFrame] | None = None,
+        objects: list[Object] | None = None,
+        cameras: Mapping[str, Camera] | None = None,
+        lights: Mapping[str, Light] | None = None,
+        floor: bool | Literal["below"] | None = None,
+        view: View | None = None,
+        toggles: SceneToggles | None = None,
+        description: str = "",
+        note: str = "",
+        name: str = "scene",
+        file: Path | None = None,
+        broken: Collection[str] = (),
+        lines: dict[str, int] | None = None,
+    ) -> None:
+        if isinstance(robots, SerialRobot):
+            robots = [robots]
+        problems = [
+            *_not_of_type(SerialRobot, robots=robots),
+            *_not_of_type(Group, groups=groups),
+            *_not_of_type(Double, doubles=doubles),
+            *_not_of_type(SmartArrow, arrows=arrows),
+            *_not_of_type(ReceivedFrame, frames=frames),
+            *_not_of_type(Object, objects=objects),
+            *_not_of_type(Camera, Mapping, cameras=cameras),
+            *_not_of_type(Light, Mapping, lights=lights),
+            *_not_of_type(object, Mapping, sources=sources, routes=routes),
+            *_not_of_type(View, None, view=view),
+            *_not_of_type(SceneToggles, None, toggles=toggles),
+            *_floor_problems(floor),
+        ]
+        if problems:
+            raise DeclarationError(problems)
+        self.robots: dict[str, SerialRobot] = {}
+        self.groups = {group.name: group for group in groups or []}
+        self.membership = membership({name: group.robots for name, group in self.groups.items()})
+        doubled = (self.membership.members.get(double.of, [""]) for double in doubles or [])
+        self._excess = excess(
+            {
+                "robots": robots or (),
+                "groups": groups or (),
+                "doubles": range(sum(map(len, doubled))),
+            }
+        )
+        if self._excess and file is None:
+            raise DeclarationError(self._excess)
+        self._group_problems: list[Problem] = []
+        self.arrows = {arrow.name: arrow for arrow in arrows or []}
+        self.frames = {frame.name: frame for frame in frames or []}
+        self.sources = dict(sources or {})
+        self.routes = route_texts(routes or {})
+        self.objects = list(objects or [])
+        self.cameras = dict(cameras or {})
+        self.lights = dict(lights or {})
+        self._finds_floor = floor is None
+        self.floor: bool | Literal["below"] = True if floor is None else floor
+        self.view = view or View()
+        self.toggles = toggles or SceneToggles()
+        self.description = description
+        self.note = note
+        self.name = name
+        self.file = file
+        self.broken = frozenset([*broken, *(problem.key for problem in self._excess)])
+        self._lines = lines
+        for robot in robots or []:
+            self.add(robot)
+        self.doubles: dict[str, Double] = {}
+        self.double_groups: dict[str, list[str]] = {}  # names of the doubles of a group's robots
+        for double in doubles or [] if "doubles" not in self.broken else []:
+            self._add_double(double)
+        self.arrows = {name: self._by_links(arrow) for name, arrow in self.arrows.items()}
+        self.frames = {name: self._by_links(frame) for name, frame in self.frames.items()}
+        problems = self.problems()
+        if problems and file is None:
+            raise DeclarationError(problems)
+
+    def add(self, robot: SerialRobot) -> SerialRobot:
+        """Adds a robot and returns it.
+
+        Raises:
+            DeclarationError: there is already a robot of that name.
+        """
+        if robot.name in self.robots:
+            message = f"two robots have the name '{robot.name}'; expected different names"
+            raise DeclarationError([Problem(f"robots.{robot.name}", message)])
+        if self._finds_floor and robot.is_foreign:
+            self.floor = "below"
+        self.robots[robot.name] = self._with_defaults(robot)
+        self.robots |= mounted_by_joints(self.robots)
+        for group in self.membership.around.get(robot.name, []):  # inner ones first
+            if all(name in self.robots for name in self.membership.members[group]):
+                self._share_out(self.groups[group])
+        return robot
+
+    def _with_defaults(self, robot: SerialRobot) -> SerialRobot:
+        """Returns the robot with the defaults of its groups for what it does not set itself."""
+        own = set(robot.model_fields_set)
+        for name in self.membership.around.get(robot.name, []):  # inner ones first
+            for key, value in self.groups[name].defaults.items():
+                if key not in own:
+                    with collect(self._group_problems, f"groups.{name}"):
+                        changed = robot.model_copy()
+                        setattr(changed, key, value)
+                        robot = changed
+                    own.add(key)
+        return robot
+
+    def _share_out(self, group: Group) -> None:
+        """Gives the robots of a group their shares of what is declared of it per joint."""
+        robots = [self.robots[name] for name in self.membership.members[group.name]]
+        place = f"groups.{group.name}"
+        self._group_problems += [each.inside(place) for each in group.check_degrees(robots)]
+        for key in SHARED:
+            value = getattr(group, key)
+            if value is None:
+                continue
+            place = f"groups.{group.name}.{key}"
+            shares = _shares(value, robots)
+            if shares is None:
+                message = _not_their_sum(value.shape[-1], robots)
+                self._group_problems.append(Problem(place, message))
+                continue
+            for robot, share in zip(robots, shares, strict=True):
+                with collect(self._group_problems, f"groups.{group.name}"):
+                    changed = self.robots[robot.name].model_copy()
+                    setattr(changed, key, share)
+                    self.robots[robot.name] = changed
+
+    def _add_double(self, double: Double) -> None:
+        """Adds a double, or those of all robots of a group."""
+        robots = self.membership.members.get(double.of)
+        if robots is None:
+            self.doubles[double.name] = double
+            return
+        known = [self.robots[name] for name in robots if name in self.robots]
+        shares: dict[str, Sequence[Any]] = {}
+        for key in ("path", *SHARED):
+            value = getattr(double, key)
+            if value is None:
+                continue
+            fitting = _shares(value, known)
+            shares[key] = [None] * len(known) if fitting is None else fitting
+            if fitting is not None:
+                continue
+            if len(known) == len(robots):  # else robots are wrong, which is reported elsewhere
+                message = _not_their_sum(value.shape[-1], known)
+                self._group_problems.append(Problem(f"doubles.{double.name}.{key}", message))
+        names = [f"{double.name}_{robot.name}" for robot in known]
+        for i, (name, robot) in enumerate(zip(names, known, strict=True)):
+            share: dict[str, Any] = {key: values[i] for key, values in shares.items()}
+            self.doubles[name] = double.model_copy(update={"name": name, "of": robot.name, **share})
+        self.double_groups[double.name] = names
+
+    def members(self, name: str) -> list[str] | None:
+        """Returns the robots of a group, or the doubles of one of its doubles; None if it is none.
+
+        Members that are declared wrongly, or missing, are among them.
+        """
+        return self.membership.members.get(name, self.double_groups.get(name))
+
+    def routed(self, target: str) -> str | None:
+        """Returns the origin of the route to an input, or to that of its group; None for none.
+
+        Where routes lead to its limbs it is a list of their origins.
+        """
+        name, _, key = target.partition(".")
+        doubled = [group for group, names in self.double_groups.items() if name in names]
+        names = [name, *self.membership.around.get(name, []), *doubled]
+        routes = (self.routes.get(f"{each}.{key}") for each in names)
+        whole = next((origin for origin in routes if origin is not None), None)
+        if whole is not None or not self._has_routes_to_limbs:
+            return whole
+        double = self.doubles.get(name)
+        robot = self.robots.get(name if double is None else double.of)
+        limbs = [] if robot is None else [f"{name}.{limb}.{key}" for limb in robot.limb_joints]
+        found = [self.routes[limb] for limb in limbs if limb in self.routes]
+        return f"[{', '.join(found)}]" if found else None
+
+    @property
+    def _has_routes_to_limbs(self) -> bool:
+        return any(target.count(".") > 1 for target in self.routes)
+
+    def sources_of(self, *targets: str) -> set[str]:
+        """Returns the names of the sources that these targets depend on; by default all targets.
+
+        A target that depends on another robot's output (`leader.torques`) depends on the
+        sources of that robot.
+        """
+        found: set[str] = set()
+        todo = list(targets or self.routes)
+        seen = set(todo)
+        while todo:
+            for name in names_in(self.routed(todo.pop()) or ""):
+                source, dot, key = name.partition(".")
+                if dot and source in self.sources:
+                    found.add(source)
+                    continue
+                outputs = [name, *(f"{each}.{key}" for each in self.members(source) or [])]
+                new = [each for each in outputs if self.routed(each) and each not in seen]
+                seen.update(new)
+                todo += new
+        return found
+
+    def files(self) -> list[Path]:
+        """Returns the files that it is declared in, absolute: its own, and those of its models."""
+        models = [robot._model for robot in self.robots.values()]
+        tables = [file for robot in self.robots.values() for file, _ in robot._declared]
+        tables += [file for group in self.groups.values() for file, _ in group._declared]
+        found = [file.absolute() for file in (self.file, *models, *tables) if file is not None]
+        return [file for file in dict.fromkeys(found) if file.is_file()]
+
+    def named_frames(self) -> dict[str, NamedFrame]:
+        """Returns all frames that arrows, received frames and routes can refer to, by name."""
+        return list_frames(self.robots, self.doubles, self.frames, self.objects)
+
+    def frame_name(self, name: str) -> str:
+        """Returns `icub/link9` for `icub/l_elbow`, a joint or a link of the robot's own file."""
+        owner, _, label = name.partition("/")
+        double = self.doubles.get(owner)
+        robot = self.robots.get(owner if double is None else double.of)
+        return name if robot is None or not label else f"{owner}/{robot.frame_label(label)}"
+
+    def _by_links(self, entry: _Entry) -> _Entry:
+        """Returns an arrow or received frame that names links where it names joints."""
+        update = {
+            key: self.frame_name(value)
+            for key in ("at", "expressed_in", "relative_to")
+            if isinstance(value := getattr(entry, key, None), str)
+        }
+        return entry.model_copy(update=update)
+
+    def problems(self) -> list[Problem]:
+        """Returns invalid references between entries, ambiguous names, and excessive counts."""
+        too_many = self._excess or excess({key: getattr(self, key) for key in MOST_ENTRIES})
+        if too_many:  # checking them would take as long as compiling them
+            return too_many
+        carriers = {carrier(robot) or "" for robot in self.robots.values()}
+        broken = {name: self.is_broken(name, ("robots",)) for name in carriers}
+        return [
+            *self._name_problems(),
+            *mount_problems(self.robots, broken),
+            *group_problems(
+                self.groups, self.membership, [*self.declared("robots"), *self.declared("groups")]
+            ),
+            *self._group_problems,
+            *self._double_problems(),
+            *self._frame_problems(),
+        ]
+
+    def _name_problems(self) -> list[Problem]:
+        """Returns names that are ambiguous in routes."""
+        problems = []
+        taken = dict.fromkeys(self.robots, "a robot")
+        doubles = dict.fromkeys([*self.doubles, *self.double_groups])
+        sections: tuple[tuple[str, Collection[str]], ...] = (
+            ("groups", self.groups),
+            ("doubles", doubles),
+            ("arrows", self.arrows),
+            ("frames", self.frames),
+        )
+        for section, entries in sections:
+            for name in entries:
+                if name in taken:
+                    message = f"{taken[name]} has this name; expected another one"
+                    problems.append(Problem(f"{section}.{name}", message))
+                elif name in ("toggles", WORLD):
+                    message = "this name is reserved in routes; expected another one"
+                    problems.append(Problem(f"{section}.{name}", message))
+            taken |= dict.fromkeys(entries, f"one of the {section}")
+        placed = [*self.frames, *(item.name for item in self.objects), *self.cameras]
+        for name in {name for name in placed if placed.count(name) > 1}:
+            if name in self.frames or f"{name}.frame" in self.routes:
+                message = "two entries have this name, so a route is ambiguous"
+                problems.append(Problem(f"routes.{name}.frame", message))
+        return problems
+
+    def _frame_problems(self) -> list[Problem]:
+        """Returns references of arrows and received frames to frames that do not exist."""
+        frames = self.named_frames()
+        wanted = []
+        for name, arrow in self.arrows.items():
+            if isinstance(arrow.at, str):
+                wanted.append((f"arrows.{name}.at", arrow.at))
+            if arrow.expressed_in not in (None, WORLD):
+                wanted.append((f"arrows.{name}.expressed_in", arrow.expressed_in))
+        wanted += [
+            (f"frames.{name}.relative_to", frame.relative_to)
+            for name, frame in self.frames.items()
+            if frame.relative_to != WORLD
+        ]
+        return [
+            Problem(key, f"no frame '{name}'{self._which_frame(name, frames)}")
+            for key, name in wanted
+            if name not in frames and not self.is_broken(name.partition("/")[0])
+        ]
+
+    def _which_frame(self, name: str, frames: Mapping[str, NamedFrame]) -> str:
+        """Says which frame may be meant: of a joint that of its link, else the nearest name."""
+        owner, _, label = name.partition("/")
+        robot = self.robots.get(owner)
+        if robot is None:
+            return did_you_mean(name, [*frames, WORLD])
+        labels = [each.partition("/")[2] for each in frames if each.startswith(f"{owner}/")]
+        own = [*robot.names, *(robot.link_names or [])]
+        near = nearest(label, [*(each for each in labels if not each[-1].isdigit()), *own])
+        if near is not None:
+            return f"; did you mean '{owner}/{near}'?"
+        joints = ", ".join(f"{k + 1} {joint}" for k, joint in enumerate(robot.names))
+        return f"; available: {owner}/base, {owner}/flange, and {owner}/linkN of joints {joints}"
+
+    def is_broken(self, name: str, sections: Sequence[str] = _WITH_FRAMES) -> bool:
+        """Whether an entry of this name, or its whole section, is invalid."""
+        return bool({*sections, *(f"{section}.{name}" for section in sections)} & self.broken)
+
+    def _double_problems(self) -> list[Problem]:
+        """Returns doubles of robots that do not exist or have another number of joints."""
+        problems: list[Problem] = []
+        of_group = {each: name for name, names in self.double_groups.items() for each in names}
+        for name, double in self.doubles.items():
+            if not (self.declares("robots", double.of) or self.declares("groups", double.of)):
+                known = [*self.declared("robots"), *self.declared("groups")]
+                near = did_you_mean(double.of, known)
+                problems.append(Problem(f"doubles.{name}.of", f"no robot '{double.of}'{near}"))
+            elif double.of in self.robots:
+                found = double.check_degrees([self.robots[double.of]])
+                problems += [each.inside(f"doubles.{of_group.get(name, name)}") for each in found]
+                coupled = self.robots[double.of].coupled
+                for key in ("joint_angles", "path", *VALUE_INPUTS):
+                    value = getattr(double, key)
+                    if value is not None and value.shape[-1] not in (coupled.n, coupled.k):
+                        message = f"found {value.shape[-1]} joints; {double.of} has {coupled.n}"
+                        if coupled.is_coupled:
+                            message += f", {coupled.k} without the coupled ones"
+                        problems.append(Problem(f"doubles.{name}.{key}", message))
+            lines = double.billboard_lines
+            if lines is not None and double.of in self.robots:
+                with collect(problems, f"doubles.{name}.billboard_lines"):
+                    check_line_values(lines, self.robots[double.of].inputs)
+            if double.path is not None and len(double.path) < 2:
+                problems.append(Problem(f"doubles.{name}.path", "expected two rows or more"))
+        return problems
+
+    def declares(self, section: str, name: str) -> bool:
+        """Whether there is such an entry, valid or not; an invalid one is reported elsewhere."""
+        entries: Mapping[str, Any] = getattr(self, section)
+        return name in entries or bool({section, f"{section}.{name}"} & self.broken)
+
+    def declared(self, section: str) -> list[str]:
+        """Returns the names in a section (`robots`, `sources`, ...), including invalid entries."""
+        entries: Mapping[str, Any] = getattr(self, section)
+        broken = [key.partition(".")[2] for key in self.broken if key.startswith(f"{section}.")]
+        return [*entries, *broken]
+
+    @property
+    def argument(self) -> str:
+        """What commands call it, or its only robot: a name, where it is shipped, or a file."""
+        file = self.file
+        if file is None:
+            files = [robot._model for robot in self.robots.values()]
+            file = files[0] if len(files) == 1 else None
+        return self.name if file is None else argument_of(file)
+
+    def located(self, problems: list[Problem]) -> list[Problem]:
+        """Returns the problems with file and line added, for a scene read from a file."""
+        if self.file is None:
+            return problems
+        lines = key_lines(self.file) if self._lines is None else self._lines
+        return [
+            problem if problem.file else located(problem, self.file, lines)
+            for problem in (self._in_its_model(problem, lines) for problem in problems)
+        ]
+
+    def _in_its_model(self, problem: Problem, lines: Mapping[str, int]) -> Problem:
+        """Returns the problem with the robot's file, for a field that is not overridden here."""
+        section, _, rest = problem.key.partition(".")
+        name, _, key = rest.partition(".")
+        robot = self.robots.get(name) if section == "robots" else None
+        group = self.groups.get(name) if section == "groups" else None
+        declaration = robot or group
+        field, _, inner = key.partition(".")
+        if problem.file or declaration is None or not key or f"{section}.{name}.{field}" in lines:
+            return problem
+        child, _, inner = inner.partition(".")
+        if robot is not None and field == "children" and child.isdigit():
+            declared = robot.children[int(child)]._declared
+            if declared is not None:
+                return where(Problem(inner, problem.message), (declared,))
+        places = [place for place in declaration._declared if has_key(place, field)]
+        if robot is not None and robot._model is not None and not places:
+            places = [(robot._model, "")]
+        return where(Problem(key, problem.message), tuple(places)) if places else problem
+
+
+def _shares(value: Array, robots: Sequence[SerialRobot]) -> list[Array] | None:
+    """Returns the shares of robots in values (..., n) of all joints, or of the independent ones.
+
+    None where there are as many values of neither.
+    """
+    for counts in ([robot.n for robot in robots], [robot.coupled.k for robot in robots]):
+        if sum(counts) == value.shape[-1]:
+            return np.split(value, np.cumsum(counts)[:-1], axis=-1)
+    return None
+
+
+def _not_their_sum(found: int, robots: Sequence[SerialRobot]) -> str:
+    """Returns what is wrong with so many values for robots together."""
+    total, free = sum(robot.n for robot in robots), sum(robot.coupled.k for robot in robots)
+    each = ", ".join(f"{robot.name} {robot.n}" for robot in robots)
+    fewer = f", or {free} without the coupled joints" if free < total else ""
+    return f"found {found} joints; expected {total}: {each}{fewer}"
+
+
+def _floor_problems(floor: Any) -> list[Problem]:
+    if floor in (True, False, "below", None):
+        return []
+    return [Problem("floor", f"found {floor!r}; expected true, false or 'below'")]
+
+
+def excess(sections: Mapping[str, Any]) -> list[Problem]:
+    """Returns sections with more entries than a scene may have, of any tables of a file."""
+    return [
+        Problem(key, f"found {len(entries)}; expected at most {most}")
+        for key, most in MOST_ENTRIES.items()
+        if isinstance(entries := sections.get(key), Sized) and len(entries) > most
+    ]
+
+
+def _not_of_type(
+    kind: type,
+    many: type[Sequence[Any]] | type[Mapping[str, Any]] | None = Sequence,
+    **fields: Any,
+) -> list[Problem]:
+    """Returns the problems of fields that do not have their type.
+
+    Args:
+        kind: of a field, or of its entries.
+        many: `Sequence` or `Mapping` of them; None for one.
+        **fields: values by key; None where there is none.
+    """
+
+    def is_right(value: Any) -> bool:
+        if many is None:
+            return isinstance(value, kind)
+        entries = value.values() if isinstance(value, Mapping) else value
+        return isinstance(value, many) and all(isinstance(entry, kind) for entry in entries)
+
+    starts: dict[Any, str] = {None: "a", Sequence: "a list of", Mapping: "a mapping from names to"}
+    expected = f"{starts[many]} {kind.__name__}".removesuffix(" to object")
+    return [
+        Problem(key, f"found {value!r:.200}; expected {expected}")
+        for key, value in fields.items()
+        if value is not None and not is_right(value)
+    ]
+
+
+def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
+    """Returns the routes with every origin as text.
+
+    Raises:
+        DeclarationError: origins that are neither text nor numbers nor tables of joints.
+    """
+    texts, problems = {}, []
+    for target, origin in routes.items():
+        try:
+            texts[target] = origin_text(origin)
+        except ValueError as error:
+            problems.append(Problem(f"routes.{target}", str(error)))
+    if problems:
+        raise DeclarationError(problems)
+    return texts
+
+
+class Token(NamedTuple):
+    """A token of an origin's text.
+
+    Attributes:
+        kind: `number`, `name`, `sign`, or `other` for characters that are invalid in a route.
+        text: its characters.
+        at: index of its first character.
+    """
+
+    kind: str
+    text: str
+    at: int
+
+
+def tokens_of(origin: str) -> Iterator[Token]:
+    """Yields the tokens of an origin's text."""
+    for match in _TOKENS.finditer(origin):
+        yield Token(match.lastgroup or "other", match.group(), match.start())
+
+
+def names_in(origin: str) -> list[str]:
+    """Returns the distinct names in an origin: events, outputs, frames and units."""
+    words = [*tokens_of(origin), Token("end", "", len(origin))]
+    names = (
+        word.text
+        for word, behind in pairwise(words)
+        if word.kind == "name" and not (behind.text == "(" and word.text in FUNCTIONS)
+    )
+    return [name for name in dict.fromkeys(names) if name not in JOINING]
+
+
+def origin_text(origin: Any) -> str:
+    """Returns an origin as text; numbers and (nested) lists of numbers are constants.
+
+    One that is for some joints only is `udp.values0 for l_elbow, l_wrist`, and several of these
+    stand one after the other with semicolons; `parts_of_origin` takes them apart.
+
+    Raises:
+        ValueError: the origin is none of what `Scene` lists.
+    """
+    if isinstance(origin, Mapping):
+        text = _text_for_joints(origin)
+    elif isinstance(origin, list | tuple) and any(isinstance(entry, Mapping) for entry in origin):
+        text = f"{_BETWEEN} ".join(_text_for_joints(entry) for entry in origin)
+    else:
+        text = _plain_text(origin)
+    if len(text) > _LONGEST_ORIGIN:
+        raise ValueError(f"found {len(text)} characters; expected at most {_LONGEST_ORIGIN}")
+    return text
+
+
+def _plain_text(origin: Any) -> str:
+    if isinstance(origin, str):
+        return origin
+    plain = origin.tolist() if hasattr(origin, "tolist") else origin
+    text = _number_text(plain)
+    if text is None:
+        hint = ""
+        if isinstance(plain, list) and any(isinstance(entry, str) for entry in plain):
+            hint = '; put quotes about the whole list: "[udp.values0[0], 1]"'
+        message = (
+            f'found {origin!r:.200}; expected an event such as "udp.values0", or numbers{hint}'
+        )
+        raise ValueError(message)
+    return text
+
+
+def _text_for_joints(table: Any) -> str:
+    """Returns an origin that is for some joints as text, see `origin_text`."""
+    example = '{ from = "udp.values0", joints = ["A1", "A2"] }'
+    if not isinstance(table, Mapping) or not table.keys() & {*_OF_JOINTS}:
+        if not isinstance(table, Mapping):
+            raise ValueError(f"found {table!r} among tables; expected {example}")
+        message = f'found {table!r}; expected an event such as "udp.values0", or numbers'
+        raise ValueError(f"{message}; put quotes about the whole name")
+    if table.keys() != {*_OF_JOINTS}:
+        unknown = [f"unknown '{key}'{did_you_mean(key, _OF_JOINTS)}" for key in table
+                   if key not in _OF_JOINTS]  # fmt: skip
+        missing = [f"no '{key}'" for key in _OF_JOINTS if key not in table]
+        raise ValueError(f"found {', '.join([*unknown, *missing])}; expected {example}")
+    joints = [table["joints"]] if isinstance(table["joints"], str) else table["joints"]
+    names = isinstance(joints, list | tuple) and all(isinstance(each, str) for each in joints)
+    if not names or not joints:
+        raise ValueError(f"joints: found {joints!r}; expected names of joints or limbs, in order")
+    return f"{_plain_text(table['from'])}{_FOR}{', '.join(joints)}"
+
+
+def parts_of_origin(text: str) -> list[tuple[str, list[str] | None]]:
+    """Returns the parts of an origin's text: each origin, and the joints that it is for.
+
+    These are None for an origin of all joints.
+    """
+    if _FOR not in text:
+        return [(text, None)]
+    pairs = [part.partition(_FOR) for part in text.split(_BETWEEN)]
+    return [
+        (origin.strip(), [name.strip() for name in names.split(",")] if is_for else None)
+        for origin, is_for, names in pairs
+    ]
+
+
+def _number_text(value: Any) -> str | None:
+    """Returns a number or a list of numbers as text; None for anything else."""
+    if isinstance(value, list | tuple):
+        entries = [_number_text(entry) for entry in value]
+        texts = [entry for entry in entries if entry is not None]
+        return f"[{', '.join(texts)}]" if len(texts) == len(entries) else None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        return repr(value) if math.isfinite(value) else None
+    except OverflowError:  # an int too large for a float
+        return None

@@ -1,0 +1,541 @@
+"""Reads a scene file and reports all of its problems at once."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from ...base import paths
+from ...base.declaration import is_name
+from ...base.dotted_keys import lacking, parts_of, with_value
+from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean, nearest
+from ...base.toml_file import key_lines, located, read_toml
+from ..importers.described import Described
+from ..importers.robot_file import read_robot_file
+from ..importers.x3d import read_x3d
+from .cartesian import ReceivedFrame, SmartArrow
+from .double import Double
+from .group_model import Expanded, expand_groups, where
+from .groups import SHARED, Group, membership
+from .robot import SerialRobot, build_robot
+from .scene import MOST_ENTRIES, Scene, SceneToggles, excess, origin_text
+from .surroundings import Camera, Light, Object, View, set_directory
+
+T = TypeVar("T")
+log = logging.getLogger(__name__)
+# Sections of tables by name; where several have the same name, the last one is meant by it alone.
+_ENTRIES = ("sources", "lights", "cameras", "objects", "frames", "arrows", "doubles", "robots")
+_TABLES: Mapping[str, Callable[..., Any]] = {"view": View, "toggles": SceneToggles}
+_PLAIN = ("floor", "name", "description", "note")
+_OF_MODEL = ("model", "mount", "base_frame", "mirrored")  # keys of a group with a model alone
+_DEGREES = "_deg"  # how keys end that are in degrees
+_OF_DYNAMICS = (
+    "motor_inertias", "viscous_friction", "coulomb_friction", "joint_stiffness", "joint_damping",
+)  # fmt: skip
+
+
+def read_scene_file(
+    path: Path,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    tables: dict[str, Any] | None = None,
+    known: Collection[str] = (),
+) -> tuple[Scene, list[Problem]]:
+    """Reads the valid parts of a scene file and reports the problems of the rest.
+
+    Args:
+        path: a TOML file, or a scene in X3D's classic encoding.
+        overrides: values by dotted key, which override the file: any key that it takes
+            (`view.azimuth_deg`, `sources.udp.port`, `robots.lwr.show_axes`), or the name of a
+            robot, a group, an object, ... and a key of that (`lwr.dynamics.coulomb_friction[1]`).
+            Routes to these are dropped.
+        tables: the tables of the file that belong to a scene; all of them when None.
+        known: names of other sections of such files, suggested when one is mistyped.
+
+    Returns:
+        the scene without its invalid parts, and all problems. Sources and routes are not checked
+        here but in `sero_mj.data.drive`.
+
+    Raises:
+        DeclarationError: the file cannot be read at all.
+    """
+    described = _described(path) if tables is None else Described(tables)
+    _refuse_excess(excess(described.tables), path, described)
+    reader = _Reader(path, described.tables, known, overrides or {})
+    expanded = {section: reader.tables.get(section, {}) for section in ("robots", "groups")}
+    _refuse_excess(excess(expanded), path, described)
+    reader.lines = described.lines or None
+    scene = reader.scene()
+    # What is wrong with the mount of a group is so for all of its robots.
+    return scene, list(dict.fromkeys(scene.located(reader.problems)))
+
+
+def _refuse_excess(problems: Sequence[Problem], path: Path, described: Described) -> None:
+    """Raises DeclarationError for sections that would take long to build, before they are."""
+    if problems:
+        lines = described.lines or key_lines(path)
+        raise DeclarationError([located(problem, path, lines) for problem in problems])
+
+
+def _described(path: Path) -> Described:
+    """The tables of a file, whatever its format; what is not in them is logged."""
+    if path.suffix.lower() not in paths.SCENE_ENDINGS:
+        return Described(read_toml(path))
+    described = read_x3d(path)
+    for warning in described.warnings:
+        log.warning("%s: %s", path, warning)
+    return described
+
+
+def group_from_model(
+    model: str, name: str | None = None, **fields: Any
+) -> tuple[list[SerialRobot], list[Group]]:
+    """Reads a model that is a group, as `[groups.NAME]` with `model` does in a scene.
+
+    Args:
+        model: a shipped group's name (`dlr_hand2`), a folder with a `group.toml`, or a file.
+        name: of the group; the model's when None.
+        **fields: `mount`, `base_frame`, `mirrored`, defaults of `Group`, and in `robots` and
+            `groups` fields of its members by name.
+
+    Returns:
+        its robots and groups, for a `Scene`.
+
+    Raises:
+        UnknownName: there is no such model.
+        DeclarationError: what is wrong in the files or the fields.
+    """
+    path = paths.find_group_model(model)
+    entry = {"model": path, **fields}
+    reader = _Reader(path, {"groups": {name or path.resolve().parent.name: entry}}, (), {})
+    robots, groups = reader.robots(), reader.groups()
+    if reader.problems:
+        raise DeclarationError(reader.problems)
+    return robots, groups
+
+
+class _Reader:
+    """Reads the sections of one file, with values over it, and collects their problems."""
+
+    def __init__(
+        self,
+        path: Path,
+        tables: Mapping[str, Any],
+        known: Collection[str],
+        overrides: Mapping[str, Any],
+    ) -> None:
+        self.path, self.known = path, known
+        self.tables = dict(tables)
+        self.lines: dict[str, int] | None = None  # of the keys, where the file is no TOML
+        self.problems: list[Problem] = []
+        self.broken: list[str] = []
+        self._settings: dict[str, list[tuple[str, Any]]] = {}  # key and value, by entry
+        self._set_for: dict[tuple[str, str], str] = {}  # the group that a robot's key was set for
+        self._made: list[str] = []  # entries that are not in the file
+        self._of_groups: dict[str, dict[str, str]] = {}  # what is wrong with keys: message, robot
+        self.expanded = Expanded()
+        others = self._override_groups(overrides)
+        if isinstance(self.tables.get("groups"), dict):
+            self._expand(self.tables["groups"])
+        for target, value in others.items():
+            self._override(target, value)
+
+    def _expand(self, groups: dict[str, Any]) -> None:
+        """Puts the robots of groups that have a model among those of the file."""
+        self.expanded = expanded = expand_groups(groups, self.path, MOST_ENTRIES)
+        self.problems += expanded.problems
+        self.broken += expanded.broken
+        self.tables = {**self.tables, "groups": expanded.groups}
+        if not expanded.groups:
+            del self.tables["groups"]
+        robots = self.tables.get("robots", {})
+        if expanded.robots and isinstance(robots, dict):
+            for name in expanded.robots.keys() & robots.keys():
+                self.wrong(f"robots.{name}", "a group with a model has a robot of this name")
+            self.tables["robots"] = {**robots, **expanded.robots}
+
+    def scene(self) -> Scene:
+        sections: dict[str, Callable[[], Any]] = {
+            "robots": self.robots,
+            "groups": self.groups,
+            "sources": lambda: self._each("sources", self._source),
+            "routes": self._routes,
+            "doubles": lambda: list(self._each("doubles", _named(Double)).values()),
+            "arrows": lambda: list(self._each("arrows", _named(SmartArrow)).values()),
+            "frames": lambda: list(self._each("frames", _named(ReceivedFrame)).values()),
+            "objects": lambda: list(self._each("objects", self._object).values()),
+            "cameras": lambda: self._each("cameras", _nameless(Camera)),
+            "lights": lambda: self._each("lights", _nameless(Light)),
+            "view": lambda: View(**self._table("view")),
+            "toggles": lambda: SceneToggles(**self._table("toggles")),
+            "floor": self._floor,
+            "name": lambda: self._typed("name", str, "a text"),
+            "description": lambda: self._typed("description", str, "a text"),
+            "note": lambda: self._typed("note", str, "a text"),
+        }
+        for key in self.tables:
+            if key not in sections:
+                self.wrong(key, f"unknown section{did_you_mean(key, [*sections, *self.known])}")
+                if (meant := nearest(key, sections)) is not None:
+                    self.broken.append(meant)  # references to its entries are not reported as well
+        read = {}
+        for key, reader in sections.items():
+            if key in self.tables:
+                value = self._try(key, reader)
+                if value is not None:
+                    read[key] = value
+        fields = {"name": self.path.stem, **read, "file": self.path, "broken": self.broken}
+        fields["lines"] = self.lines
+        if not self.tables and not self.broken:
+            self.wrong("", "is empty; expected at least [robots.NAME] or [objects.NAME]")
+        scene = Scene(**fields)
+        for name, robot in scene.robots.items():  # what is set for it counts more than its group's
+            for key, value in self._settings.get(f"robots.{name}", []):
+                field = key.partition("[")[0]
+                if field.removesuffix(_DEGREES) in SHARED:
+                    with suppress(ValueError):  # told where the robot was built
+                        changed = with_value({}, parts_of(key), value, built=robot)
+                        setattr(robot, field, changed[field])
+        for key, messages in self._of_groups.items():  # robots of a group may have several sizes
+            texts = [f"{message} ({robot})" for message, robot in messages.items()]
+            self.wrong(key, "; ".join([*messages] if len(messages) == 1 else texts[:3]))
+        self.problems += scene.problems()
+        camera = scene.view.camera
+        known = camera is None or camera in scene.cameras or f"cameras.{camera}" in self.broken
+        if not known:
+            near = did_you_mean(str(camera), scene.cameras)
+            self.wrong("view.camera", f"no camera '{camera}'{near}")
+        return scene
+
+    def robots(self) -> list[SerialRobot]:
+        return list(self._each("robots", self._robot).values())
+
+    def groups(self) -> list[Group]:
+        groups = self._each("groups", _named(Group))
+        for name, group in groups.items():
+            group._declared = self.expanded.declared.get(f"groups.{name}", ())
+        return list(groups.values())
+
+    def _override_groups(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
+        """Sets what is of the tables of groups, before these become robots; returns the rest.
+
+        That is `groups.NAME.KEY`, and of a group with a model what only such a group has.
+        """
+        others = {}
+        for target, value in overrides.items():
+            groups = self.tables.get("groups", {})
+            name, _, field = target.removeprefix("groups.").partition(".")
+            table = groups.get(name) if isinstance(groups, dict) else None
+            of_model = isinstance(table, dict) and "model" in table
+            key = field.partition(".")[0].partition("[")[0]
+            if not target.startswith("groups.") and not (of_model and key in _OF_MODEL):
+                others[target] = value
+            elif not isinstance(table, dict) or not field:
+                self.wrong(target, f"no group '{name}'{did_you_mean(name, groups)}")
+            else:
+                changed = self._with_value(table, target, field, value)
+                self.tables["groups"] = {**groups, name: changed}
+        return others
+
+    def _override(self, target: str, value: Any) -> None:
+        """Overrides a key of the file, or `NAME.KEY` of a robot, a group, an object, ... of it."""
+        first, _, rest = target.partition(".")
+        tables = {section: self.tables.get(section, {}) for section in (*_ENTRIES, "routes")}
+        entries = {
+            name: section
+            for section in _ENTRIES
+            for name in (tables[section] if isinstance(tables[section], dict) else ())
+        }
+        members = self._members()
+        section = entries.get(first, first)
+        if rest and first in members:
+            self._override_group(first, members[first], rest, value)
+        elif section in _ENTRIES and isinstance(tables[section], dict):
+            name, _, field = target.partition(".") if first in entries else rest.partition(".")
+            if not field:
+                example = f"{name or first}.joint_angles"
+                self.wrong(target, f"names no field; expected robot.field, e.g. {example}")
+                return
+            if name not in tables[section]:
+                self.tables[section] = {**tables[section], name: {}}
+                self._made.append(f"{section}.{name}")
+            self._settings.setdefault(f"{section}.{name}", []).append((field, value))
+            self._drop_routes(f"{name}.{field.removesuffix(_DEGREES)}")
+        elif first in _PLAIN and not rest:
+            self.tables[first] = value
+        elif first in _TABLES and rest:
+            table = self.tables.get(first, {})
+            if isinstance(table, dict):
+                self.tables[first] = self._with_value(table, target, rest, value, _TABLES[first]())
+        elif first == "routes" and rest and isinstance(tables["routes"], dict):
+            self.tables["routes"] = {**tables["routes"], rest.strip("'\""): value}
+        elif section not in _ENTRIES:
+            names = [*entries, *members]
+            every = [*names, *_ENTRIES, *_TABLES, *_PLAIN, "groups", "routes", *self.known]
+            near = did_you_mean(first, every if nearest(first, every) else names)
+            self.wrong(target, f"no robot '{first}' to set this for{near}")
+
+    def _with_value(
+        self, table: Mapping[str, Any], target: str, key: str, value: Any, built: Any = None
+    ) -> dict[str, Any]:
+        try:
+            return with_value(table, parts_of(key), value, built=built)
+        except ValueError as error:
+            self.wrong(target, str(error))
+            return dict(table)
+
+    def _override_group(self, group: str, robots: Sequence[str], field: str, value: Any) -> None:
+        """Overrides a field of all robots of a group."""
+        if field.removesuffix(_DEGREES) in SHARED and isinstance(value, list):
+            groups = self.tables["groups"]
+            table = _without_other_unit(groups[group], field)
+            self.tables["groups"] = {**groups, group: {**table, field: value}}
+            field = field.removesuffix(_DEGREES)
+            self._drop_routes(*(f"{each}.{field}" for each in (group, *robots)))
+            return
+        key = field.partition(".")[0].partition("[")[0]
+        if key not in SerialRobot.model_fields:
+            near = did_you_mean(key, SerialRobot.model_fields)
+            self.wrong(f"{group}.{field}", f"no robot has this{near}")
+            return
+        for robot in robots:
+            self._set_for[robot, field] = group
+            self._override(f"{robot}.{field}", value)
+        self._drop_routes(f"{group}.{field}")
+
+    def _drop_routes(self, *targets: str) -> None:
+        """Removes the routes to inputs, also those to limbs of these."""
+
+        def whole(target: str) -> str:
+            name, _, key = target.partition(".")
+            return f"{name}.{key.rpartition('.')[2]}"
+
+        if isinstance(self.tables.get("routes"), dict):
+            routes = self.tables["routes"].items()
+            self.tables["routes"] = {
+                key: each for key, each in routes if not {key, whole(key)} & {*targets}
+            }
+
+    def _members(self) -> dict[str, list[str]]:
+        """Returns the robots of every group whose table is right in that."""
+        tables = self.tables.get("groups")
+        lists = {
+            group: table["robots"]
+            for group, table in (tables.items() if isinstance(tables, dict) else ())
+            if isinstance(table, dict) and isinstance(table.get("robots"), list)
+        }
+        texts = {group: [each for each in names if isinstance(each, str)]
+                 for group, names in lists.items()}  # fmt: skip
+        return membership(texts).members
+
+    def wrong(self, key: str, message: str) -> None:
+        self.problems.append(Problem(key, message))
+
+    def _try(self, key: str, build: Callable[[], T]) -> T | None:
+        try:
+            return build()
+        except DeclarationError as error:
+            declared = self.expanded.declared.get(key)
+            if key in self._made and (message := self._lacking(key, error.problems)):
+                section, _, name = key.partition(".")
+                target = f"{section}.{name}.{self._settings[key][0][0]}"
+                self.problems.append(Problem(target, message))
+                error = DeclarationError([])
+            for problem in error.problems:
+                if (problem_set := self._as_set(key, problem)) is not None:
+                    found = self._of_groups.setdefault(problem_set.key, {})
+                    found.setdefault(problem_set.message, key.partition(".")[2])
+                    continue
+                here = problem.inside(key) if declared is None else where(problem, declared)
+                self.problems.append(problem if problem.file else here)
+        self.broken.append(key)
+        return None
+
+    def _lacking(self, place: str, problems: Sequence[Problem]) -> str | None:
+        """What an entry lacks that is not in the file; see `lacking`."""
+        keys = [f"{place}.{field}" for field, _ in self._settings[place]]
+        section, _, name = place.partition(".")
+        others = [each for each in self.tables[section] if f"{section}.{each}" not in self._made]
+        return lacking(section, name, problems, keys, others)
+
+    def _as_set(self, place: str, problem: Problem) -> Problem | None:
+        """Returns the problem by the key that was set, where a robot in a group has it so."""
+        section, _, name = place.partition(".")
+        if section != "robots":
+            return None
+        for field, _ in self._settings.get(place, []):
+            if problem.key == field or problem.key.startswith(f"{field}."):
+                group = self._set_for.get((name, field))
+                if group is not None:
+                    return Problem(f"{group}.{problem.key}", problem.message)
+                if place in self.expanded.declared:
+                    return Problem(f"{name}.{problem.key}", problem.message)
+        return None
+
+    def _floor(self) -> Any:
+        value = self.tables["floor"]
+        if value in (True, False, "below"):
+            return value
+        return self._typed("floor", bool, "true, false or 'below'")
+
+    def _typed(self, key: str, kind: type[T], expected: str) -> T | None:
+        value = self.tables[key]
+        if isinstance(value, kind):
+            return value
+        self.wrong(key, f"found {value!r}; expected {expected}")
+        return None
+
+    def _table(self, key: str) -> dict[str, Any]:
+        value = self.tables[key]
+        if isinstance(value, dict):
+            return value
+        raise DeclarationError([Problem("", f"found {value!r}; expected a table [{key}]")])
+
+    def _each(self, key: str, build: Callable[[str, dict[str, Any]], T]) -> dict[str, T]:
+        built: dict[str, T] = {}
+        for name, table in self._table(key).items():
+            place = f"{key}.{name}"
+            value = self._try(place, partial(self._entry, build, name, table, place))
+            if value is not None:
+                built[name] = value
+        return built
+
+    def _entry(self, build: Callable[[str, Any], T], name: str, table: Any, place: str) -> T:
+        if not isinstance(table, dict):
+            message = f"found {table!r}; expected a table [{place}]"
+            raise DeclarationError([Problem("", message)])
+        settings = self._settings.get(place, [])
+        built = below = None
+        lists: dict[str, int] = {}
+        if settings:  # over what the file says; elements of lists may be in a robot's own file
+            with suppress(DeclarationError):
+                built = build(name, table)
+            if isinstance(built, SerialRobot):
+                lists = _lists_of(built)
+            with suppress(DeclarationError, UnknownName):
+                if isinstance(table.get("model"), str):
+                    path = paths.find_model(table["model"], self.path.parent)
+                    below = read_robot_file(path, arguments=_arguments(table)).tables
+        problems: list[Problem] = []
+        for key, value in settings:
+            try:
+                parts = parts_of(key)
+                table = _without_other_unit(table, key)
+                table = with_value(table, parts, value, built=built, below=below, lists=lists)
+            except ValueError as error:
+                problems.append(Problem(key, str(error)))
+        with collect(problems, ""):
+            found = build(name, table)
+            if not problems:
+                return found
+        raise DeclarationError(problems)
+
+    def _routes(self) -> dict[str, str]:
+        routes = {}
+        for target, origin in self._table("routes").items():
+            try:
+                routes[target] = origin_text(origin)
+            except ValueError as error:
+                self.wrong(f"routes.{target}", str(error))
+        return routes
+
+    def _robot(self, name: str, table: dict[str, Any]) -> SerialRobot:
+        robot = self._built(name, table)
+        objects = self.expanded.objects.get(name, [])
+        if objects:  # of the group, fixed to its first robot
+            robot.children = [*robot.children, *objects]
+        robot._declared = self.expanded.declared.get(f"robots.{name}", ())
+        return robot
+
+    def _built(self, name: str, table: dict[str, Any]) -> SerialRobot:
+        if "name" in table:
+            message = f"belongs in the header: write [robots.{table['name']}] instead"
+            raise DeclarationError([Problem("name", message)])
+        fields = {**table, "name": name}
+        arguments = _arguments(fields)
+        fields.pop("arguments", None)
+        model = fields.pop("model", None)
+        known = [*SerialRobot.model_fields, "model", "arguments"]
+        for key in fields:
+            if key not in known and did_you_mean(key, known).endswith("did you mean 'model'?"):
+                raise DeclarationError([Problem(key, "unknown key; did you mean 'model'?")])
+        declared = self.expanded.declared.get(f"robots.{name}")
+        beside = declared[-1][0].parent if declared else self.path.parent
+        if "directory" in fields and isinstance(fields["directory"], str):
+            fields["directory"] = str(beside / fields["directory"])
+        set_directory(fields.get("children"), beside)
+        if model is None:
+            fields.setdefault("directory", str(beside))
+            return build_robot(fields)
+        if not isinstance(model, str | Path):
+            raise DeclarationError([Problem("model", f"found {model!r}; expected a robot's name")])
+        try:
+            path = model if isinstance(model, Path) else paths.find_model(model, beside)
+        except (DeclarationError, UnknownName) as error:
+            raise DeclarationError([Problem("model", str(error))]) from None
+        if arguments is not None and path.suffix == ".toml":
+            message = f"are for xacro; {path.name} has none"
+            raise DeclarationError([Problem("arguments", message)])
+        return build_robot(fields, path, arguments=arguments)
+
+    def _source(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
+        """Returns the table of a source, with file names relative to the scene's folder."""
+        _check_name(name)
+        file = table.get("file")
+        return {**table, "file": str(self.path.parent / file)} if isinstance(file, str) else table
+
+    def _object(self, name: str, table: dict[str, Any]) -> Object:
+        fields = {**table, "name": name}
+        set_directory([fields], self.path.parent)
+        return Object(**fields)
+
+
+def _arguments(table: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The arguments of xacro in a robot's table; None where it has none."""
+    found = table.get("arguments")
+    is_right = isinstance(found, dict) and all(
+        isinstance(value, str | int | float) for value in found.values()
+    )
+    if found is not None and not is_right:
+        message = f"found {found!r:.200}; expected texts and numbers by name"
+        raise DeclarationError([Problem("arguments", message)])
+    return found
+
+
+def _lists_of(robot: SerialRobot) -> dict[str, int]:
+    """Returns how many numbers a robot's lists have for which one number may be set."""
+    limits = ("velocity_limits", "torque_limits", "acceleration_limits")
+    values = dict.fromkeys(SHARED, robot.coupled.k)
+    return values | dict.fromkeys((*limits, *_OF_DYNAMICS), robot.n)
+
+
+def _without_other_unit(table: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """Returns a table without what it says in the other unit of what is set as a whole."""
+    other = key.removesuffix(_DEGREES) if key.endswith(_DEGREES) else f"{key}{_DEGREES}"
+    return {each: value for each, value in table.items() if each != other}
+
+
+def _named(kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
+    """Returns a builder for a declaration that has a field for its name, and checks it."""
+    return lambda name, table: kind(**{**table, "name": name})
+
+
+def _nameless(kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
+    """Returns a builder for a declaration without a field for its name."""
+
+    def build(name: str, table: dict[str, Any]) -> T:
+        _check_name(name)
+        return kind(**table)
+
+    return build
+
+
+def _check_name(name: str) -> None:
+    try:
+        is_name(name)
+    except ValueError as error:
+        raise DeclarationError([Problem("", f"name: {error}")]) from None

@@ -1,0 +1,196 @@
+"""Generates link shapes from the frames of joints, for robots without meshes.
+
+Every link gets a cylinder about the axis of a revolute joint, or the rod of a prismatic one, which
+slides through a box of the link before; and capsules along the offsets to the next joint. Sizes
+are in proportion to the reach and never zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from ...base.frames import Array
+from .dh import DhTable
+from .joint_tree import JointTree
+
+SHELL = (0.93, 0.93, 0.91, 1.0)
+JOINT = (0.36, 0.38, 0.41, 1.0)
+
+_RADIUS_OF_REACH = 0.05
+_SMALLEST_REACH = 0.05  # m; a table of zeros still shows its joints
+# Radius of the last link over that of the first, so that nested joints share no surface.
+_TAPER = 0.55
+_HALF_HOUSING = 1.25  # half the length of a housing, in its radii
+_CLEAR_OF_HOUSING = 1.7  # times its radius; ends of the housing reach 1.6 times
+_SHORTEST_SEGMENT = 1e-6  # m
+
+
+@dataclass(frozen=True, eq=False)
+class LinkShape:
+    """A primitive in a link's frame.
+
+    Attributes:
+        kind: MuJoCo's geom type.
+        size: radius (m) of capsule and cylinder; half lengths (3,) of a box.
+        ends: (2, 3), where a capsule or cylinder starts and ends; the axis of a box.
+        rgba: colour.
+    """
+
+    kind: Literal["capsule", "cylinder", "box"]
+    size: Array
+    ends: Array
+    rgba: tuple[float, float, float, float]
+
+
+def housing_radii(table: JointTree, flange_frame: Array, flange_link: int = -1) -> Array:
+    """Returns the radius of the generated housing of every joint, (n,), m.
+
+    Args:
+        table: n joints.
+        flange_frame: T_link_flange (4, 4).
+        flange_link: index of the frame that carries the flange.
+    """
+    steps, depths = table.step_lengths(), table.depths
+    along = table.path_lengths(steps)
+    along[flange_link] += float(np.linalg.norm(flange_frame[:3, 3]))
+    reach = max(float(along.max()), _SMALLEST_REACH)
+    longest = max(float(steps.max()), _SMALLEST_REACH / depths.max())
+    # Limited by the link length, for chains of many short links.
+    radius = min(_RADIUS_OF_REACH * reach, 0.4 * longest)
+    return np.asarray(radius * np.linspace(1.0, _TAPER, depths.max())[depths - 1])
+
+
+def clear_radii(table: JointTree, flange_frame: Array, flange_link: int = -1) -> Array:
+    """Returns the radius at which a ring about every joint is outside of all housings, (n,), m.
+
+    Axes that meet (of a shoulder, a wrist) have housings in one place: the ring of each is
+    outside of the largest.
+
+    Args:
+        table: n joints.
+        flange_frame: T_link_flange (4, 4).
+        flange_link: index of the frame that carries the flange.
+    """
+    radii = housing_radii(table, flange_frame, flange_link)
+    axes, centres = table.joint_axes(table.frames(np.zeros(len(table))))
+    if isinstance(table, DhTable) and table.turns_in_carrier:
+        lifted = np.where(table.revolute, table.d, 0.0) * table.signs
+        centres = centres + lifted[:, None] * axes
+    apart = np.linalg.norm(centres[:, None] - centres, axis=2)
+    is_near = apart < np.hypot(1.0, _HALF_HOUSING) * radii
+    return np.asarray(_CLEAR_OF_HOUSING * np.where(is_near, radii, 0.0).max(axis=1))
+
+
+def generate_shapes(
+    table: JointTree,
+    flange_frame: Array,
+    strokes: Array | None = None,
+    flange_link: int = -1,
+) -> list[list[LinkShape]]:
+    """Returns the shapes of the base and of every link, each in its own frame.
+
+    Args:
+        table: n joints.
+        flange_frame: T_link_flange (4, 4).
+        strokes: maximum extension of every joint, (n,), m; the rods of prismatic joints are
+            longer by it, so that they never leave their housing.
+        flange_link: index of the frame that carries the flange.
+    """
+    n = len(table)
+    strokes = np.zeros(n) if strokes is None else strokes
+    housings = housing_radii(table, flange_frame, flange_link)
+    links: list[list[LinkShape]] = [[] for _ in range(n + 1)]
+    for i, parent in enumerate(table.carriers.tolist()):
+        near, far = _segments(table, i, max(strokes[i], 2 * _HALF_HOUSING * housings[i]))
+        before, housing = _capsules(near, housings[i]), _housing(table, i, housings[i])
+        if not table.revolute[i]:
+            before.append(housing)
+        links[parent] += _on_root(before, table.root) if parent == 0 else before
+        own = housings[i + 1] if i + 1 < n else housings[i] * 0.9
+        links[i + 1] += _capsules(far, own)
+        if table.revolute[i]:
+            links[i + 1].append(housing)
+    end = housings[flange_link - 1 if flange_link > 0 else -1] * 0.9
+    links[flange_link] += _capsules(np.array([np.zeros(3), flange_frame[:3, 3]]), end)
+    links[0].append(_pedestal(housings[0]))
+    return links
+
+
+def _on_root(shapes: list[LinkShape], root: Array | None) -> list[LinkShape]:
+    """Returns shapes of frame 0 of a table, and what connects it to the base, in the base."""
+    if root is None:
+        return shapes
+    moved = [replace(s, ends=s.ends @ root[:3, :3].T + root[:3, 3]) for s in shapes]
+    radius = float(np.min(shapes[0].size)) if shapes else 0.0
+    way = np.array([np.zeros(3), root[:3, 3]])
+    return [*moved, *(_capsules(way, radius / 0.8) if radius else [])]
+
+
+def _segments(table: JointTree, i: int, rod: float) -> tuple[Array, Array]:
+    """Returns the offsets of row i as polylines, before the joint (fixed) and after it (moved).
+
+    The offset along the joint's axis is placed before the joint, where it is fixed. The rod of a
+    prismatic joint moves with its link, and reaches back into that offset.
+    """
+    zero = np.zeros(3)
+    if not isinstance(table, DhTable):
+        rod = 0.0 if table.revolute[i] else rod
+        way = np.array([zero, table.transforms(np.zeros(len(table)))[i, :3, 3]])
+        return way, np.array([[0, 0, -rod], zero])
+    a, d, alpha = table.a[i], table.d[i], table.alpha[i]
+    along_x, along_z = np.array([a, 0.0, 0.0]), np.array([0.0, 0.0, d])
+    rod = 0.0 if table.revolute[i] else float(np.copysign(rod, d))
+    if table.convention == "craig":
+        z_next = np.array([0.0, -np.sin(alpha), np.cos(alpha)])
+        return np.array([zero, along_x, along_x + d * z_next]), np.array([[0, 0, -rod], zero])
+    # Standard: Rz(theta) Tz(d), then Tx(a) Rx(alpha); x of the row is x of frame i + 1.
+    z_joint = np.array([0.0, np.sin(alpha), np.cos(alpha)])
+    return np.array([zero, along_z]), np.array([-along_x - rod * z_joint, -along_x, zero])
+
+
+def _capsules(points: Array, radius: float) -> list[LinkShape]:
+    return [
+        LinkShape("capsule", np.array([0.8 * radius]), np.array([start, end]), SHELL)
+        for start, end in pairwise(points)
+        if np.linalg.norm(end - start) > _SHORTEST_SEGMENT
+    ]
+
+
+def _housing(table: JointTree, i: int, radius: float) -> LinkShape:
+    """Returns the housing about the axis of joint i, at the end of the row's offset d.
+
+    That of a revolute joint is in frame i + 1 and turns; that of a prismatic one is in the frame
+    that carries it, where the rod passes through it.
+    """
+    axis, centre = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+    if not isinstance(table, DhTable):
+        if not table.revolute[i]:
+            T = table.transforms(np.zeros(len(table)))[i]
+            axis, centre = T[:3, 2], T[:3, 3]
+        return _housing_shape(bool(table.revolute[i]), axis, centre, radius)
+    alpha, a, d = table.alpha[i], table.a[i], table.d[i]
+    if table.convention == "craig" and not table.revolute[i]:
+        axis = np.array([0.0, -np.sin(alpha), np.cos(alpha)])
+        centre = np.array([a, 0.0, 0.0]) + d * axis
+    elif table.convention == "standard" and not table.revolute[i]:
+        centre = d * axis
+    elif table.convention == "standard":
+        axis, centre = np.array([0.0, np.sin(alpha), np.cos(alpha)]), np.array([-a, 0.0, 0.0])
+    return _housing_shape(bool(table.revolute[i]), axis, centre, radius)
+
+
+def _housing_shape(turns: bool, axis: Array, centre: Array, radius: float) -> LinkShape:
+    half = _HALF_HOUSING * radius * axis
+    ends = np.array([centre - half, centre + half])
+    if turns:
+        return LinkShape("cylinder", np.array([radius]), ends, JOINT)
+    return LinkShape("box", np.array([radius, radius, _HALF_HOUSING * radius]), ends, JOINT)
+
+
+def _pedestal(radius: float) -> LinkShape:
+    ends = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5 * radius]])
+    return LinkShape("cylinder", np.array([1.5 * radius]), ends, JOINT)

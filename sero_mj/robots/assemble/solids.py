@@ -1,0 +1,152 @@
+"""What is seen of a compiled model: which geoms, and what is hidden inside of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Bools, Ints
+
+_SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
+_ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
+_MOST_CROSSINGS = 24  # of surfaces along a ray
+_NEAR = 2.5  # distance up to which faces of skins count, over the largest radius
+_STEP = 1e-6  # beyond a surface, over the largest radius
+_ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
+_MORE = 100  # geoms that MuJoCo adds to those of a model
+
+
+def is_shown(model: mujoco.MjModel) -> Bools:
+    """Returns whether MuJoCo shows each geom by default, (ngeom,)."""
+    return np.asarray((model.geom_group < _SHOWN_GROUPS) & (model.geom_rgba[:, 3] > 0))
+
+
+def geoms_of(model: mujoco.MjModel, bodies: Ints, trunk: Ints | None = None) -> Ints:
+    """Returns the shown geoms of bodies, or all if none is shown, (k,).
+
+    Args:
+        model: compiled.
+        bodies: ids.
+        trunk: the world's geoms that count, those of a fused trunk.
+    """
+    mine = np.isin(model.geom_bodyid, bodies) & (model.geom_bodyid > 0)
+    if trunk is not None:
+        mine[trunk] = True
+    shown = mine & is_shown(model)
+    return np.asarray((shown if shown.any() else mine).nonzero()[0])
+
+
+def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+    """Returns the lowest and highest corners of boxes about all geoms, (ngeom, 3) each, m."""
+    rotation = data.geom_xmat.reshape(-1, 3, 3)
+    centre = data.geom_xpos + np.einsum("nij,nj->ni", rotation, model.geom_aabb[:, :3])
+    half = np.einsum("nij,nj->ni", np.abs(rotation), model.geom_aabb[:, 3:])
+    return centre - half, centre + half
+
+
+class Solids:
+    """The shown geoms and skins of a model, in one pose.
+
+    Args:
+        model: compiled.
+        data: the pose, after `mj_fwdPosition`.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._model, self._data = model, data
+        moving = model.body_weldid[model.geom_bodyid] > 0
+        self._groups = np.zeros(mujoco.mjNGROUP, np.uint8)
+        self._groups[:_SHOWN_GROUPS] = 1
+        if not (moving & is_shown(model)).any() and not model.nskin:
+            self._groups[:] = 1  # a model of collision geoms only
+        self._geom, self._normal = np.full(1, -1, np.int32), np.zeros(3)  # of the last ray
+        self._skins = _posed_skins(model, data) if model.nskin else []
+
+    def hidden_shares(self, centre: Array, axis: Array, radii: Array, height: float) -> Array:
+        """Returns the share of a ring about an axis that is inside geoms or skins, (k,).
+
+        Args:
+            centre: of the ring, (3,), m.
+            axis: unit vector (3,).
+            radii: of the ring, ascending, (k,), m.
+            height: of the ring along the axis, m.
+        """
+        side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        side /= np.linalg.norm(side)
+        other = np.cross(axis, side)
+        skins = [_near(skin, centre, _NEAR * float(radii[-1])) for skin in self._skins]
+        starts = centre + np.array([[-height / 2], [0.0], [height / 2]]) * axis
+        directions = np.cos(_ROUND)[:, None] * side + np.sin(_ROUND)[:, None] * other
+        reach, count = float(radii[-1]), len(_ROUND) * len(starts)
+        spans: list[tuple[int, float, float]] = []  # ray, and from where to where it is inside
+        for ray, (direction, start) in enumerate(product(directions, starts)):
+            entered: dict[int, float] = {}  # where the ray has last met each geom or skin
+            for what, at, is_exit in self._crossings(start, direction, reach, skins):
+                if is_exit:
+                    spans.append((ray, entered.get(what, 0.0), at))
+                entered[what] = at
+        inside = np.zeros((count, len(radii)), bool)
+        if spans:
+            rays, begins, ends = np.array(spans).T[:, :, None]
+            np.logical_or.at(inside, rays[:, 0].astype(int), (radii > begins) & (radii < ends))
+        return np.asarray(inside.mean(axis=0))
+
+    def _crossings(
+        self, start: Array, direction: Array, reach: float, skins: list[_Skin]
+    ) -> Iterator[tuple[int, float, bool]]:
+        """Yields the surfaces along a ray: of which geom or skin, how far, whether it is left."""
+        geom, normal, step = self._geom, self._normal, _STEP * reach
+        at = 0.0
+        for _ in range(_MOST_CROSSINGS):
+            if at > reach:
+                break
+            point = start + at * direction
+            gap = mujoco.mj_ray(
+                self._model, self._data, point, direction, self._groups, True, -1, geom, normal
+            )
+            if gap < 0:
+                break
+            yield int(geom[0]), at + gap, bool(normal @ direction > 0)
+            at += gap + step
+        for i, (faces, vertices, normals) in enumerate(skins):
+            at = 0.0
+            for _ in range(_MOST_CROSSINGS if len(faces) else 0):
+                point = start + at * direction
+                gap = mujoco.mju_raySkin(
+                    len(faces), len(vertices), faces, vertices, point, direction, geom
+                )
+                if gap < 0 or at > reach:
+                    break
+                yield -1 - i, at + gap, bool(normals[geom[0]] @ direction > 0)
+                at += gap + step
+
+
+_Skin = tuple[Array, Array, Array]  # faces (f, 3), vertices (v, 3) and their normals (v, 3)
+
+
+def _posed_skins(model: mujoco.MjModel, data: mujoco.MjData) -> list[_Skin]:
+    scene = mujoco.MjvScene(model, maxgeom=model.ngeom + _MORE)
+    option, camera = mujoco.MjvOption(), mujoco.MjvCamera()
+    mujoco.mjv_updateScene(model, data, option, None, camera, _ALL, scene)
+    skins = []
+    for i in range(model.nskin):
+        if model.skin_group[i] < _SHOWN_GROUPS and model.skin_rgba[i, 3] > 0:
+            first, count = model.skin_vertadr[i], model.skin_vertnum[i]
+            mine = slice(first, first + count)
+            start = model.skin_faceadr[i]
+            faces = model.skin_face[start : start + model.skin_facenum[i]]
+            vertices = scene.skinvert.reshape(-1, 3)[mine].copy()
+            skins.append((faces.copy(), vertices, scene.skinnormal.reshape(-1, 3)[mine].copy()))
+    return skins
+
+
+def _near(skin: _Skin, centre: Array, reach: float) -> _Skin:
+    """Returns a skin with only those of its faces that are near a point."""
+    faces, vertices, normals = skin
+    corners = vertices[faces]
+    near = corners.min(axis=1) <= centre + reach
+    near &= corners.max(axis=1) >= centre - reach
+    return np.ascontiguousarray(faces[near.all(axis=1)]), vertices, normals

@@ -1,0 +1,284 @@
+"""Surroundings of the robots: objects, cameras, lights, colour themes and the default view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+from ...base.declaration import Declaration, Frame, Name, Point, Rgba, Vector
+from ...base.frames import Array
+from ..importers.mesh_files import MESH_ENDINGS
+from ..importers.mjcf_file import is_mjcf_object
+
+_MJCF_KINDS = "a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF RootElement or a composer entity"
+
+# Meaning of the entries of `size` for each shape, m.
+SHAPE_SIZES = {
+    "box": "length x, length y, length z",
+    "sphere": "radius",
+    "cylinder": "radius, length",
+    "capsule": "radius, length between the two centres",
+    "ellipsoid": "radius x, radius y, radius z",
+    "axes": "length",
+}
+Rgb = tuple[float, float, float]
+Look = Literal["light", "dark"]
+
+
+def _inside(file: str) -> str:
+    """Returns a file name after checking that it does not leave its folder."""
+    path = Path(file)
+    if "\0" in file:
+        raise ValueError(f"found {file!r}; expected a file's name")
+    if path.is_absolute() or ".." in path.parts:
+        raise ValueError(f"found '{file}'; expected a file inside the directory, without '..'")
+    return file
+
+
+def _of_a_mesh(file: str) -> str:
+    """Returns a file name after checking its folder and that it is a mesh."""
+    if Path(_inside(file)).suffix.lower() not in MESH_ENDINGS:
+        formats = ", ".join(MESH_ENDINGS)
+        raise ValueError(f"found '{file}'; expected a mesh ({formats})")
+    return file
+
+
+def _of_a_urdf(file: str | None) -> str | None:
+    """Returns a file name after checking its folder."""
+    return None if file is None else _inside(file)
+
+
+MeshFile = Annotated[str, AfterValidator(_of_a_mesh)]
+
+
+def check_mjcf(mjcf: Any) -> Any:
+    """Returns a piece of MJCF after checking that it is one; raises ValueError."""
+    if mjcf is None or is_mjcf_object(mjcf):
+        return mjcf
+    if not isinstance(mjcf, str):
+        raise ValueError(f"found {type(mjcf).__name__}; expected {_MJCF_KINDS}")
+    if mjcf.lstrip().startswith("<"):
+        return mjcf
+    if not mjcf.strip():
+        raise ValueError("is empty; expected an MJCF file or text that starts with <mujoco")
+    return _inside(mjcf)
+
+
+def check_shape_size(shape: str, size: Array | None) -> None:
+    """Checks that a shape has the numbers that it needs; raises ValueError."""
+    meaning = SHAPE_SIZES[shape]
+    if size is None or len(size) != len(meaning.split(",")) or (size <= 0).any():
+        found = "none" if size is None else size.tolist()
+        article = "an" if shape[0] in "ae" else "a"
+        raise ValueError(
+            f"size of {article} {shape}: found {found}; expected positive {meaning} in m"
+        )
+
+
+class Object(Declaration):
+    """An object: a primitive shape, coordinate axes, a mesh, a piece of MJCF, or a URDF.
+
+    It stands where it is declared, or on its flange; an object of a scene that has a mass is free
+    in simulation: it falls, is pushed and is held by what touches it.
+
+    Attributes:
+        name: unique in its scene or robot.
+        shape: a primitive; `axes` shows coordinate axes at the object's frame.
+        size: full lengths and radii in m, see `SHAPE_SIZES`.
+        mesh: mesh file, relative to `directory`.
+        mesh_scale: metres per unit of the mesh file.
+        mjcf: MJCF file relative to `directory`, MJCF text that starts with `<mujoco`, or in
+            Python an object that contains MJCF: a `mujoco.MjSpec`, a PyMJCF
+            `mjcf.RootElement`, a dm_control composer entity.
+        urdf: URDF file without joints relative to `directory`: a table, a tool; it stays where it
+            is declared.
+        frame: pose in the world, or in the frame of a robot's link that a child is fixed to.
+        on: of a robot's child, the frame that it is fixed to: `base`, `link1`, ..., `flange`.
+        rgba: colour; an MJCF piece has its own.
+        mass: kg, of a solid of one density; a robot's child without one has water's density.
+        friction: coefficient of friction with all that it touches in simulation; 0.3 when None.
+        directory: base folder of the files, set by the reader of the declaration.
+    """
+
+    name: Name
+    shape: Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "axes"] | None = None
+    size: Vector | None = None
+    mesh: MeshFile | None = None
+    mesh_scale: float = Field(1.0, gt=0)
+    mjcf: Any = None
+    urdf: Annotated[str | None, AfterValidator(_of_a_urdf)] = None
+    frame: Frame = Field(default_factory=lambda: np.eye(4))
+    rgba: Rgba = Field(default_factory=lambda: np.array([0.62, 0.66, 0.70, 1.0]))
+    on: str = "flange"
+    mass: float | None = Field(None, gt=0)
+    friction: float | None = Field(None, ge=0)
+    directory: str = ""
+
+    _declared: tuple[Path, str] | None = PrivateAttr(None)  # file and key, if not its robot's
+
+    @field_validator("mjcf")
+    @classmethod
+    def _mjcf_is_inside(cls, mjcf: Any) -> Any:
+        return check_mjcf(mjcf)
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Object:
+        given = [key for key in ("shape", "mesh", "mjcf", "urdf") if getattr(self, key) is not None]
+        if len(given) != 1:
+            found = " and ".join(given) or "none of them"
+            raise ValueError(f"found {found}; expected exactly one of shape, mesh, mjcf, urdf")
+        self._check_solid()
+        if self.shape is None:
+            return self
+        if self.size is None and self.shape == "axes":
+            self.__dict__["size"] = np.array([0.2])
+        check_shape_size(self.shape, self.size)
+        return self
+
+    def _check_solid(self) -> None:
+        """Refuses a mass and a friction of what has none, or its own."""
+        for key in ("mass", "friction"):
+            if getattr(self, key) is None or self.shape not in (None, "axes") or self.mesh:
+                continue
+            found = f"{key}: found {getattr(self, key):g}"
+            if self.urdf is not None:
+                raise ValueError(f"{found} for a URDF, which stays where it is; expected none")
+            if self.mjcf is not None:
+                raise ValueError(f"{found} for a piece of MJCF; expected it in its geoms")
+            raise ValueError(f"{found} for axes; expected a shape that is a body, or a mesh")
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it moves in simulation, as an object of a scene."""
+        return self.mass is not None
+
+
+def set_directory(children: Any, folder: Path) -> None:
+    """Makes the folders of children relative to the folder of the file that declares them."""
+    for child in children if isinstance(children, list) else []:
+        if isinstance(child, dict) and isinstance(child.setdefault("directory", ""), str):
+            child["directory"] = str(folder / child["directory"])
+
+
+def _unit_range(rgb: Array) -> Array:
+    if (rgb < 0).any() or (rgb > 1).any():
+        raise ValueError(f"found {rgb.tolist()}; expected three numbers from 0 to 1")
+    return rgb
+
+
+def _direction(vector: Array) -> Array:
+    if not np.abs(vector).max() > 0:
+        raise ValueError(f"found {vector.tolist()}; expected a direction")
+    return vector
+
+
+class Camera(Declaration):
+    """A named camera.
+
+    Attributes:
+        position: in `frame`, m.
+        look_at: the point at the picture's centre, in `frame`, m.
+        fovy_deg: vertical field of view in degrees.
+        frame: T_world_frame of `position` and `look_at`; its input `NAME.frame` can be set by a
+            route, to move the camera with a robot.
+    """
+
+    position: Point
+    look_at: Point = Field(default_factory=lambda: np.zeros(3))
+    fovy_deg: float = Field(45.0, gt=0, lt=180)
+    frame: Frame = Field(default_factory=lambda: np.eye(4))
+
+    @field_validator("look_at")
+    @classmethod
+    def _is_elsewhere(cls, look_at: Array, info: ValidationInfo) -> Array:
+        position = info.data.get("position")
+        if position is not None and np.array_equal(look_at, position):
+            raise ValueError(f"found {look_at.tolist()}; expected another point than position")
+        return look_at
+
+
+class View(Declaration):
+    """The view of a scene when no camera is named.
+
+    Attributes:
+        camera: a camera of the scene; the other fields are for the free camera.
+        azimuth_deg: viewing direction about the vertical, 90 looks along +y.
+        elevation_deg: negative looks down.
+        distance: m from the look-at point; None fits the scene.
+        look_at: m; None for the centre of the scene.
+        look: colour theme, `light` or `dark`.
+    """
+
+    camera: str | None = None
+    azimuth_deg: float = 150.0
+    elevation_deg: float = -14.0
+    distance: float | None = Field(None, gt=0)
+    look_at: Point | None = None
+    look: Look = "light"
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Colours of the surroundings, red, green, blue, 0 to 1.
+
+    Attributes:
+        sky: at the horizon and at the zenith.
+        tiles: of the floor, two shades and the line between them.
+        haze: at the end of the floor.
+        headlight: ambient and diffuse intensity.
+        key: intensity of the light that casts shadows.
+    """
+
+    sky: tuple[Rgb, Rgb]
+    tiles: tuple[Rgb, Rgb, Rgb]
+    haze: Rgb
+    headlight: tuple[float, float]
+    key: float
+
+
+PALETTES = {
+    # Chosen with the key light so that a floor seen from above is just below white.
+    "light": Palette(
+        sky=((0.97, 0.98, 0.99), (0.70, 0.76, 0.82)),
+        tiles=((0.83, 0.85, 0.87), (0.86, 0.88, 0.90), (0.78, 0.80, 0.83)),
+        haze=(0.93, 0.95, 0.97),
+        headlight=(0.34, 0.28),
+        key=0.52,
+    ),
+    "dark": Palette(
+        sky=((0.11, 0.13, 0.16), (0.03, 0.04, 0.05)),
+        tiles=((0.15, 0.17, 0.20), (0.17, 0.19, 0.22), (0.24, 0.27, 0.31)),
+        haze=(0.09, 0.11, 0.14),
+        headlight=(0.30, 0.30),
+        key=0.55,
+    ),
+}
+
+
+class Light(Declaration):
+    """A light with a position and a direction.
+
+    Attributes:
+        position: m.
+        direction: in which the light shines; of any length.
+        diffuse: red, green, blue, 0 to 1.
+        directional: parallel rays, as from the sun.
+        cast_shadow: whether objects cast shadows in it.
+    """
+
+    position: Point
+    direction: Annotated[Point, AfterValidator(_direction)] = np.array([0.0, 0.0, -1.0])
+    diffuse: Annotated[Point, AfterValidator(_unit_range)] = np.full(3, 0.7)
+    directional: bool = True
+    cast_shadow: bool = True

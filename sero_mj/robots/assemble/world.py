@@ -1,0 +1,440 @@
+"""`World`: a compiled scene with index arrays of its robots, doubles, frames and inputs.
+
+Values that decor shows and `MjData` has no field for (received torques, billboard values, the
+state of sources) are stored in named slots of `MjData.userdata`. This is part of MuJoCo's
+integration state, so copies, history and recordings include it. `mj_resetData` zeroes it: apply
+the latest packet again afterwards.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.errors import DeclarationError, Problem, collect
+from ...base.frames import Bools, Ints
+from ..importers.mjcf_file import write_mjcf
+from .decor_sizes import Seen, measure
+from .double import DOUBLE_GROUP, OUT_OF_SIGHT
+from .inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
+from .mjcf import body_names, build_spec, frame_names, moved_body
+from .mjcf_dynamics import set_contact_defaults, set_inertia
+from .mjcf_elements import Hull, mesh_assets
+from .mounts import carrier
+from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
+from .robot_dynamics import RobotDynamics, about_masses, robot_dynamics
+from .robot_parts import VALUE_INPUTS
+from .scene import Scene
+from .solids import geom_boxes
+from .world_view import WorldView
+
+log = logging.getLogger(__name__)
+
+_IMPLAUSIBLE_REACH = 20.0  # m; longer than any robot arm
+
+
+class World(WorldView):
+    """A compiled scene.
+
+    Args:
+        scene: what to compile.
+        dynamic: whether to compile it for simulation: links have masses and collide, joints
+            have friction and may be elastic (see `robots.assemble.mjcf_dynamics`).
+        dynamics: of its robots, where `dynamic`, instead of what they declare.
+
+    Attributes:
+        dynamic: whether it is compiled for simulation.
+        free_objects: indices in `qpos` (7,) of the pose of every object that is free, by name:
+            position, and quaternion with its scalar first; empty unless `dynamic`.
+        dynamics: parameters of every robot's equations of motion, by name; empty unless
+            `dynamic`.
+
+    The others are those of `WorldView`.
+
+    Raises:
+        DeclarationError: files or values that MuJoCo cannot compile, by robot and file.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        dynamic: bool = False,
+        dynamics: Mapping[str, RobotDynamics] | None = None,
+    ) -> None:
+        self.scene = scene
+        self.dynamic = dynamic
+        problems = scene.problems()  # checked again, since entries may have been added to the scene
+        if problems:
+            raise DeclarationError(scene.located(problems))
+        _warn_of_lengths(scene)
+        self.inputs = list_inputs(scene)
+        self.slots, self.flags, count = userdata_slots(scene)
+        known = dynamics_of(scene) if dynamic and dynamics is None else dynamics
+        self.dynamics = dict(known or {})
+        root = build_spec(scene, self.dynamics if dynamic else None)
+        root.nuserdata = count
+        self._spec = root
+        self.model = _compile(root, scene)
+        if dynamic:
+            set_contact_defaults(self.model)
+            # Report instability instead of resetting.
+            self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        if scene.doubles:
+            self._measure_without_doubles()
+            # Doubles cast no shadow; the shadow map costs as much as the picture.
+            self.model.geom_castshadow[self.model.geom_group == DOUBLE_GROUP] = 0
+        self.robots = self._find_robots()
+        self._measure_arrows()
+        if scene.floor == "below":
+            self._lower_floor()
+        free = [item.name for item in scene.objects if dynamic and item.is_free]
+        bodies = map(self._free, self._bodies([moved_body(name) for name in free]))
+        self.free_objects = dict(zip(free, bodies, strict=True))
+        self.doubles = self._find_doubles()
+        single = {name: part for name, part in self.doubles.items() if part.path is None}
+        self.owners = {**self.robots, **single}
+        self.joints, self.frames, self.arrows = make_tables(
+            scene, self.owners, self.slots, self.flags, self._sites
+        )
+        standing = {name: part for name, part in self.robots.items() if part.mocap >= 0}
+        self.placed = {name: part.mocap for name, part in standing.items()}
+        for name in [*scene.frames, *(item.name for item in scene.objects), *scene.cameras]:
+            body = f"frame-{name}" if name in scene.frames else moved_body(name)
+            (index,) = self._bodies([body])
+            if index >= 0:
+                self.placed[name] = int(self.model.body_mocapid[index])
+
+    def make_data(self) -> mujoco.MjData:
+        """Returns a new `MjData` with every robot at its declared joint angles."""
+        data = mujoco.MjData(self.model)
+        self.reset(data)
+        return data
+
+    def physics_model(self) -> mujoco.MjModel:
+        """Returns a model of what moves and touches, without shapes that are only looked at.
+
+        It moves as `model` does now, with the same bodies, joints and sites, in less time.
+        """
+        spec, model = self._spec.copy(), self.model
+        touching = (model.geom_contype | model.geom_conaffinity) > 0
+        for geom, touches in zip(spec.geoms, touching.tolist(), strict=True):
+            if not touches:
+                spec.delete(geom)
+        bare = spec.compile()
+        bare.opt.disableflags = model.opt.disableflags
+        if len(set(bare.dof_treeid.tolist())) <= 1:  # no more than one island anyway
+            bare.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+        bare.opt.timestep, bare.opt.gravity = model.opt.timestep, model.opt.gravity
+        # What was set or changed after compiling.
+        for name in dir(model):
+            kind = name.partition("_")[0]
+            if kind not in ("dof", "jnt", "eq", "geom") and name not in _MASSES:
+                continue
+            values = getattr(model, name)
+            if name not in _PLACES and isinstance(values, np.ndarray) and values.size:
+                getattr(bare, name)[:] = values[touching] if kind == "geom" else values
+        return bare
+
+    def state(self, data: mujoco.MjData) -> Any:
+        """Returns the state that decor reads: `data` itself."""
+        return data
+
+    def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
+        """Returns an empty list: doubles are compiled into the model."""
+        return []
+
+    def geoms_in_view(self) -> Bools:
+        """Returns all geoms but the floor, (ngeom,) bool."""
+        return np.asarray(self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
+
+    def reset(self, data: mujoco.MjData) -> None:
+        """Resets everything to its declared state: joint angles, values, frames."""
+        mujoco.mj_resetData(self.model, data)
+        for part in self.robots.values():
+            data.qpos[part.qpos] = part.robot.home
+            self.set_declared(data, part.robot, VALUE_INPUTS)
+        for double in self.doubles.values():
+            data.mocap_pos[double.mocap] = data.mocap_pos[double.frames] = OUT_OF_SIGHT
+            if double.path is None:
+                self.set_declared(data, double.double, ("joint_angles", *VALUE_INPUTS))
+        for arrow in self.scene.arrows.values():
+            self.set_declared(data, arrow, ("vector",))
+        for name, frame in self.scene.frames.items():
+            data.mocap_pos[self.placed[name]] = OUT_OF_SIGHT
+            self.set_declared(data, frame, ("frame",))
+        mujoco.mj_forward(self.model, data)
+
+    def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
+        """Sets an input; call `data.drive.place` afterwards to move the frames.
+
+        Args:
+            data: what to change.
+            target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`. The name may be that of a
+                group: its robots have their shares of the values, as of those of a route.
+            values: (n,), (3,), a frame (4, 4), or one number, SI units; NaN means no data.
+
+        Raises:
+            UnknownName: no such name or input.
+            ValueError: wrong number of values, NaN in an input that moves something, or not a
+                frame.
+        """
+        if target not in self.inputs and target not in (shares := self.shares(target, values)):
+            for each, share in shares.items():
+                self.set_input(data, each, share)
+            return
+        item = self.resolve_input(target)
+        array = to_array(item, values)
+        finite = np.isfinite(array)
+        is_finite = finite.all()
+        if array.shape != item.shape or not (is_finite or item.kind in BLANKABLE):
+            found = array.tolist() if array.size else values
+            many = item.meaning if item.count == 1 else f"{item.count} finite numbers"
+            raise ValueError(f"{target}: found {found}; expected {many}")
+        if not is_finite:
+            array = np.where(finite, array, np.nan)
+        if item.shape == (4, 4):
+            array = to_frame(target, array)
+        userdata = data.userdata
+        if item.kind == "pose":
+            self.set_pose(data, item.name, array)
+        elif item.kind == "angles" and item.name in self.robots:
+            data.qpos[self.robots[item.name].qpos] = array
+        else:
+            userdata[self.slots[target]] = array.ravel()
+        userdata[self.flags[target]] = 1.0
+
+    def export(self, path: Path) -> list[Path]:
+        """Writes the scene as MJCF with its mesh files; key frame `home` is the declared pose.
+
+        Bodies weigh what they do in simulation; a comment says which masses are estimated.
+
+        Args:
+            path: the XML file; meshes go into a folder beside it, `NAME_assets`.
+
+        Returns:
+            the files written, the XML first.
+        """
+        spec, about = self._weighed()
+        if self.model.nq and spec.key("home") is None:
+            spec.add_key(name="home", qpos=self.make_data().qpos)
+        return write_mjcf(spec, path, about)
+
+    def _weighed(self) -> tuple[mujoco.MjSpec, str]:
+        """Returns its elements with the masses of simulation, and a comment about these."""
+        known = self.dynamics or dynamics_of(self.scene)
+        spec, lines = self._spec.copy(), []
+        for name, of in known.items():
+            bodies = [f"{name}/", *(f"{name}/link{i}" for i in range(1, len(of.masses)))]
+            for i, body in enumerate(bodies):
+                set_inertia(spec.body(body), of, i)
+            lines.append(f"{name}: {about_masses(self.scene.robots[name], of)}")
+        text = "\n    ".join(lines).replace("--", "- -")
+        return spec, f"  <!-- Masses, as in simulation:\n    {text} -->\n" if lines else ""
+
+    def _ids(self, kind: Any, names: Iterable[str]) -> Ints:
+        return np.array([mujoco.mj_name2id(self.model, kind, name) for name in names], np.intp)
+
+    def _sites(self, names: Iterable[str]) -> Ints:
+        return self._ids(mujoco.mjtObj.mjOBJ_SITE, names)
+
+    def _bodies(self, names: Iterable[str]) -> Ints:
+        return self._ids(mujoco.mjtObj.mjOBJ_BODY, names)
+
+    def _find_robots(self) -> dict[str, RobotPart]:
+        parts = {}
+        start = 0
+        for name, robot in self.scene.robots.items():
+            links = [f"{name}/link{i + 1}" for i in range(robot.n)]
+            *bodies, flange = self._bodies([f"{name}/", *links, f"{name}/flange"])
+            joints = self._ids(
+                mujoco.mjtObj.mjOBJ_JOINT, [f"{name}/{joint}" for joint in robot.names]
+            )
+            parts[name] = RobotPart(
+                robot=robot,
+                kinematics=robot.kinematics,
+                qpos=self.model.jnt_qposadr[joints].astype(np.intp),
+                dofs=self.model.jnt_dofadr[joints].astype(np.intp),
+                mocap=int(self.model.body_mocapid[bodies[0]]),
+                bodies=np.array(bodies),
+                flange_body=int(flange),
+                joints=slice(start, start + robot.n),
+                free=self._free(bodies[0]),
+            )
+            start += robot.n
+        return parts
+
+    def _lower_floor(self) -> None:
+        """Moves the floor to the lowest point of what is declared, if that is lower."""
+        data, seen = self._at_home(), self.geoms_in_view()
+        low = float(geom_boxes(self.model, data)[0][seen, 2].min()) if seen.any() else 0.0
+        floor = self.model.geom("floor").id
+        height = min(low, 0.0)
+        self.model.geom_pos[floor, 2] = self._spec.geom("floor").pos[2] = height
+        self.model.geom_sameframe[floor] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
+
+    def _at_home(self) -> mujoco.MjData:
+        """Returns the model's state with all robots as declared, after `mj_fwdPosition`."""
+        data = mujoco.MjData(self.model)
+        for part in self.robots.values():
+            data.qpos[part.qpos] = part.robot.home
+        mujoco.mj_fwdPosition(self.model, data)
+        return data
+
+    def _measure_arrows(self) -> None:
+        """Measures the arrows of the robots that want ones that fit their links."""
+        fitted = {n: part for n, part in self.robots.items() if part.robot.fit_arrows}
+        data = self._at_home() if fitted else None
+        for name, part in fitted.items():
+            joints = self.model.dof_jntid[part.dofs].astype(np.intp)
+            bodies = np.unique([*part.bodies, part.flange_body])
+            seen = Seen(bodies, joints, np.zeros(0, np.intp))
+            self.robots[name] = replace(part, sizes=measure(self.model, data, seen))
+
+    def _free(self, base: int) -> Ints:
+        """Returns the indices in `qpos` of the free joint of a body; empty where it has none."""
+        joint = self.model.body_jntadr[base]
+        if joint < 0:
+            return np.zeros(0, np.intp)
+        return np.arange(7, dtype=np.intp) + int(self.model.jnt_qposadr[joint])
+
+    def _measure_without_doubles(self) -> None:
+        """Sets the model's extent, which scales near plane, far plane and shadows.
+
+        MuJoCo 4.0.0 computes twice the extent when mocap bodies coincide with the robot.
+        """
+        model = self.model
+        solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
+        solid &= model.geom_group != DOUBLE_GROUP
+        if not solid.any():
+            return
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        radius = model.geom_rbound[solid][:, None]
+        low = (data.geom_xpos[solid] - radius).min(axis=0)
+        high = (data.geom_xpos[solid] + radius).max(axis=0)
+        model.stat.center, model.stat.extent = (low + high) / 2, (high - low).max()
+
+    def _find_doubles(self) -> dict[str, DoublePart]:
+        parts = {}
+        start = sum(part.robot.n for part in self.robots.values())
+        for name, double in self.scene.doubles.items():
+            robot = self.robots[double.of]
+            bodies = np.stack([self._bodies(row) for row in body_names(double, robot.robot)])
+            frames = self._bodies(frame_names(double, robot.robot))
+            parts[name] = DoublePart(
+                double=double,
+                of=robot,
+                mocap=self.model.body_mocapid[bodies].astype(np.intp),
+                bodies=bodies,
+                frames=self.model.body_mocapid[frames].astype(np.intp),
+                path=None
+                if double.path is None
+                else robot.robot.coupled.full("joint_angles", double.poses()),
+                joints=slice(start, start + len(frames)),
+                below=self._double_below(name),
+            )
+            start += len(frames)
+        return parts
+
+    def _double_below(self, name: str) -> str | None:
+        """Returns the double that a double stands on: of the same group, of the robot below."""
+        doubles = self.scene.doubles
+        below = carrier(self.scene.robots[doubles[name].of])
+        beside = next((g for g in self.scene.double_groups.values() if name in g), [])
+        return next((other for other in beside if doubles[other].of == below), None)
+
+
+def _warn_of_lengths(scene: Scene) -> None:
+    """Warns of robots that are so large that their lengths are probably in mm."""
+    for name, robot in scene.robots.items():
+        if robot.reach > _IMPLAUSIBLE_REACH:
+            log.warning(
+                "robot '%s' reaches %.4g m; lengths are in m, and length_unit = \"mm\" is for a DH "
+                "table in mm",
+                name,
+                robot.reach,
+            )
+
+
+def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
+    """Masses, friction and elasticity of all robots of a scene, by name.
+
+    Raises:
+        DeclarationError: what is wrong with them.
+    """
+    found: dict[str, RobotDynamics] = {}
+    problems: list[Problem] = []
+    for name, robot in scene.robots.items():
+        try:
+            with collect(problems, f"robots.{name}"):
+                found[name] = robot_dynamics(robot)
+        except ValueError as error:  # raised by MuJoCo for the hull of a mesh
+            raise _not_compiled(scene, error) from error
+    if problems:
+        raise DeclarationError(scene.located(problems))
+    return found
+
+
+# Fields of a model that say what bodies weigh, and those that say where something is in another.
+_MASSES = (
+    "body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe",
+    "body_invweight0",
+)  # fmt: skip
+_PLACES = ("geom_bodyid", "geom_dataid", "geom_matid", "geom_plugin")
+
+
+def _compile(spec: mujoco.MjSpec, scene: Scene) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise _not_compiled(scene, error) from error
+
+
+def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:
+    problems = _mesh_problems(scene)
+    if not problems:
+        problems = [Problem("", f"MuJoCo cannot compile the scene: {error}")]
+    return DeclarationError(scene.located(problems))
+
+
+def _mesh_problems(scene: Scene) -> list[Problem]:
+    """Compiles every mesh of a scene by itself and returns the problems, by robot and file."""
+    meshes: list[tuple[str, str, str | None]] = []
+    for name, robot in scene.robots.items():
+        for i, link in enumerate(robot.filenames):
+            key = f"robots.{name}.filenames.{i}"
+            meshes += [(key, robot.directory, mesh.file) for mesh in link]
+        for i, link in enumerate(robot.collisions or []):
+            key = f"robots.{name}.collisions.{i}"
+            meshes += [(key, robot.directory, mesh.file) for mesh in link]
+        for k, item in enumerate(robot.children):
+            meshes.append((f"robots.{name}.children.{k}.mesh", item.directory, item.mesh))
+    for item in scene.objects:
+        meshes.append((f"objects.{item.name}.mesh", item.directory, item.mesh))
+    return [
+        problem
+        for key, folder, file in meshes
+        if file is not None and (problem := _mesh_problem(key, Path(folder) / file))
+    ]
+
+
+def _mesh_problem(key: str, path: Path) -> Problem | None:
+    solid = "filenames" not in key  # what is only drawn may be flat
+    hull: Hull = "always" if solid else "unless flat"
+    root = mujoco.MjSpec()
+    try:
+        for mesh, _ in mesh_assets(root, "mesh", path, 1.0, hull=hull):
+            kind = mujoco.mjtGeom.mjGEOM_MESH
+            root.worldbody.add_geom(type=kind, meshname=mesh, contype=solid, conaffinity=solid)
+        root.compile()
+    except (ValueError, OSError) as error:
+        reason = str(error).splitlines()[0].removeprefix("Error: ")
+        return Problem(key, f"{path} is not a mesh that MuJoCo reads: {reason}")
+    return None

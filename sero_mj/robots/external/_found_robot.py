@@ -1,0 +1,337 @@
+"""Robots found in an external model, `SerialRobot`s without a DH table, and the named frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import mujoco
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator, PrivateAttr, ValidationInfo, field_validator
+
+from ...base.declaration import numbers
+from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean
+from ...base.frames import Array, Ints
+from ..assemble.cartesian import NamedFrame
+from ..assemble.decor_sizes import Seen, Sizes, measure
+from ..assemble.double import AXES_OPACITY, Double
+from ..assemble.parts import RobotPart
+from ..assemble.robot import SerialRobot
+from ..assemble.robot_dynamics import GRAVITY
+from ..importers.mjcf_tree import torque_limits
+from ._model_trees import Tree, without_scope
+
+# Fields that a user can set for a found robot; the others come from the model.
+FIELDS = (
+    "torque_limits",
+    "acceleration_limits",
+    "show_arrows",
+    "arrow_quantity",
+    "arrow_radius",
+    "arrow_width_scale",
+    "arrow_dead_band",
+    "offsets_to_center_of_joints",
+    "show_axes",
+    "axes_size",
+    "axes_transparency",
+    "show_billboards",
+    "billboard_scale",
+    "billboard_lines",
+    "inputs",
+    "enable_touch_sensor",
+)
+_BASE = "base"  # label of a base's frame
+_FULL_WIDTH_G = 5.0  # multiple of free fall at which arrows of accelerations have full width
+
+
+def _positive(value: Any) -> Any:
+    """Converts one positive number, or one for each joint; inf for a joint without a limit."""
+    if value is None:
+        return None
+    array = np.asarray(value)
+    if array.dtype.kind not in "iuf" or array.ndim > 1:
+        raise ValueError(f"found {value!r}; expected a number, or one for each joint")
+    finite = numbers(np.where(np.isposinf(array), 0.0, array))
+    array = np.where(np.isposinf(array), np.inf, finite)
+    if (array <= 0).any():
+        raise ValueError(f"found {array.tolist()}; expected positive numbers")
+    return array
+
+
+PerJoint = Annotated[Array, BeforeValidator(_positive)]
+
+
+class FoundRobot(SerialRobot):
+    """The declaration of a robot found in an external model.
+
+    It has no DH table: the model has the joint poses, and `dh` only tells revolute from
+    prismatic joints. Some fields have one value per joint where a `SerialRobot` has one for all.
+
+    Attributes:
+        joint_names: as in the model, of any characters.
+        torque_limits: (n,), Nm or N, inf where unknown.
+        arrow_radius: (n,) or one for all, m.
+    """
+
+    joint_names: Annotated[list[str], AfterValidator(list)] = []
+    torque_limits: PerJoint | None = None
+    arrow_radius: PerJoint = np.array(0.1)  # type: ignore[assignment]
+
+    @field_validator("dh_params")
+    @classmethod
+    def _joint_count(cls, rows: Array, info: ValidationInfo) -> Array:
+        return rows  # any number of joints
+
+    @field_validator("arrow_radius")
+    @classmethod
+    def _one_or_all(cls, value: Array, info: ValidationInfo) -> Array:
+        rows = info.data.get("dh_params")
+        if rows is not None and value.ndim and len(value) != len(rows):
+            raise ValueError(f"found {len(value)} entries; expected {len(rows)}, one per joint")
+        return value
+
+    _carriers: Ints | None = PrivateAttr(None)
+    _loads: Array | None = PrivateAttr(None)
+    _axes: Array | None = PrivateAttr(None)
+    _full_widths: Array | None = PrivateAttr(None)
+
+    @property
+    def carriers(self) -> Ints | None:
+        """Index of the frame that carries each joint, (n,), 0 for the base."""
+        return self._carriers
+
+    @property
+    def arrow_loads(self) -> Array:
+        """Effort at which an arrow without limit is as wide as its radius (n,), Nm or N."""
+        return super().arrow_loads if self._loads is None else self._loads
+
+    @property
+    def arrow_radii(self) -> Array:
+        """Radius of every joint's arrow (n,), m."""
+        return np.broadcast_to(self.arrow_radius, self.n).astype(np.float64)
+
+    @property
+    def arrow_width_scales(self) -> Array:
+        """`arrow_width_scale` of every joint's arrow (n,); less for joints close to each other."""
+        scales = super().arrow_width_scales
+        return scales if self._full_widths is None else scales * self._full_widths
+
+    @property
+    def axes_length(self) -> float:
+        """Length of the axes, m."""
+        return self.axes_size
+
+    @property
+    def axes_lengths(self) -> Array:
+        """Length of the axes of the body that each joint moves (n,), m; smaller for fingers."""
+        return np.full(self.n, self.axes_size) if self._axes is None else self._axes
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPart(RobotPart):
+    """Indices of a found robot in the model.
+
+    Attributes:
+        tree: its bodies and joints.
+        size: its reach, m.
+        tool: name of the frame at the end of its chain, without the robot's name.
+        labels: names of its base and links, n + 1.
+    """
+
+    robot: FoundRobot
+    tree: Tree
+    size: float
+    tool: str
+    labels: list[str]
+
+    @property
+    def flange_name(self) -> str:
+        """Name of the frame at the end of its chain."""
+        return f"{self.robot.name}/{self.tool}"
+
+    @property
+    def link_names(self) -> list[str]:
+        """Names of its base and links, n + 1: those of the model's bodies."""
+        return [f"{self.robot.name}/{label}" for label in self.labels]
+
+    @property
+    def own_link_names(self) -> list[str]:
+        """As `link_names`."""
+        return self.link_names
+
+    @property
+    def chain(self) -> Ints:
+        """Indices of its joints up to the first branch of its tree; empty if the root branches."""
+        return self.tree.chain
+
+    @property
+    def reach(self) -> float:
+        """Sum of the distances between joints along its chain, m."""
+        return self.size
+
+
+def found_part(
+    model: mujoco.MjModel,
+    rest: mujoco.MjData,
+    tree: Tree,
+    overrides: Mapping[str, Any],
+    start: int,
+) -> FoundPart:
+    """Builds a robot from the model, with the user's fields as overrides.
+
+    Args:
+        model: compiled.
+        rest: the pose in which it is measured, after `mj_fwdPosition`.
+        tree: the robot.
+        overrides: the user's fields, of `FIELDS`.
+        start: its first row in the world's `JointTable`.
+
+    Raises:
+        DeclarationError: other fields, or values that do not fit.
+    """
+    sizes = measure(model, rest, Seen(tree.bodies, tree.joints, tree.trunk))
+    problems: list[Problem] = []
+    with collect(problems, f"robots.{tree.name}"):
+        robot = _found_robot(model, tree, sizes, overrides)
+    if problems:
+        raise DeclarationError(problems)
+    labels = body_labels(model, tree)
+    bodies = np.concatenate([tree.bodies[:1], model.jnt_bodyid[tree.joints]]).astype(np.intp)
+    along = rest.xanchor[tree.joints[tree.chain]]
+    reach = float(np.linalg.norm(np.diff(along, axis=0), axis=1).sum()) if len(along) else 0.0
+    return FoundPart(
+        robot=robot,
+        kinematics=robot.kinematics,
+        qpos=model.jnt_qposadr[tree.joints].astype(np.intp),
+        dofs=model.jnt_dofadr[tree.joints].astype(np.intp),
+        mocap=-1,
+        free=np.zeros(0, np.intp),
+        bodies=bodies,
+        flange_body=tree.last,
+        joints=slice(start, start + robot.n),
+        tree=tree,
+        size=reach or sizes.link,
+        tool=labels[tree.last],
+        labels=[labels[int(body)] for body in bodies],
+    )
+
+
+def _found_robot(
+    model: mujoco.MjModel, tree: Tree, sizes: Sizes, overrides: Mapping[str, Any]
+) -> FoundRobot:
+    problems = [
+        Problem(key, f"unknown key{did_you_mean(key, FIELDS)}")
+        for key in overrides
+        if key not in FIELDS
+    ]
+    if problems:
+        raise DeclarationError(problems)
+    revolute = model.jnt_type[tree.joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
+    fields: dict[str, Any] = {
+        "show_arrows": True,
+        "billboard_lines": ["joint_angles", "torques"],
+        "torque_limits": torque_limits(model, tree.joints),
+        "acceleration_limits": _FULL_WIDTH_G * GRAVITY / np.where(revolute, sizes.link, 1.0),
+        "arrow_radius": sizes.arrow_radius,
+        "axes_size": float(np.median(sizes.axes)),
+        **overrides,
+    }
+    n = len(tree.joints)
+    if np.ndim(fields["torque_limits"]) == 0 and fields["torque_limits"] is not None:
+        fields["torque_limits"] = [fields["torque_limits"]] * n
+    robot = FoundRobot(
+        name=tree.name,
+        dh_convention="craig",
+        dh_params=np.zeros((n, 4)),
+        joint_types=["revolute" if turns else "prismatic" for turns in revolute],
+        joint_names=tree.joint_names,
+        torques=np.zeros(n),  # provided by the model; billboards have to show it
+        **fields,
+    )
+    robot._carriers = tree.carriers(model)
+    if "arrow_width_scale" not in overrides:
+        robot._loads = sizes.load / sizes.full_width
+        robot._full_widths = sizes.full_width
+    if "axes_size" not in overrides:
+        robot._axes = sizes.axes
+    return robot
+
+
+def list_found_frames(
+    model: mujoco.MjModel,
+    robots: Mapping[str, FoundPart],
+    doubles: Mapping[str, Double],
+    wanted: Sequence[str],
+) -> tuple[dict[str, NamedFrame], dict[str, tuple[str, int]]]:
+    """Lists the named frames of a model.
+
+    Args:
+        model: compiled.
+        robots: those whose bodies have frames, named `robot/body`, shown with the robot.
+        doubles: likewise for their moving bodies.
+        wanted: names of other bodies and sites; these are initially shown.
+
+    Returns:
+        the frames by name, and where each is read: the name of the double in whose state, empty
+        for the model's own, and its row, that of `xpos` or behind it of `site_xpos`.
+
+    Raises:
+        UnknownName: a wanted name is neither a body nor a site.
+    """
+    frames: dict[str, NamedFrame] = {}
+    places: dict[str, tuple[str, int]] = {}
+    shown = [(name, "", part, 1.0) for name, part in robots.items()]
+    shown += [
+        (name, name, robots[double.of], AXES_OPACITY)
+        for name, double in doubles.items()
+        if double.path is None
+    ]
+    for name, state, part, opacity in shown:
+        alpha = opacity * (1.0 - part.robot.axes_transparency)
+        for body, label in body_labels(model, part.tree).items():
+            if state and label == _BASE:
+                continue  # a double has the base frame of its robot
+            frame = f"{name}/{label}"
+            size = _axes_length(model, part, body)
+            frames[frame] = NamedFrame(frame, frame, name, name, size, alpha)
+            places[frame] = (state, body)
+    size = max([part.robot.axes_length for part in robots.values()], default=0.2)
+    for name in wanted:
+        frames[name] = NamedFrame(name, name, "", "", size, 1.0)
+        places[name] = ("", _find(model, name))
+    return frames, places
+
+
+def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
+    """Returns the labels of the frames of a robot's bodies; the first is its base."""
+    labels: dict[int, str] = {int(tree.bodies[0]): _BASE}
+    bodies = [int(body) for body in tree.bodies[1:]]
+    names = [model.body(body).name or f"body{body}" for body in bodies]
+    for body, name in zip(bodies, without_scope(names), strict=True):
+        label = name.strip("/") or f"body{body}"
+        labels[body] = f"{label}_{body}" if label in labels.values() else label
+    return labels
+
+
+def _axes_length(model: mujoco.MjModel, part: FoundPart, body: int) -> float:
+    """Returns the length of a body's axes, m: that of its joint, for a base of the first joint."""
+    moved = model.jnt_bodyid[part.tree.joints]
+    while body and body not in moved:
+        body = int(model.body_parentid[body])
+    joint = int(np.flatnonzero(moved == body)[-1]) if body else 0
+    return float(part.robot.axes_lengths[joint])
+
+
+def _find(model: mujoco.MjModel, name: str) -> int:
+    """Returns the row of a body in `xpos`, or of a site behind these."""
+    kinds = mujoco.mjtObj
+    site = mujoco.mj_name2id(model, kinds.mjOBJ_SITE, name)
+    body = mujoco.mj_name2id(model, kinds.mjOBJ_BODY, name)
+    if site >= 0:
+        return int(model.nbody + site)
+    if body >= 0:
+        return int(body)
+    names = [model.body(i).name for i in range(model.nbody)]
+    names += [model.site(i).name for i in range(model.nsite)]
+    raise UnknownName("body or site", name, [known for known in names if known])

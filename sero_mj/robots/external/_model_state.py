@@ -1,0 +1,241 @@
+"""`ModelState`: the state that decor reads, for an external model.
+
+Decor reads the poses of sites and the contents of `userdata`. An external model has no sites and
+slots for decor, and neither can be added to a compiled model. So `ModelWorld` creates this object
+for every frame: it has the fields of `MjData` that decor reads, with a site for every joint and
+frame, and a `userdata` array of its own. The user's model and data are not changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Ints
+from ..assemble.double import OUT_OF_SIGHT, fade_in, path_fade
+from ..assemble.parts import DoublePart, DrawnDouble
+
+_PARALLEL = 1e-6  # minimum length of a unit vector's component perpendicular to an axis
+
+
+@dataclass(frozen=True, eq=False)
+class ModelState:
+    """The state of an external model, as decor reads it.
+
+    Attributes:
+        data: the user's.
+        userdata: values of all inputs.
+        site_xpos: positions of the joints, then the frames, then fixed points, (S, 3), m.
+        site_xmat: their rotations, (S, 9).
+        doubles: states of the doubles that have a pose, by name; several for a path.
+    """
+
+    data: mujoco.MjData
+    userdata: Array
+    site_xpos: Array
+    site_xmat: Array
+    doubles: dict[str, list[mujoco.MjData]]
+
+    @property
+    def time(self) -> float:
+        """Of the user's data, s."""
+        return float(self.data.time)
+
+    @property
+    def qpos(self) -> Array:
+        """Of the user's data."""
+        return np.asarray(self.data.qpos)
+
+    @property
+    def xpos(self) -> Array:
+        """Positions of the bodies, m."""
+        return np.asarray(self.data.xpos)
+
+    @property
+    def xmat(self) -> Array:
+        """Rotations of the bodies."""
+        return np.asarray(self.data.xmat)
+
+
+class Sites:
+    """Sources of the site poses of a `ModelState`: of joints, then frames, then fixed points.
+
+    Args:
+        joints: joint frames of every robot and every double, with the name of the double in
+            whose state they are read; "" for the user's data.
+        frames: likewise the name of a double, and a row of `xpos` followed by `site_xpos`.
+        points: fixed points in the world, (P, 3), m.
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[tuple[str, JointPoses]],
+        frames: Sequence[tuple[str, int]],
+        points: Array,
+    ) -> None:
+        self._joints, self._points, self._count = joints, points, len(frames)
+        self._frames = {  # which frames are read in a state, and in which rows
+            name: (
+                [k for k, (of, _) in enumerate(frames) if of == name],
+                [row for of, row in frames if of == name],
+            )
+            for name in dict.fromkeys(of for of, _ in frames)
+        }
+
+    def read(
+        self, data: mujoco.MjData, doubles: dict[str, list[mujoco.MjData]]
+    ) -> tuple[Array, Array]:
+        """Returns positions (S, 3), m, and rotations (S, 9)."""
+        positions, rotations = [np.empty((0, 3))], [np.empty((0, 3, 3))]
+
+        def state_of(name: str) -> mujoco.MjData:
+            # A double without a pose is read in the user's data; nothing shows it.
+            return doubles[name][0] if name in doubles else data
+
+        for name, joints in self._joints:
+            at, turned = joints.place(state_of(name))
+            positions.append(at)
+            rotations.append(turned)
+        at_frames, of_frames = np.empty((self._count, 3)), np.empty((self._count, 3, 3))
+        for name, (mine, rows) in self._frames.items():
+            state = state_of(name)
+            at_frames[mine] = np.concatenate([state.xpos, state.site_xpos])[rows]
+            turned = np.concatenate([state.xmat, state.site_xmat])[rows]
+            of_frames[mine] = turned.reshape(-1, 3, 3)
+        upright = np.broadcast_to(np.eye(3), (len(self._points), 3, 3))
+        site_xpos = np.concatenate([*positions, at_frames, self._points])
+        site_xmat = np.concatenate([*rotations, of_frames, upright])
+        # A diverged simulation has positions that cannot be drawn.
+        lost = ~(np.isfinite(site_xpos).all(axis=1) & np.isfinite(site_xmat).all(axis=(1, 2)))
+        if lost.any():
+            site_xpos[lost], site_xmat[lost] = OUT_OF_SIGHT, np.eye(3)
+        return site_xpos, site_xmat.reshape(-1, 9)
+
+
+class JointPoses:
+    """Frames of some joints of a model.
+
+    A frame is at a joint's anchor with z along the axis. Like the sites of a compiled scene it
+    turns with the link, and it is parallel to the link's frame where the axis is the link's z.
+    Several hinges of one body rotate in sequence.
+
+    Args:
+        model: compiled.
+        joints: their ids, (n,).
+        offset: of the frames' origins from the anchors, in the joints' frames, (n, 3), m.
+    """
+
+    def __init__(self, model: mujoco.MjModel, joints: Ints, offset: Array) -> None:
+        self._joints, self._offset = joints, offset
+        self._bodies = model.jnt_bodyid[joints].astype(np.intp)
+        self._parents = model.body_parentid[self._bodies].astype(np.intp)
+        self._hinge = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
+        self._anchor = np.array(model.jnt_pos[joints])  # in its body, (n, 3), m
+        self._qpos = model.jnt_qposadr[joints].astype(np.intp)
+        self._reference = np.array(model.qpos0[self._qpos])
+        in_parent = np.empty((len(joints), 9))  # the frames at the reference angles
+        for matrix, joint, body in zip(in_parent, joints, self._bodies, strict=True):
+            quat = np.empty(4)
+            mujoco.mju_quatZ2Vec(quat, model.jnt_axis[joint])
+            mujoco.mju_mulQuat(quat, model.body_quat[body], quat.copy())
+            mujoco.mju_quat2Mat(matrix, quat)
+        # y is used where x is along the axis
+        self._x, self._y = np.moveaxis(in_parent.reshape(-1, 3, 3), 2, 0)[:2]
+
+    def place(self, data: mujoco.MjData) -> tuple[Array, Array]:
+        """Computes the frames at the current joint angles.
+
+        Args:
+            data: kinematics up to date.
+
+        Returns:
+            positions (n, 3), m, and rotations (n, 3, 3).
+        """
+        axis = data.xaxis[self._joints]
+        parent = data.xmat[self._parents].reshape(-1, 3, 3)
+        body = data.xmat[self._bodies].reshape(-1, 3, 3)
+        x = self._across(axis, np.einsum("nij,nj->ni", parent, self._x))
+        length = np.linalg.norm(x, axis=1, keepdims=True)
+        if (length < _PARALLEL).any():
+            y = self._across(axis, np.einsum("nij,nj->ni", parent, self._y))
+            x = np.where(length < _PARALLEL, np.cross(y, axis), x)
+            length = np.linalg.norm(x, axis=1, keepdims=True)
+        x = x / np.maximum(length, _PARALLEL)
+        angle = np.where(self._hinge, data.qpos[self._qpos] - self._reference, 0.0)[:, None]
+        x = np.cos(angle) * x + np.sin(angle) * np.cross(axis, x)
+        rotation = np.stack([x, np.cross(axis, x), axis], axis=2)
+        # MuJoCo's anchor of a slide does not move; its arrow moves with the link.
+        along = data.xpos[self._bodies] + np.einsum("nij,nj->ni", body, self._anchor)
+        at = np.where(self._hinge[:, None], data.xanchor[self._joints], along)
+        return at + np.einsum("nij,nj->ni", rotation, self._offset), rotation
+
+    @staticmethod
+    def _across(axis: Array, vectors: Array) -> Array:
+        """Returns the components of vectors (n, 3) perpendicular to axes (n, 3)."""
+        return np.asarray(vectors - np.einsum("ni,ni->n", axis, vectors)[:, None] * axis)
+
+
+class ModelDoubles:
+    """Computes the poses of the doubles of a model.
+
+    Args:
+        model: compiled.
+        doubles: by name.
+    """
+
+    def __init__(self, model: mujoco.MjModel, doubles: Mapping[str, DoublePart]) -> None:
+        self._model = model
+        self._doubles = doubles
+        self._scratch = {
+            name: [mujoco.MjData(model) for _ in range(1 if part.path is None else len(part.path))]
+            for name, part in doubles.items()
+        }
+
+    def pose(
+        self, data: mujoco.MjData, angles: Mapping[str, Array]
+    ) -> dict[str, list[mujoco.MjData]]:
+        """Computes the state of every double that has joint angles; all else is as in `data`.
+
+        Args:
+            data: the user's, kinematics up to date.
+            angles: (n,) of every double that has any, except paths, rad or m.
+        """
+        poses = {}
+        for name, part in self._doubles.items():
+            if part.path is None and name not in angles:
+                continue
+            rows = [angles[name]] if part.path is None else part.path
+            poses[name] = self._scratch[name]
+            for scratch, row in zip(poses[name], rows, strict=True):
+                scratch.qpos[:] = data.qpos
+                scratch.mocap_pos[:], scratch.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+                scratch.qpos[part.of.qpos] = row
+                mujoco.mj_kinematics(self._model, scratch)
+        return poses
+
+    def drawn(self, state: Any, name: str) -> list[DrawnDouble]:
+        """Returns what to draw of one double: its links that do not coincide with the robot's.
+
+        Args:
+            state: the `ModelState`.
+            name: of the double.
+        """
+        part = self._doubles[name]
+        poses = state.doubles.get(name, [])
+        mine = np.isin(self._model.body_rootid, self._model.body_rootid[part.of.bodies[1:]])
+        return [
+            DrawnDouble(
+                name,
+                self._model,
+                pose,
+                (mine * fade_in(pose.xpos, pose.xmat, state.data.xpos, state.data.xmat))[
+                    self._model.geom_bodyid
+                ],
+                part.double.rgba * [1, 1, 1, share],
+            )
+            for pose, share in zip(poses, path_fade(len(poses)), strict=True)
+        ]

@@ -1,0 +1,391 @@
+"""`ModelWorld`: the `WorldView` of an external model.
+
+It provides what decor, picking and clicks read of a `World`, derived from the model instead of
+declared in a scene. Input values are stored here, not in the user's data (see `_model_state`).
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.errors import DeclarationError, Problem, UnknownName
+from ...base.frames import Array, Bools, Ints
+from ..assemble.cartesian import NamedFrame, SmartArrow
+from ..assemble.double import Double
+from ..assemble.inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
+from ..assemble.mjcf import build_surroundings
+from ..assemble.parts import DoublePart, DrawnDouble, make_tables
+from ..assemble.robot_parts import VALUE_INPUTS
+from ..assemble.scene import Scene, SceneToggles
+from ..assemble.solids import geom_boxes, is_shown
+from ..assemble.surroundings import View
+from ..assemble.world_view import WorldView
+from ._found_robot import FoundPart, found_part, list_found_frames
+from ._model_state import JointPoses, ModelDoubles, ModelState, Sites
+from ._model_trees import find_trees
+
+log = logging.getLogger(__name__)
+
+
+_FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # input: field
+_MUJOCO_VIEW = (90.0, -45.0)  # azimuth and elevation for a model without a view
+# Largest gap and size of things beside robots that belong in the picture, over the robots' size.
+_BESIDE, _SMALL = 1.0, 2.0
+_FLOORS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
+_EMPTY = np.empty(0, np.intp)
+
+
+class FoundScene(Scene):
+    """The scene of an external model."""
+
+    def __init__(self, frames: Mapping[str, NamedFrame], **fields: Any) -> None:
+        self._frames = dict(frames)  # needed while the base class checks the rest
+        super().__init__(floor=False, **fields)
+
+    def frame_name(self, name: str) -> str:
+        """Returns the name as it is: the frames have those of the model."""
+        return name
+
+    def named_frames(self) -> dict[str, NamedFrame]:
+        """Returns the named frames of the model."""
+        return self._frames
+
+
+class ModelWorld(WorldView):
+    """The world of an overlay.
+
+    Args:
+        model: compiled by the user; not changed.
+        data: its state, the user's; not changed.
+        robots: fields of robots that override the model, by robot.
+        doubles: of its robots.
+        arrows: Cartesian vectors.
+        frames: bodies and sites whose axes are shown, in addition to those of robots.
+        toggles: initial toggles of the whole scene.
+        surroundings: whether hosts add the floor, sky and lights that the model lacks.
+        name: in titles.
+
+    Attributes:
+        options: what it was made with, apart from model and data, as arguments of another one.
+        not_finite: number of NaN and infinite values that were set; these are not shown.
+        changes: how often inputs were set or cleared.
+
+    Raises:
+        DeclarationError: the model has no hinge or slide joint, or a field does not fit it.
+        UnknownName: no robot, body or site of that name.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        *,
+        robots: Mapping[str, Mapping[str, Any]] | None = None,
+        doubles: Sequence[Double] = (),
+        arrows: Sequence[SmartArrow] = (),
+        frames: Sequence[str] = (),
+        toggles: SceneToggles | None = None,
+        surroundings: bool = True,
+        name: str = "overlay",
+    ) -> None:
+        self._has_surroundings = surroundings
+        self._surroundings: mujoco.MjModel | None = None
+        self.model, self.data, self.not_finite, self.changes = model, data, 0, 0
+        self.options: dict[str, Any] = {
+            "robots": robots,
+            "doubles": doubles,
+            "arrows": arrows,
+            "frames": frames,
+            "toggles": toggles,
+            "surroundings": surroundings,
+            "name": name,
+        }
+        self.placed = {}
+        overrides = dict(robots or {})
+        trees = find_trees(model, overrides)
+        if not trees:
+            raise DeclarationError([Problem("model", _no_joints(model))])
+        for robot in overrides:
+            if robot not in [tree.name for tree in trees]:
+                raise UnknownName("robot", robot, [tree.name for tree in trees])
+        rest = mujoco.MjData(model)
+        mujoco.mj_fwdPosition(model, rest)
+        found: dict[str, FoundPart] = {}
+        start = 0
+        for tree in trees:
+            found[tree.name] = found_part(model, rest, tree, overrides.get(tree.name, {}), start)
+            start += len(tree.joints)
+        self._trees = trees
+        self.robots = dict(found)
+        wanted = {double.name: double for double in doubles if double.of in found}
+        named, places = list_found_frames(model, found, wanted, frames)
+        self.scene = FoundScene(
+            named,
+            robots=[part.robot for part in found.values()],
+            doubles=list(doubles),
+            arrows=list(arrows),
+            view=_view(model),
+            toggles=toggles,
+            name=name,
+        )
+        self.doubles = self._double_parts(start)
+        single = {key: part for key, part in self.doubles.items() if part.path is None}
+        self.owners = {**self.robots, **single}
+        self.inputs = {
+            target: item
+            for target, item in list_inputs(self.scene).items()
+            if item.kind != "pose" and not (item.kind == "angles" and item.name in self.robots)
+        }
+        self.slots, self.flags, count = userdata_slots(self.scene)
+        self._userdata = np.zeros(count)
+        points = [arrow for arrow in self.scene.arrows.values() if arrow.site is not None]
+        self._sites = Sites(
+            joints=[
+                ("" if key in self.robots else key, self._joint_poses(part))
+                for key, part in self.owners.items()
+            ],
+            frames=list(places.values()),
+            points=np.array([arrow.at for arrow in points]).reshape(-1, 3),
+        )
+        centres = [
+            f"{part.scope}centre{i + 1}"
+            for part in self.owners.values()
+            for i in range(part.robot.n)
+        ]
+        rows = {
+            key: row
+            for row, key in enumerate([*centres, *named, *(str(arrow.site) for arrow in points)])
+        }
+
+        def sites(names: Sequence[str]) -> Ints:
+            return np.array([rows[key] for key in names], np.intp)
+
+        self.joints, self.frames, self.arrows = make_tables(
+            self.scene, self.owners, self.slots, self.flags, sites
+        )
+        self._posed = ModelDoubles(model, self.doubles)
+        self._declare()
+
+    def _double_parts(self, start: int) -> dict[str, DoublePart]:
+        parts = {}
+        for name, double in self.scene.doubles.items():
+            robot = self.robots[double.of]
+            path = None if double.path is None else double.poses()
+            stop = start + (robot.robot.n if path is None else 0)
+            parts[name] = DoublePart(
+                double=double,
+                of=robot,
+                mocap=_EMPTY.reshape(1, 0),
+                bodies=_EMPTY.reshape(1, 0),
+                frames=_EMPTY,
+                path=path,
+                joints=slice(start, stop),
+            )
+            start = stop
+        return parts
+
+    def _joint_poses(self, part: Any) -> JointPoses:
+        of: Any = part.of if isinstance(part, DoublePart) else part
+        return JointPoses(self.model, of.tree.joints, of.robot.offsets)
+
+    def _declare(self) -> None:
+        """Sets the declared values of doubles and arrows; flags inputs that the model provides."""
+        self._providable = [(name, key) for name in self.robots for key in _FROM_MODEL]
+        self._live = set(self._providable)
+        for double in self.doubles.values():
+            if double.path is None:
+                self.set_declared(self.data, double.double, ("joint_angles", *VALUE_INPUTS))
+        for arrow in self.scene.arrows.values():
+            self.set_declared(self.data, arrow, ("vector",))
+
+    def make_data(self) -> mujoco.MjData:
+        """Returns a copy of the user's data, kinematics up to date."""
+        data = copy.copy(self.data)
+        mujoco.mj_fwdPosition(self.model, data)
+        return data
+
+    def reset(self, data: mujoco.MjData) -> None:
+        """Does nothing, because the data belongs to the user."""
+
+    def state(self, data: Any) -> ModelState:
+        """Returns the state that decor reads, from an `MjData` with kinematics up to date."""
+        if isinstance(data, ModelState):
+            return data
+        for name, key in self._live:  # what the user has not set
+            slot = self.slots[f"{name}.{key}"]
+            self._userdata[slot] = getattr(data, _FROM_MODEL[key])[self.robots[name].dofs]
+            self._userdata[self.flags[f"{name}.{key}"]] = 1.0
+        angles = {
+            name: self._userdata[self.slots[f"{name}.joint_angles"]]
+            for name, part in self.doubles.items()
+            if part.path is None and self._userdata[self.flags[f"{name}.joint_angles"]] > 0
+        }
+        doubles = self._posed.pose(data, angles)
+        positions, rotations = self._sites.read(data, doubles)
+        return ModelState(data, self._userdata, positions, rotations, doubles)
+
+    def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
+        """Returns the doubles to draw, of those that are switched on, (D,)."""
+        return [
+            drawn
+            for name, on in zip(self.doubles, shown, strict=True)
+            if on
+            for drawn in self._posed.drawn(state, name)
+        ]
+
+    def geoms_in_view(self) -> Bools:
+        """Returns the geoms of its robots and of movable things beside them, (ngeom,) bool.
+
+        Fixed surroundings may be large, and do not count.
+        """
+        model = self.model
+        bodies = np.concatenate([tree.bodies[tree.bodies > 0] for tree in self._trees])
+        of_robots = np.isin(model.geom_bodyid, bodies)
+        of_robots[np.concatenate([tree.trunk for tree in self._trees])] = True
+        of_robots &= model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
+        if not of_robots.any():
+            return of_robots
+        low, high = geom_boxes(model, self.make_data())
+        lowest, highest = low[of_robots].min(axis=0), high[of_robots].max(axis=0)
+        size = float(np.linalg.norm(highest - lowest))
+        gap = np.maximum(np.maximum(lowest - high, low - highest), 0.0)
+        movable = model.body_dofnum[model.body_weldid[model.geom_bodyid]] > 0
+        beside = np.linalg.norm(gap, axis=1) <= _BESIDE * size
+        small = np.linalg.norm(high - low, axis=1) <= _SMALL * size
+        return np.asarray(of_robots | (movable & beside & small & is_shown(model)))
+
+    def surroundings(self) -> mujoco.MjModel | None:
+        """Returns a model of the floor, sky and lights that the user's model lacks, if any.
+
+        The floor is at height 0, or below robots that hang lower at the first call: it stays there.
+        """
+        if self._surroundings is not None:
+            return self._surroundings
+        model = self.model
+        has_floor = np.isin(model.geom_type, _FLOORS).any()
+        has_sky = (model.tex_type == int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)).any()
+        if not self._has_surroundings or (has_floor and has_sky and model.nlight):
+            return None
+        seen = self.geoms_in_view()
+        low, high = (corner[seen] for corner in geom_boxes(model, self.make_data()))
+        if not seen.any():
+            low = high = np.zeros((1, 3))
+        lowest, highest = low.min(axis=0), high.max(axis=0)
+        self._surroundings = build_surroundings(
+            self.scene.view.look,
+            floor=None if has_floor else min(float(lowest[2]), 0.0),
+            sky=not has_sky,
+            lights=not model.nlight,
+            middle=(lowest + highest) / 2,
+            size=float(np.linalg.norm(highest - lowest)) or float(model.stat.extent),
+        ).compile()
+        return self._surroundings
+
+    def set_input(self, data: Any, target: str, values: Any) -> None:
+        """Sets an input; it then overrides what the model provides for it.
+
+        Args:
+            data: not changed.
+            target: `name.input`, e.g. `arm.torques`; see `inputs`.
+            values: (n,), (3,), or one number, SI units. Of joint values also a vector (nv,) of
+                the model, `data.qfrc_actuator` say, of which the robot's are taken; or a mapping
+                from joint names to numbers, without data for the other joints. NaN and infinity
+                mean no data: they are not shown, do not move a double, and are counted in
+                `not_finite`.
+
+        Raises:
+            UnknownName: no such name, input or joint.
+            ValueError: wrong number of values, or joint angles of a robot.
+        """
+        name, _, key = target.partition(".")
+        if key == "joint_angles" and name in self.robots:
+            raise ValueError(f"{target}: {name} has the joint angles of your data; set data.qpos")
+        item = self.resolve_input(target)
+        if isinstance(values, Mapping) and item.kind in ("angles", "values"):
+            values = self._by_name(name, values)
+        array = to_array(item, values)
+        if item.kind == "values" and array.shape == (self.model.nv,):
+            array = array[self._dofs(name)]
+        if array.shape != item.shape:
+            found = f"shape {array.shape}" if array.size else repr(values)
+            many = item.meaning if item.count == 1 else f"{item.meaning}: shape {item.shape}"
+            if item.kind == "values" and item.shape != (self.model.nv,):
+                many += f", or one per degree of freedom of the model: shape ({self.model.nv},)"
+            raise ValueError(f"{target}: found {found}; expected {many}")
+        bad = ~np.isfinite(array)
+        if bad.any() and not isinstance(values, _ByName):
+            if not self.not_finite:
+                log.warning("%s: NaN or infinite values; they are counted and not shown", target)
+            self.not_finite += int(bad.sum())
+            if item.kind not in BLANKABLE:
+                return
+        elif item.shape == (4, 4):
+            array = to_frame(target, array)
+        self._userdata[self.slots[target]] = np.where(bad, np.nan, array).ravel()
+        self._userdata[self.flags[target]] = 1.0
+        self._live.discard((name, key))
+        self.changes += 1
+
+    def input_state(self) -> Array:
+        """Returns the state of all inputs, (k,), for `set_input_state` of an equal world."""
+        live = [pair in self._live for pair in self._providable]
+        return np.concatenate([self._userdata, live])
+
+    def set_input_state(self, state: Array) -> None:
+        """Sets all inputs to what `input_state` returned."""
+        count = len(self._userdata)
+        self._userdata[:] = state[:count]
+        live = state[count:] > 0
+        self._live = {pair for pair, on in zip(self._providable, live, strict=True) if on}
+
+    def _dofs(self, owner: str) -> Ints:
+        """Returns the degrees of freedom of a robot, or of that of a double, (n,)."""
+        part: Any = self.owners[owner]
+        return np.asarray(part.of.dofs if isinstance(part, DoublePart) else part.dofs)
+
+    def _by_name(self, owner: str, values: Mapping[str, Any]) -> Array:
+        names = self.owners[owner].robot.names
+        array = np.full(len(names), np.nan).view(_ByName)
+        for joint, value in values.items():
+            if joint not in names:
+                raise UnknownName(f"joint of {owner}", joint, names)
+            try:
+                array[names.index(joint)] = value
+            except (TypeError, ValueError):
+                message = f"{owner}: joint {joint}: found {value!r}; expected a number"
+                raise ValueError(message) from None
+        return array
+
+    def clear_input(self, target: str) -> None:
+        """Clears an input: the value that the model provides is shown again, if any.
+
+        Raises:
+            UnknownName: no such input.
+        """
+        item = self.resolve_input(target)
+        self._userdata[self.flags[target]] = 0.0
+        if item.name in self.robots and item.key in _FROM_MODEL:
+            self._live.add((item.name, item.key))
+        self.changes += 1
+
+
+class _ByName(np.ndarray):
+    """Values given by joint name; the NaN of the other joints are not counted."""
+
+
+def _no_joints(model: mujoco.MjModel) -> str:
+    kinds = [mujoco.mjtJoint(int(kind)).name[6:].lower() for kind in np.unique(model.jnt_type)]
+    found = f"joints of type {' and '.join(kinds)}" if kinds else "no joint"
+    return f"found {found}; expected a hinge or slide joint: arrows turn about these"
+
+
+def _view(model: mujoco.MjModel) -> View:
+    """Returns the view stored in the model, else the default view."""
+    own = float(model.vis.global_.azimuth), float(model.vis.global_.elevation)
+    return View() if own == _MUJOCO_VIEW else View(azimuth_deg=own[0], elevation_deg=own[1])

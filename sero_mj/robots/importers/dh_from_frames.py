@@ -1,0 +1,237 @@
+"""The Denavit-Hartenberg table of a serial chain of joint frames.
+
+Any two lines have a common normal, so every serial chain has such a table; what is free in it is
+chosen as usual. Axes of a chain, each a line: the base's z axis, the joints' axes, and the
+flange's z axis. Of each two neighbours A and B there are the normal's direction x,
+its feet on both, its length a, and the angle alpha from A to B about x:
+
+- of x and its opposite, with a and alpha below zero, the one nearer to the x before it is taken,
+  so that offsets of theta are from -90 to 90 degrees (thus the Panda's a = -0.0825);
+- parallel axes: the normal goes through the foot on A of the normal before it;
+- coincident axes: likewise, and x is that before it.
+
+Between two normals there are the angle theta and the distance d about, and along, the axis that
+both stand on. Craig's row i has alpha and a of the normal before joint i, the standard one those
+of the normal behind it (see `robots.assemble.dh` for the two).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from ...base.frames import (
+    Array,
+    Bools,
+    frame,
+    inverse,
+    rotation_about,
+    rotation_angles,
+)
+
+_PARALLEL = 1e-9  # rad; what makes a difference is found by the check
+_ZERO = 1e-12  # m and rad: rounding
+_WITHIN = 1e-9  # m and rad, in every pose of the check
+_POSES = 200
+
+
+@dataclass(frozen=True, eq=False)
+class DhChain:
+    """A Denavit-Hartenberg table with all that it takes to stand for a chain of joint frames.
+
+    Attributes:
+        convention: `craig` or `standard`.
+        rows: alpha, a, theta, d per joint, (n, 4), rad and m.
+        base_frame: T_base_0 (4, 4), from the robot's base to frame 0 of the table.
+        flange_frame: T_n_flange (4, 4), from frame n of the table.
+        link_frames: T_i_link (n, 4, 4): every link's own frame in frame i of the table, for what
+            is given in the links' own frames.
+    """
+
+    convention: Literal["craig", "standard"]
+    rows: Array
+    base_frame: Array
+    flange_frame: Array
+    link_frames: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """The common normal of two neighbouring axes."""
+
+    x: Array
+    foot_a: Array
+    foot_b: Array
+    alpha: float
+    a: float
+
+
+def dh_from_frames(
+    joint_frames: Array,
+    revolute: Bools,
+    flange_frame: Array | None = None,
+    convention: Literal["craig", "standard"] = "craig",
+) -> DhChain | None:
+    """Finds the table of a serial chain whose joints turn about, or slide along, z of their frames.
+
+    Args:
+        joint_frames: T_{i-1,i} of every joint in the frame of the one before it, the first in the
+            base's, at zero joint values, (n, 4, 4), m.
+        revolute: True for joints that turn, False for those that slide, (n,).
+        flange_frame: T_n_flange (4, 4) in the last joint's frame; identity when None.
+        convention: `craig` or `standard`.
+
+    Returns:
+        the table; None if its frames differ from the chain's by more than 1e-9 m or rad in any of
+        200 random poses. That is so where axes miss being parallel by some 1e-6 rad, since their
+        normal is far away then.
+    """
+    flange = np.eye(4) if flange_frame is None else flange_frame
+    n = len(joint_frames)
+    at_zero = np.empty((n + 1, 4, 4))
+    at_zero[0] = np.eye(4)
+    for i in range(n):
+        at_zero[i + 1] = at_zero[i] @ joint_frames[i]
+    make = _craig if convention == "craig" else _standard
+    rows, T_base_0 = make(at_zero, at_zero[-1] @ flange)
+    rows[np.abs(rows) < _ZERO] = 0.0
+    # Links are where the chain has them at zero joint values, also where the table is rounded.
+    links = inverse(_chain(rows, convention, revolute, np.zeros(n), T_base_0)[1:]) @ at_zero[1:]
+    chain = DhChain(convention, rows, T_base_0, links[-1] @ flange, links)
+    return chain if _agrees(chain, joint_frames, revolute, flange) else None
+
+
+def _craig(at_zero: Array, flange: Array) -> tuple[Array, Array]:
+    normals = _normals(at_zero)
+    n = len(normals)
+    rows = np.zeros((n, 4))
+    for i, normal in enumerate(normals):
+        rows[i, :2] = normal.alpha, normal.a
+        if i + 1 < n:  # the last frame is free: it is where the last normal stands
+            rows[i, 2:] = _screw(normal, normals[i + 1], at_zero[i + 1][:3, 2])
+    return rows, _frame_on(at_zero[0][:3, 2], normals[0].x, normals[0].foot_a)
+
+
+def _standard(at_zero: Array, flange: Array) -> tuple[Array, Array]:
+    normals = _normals(np.concatenate([at_zero[1:], flange[None]]))
+    rows = np.zeros((len(normals), 4))
+    z = at_zero[1][:3, 2]
+    # Frame 0 is free on the first axis: the base's own where that is its z axis.
+    is_base = np.abs(z[:2]).max() < _ZERO and np.abs(at_zero[1][:2, 3]).max() < _ZERO and z[2] > 0
+    T_base_0 = np.eye(4) if is_base else _frame_on(z, normals[0].x, normals[0].foot_a)
+    before = _Normal(T_base_0[:3, 0], T_base_0[:3, 3], T_base_0[:3, 3], 0.0, 0.0)
+    for i, normal in enumerate(normals):
+        theta, d = _screw(before, normal, at_zero[i + 1][:3, 2])
+        rows[i] = normal.alpha, normal.a, theta, d
+        before = normal
+    return rows, T_base_0
+
+
+def _normals(axes: Array) -> list[_Normal]:
+    """The normals of neighbours among axes, each z of a frame (m, 4, 4)."""
+    x, foot = axes[0][:3, 0], axes[0][:3, 3]
+    normals = []
+    for A, B in pairwise(axes):
+        normals.append(_normal(A[:3, 2], foot, B[:3, 2], B[:3, 3], x))
+        x, foot = normals[-1].x, normals[-1].foot_b
+    return normals
+
+
+def _normal(z_a: Array, on_a: Array, z_b: Array, on_b: Array, before: Array) -> _Normal:
+    """The normal of two axes with directions z through points.
+
+    Args:
+        z_a: direction of axis A.
+        on_a: foot of the normal before on A.
+        z_b: direction of axis B.
+        on_b: any point on B.
+        before: direction of the normal before, at right angles to A.
+    """
+    across = np.cross(z_a, z_b)
+    between = on_b - on_a
+    sine = float(np.linalg.norm(across))
+    foot_a = on_a
+    if sine < _PARALLEL:
+        x = between - (between @ z_a) * z_a
+        x = x if np.linalg.norm(x) > _ZERO else before
+    else:
+        x = across
+        # on_a + s z_a + a x = on_b + t z_b, solved by what is at right angles to x.
+        foot_a = on_a + float(np.cross(between, z_b) @ across) / sine**2 * z_a
+    x = _at_right_angles(x, z_a)
+    x = x * _nearer(x, before, z_a)
+    a = float(between @ x)
+    a = a if abs(a) > _ZERO else 0.0
+    if sine < _PARALLEL:
+        alpha = 0.0 if z_a @ z_b > 0 else np.pi
+    else:
+        alpha = float(np.arctan2(across @ x, z_a @ z_b))
+    return _Normal(x, foot_a, foot_a + a * x, alpha, a)
+
+
+def _at_right_angles(x: Array, z: Array) -> Array:
+    x = x - (x @ z) * z
+    return x / np.linalg.norm(x)
+
+
+def _nearer(x: Array, before: Array, z: Array) -> float:
+    """The sign of x for which theta about z from the normal before is from -90 to 90 degrees."""
+    cosine, sine = before @ x, np.cross(before, x) @ z
+    return 1.0 if cosine > _ZERO or (abs(cosine) <= _ZERO and sine > 0) else -1.0
+
+
+def _screw(before: _Normal, normal: _Normal, z: Array) -> tuple[float, float]:
+    """Theta and d about, and along, the axis z that two normals stand on."""
+    theta = np.arctan2(np.cross(before.x, normal.x) @ z, before.x @ normal.x)
+    return float(theta), float((normal.foot_a - before.foot_b) @ z)
+
+
+def _frame_on(z: Array, x: Array, origin: Array) -> Array:
+    x = _at_right_angles(x, z)
+    T = frame(np.column_stack([x, np.cross(z, x), z]), origin)
+    T[np.abs(T) < _ZERO] = 0.0
+    return T
+
+
+def _chain(rows: Array, convention: str, revolute: Bools, q: Array, T_base_0: Array) -> Array:
+    """Frames 0 to n of a table in the base's at joint values (..., n): (..., n + 1, 4, 4)."""
+    frames = np.empty((*q.shape[:-1], len(rows) + 1, 4, 4))
+    frames[..., 0, :, :] = T_base_0
+    for i, (alpha, a, theta, d) in enumerate(rows):
+        along_x = frame(rotation_about(0, alpha), np.array([a, 0.0, 0.0]))
+        along_z = np.zeros((*q.shape[:-1], 4, 4))
+        along_z[..., :3, :3] = rotation_about(2, theta + q[..., i] * revolute[i])
+        along_z[..., 2, 3] = d + q[..., i] * (not revolute[i])
+        along_z[..., 3, 3] = 1.0
+        link = along_x @ along_z if convention == "craig" else along_z @ along_x
+        frames[..., i + 1, :, :] = frames[..., i, :, :] @ link
+    return frames
+
+
+def _agrees(chain: DhChain, joint_frames: Array, revolute: Bools, flange: Array) -> bool:
+    """Whether every link and the flange are where the chain has them, in random poses."""
+    random = np.random.default_rng(0)
+    n = len(joint_frames)
+    q = random.uniform(-1.0, 1.0, (_POSES, n)) * np.where(revolute, np.pi, 1.0)
+    table = _chain(chain.rows, chain.convention, revolute, q, chain.base_frame)
+    found = table[:, 1:] @ chain.link_frames
+    found = np.concatenate([found, (table[:, -1] @ chain.flange_frame)[:, None]], axis=1)
+    expected = np.empty_like(found)
+    at = np.tile(np.eye(4), (_POSES, 1, 1))
+    for i in range(n):
+        moved = np.zeros((_POSES, 4, 4))
+        moved[:] = np.eye(4)
+        if revolute[i]:
+            moved[:, :3, :3] = rotation_about(2, q[:, i])
+        else:
+            moved[:, 2, 3] = q[:, i]
+        at = at @ joint_frames[i] @ moved
+        expected[:, i] = at
+    expected[:, -1] = at @ flange
+    if np.abs(found[..., :3, 3] - expected[..., :3, 3]).max() > _WITHIN:
+        return False
+    turned = expected[..., :3, :3].mT @ found[..., :3, :3]
+    return bool(rotation_angles(turned).max() < _WITHIN)

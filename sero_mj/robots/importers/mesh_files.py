@@ -1,0 +1,522 @@
+"""Any mesh file as what MuJoCo reads: pieces of one colour each.
+
+STL and OBJ pass through as they are wherever MuJoCo takes them. COLLADA is read by pycollada, with
+its unit, the transforms of its nodes, and the colours of its materials; VRML97 by `wrl.py`;
+everything else by trimesh.
+
+A file's up axis is not applied: descriptions of robots are written against viewers that show the
+coordinates as they stand in the file (RViz and Gazebo), and most exporters state no true one.
+Textures are not shown; a material that has one gets the mean colour of its picture.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import threading
+import warnings
+from collections import OrderedDict
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+
+from ...base.declaration import LARGEST
+from ...base.errors import DeclarationError, Problem, reason_of
+from ...base.frames import Array, Ints
+from ...base.paths import read_file
+from .wrl import read_wrl
+from .xml_file import parse_xml
+
+# What `read_mesh` takes; the first three MuJoCo reads itself.
+MESH_ENDINGS = (
+    ".stl", ".obj", ".msh", ".dae", ".wrl", ".x3dv", ".ply", ".off", ".glb", ".gltf", ".3mf",
+)  # fmt: skip
+MOST_MESH_BYTES = 500_000_000  # of a file that MuJoCo reads (ten million triangles)
+MOST_CONVERTED_BYTES = 100_000_000  # of any other; converting takes up to 30 times as much memory
+_MOST_STL_FACES = 200_000  # MuJoCo takes no more from an STL file
+_MOST_PICTURE_BYTES = 50_000_000  # of a texture
+_MOST_KEPT_BYTES = 150_000_000  # of meshes, with their vertices
+_VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
+_FLAT = 1e-5  # thickness over length
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+Rgba = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class MeshPiece:
+    """Triangles of one colour.
+
+    Attributes:
+        contents: of a file that MuJoCo reads.
+        ending: of that file, with its dot.
+        rgba: the file's own colour, 0 to 1; None where it has none.
+    """
+
+    contents: bytes
+    ending: str
+    rgba: Rgba | None = None
+
+    @cached_property
+    def points(self) -> Array:
+        """Its vertices (k, 3), in the unit of the file; a vertex may be there several times."""
+        if self.ending == ".stl":
+            corners = np.frombuffer(self.contents, _FACET, offset=84)["corners"]
+            return np.asarray(corners.reshape(-1, 3), np.float64)
+        if self.ending == ".obj":
+            return _points_of_obj(self.contents)
+        count = int.from_bytes(self.contents[:4], "little")
+        return np.frombuffer(self.contents, "<f4", 3 * count, 16).reshape(-1, 3).astype(np.float64)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of its contents, in hexadecimal digits."""
+        return sha256(self.contents).hexdigest()
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Whether it is in a plane, so that it has no volume and no convex hull."""
+        away = self.points - self.points.mean(axis=0)
+        moments = np.linalg.eigvalsh(away.T @ away)
+        return bool(moments[0] < _FLAT**2 * moments[2])
+
+
+def _points_of_obj(contents: bytes) -> Array:
+    """Vertices (k, 3) of an OBJ file; raises ValueError."""
+    lines, text = _lines_of_obj(contents, b"v")
+    # Fast, where all have as many numbers, 3 or with a colour 6; text that is no number ends it.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        values = np.fromstring(text, sep=" ")
+    for count in (3, 6):
+        if len(values) == count * lines > 0:
+            return values.reshape(-1, count)[:, :3]
+    found = np.array(_VERTEX.findall(contents), np.bytes_)
+    return found.reshape(-1, 3).astype(np.float64)
+
+
+_Key = tuple[str, int, int, int]  # path, inode, time of the last change in ns, size
+_kept: OrderedDict[_Key, tuple[MeshPiece, ...]] = OrderedDict()
+_lock = threading.Lock()
+
+
+def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
+    """Reads a mesh file; lengths are in the unit that the file states, else in its own.
+
+    What was read is kept for the next time, until the file changes.
+
+    Raises:
+        DeclarationError: the file is missing, too large (`MOST_MESH_BYTES`,
+            `MOST_CONVERTED_BYTES`), of an unknown format, or has no triangles that can be drawn.
+    """
+    ending = path.suffix.lower()
+    if ending not in MESH_ENDINGS:
+        raise _wrong(path, f"found '{path.suffix}'; expected {', '.join(MESH_ENDINGS)}")
+    passed = ending in MESH_ENDINGS[:3]
+    try:
+        status = path.stat()
+        key = (str(path.absolute()), status.st_ino, status.st_mtime_ns, status.st_size)
+        with _lock:
+            if key in _kept:
+                _kept.move_to_end(key)
+                return _kept[key]
+        contents = read_file(path, MOST_MESH_BYTES if passed else MOST_CONVERTED_BYTES)
+    except (OSError, ValueError) as error:
+        raise _wrong(path, reason_of(error)) from error
+    if passed and (pieces := _as_it_is(path, ending, contents)) is not None:
+        _keep(key, pieces)
+        return pieces
+    if len(contents) > MOST_CONVERTED_BYTES:
+        most = f"{MOST_CONVERTED_BYTES / 1e6:g} MB"
+        found = f"{len(contents) / 1e6:.1f} MB of {ending[1:].upper()} that MuJoCo cannot read"
+        raise _wrong(path, f"found {found} without conversion; expected at most {most}")
+    pieces = _converted(path, ending, contents)
+    _keep(key, pieces)
+    return pieces
+
+
+def _keep(key: _Key, pieces: tuple[MeshPiece, ...]) -> None:
+    with _lock:
+        _kept[key] = pieces
+        sizes = [sum(len(p.contents) + p.points.nbytes for p in each) for each in _kept.values()]
+        while sum(sizes) > _MOST_KEPT_BYTES:
+            _kept.popitem(last=False)
+            sizes.pop(0)
+
+
+def _wrong(path: Path, reason: str) -> DeclarationError:
+    return DeclarationError([Problem("", f"mesh {path}: {reason}")])
+
+
+def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...] | None:
+    """The file itself as the only piece, if MuJoCo reads it and it has at most one colour."""
+    if ending == ".obj":
+        return _obj_as_it_is(path, contents)
+    piece = MeshPiece(contents, ending)
+    if ending == ".msh":
+        vertices, normals, texture, faces = struct.unpack("<4i", contents[:16].ljust(16, b"\0"))
+        size = 16 + 12 * vertices + 12 * normals + 8 * texture + 12 * faces
+        if len(contents) != size or min(vertices, normals, texture, faces) < 0:
+            raise _wrong(path, "is not as long as its counts of vertices and faces say")
+        corners = np.frombuffer(contents, "<i4", 3 * faces, size - 12 * faces)
+        _check_faces(path, corners, vertices)
+    else:
+        count = int.from_bytes(contents[80:84], "little")
+        if _is_binary(contents) and len(contents) < 84 + 50 * count:
+            found = max(len(contents) - 84, 0) // 50
+            raise _wrong(path, f"is cut off: it announces {count} triangles, found {found}")
+        if len(contents) != 84 + 50 * count or not 1 <= count <= _MOST_STL_FACES:
+            return None  # in ASCII, or too many faces
+    _check(path, piece.points)
+    return (piece,)
+
+
+def _is_binary(contents: bytes) -> bool:
+    """Whether an STL file is no text, which may begin with `solid` as well."""
+    return len(contents) >= 84 and b"\0" in contents[:1000]
+
+
+def _obj_as_it_is(path: Path, contents: bytes) -> tuple[MeshPiece, ...] | None:
+    """As `_as_it_is`."""
+    contents = b"\n" + contents  # so that each line begins with its end
+    colors = _material_colors(path, contents)
+    used = list(dict.fromkeys(_statements(contents, b"usemtl")))
+    if len({colors.get(name) for name in used}) > 1:
+        return None
+    piece = MeshPiece(contents, ".obj", colors.get(used[0]) if used else None)
+    try:
+        points = piece.points
+    except ValueError:
+        raise _wrong(path, "has a vertex that is not three numbers") from None
+    _check(path, points)
+    corners = _corners_of_obj(contents, len(points))
+    if corners is None:
+        return None
+    _check_faces(path, corners, len(points))
+    return (piece,)
+
+
+def _statements(contents: bytes, keyword: bytes) -> list[bytes]:
+    """What stands behind a keyword in the lines of an OBJ file that have something there."""
+    parts = contents.split(b"\n" + keyword)[1:]  # in a tenth of the time of a regular expression
+    lines = (part.partition(b"\n")[0] for part in parts)
+    return [line.strip() for line in lines if line[:1] in (b" ", b"\t") and line.strip()]
+
+
+def _lines_of_obj(contents: bytes, kind: bytes) -> tuple[int, bytes]:
+    """Returns how many lines of an OBJ file are of a kind, and their text.
+
+    Args:
+        contents: of the file, behind a line's end.
+        kind: the letter that such lines begin with.
+    """
+    begin = contents.find(b"\n%b " % kind)
+    end = contents.find(b"\n", contents.rfind(b"\n%b " % kind) + 1)
+    text = contents[begin : end if end >= 0 else None]
+    count = text.count(b"\n%b " % kind)
+    if begin >= 0 and text.count(b"\n") == count:  # all together: in a third of the time
+        return count, text.translate(bytes.maketrans(kind, b" "))
+    lines = re.findall(rb"\n%b[ \t]([^\n]*)" % kind, contents)
+    return len(lines), b" ".join(lines)
+
+
+def _corners_of_obj(contents: bytes, count: int) -> Ints | None:
+    """Indices of vertices of all faces of an OBJ file, from 0; None where it has others.
+
+    Args:
+        contents: of the file, behind a line's end.
+        count: of its vertices; negative indices count from the last of them.
+    """
+    _, text = _lines_of_obj(contents, b"f")
+    # A corner is `vertex/texture/normal`, of which the latter two may be missing; in most files
+    # all are of one form. Where this does not fit, every corner is read by itself.
+    numbers = _integers(text.replace(b"/", b" "))
+    if numbers is None:
+        return None
+    many = max(len(numbers) - text.count(b"/") + text.count(b"//"), 1)
+    found: Ints | None = numbers[:: max(len(numbers) // many, 1)]
+    for _ in range(2):
+        if found is None:
+            return None
+        corners = np.where(found < 0, found + count, found - 1)
+        if 0 <= corners.min() <= corners.max() < count:
+            break
+        found = _integers(re.sub(rb"/\S*", b"", text))
+    return corners
+
+
+def _integers(text: bytes) -> Ints | None:
+    """Whole numbers of a text, (k,); None where it has none, or something else."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)  # at what is no number
+            numbers = np.fromstring(text, np.int64, sep=" ")
+    except (DeprecationWarning, ValueError):
+        return None
+    return numbers if len(numbers) else None
+
+
+def _check_faces(path: Path, corners: Any, count: int) -> None:
+    """Raises DeclarationError for indices of vertices, from 0, of which there are fewer."""
+    if len(corners) and not 0 <= corners.min() <= corners.max() < count:
+        raise _wrong(path, "has faces of vertices that it does not have")
+
+
+def _check(path: Path, points: Any) -> None:
+    """Raises DeclarationError for vertices (k, 3) of which MuJoCo makes no mesh."""
+    if not np.isfinite(points).all():
+        raise _wrong(path, "has vertices that are not finite numbers")
+    if len(points) and np.abs(points).max() > LARGEST:
+        raise _wrong(path, f"has vertices farther away than {LARGEST:g}")
+    if len(points) < 3:
+        raise _wrong(path, "has no triangles")
+    # Few vertices may be fewer than four different ones, as MuJoCo asks for.
+    if len(points) < 100 and len(np.unique(points, axis=0)) < 4:
+        raise _wrong(path, "has fewer than 4 different vertices")
+
+
+def _material_colors(path: Path, contents: bytes) -> dict[bytes, Rgba]:
+    """Colours of an OBJ file's materials by name; none where their file cannot be read."""
+    colors: dict[bytes, Rgba] = {}
+    for file in _statements(contents, b"mtllib"):
+        try:
+            text = read_file(path.parent / file.decode(), _MOST_PICTURE_BYTES)
+        except (OSError, ValueError):
+            continue
+        for block in re.split(rb"^[ \t]*newmtl[ \t]+", text, flags=re.MULTILINE)[1:]:
+            name, _, rest = block.partition(b"\n")
+            diffuse = re.search(rb"^[ \t]*Kd[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", rest, re.MULTILINE)
+            picture = re.search(rb"^[ \t]*map_Kd[ \t]+([^\r\n]+)", rest, re.MULTILINE)
+            try:
+                color = None
+                if picture is not None:
+                    color = _mean_color(path.parent / picture[1].strip().decode())
+                if color is None and diffuse is not None:
+                    color = _rgba([float(value) for value in diffuse.groups()])
+            except ValueError:
+                continue
+            if color is not None:
+                colors[name.strip()] = color
+    return colors
+
+
+def _rgba(values: Any) -> Rgba | None:
+    """A colour of 3 or 4 numbers; None where it is none."""
+    try:
+        numbers = np.array([float(value) for value in values][:4])
+    except (TypeError, ValueError):
+        return None
+    if len(numbers) < 3 or not np.isfinite(numbers).all():
+        return None
+    red, green, blue = (round(float(value), 4) for value in np.clip(numbers[:3], 0, 1))
+    # Alpha is left out: exporters disagree on whether 0 or 1 is opaque.
+    return (red, green, blue, 1.0)
+
+
+def _mean_color(picture: Any) -> Rgba | None:
+    """Mean colour of a picture, a file or a Pillow image; None where it cannot be read."""
+    from PIL import Image
+
+    try:
+        if isinstance(picture, Path):
+            picture = Image.open(io.BytesIO(read_file(picture, _MOST_PICTURE_BYTES)))
+        pixels = np.asarray(picture.convert("RGBA").resize((16, 16)), np.float64) / 255.0
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+        return None
+    shown = pixels[pixels[..., 3] > 0.5]
+    return _rgba(shown[:, :3].mean(axis=0)) if len(shown) else None
+
+
+def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...]:
+    read = _READERS.get(ending, _trimesh_parts)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of libraries, at what they use themselves
+            parts = read(path, ending, contents)
+    except DeclarationError:
+        raise
+    except ImportError as error:
+        raise _wrong(path, f"reading {ending} takes the package '{error.name}'") from error
+    except RecursionError:
+        raise _wrong(path, "is nested too deeply") from None
+    except Exception as error:  # libraries let out anything of a broken file
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise _wrong(path, f"cannot be read: {reason}") from error
+    by_color: dict[Rgba | None, list[_Part]] = {}
+    for part in parts:
+        by_color.setdefault(part.rgba, []).append(part)
+    pieces = []
+    for rgba, same in by_color.items():
+        joined = _joined(same)
+        _check_faces(path, joined.faces.ravel(), len(joined.vertices))
+        used = joined.vertices[joined.faces].reshape(-1, 3)
+        if len(used):
+            _check(path, used)
+            pieces.append(MeshPiece(_as_msh(joined), ".msh", rgba))
+    if not pieces:
+        raise _wrong(path, "has no triangles")
+    return tuple(pieces)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Triangles: vertices (v, 3) in m, normals (v, 3) or None, faces (f, 3), a colour."""
+
+    vertices: Array
+    normals: Array | None
+    faces: Ints
+    rgba: Rgba | None
+
+
+def _joined(parts: list[_Part]) -> _Part:
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    faces = [part.faces + start for part, start in zip(parts, starts, strict=False)]
+    normals = [part.normals for part in parts if part.normals is not None]
+    return _Part(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate(normals) if len(normals) == len(parts) else None,
+        np.concatenate(faces),
+        parts[0].rgba,
+    )
+
+
+def _as_msh(part: _Part) -> bytes:
+    """MuJoCo's binary format: four counts, vertices, normals, texture coordinates, faces."""
+    used, faces = np.unique(part.faces, return_inverse=True)
+    normals = None if part.normals is None else part.normals[used]
+    counts = struct.pack("<4i", len(used), 0 if normals is None else len(used), 0, len(part.faces))
+    return (
+        counts
+        + part.vertices[used].astype("<f4").tobytes()
+        + (b"" if normals is None else normals.astype("<f4").tobytes())
+        + faces.astype("<i4").tobytes()
+    )
+
+
+def _moved(
+    vertices: Array, normals: Array | None, faces: Ints, T: Array, rgba: Rgba | None
+) -> _Part:
+    """A part moved by T (4, 4), which may scale and mirror it."""
+    linear = T[:3, :3]
+    if np.linalg.det(linear) < 0:
+        faces = faces[:, ::-1]
+    if normals is not None:
+        normals = normals @ np.linalg.pinv(linear)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = None if (length < 1e-12).any() else normals / length
+    return _Part(vertices @ linear.T + T[:3, 3], normals, faces, rgba)
+
+
+def _collada_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
+    import collada
+    from collada.common import DaeBrokenRefError, DaeError
+
+    document = collada.Collada(io.BytesIO(contents), ignore=[DaeError])
+    if any(isinstance(error, DaeBrokenRefError) for error in document.errors):
+        contents = _without_broken_materials(contents, {m.id for m in document.materials})
+        document = collada.Collada(io.BytesIO(contents), ignore=[DaeError])
+    if document.scene is None:
+        return []
+    unit = document.assetInfo.unitmeter
+    unit = 1.0 if unit is None else float(unit)
+    T_unit = np.diag([unit, unit, unit, 1.0])
+    parts = []
+    for bound in document.scene.objects("geometry"):
+        for primitive in bound.original.primitives:
+            # A polygon list makes triangles of itself; lines cannot.
+            has_polygons = hasattr(primitive, "triangleset")
+            triangles = primitive.triangleset() if has_polygons else primitive
+            corners = np.asarray(getattr(triangles, "vertex_index", None))
+            if corners.ndim != 2 or corners.shape[1] != 3 or not len(corners):
+                continue
+            node = bound.materialnodebysymbol.get(triangles.material)
+            rgba = None if node is None else _collada_color(path, node.target)
+            parts.append(_moved(*_with_normals(triangles, corners), T_unit @ bound.matrix, rgba))
+    return parts
+
+
+def _without_broken_materials(contents: bytes, known: set[str]) -> bytes:
+    """Takes materials that cannot be read off the geometry, which pycollada leaves out with them.
+
+    Often a picture is missing that a material is made of.
+    """
+    root = parse_xml(contents)
+    for bound in [*root.iter("{*}instance_material")]:
+        if bound.get("target", "").removeprefix("#") not in known:
+            bound.getparent().remove(bound)
+    return bytes(etree.tostring(root))
+
+
+def _with_normals(primitive: Any, corners: Ints) -> tuple[Array, Array | None, Ints]:
+    """Vertices, each with one normal, and faces; COLLADA has an index of its own for normals."""
+    vertices = np.asarray(primitive.vertex, np.float64)
+    if primitive.normal is None or primitive.normal_index is None:
+        return vertices, None, corners
+    normals = np.asarray(primitive.normal, np.float64)
+    pairs = corners.astype(np.int64) * len(normals) + np.asarray(primitive.normal_index)
+    different, faces = np.unique(pairs, return_inverse=True)
+    at = different // max(len(normals), 1)
+    return vertices[at], normals[different % max(len(normals), 1)], faces.reshape(-1, 3)
+
+
+def _collada_color(path: Path, material: Any) -> Rgba | None:
+    diffuse = getattr(getattr(material, "effect", None), "diffuse", None)
+    if diffuse is None:
+        return None
+    if hasattr(diffuse, "sampler"):  # a picture
+        file = getattr(diffuse.sampler.surface.image, "path", "") or ""
+        return _mean_color(path.parent / file.removeprefix("file://"))
+    return _rgba(diffuse)
+
+
+def _wrl_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
+    parts = []
+    for vertices, faces, color in read_wrl(path):
+        rgba: Rgba | None = None
+        if color is not None:
+            red, green, blue, alpha = (float(value) for value in color)
+            rgba = (red, green, blue, alpha)
+        parts.append(_Part(vertices, None, faces, rgba))
+    return parts
+
+
+def _trimesh_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
+    import trimesh
+
+    resolver = trimesh.resolvers.FilePathResolver(str(path))
+    scene = trimesh.load_scene(
+        io.BytesIO(contents), file_type=ending[1:], resolver=resolver, process=False
+    )
+    parts = []
+    for node in scene.graph.nodes_geometry:
+        T, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        faces = getattr(mesh, "faces", None)
+        if faces is None or not len(faces):
+            continue  # lines or points
+        has_normals = ending in (".obj", ".glb", ".gltf") and "vertex_normals" in mesh._cache
+        normals = np.asarray(mesh.vertex_normals, np.float64) if has_normals else None
+        vertices = np.asarray(mesh.vertices, np.float64)
+        parts.append(_moved(vertices, normals, np.asarray(faces), T, _trimesh_color(mesh)))
+    return parts
+
+
+def _trimesh_color(mesh: Any) -> Rgba | None:
+    visual = mesh.visual
+    if visual is None or not visual.defined:
+        return None
+    if visual.kind == "texture":
+        material = visual.material
+        picture = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+        color = None if picture is None else _mean_color(picture)
+        return color or _rgba(np.asarray(material.main_color) / 255.0)
+    return _rgba(np.asarray(visual.main_color) / 255.0)
+
+
+_READERS = {".dae": _collada_parts, ".wrl": _wrl_parts, ".x3dv": _wrl_parts}

@@ -1,0 +1,182 @@
+"""Reads MJCF that users have, and the files it refers to, as a `mujoco.MjSpec`."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import mujoco
+
+from ...base.errors import DeclarationError, Problem
+from ...base.paths import format_of_file, open_file, read_file
+
+_LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
+_MOST_BYTES = 100_000_000  # of a file of MJCF
+MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
+
+
+def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
+    """Reads a piece of MJCF and the files it refers to, which are stored in the spec.
+
+    Args:
+        source: a file name; text that starts with `<`; or an object that `is_mjcf_object`
+            accepts, which is not changed.
+        folder: base folder of relative file names.
+
+    Raises:
+        DeclarationError: it cannot be read.
+    """
+    try:
+        spec = _read(source, folder)
+        _keep_files(spec)
+    except OSError as error:
+        reason = f"{error.filename or source}: {error.strerror or error}"
+        raise DeclarationError([Problem("mjcf", f"cannot be read: {reason}")]) from error
+    except (ValueError, TypeError, mujoco.FatalError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise DeclarationError([Problem("mjcf", f"cannot be read: {reason}")]) from error
+    for k, body in enumerate(spec.bodies[1:]):
+        if not body.name:
+            body.name = f"body{k + 1}"  # contacts are excluded by name
+    return spec
+
+
+def is_mjcf_object(source: Any) -> bool:
+    """Whether an object contains MJCF: an `MjSpec`, PyMJCF's `RootElement`, a composer entity."""
+    root = _root_element(source)
+    return isinstance(source, mujoco.MjSpec) or (
+        hasattr(root, "to_xml_string") and hasattr(root, "get_assets")
+    )
+
+
+def is_file_name(source: Any) -> bool:
+    """Whether a piece of MJCF is the name of its file, and not its text or an object."""
+    return isinstance(source, str) and not source.lstrip().startswith("<")
+
+
+def _root_element(source: Any) -> Any:
+    """Returns the PyMJCF root element of a composer entity; anything else as it is."""
+    return getattr(source, "mjcf_model", source)
+
+
+def _read(source: Any, folder: Path) -> mujoco.MjSpec:
+    if isinstance(source, mujoco.MjSpec):
+        return source.copy()
+    if not isinstance(source, str):
+        root = _root_element(source)
+        return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
+    if is_file_name(source):
+        open_file(folder / source, _MOST_BYTES).close()  # MuJoCo would read a pipe forever
+        found = format_of_file(folder / source)
+        if found not in (None, "an MJCF file", "a URDF file"):  # what is no XML MuJoCo tells
+            raise ValueError(f"is {found}; expected MJCF, which begins with <mujoco>")
+        return mujoco.MjSpec.from_file(str(folder / source))
+    spec = mujoco.MjSpec.from_string(source, include=_included(source, folder))
+    spec.modelfiledir = str(folder)
+    return spec
+
+
+def _included(text: str, folder: Path) -> Mapping[str, bytes]:
+    """Returns the contents of the files that a text includes, recursively, by name."""
+    found: dict[str, bytes] = {}
+    waiting = [text.encode()]
+    while waiting:
+        try:
+            names = {
+                tag.get("file", "") for tag in ElementTree.fromstring(waiting.pop()).iter("include")
+            }
+        except ElementTree.ParseError:
+            continue  # MuJoCo reports the position
+        for name in names - set(found):
+            found[name] = read_file(folder / name, _MOST_BYTES)
+            waiting.append(found[name])
+    return found
+
+
+def _keep_files(spec: mujoco.MjSpec) -> None:
+    """Reads the files of meshes, height fields, skins and textures into the spec's assets."""
+    for folder, elements in (
+        (spec.meshdir, [*spec.meshes, *spec.skins]),
+        (spec.texturedir, [*spec.textures]),
+        (spec.meshdir, [*spec.hfields]),
+    ):
+        for element in elements:
+            element.file = _kept(spec, folder, element.file)
+    for texture in spec.textures:
+        texture.cubefiles = [_kept(spec, spec.texturedir, file) for file in texture.cubefiles]
+    spec.meshdir = spec.texturedir = ""
+
+
+def _kept(spec: mujoco.MjSpec, folder: str, file: str) -> str:
+    """Stores a file that an element refers to and returns its name in the assets."""
+    if not file or file in spec.assets:
+        return file
+    name = Path(file).name if spec.strippath else file
+    path = Path(spec.modelfiledir) / folder / name
+    return add_file(spec, path, read_file(path, MOST_ASSET_BYTES))
+
+
+def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | None = None) -> str:
+    """Stores a file's contents in the assets of a spec and returns its name there.
+
+    The name is unique across folders, so that specs can be attached to each other.
+
+    Args:
+        spec: gets it.
+        path: of the file.
+        contents: of the file.
+        digest: SHA-256 of the contents in hexadecimal digits, if it is known.
+    """
+    digest = digest or sha256(contents).hexdigest()
+    file = f"{path.stem}-{digest[:16]}{path.suffix.lower()}"
+    spec.assets[file] = contents
+    return file
+
+
+def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]:
+    """Writes a compiled spec as MJCF, with its files in a folder beside it, `NAME_assets`.
+
+    Args:
+        spec: what `as_spec` returned, or was made of such.
+        path: of the XML file.
+        comment: a line for its beginning, or several.
+
+    Returns:
+        the files written, the XML first.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    written, folder = [path], path.parent / f"{path.stem}_assets"
+    with _full_precision():
+        text = spec.to_xml().replace(">\n", f">\n{comment}", 1)
+    for name, contents in spec.assets.items():
+        file = folder / name.rpartition("/")[2]
+        if f'file="{name}"' not in text:
+            continue  # unused
+        folder.mkdir(exist_ok=True)
+        file.write_bytes(contents)
+        written.append(file)
+        text = text.replace(f'file="{name}"', f'file="{folder.name}/{file.name}"')
+    path.write_text(text, encoding="utf-8")
+    return list(dict.fromkeys(written))
+
+
+@contextmanager
+def _full_precision() -> Iterator[None]:
+    """Makes MuJoCo write numbers with 17 digits instead of six.
+
+    MuJoCo 4.0.0 has no public function for it. A later one may lack this; then it writes six.
+    """
+    folder = Path(mujoco.__file__).parent
+    files = (file for name in _LIBRARY_NAMES for file in folder.glob(name))
+    library = ctypes.CDLL(str(next(files)))
+    set_digits = getattr(library, "_mjPRIVATE__set_xml_precision", lambda digits: None)
+    set_digits(17)
+    try:
+        yield
+    finally:
+        set_digits(6)

@@ -1,0 +1,303 @@
+"""Reads a robot from MJCF: its joints, limits, inertias, friction and couplings, as our tables.
+
+Its geoms stay in the file, which the robot's `mjcf` names: `robots.assemble.mjcf_links` takes them
+from there with their meshes, materials and collision parameters.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.declaration import LARGEST
+from ...base.errors import DeclarationError, Problem
+from ...base.frames import Array, Bools, Ints, frame, inverse, rotation_from_quat
+from .described import Described, first_of
+from .mjcf_file import as_spec, is_file_name
+from .mjcf_tree import MjcfTree, find_tree, torque_limits
+from .robot_tree import TOO_FAR, meant_limits, six_of
+
+_HOME = ("home", "stand", "init", "default")  # key frames that are taken for the initial pose
+_TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
+_IMPLAUSIBLE = 10  # times the torque that holds all of the robot, stretched
+_WITHIN = 1e-4  # rad or m
+# Keys of `[dynamics]` by MuJoCo's fields of degrees of freedom.
+_OF_JOINTS = {
+    "motor_inertias": "armature",
+    "viscous_friction": "damping",
+    "coulomb_friction": "frictionloss",
+}
+
+
+def read_mjcf(path: Path) -> Described:
+    """Reads the robot of an MJCF file; raises DeclarationError, of one without joints NoJoints."""
+    try:
+        tables, lost = mjcf_tables(path.name, path.parent)
+    except DeclarationError as error:
+        problems = [Problem("", problem.message, str(path)) for problem in error.problems]
+        raise type(error)(problems) from None
+    return Described({"directory": "", **tables}, {}, lost)
+
+
+def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """Returns the tables of a robot, and what is lost.
+
+    Args:
+        source: what `as_spec` takes.
+        folder: that file names are relative to.
+
+    Raises:
+        DeclarationError: it cannot be read or compiled, or has no joints.
+    """
+    tree = tree_of(source, folder)
+    model, joints = tree.model, tree.joints
+    revolute = _turns(tree)
+    names = _names(model, joints)
+    limited = model.jnt_limited[joints].astype(bool)
+    stated = np.where(limited[:, None], model.jnt_range[joints], [-np.inf, np.inf])
+    limits = meant_limits(stated)
+    lost = list(tree.left_out)
+    if (far := (limits != stated).any(axis=1)).any():
+        lost.append(f"{TOO_FAR}: {_some(names, far)}")
+    torques = _plausible(tree, torque_limits(model, joints), lost)
+    dofs = model.jnt_dofadr[joints]
+    link, T_link_flange = _flange(tree)
+    couplings = _couplings(tree, names, lost)
+    tables: dict[str, Any] = {
+        "mjcf": source,
+        "joint_frames": tree.joint_frames,
+        "parents": ["base" if p == 0 else names[p - 1] for p in tree.parents.tolist()],
+        "joint_names": names,
+        "link_names": _link_names(tree),
+        "joint_types": ["revolute" if turns else "prismatic" for turns in revolute.tolist()],
+        "flange_on": names[link - 1],
+        "flange_frame": T_link_flange,
+        "couplings": couplings,
+        "base_frame": tree.poses[0],
+        "free_base": tree.free >= 0,
+        "fit_arrows": True,
+        "dynamics": {
+            **_inertias(tree),
+            **{
+                key: _bounded(getattr(model, f"dof_{what}")[dofs], what, names, lost)
+                for key, what in _OF_JOINTS.items()
+            },
+        },
+    }
+    if np.isfinite(limits).any():
+        tables["position_limits"] = limits
+    if np.isfinite(torques).any():
+        tables["torque_limits"] = torques
+    if (tree.parents == np.arange(len(joints))).all():
+        del tables["parents"]
+    tables |= _initial_pose(tree, names, couplings)
+    return tables, lost
+
+
+def plain_tables(tables: dict[str, Any]) -> dict[str, Any]:
+    """Returns a robot's tables as one would write them by hand: without what says nothing."""
+    plain = {key: value for key, value in tables.items() if key != "directory"}
+    for key in ("couplings", "free_base"):
+        if not plain[key]:
+            del plain[key]
+    for key in ("base_frame", "flange_frame"):
+        if np.array_equal(plain[key], np.eye(4)):
+            del plain[key]
+    dynamics = dict(plain["dynamics"])
+    dynamics["inertias"] = [six_of(tensor) for tensor in dynamics["inertias"]]
+    return {**plain, "dynamics": dynamics}
+
+
+def _link_names(tree: MjcfTree) -> list[str]:
+    """Names of the first body of the base and of every link; `link1`, ... where it has none.
+
+    A link has no body where several joints are one after the other in the same one.
+    """
+    found = ["base", *(f"link{i + 1}" for i in range(len(tree.joints)))]
+    for link in range(len(found)):
+        bodies = np.flatnonzero(tree.links == link)
+        if len(bodies):
+            found[link] = tree.model.body(int(bodies[0])).name or found[link]
+    return found
+
+
+def tree_of(source: Any, folder: Path) -> MjcfTree:
+    """Returns the robot in a piece of MJCF; raises DeclarationError."""
+    spec = as_spec(source, folder)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of attributes that MuJoCo will drop one day
+            tree = find_tree(spec.compile())
+    except DeclarationError:
+        raise
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise DeclarationError([Problem("mjcf", reason)]) from None
+    if is_file_name(source):
+        _kept[folder / source] = _changed(folder / source), tree
+        while len(_kept) > _MOST_KEPT:
+            del _kept[next(iter(_kept))]
+    return tree
+
+
+def kept_tree(source: Any, folder: Path) -> MjcfTree:
+    """As `tree_of`, but as it was read last, of a file that has not changed since."""
+    if is_file_name(source):
+        changed, tree = _kept.get(folder / source, (0, None))
+        if tree is not None and changed == _changed(folder / source):
+            return tree
+    return tree_of(source, folder)
+
+
+_MOST_KEPT = 8
+_kept: dict[Path, tuple[int, MjcfTree]] = {}  # by file, with the time of its last change
+
+
+def _changed(file: Path) -> int:
+    return file.stat().st_mtime_ns if file.is_file() else 0
+
+
+def _names(model: mujoco.MjModel, joints: Ints) -> list[str]:
+    """Returns the joints' names: without a scope that all have, and with our characters."""
+    found = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(j)) for j in joints]
+    given = [name or f"joint{k + 1}" for k, name in enumerate(found)]
+    scopes = {name.rpartition("/")[0] for name in given}
+    if len(scopes) == 1:
+        given = [name.rpartition("/")[2] for name in given]
+    names: list[str] = []
+    for name in given:
+        plain = re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", name)
+        while plain in (*names, "base"):
+            plain += "_"
+        names.append(plain)
+    return names
+
+
+def _inertias(tree: MjcfTree) -> dict[str, Any]:
+    """Returns masses, centres and tensors of base and links, each of all bodies fixed to it."""
+    model, n = tree.model, len(tree.poses)
+    masses, firsts, tensors = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
+    for body in np.flatnonzero(tree.links >= 0).tolist():
+        link, mass = tree.links[body], float(model.body_mass[body])
+        inertial = frame(rotation_from_quat(model.body_iquat[body]), model.body_ipos[body])
+        T = inverse(tree.poses[link]) @ tree.bodies[body] @ inertial
+        axes, at = T[:3, :3], T[:3, 3]
+        masses[link] += mass
+        firsts[link] += mass * at
+        tensor = axes @ np.diag(model.body_inertia[body]) @ axes.T
+        tensors[link] += tensor + mass * (at @ at * np.eye(3) - np.outer(at, at))
+    centers = firsts / np.where(masses > 0, masses, 1.0)[:, None]
+    for k, c in enumerate(centers):
+        tensors[k] -= masses[k] * (c @ c * np.eye(3) - np.outer(c, c))
+    tensors = np.where((masses > 0)[:, None, None], tensors, 0.0)
+    return {"masses": masses, "centers_of_mass": centers, "inertias": tensors, "mend": "balance"}
+
+
+def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, Any]:
+    """Returns couplings from constraints between joints; those that are not linear are lost."""
+    model, found = tree.model, dict[str, Any]()
+    row = {int(joint): k for k, joint in enumerate(tree.joints)}
+    for i in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)).tolist():
+        one, other = row.get(int(model.eq_obj1id[i])), row.get(int(model.eq_obj2id[i]))
+        if one is None or not model.eq_active0[i]:
+            continue
+        offset, ratio, *higher = model.eq_data[i, :5].tolist()
+        if other is None or ratio == 0 or any(higher) or _leads_back(found, names, one, other):
+            lost.append(f"the constraint of {names[one]} is left out; it is no linear coupling")
+            continue
+        ref = model.qpos0[model.jnt_qposadr[tree.joints]]
+        found[names[one]] = {
+            "to": names[other],
+            "ratio": ratio,
+            "offset": float(ref[one] + offset - ratio * ref[other]),
+        }
+    return found
+
+
+def _leads_back(couplings: dict[str, Any], names: list[str], one: int, other: int) -> bool:
+    """Whether a joint is coupled already, or would follow itself."""
+    at: str | None = names[other]
+    while at is not None and at != names[one]:
+        at = couplings[at]["to"] if at in couplings else None
+    return at is not None or names[one] in couplings
+
+
+def _bounded(values: Array, what: str, names: list[str], lost: list[str]) -> Array:
+    """Returns values of joints, (n,), up to the largest that a robot may have."""
+    if (far := values > LARGEST).any():
+        lost.append(f"{what} is taken for {LARGEST:g}, the most: {_some(names, far)}")
+    return np.minimum(values, LARGEST)
+
+
+def _some(names: list[str], which: Bools) -> str:
+    """Names of joints, of many the first."""
+    found = [name for name, is_one in zip(names, which.tolist(), strict=True) if is_one]
+    return first_of(found)
+
+
+def _plausible(tree: MjcfTree, limits: Array, lost: list[str]) -> Array:
+    """Returns torque limits without those that are so large that the file means none."""
+    model = tree.model
+    extent = float(np.linalg.norm(np.ptp(tree.poses[:, :3, 3], axis=0)))
+    weight = float(model.body_mass[tree.links >= 0].sum() * np.linalg.norm(model.opt.gravity))
+    most = _IMPLAUSIBLE * weight * np.where(_turns(tree), extent, 1.0)
+    far = np.isfinite(limits) & (limits > most) & (most > 0)
+    if far.any():
+        many = "those of all joints" if far.all() else f"{int(far.sum())} of {len(far)}"
+        largest = float(limits[far].max())
+        lost.append(
+            f"torque limits up to {largest:g} are over {_IMPLAUSIBLE} times what holds all of its "
+            f"weight at its extent; {many} are taken for none"
+        )
+    return np.where(far, np.inf, limits)
+
+
+def _turns(tree: MjcfTree) -> Bools:
+    kinds = tree.model.jnt_type[tree.joints]
+    return np.asarray(kinds == int(mujoco.mjtJoint.mjJNT_HINGE))
+
+
+def _flange(tree: MjcfTree) -> tuple[int, Array]:
+    """Returns the last link of the longest chain, and T_link_flange.
+
+    The flange is at a site there whose name says that a tool is, else at the last body.
+    """
+    model = tree.model
+    depths = np.zeros(len(tree.poses), np.intp)
+    for k, parent in enumerate(tree.parents):
+        depths[k + 1] = depths[parent] + 1
+    link = int(depths.argmax())
+    back = inverse(tree.poses[link])
+    for site in np.flatnonzero(tree.links[model.site_bodyid] == link).tolist():
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, site) or ""
+        if _TOOLS.search(name):
+            pose = frame(rotation_from_quat(model.site_quat[site]), model.site_pos[site])
+            return link, back @ tree.bodies[model.site_bodyid[site]] @ pose
+    return link, back @ tree.bodies[np.flatnonzero(tree.links == link)[-1]]
+
+
+def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -> dict[str, Any]:
+    """Returns the joint angles, and the frame of a free base, of a key frame, else of `qpos0`."""
+    model = tree.model
+    qpos = model.qpos0
+    keys = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_KEY, k) or "" for k in range(model.nkey)]
+    named = [k for k, name in enumerate(keys) if name.rpartition("/")[2].lower() in _HOME]
+    if named:
+        qpos = model.key_qpos[named[0]]
+    q = qpos[model.jnt_qposadr[tree.joints]].copy()
+    for name, coupling in couplings.items():
+        i, source = names.index(name), names.index(coupling["to"])
+        if coupling["to"] not in couplings:
+            q[i] = coupling["ratio"] * q[source] + coupling["offset"]
+    pose: dict[str, Any] = {"joint_angles": q}
+    if np.abs(q).max() < _WITHIN or any(c["to"] in couplings for c in couplings.values()):
+        pose = {}
+    if tree.free >= 0:
+        at = model.jnt_qposadr[tree.free]
+        pose["base_frame"] = frame(rotation_from_quat(qpos[at + 3 : at + 7]), qpos[at : at + 3])
+    return pose

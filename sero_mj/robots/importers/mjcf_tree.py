@@ -1,0 +1,227 @@
+"""Finds the robot in a compiled MJCF model: its joints, its links, and where they are.
+
+Every hinge and slide becomes a joint of the robot with a link of its own; of a body with several
+joints the last link is the body, and those before it are empty. The base is what is fixed to the
+world, or the root body if that has a free joint. Where the model has actuators, the robot is the
+trees that they drive; what falls or lies about is no robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from ...base.errors import Problem
+from ...base.frames import Array, Ints, frame, inverse, rotation_about, rotation_to_z
+from .described import NoJoints, first_of
+
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+_ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+_OF_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
+_OF_SITE = (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK))
+_FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
+_EARTH = 9.81  # m/s2
+_PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfTree:
+    """A robot in a compiled model, in its reference pose (`qpos0`).
+
+    Attributes:
+        model: compiled.
+        joints: ids of its hinges and slides, (n,), depth first.
+        parents: index of the link that carries each joint, (n,): 0 for the base.
+        links: link of every body, (nbody,): 0 for the base; -1 for bodies that are no part of it.
+        bodies: T_world_body of every body in the reference pose, (nbody, 4, 4), m.
+        poses: T_world_link of base and links in the reference pose, (n + 1, 4, 4), m; z of a link
+            is the axis of its joint.
+        free: id of the base's free joint; -1 for a base that is fixed.
+        left_out: what of the model is no part of it, a sentence for each kind.
+    """
+
+    model: mujoco.MjModel
+    joints: Ints
+    parents: Ints
+    links: Ints
+    bodies: Array
+    poses: Array
+    free: int
+    left_out: list[str]
+
+    @property
+    def joint_frames(self) -> Array:
+        """T_parent_i of every joint at joint value zero, (n, 4, 4), m."""
+        fixed: Array = inverse(self.poses[self.parents]) @ self.poses[1:]
+        back = np.tile(np.eye(4), (len(self.joints), 1, 1))  # MuJoCo's joint values start at `ref`
+        ref = self.model.qpos0[self.model.jnt_qposadr[self.joints]]
+        turns = self.model.jnt_type[self.joints] == _HINGE
+        back[:, :3, :3] = rotation_about(2, np.where(turns, -ref, 0.0))
+        back[:, 2, 3] = np.where(turns, 0.0, -ref)
+        return np.asarray(fixed @ back)
+
+    @property
+    def geoms(self) -> Ints:
+        """Ids of its geoms: not the world's planes."""
+        model = self.model
+        mine = self.links[model.geom_bodyid] >= 0
+        mine &= ~((model.geom_bodyid == 0) & (model.geom_type == _PLANE))
+        return np.flatnonzero(mine)
+
+
+def find_tree(model: mujoco.MjModel) -> MjcfTree:
+    """Returns the robot of a model.
+
+    Raises:
+        NoJoints: it has no hinge or slide.
+    """
+    kinds = model.jnt_type
+    is_axis = (kinds == _HINGE) | (kinds == _SLIDE)
+    roots = model.body_rootid[model.jnt_bodyid]
+    chosen, free = _chosen_roots(model, roots, is_axis)
+    mine = is_axis & np.isin(roots, list(chosen))
+    joints = np.flatnonzero(mine).astype(np.intp)
+    if not len(joints):
+        message = (
+            "found no hinge and no slide; expected a robot with joints: what is rigid is an "
+            "object, mjcf = ..."
+        )
+        raise NoJoints([Problem("mjcf", message)])
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    bodies = np.tile(np.eye(4), (model.nbody, 1, 1))
+    bodies[:, :3, :3], bodies[:, :3, 3] = data.xmat.reshape(-1, 3, 3), data.xpos
+    base_body = int(model.jnt_bodyid[free]) if free >= 0 else 0
+    links, parents, axes = _links(model, chosen, joints, base_body)
+    poses = [bodies[base_body]]
+    for joint, body in zip(axes, model.jnt_bodyid[axes], strict=True):
+        rotation = rotation_to_z(bodies[body, :3, :3], data.xaxis[joint])
+        poses.append(frame(rotation, data.xanchor[joint]))
+    left_out = _left_out(model, mine, links)
+    return MjcfTree(model, joints, parents, links, bodies, np.array(poses), free, left_out)
+
+
+def _chosen_roots(model: mujoco.MjModel, roots: Ints, is_axis: Array) -> tuple[set[int], int]:
+    """Returns the root bodies of the robot's trees, and the id of its free joint or -1."""
+    driven = driven_roots(model)
+    trees = {int(root) for root in roots[is_axis]}
+    trees = (trees & driven) or trees
+    frees = [j for j in np.flatnonzero(model.jnt_type == _FREE).tolist() if int(roots[j]) in trees]
+    fixed = trees - {int(roots[j]) for j in frees}
+    if fixed or not frees:
+        return fixed, -1
+    sizes = [int((is_axis & (roots == roots[j])).sum()) for j in frees]
+    free = frees[int(np.argmax(sizes))]
+    return {int(roots[free])}, free
+
+
+def driven_roots(model: mujoco.MjModel) -> set[int]:
+    """Returns the root bodies of the trees that have a joint with an actuator."""
+    bodies: list[int] = []
+    for kind, (item, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True):
+        if kind in _ON_JOINT:
+            bodies.append(model.jnt_bodyid[item])
+        elif kind == _OF_TENDON:
+            first = model.tendon_adr[item]
+            for wrap in range(first, first + model.tendon_num[item]):
+                if model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_JOINT:
+                    bodies.append(model.jnt_bodyid[model.wrap_objid[wrap]])
+                elif model.wrap_type[wrap] == mujoco.mjtWrap.mjWRAP_SITE:
+                    bodies.append(model.site_bodyid[model.wrap_objid[wrap]])
+        elif kind in _OF_SITE:
+            bodies.append(model.site_bodyid[item])
+    return {int(model.body_rootid[body]) for body in bodies}
+
+
+def _links(
+    model: mujoco.MjModel, chosen: set[int], joints: Ints, base_body: int
+) -> tuple[Ints, Ints, Ints]:
+    """Returns the link of every body, the parents of the joints, and these in the same order."""
+    links = np.full(model.nbody, -1, np.intp)
+    links[base_body] = 0
+    parents: list[int] = []
+    axes: list[int] = []
+    mine = set(joints.tolist())
+    for body in range(1, model.nbody):
+        link = int(links[model.body_parentid[body]])
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        ids = range(first, first + count) if count else range(0)
+        if body == base_body or link < 0 or any(model.jnt_type[j] == _FREE for j in ids):
+            continue
+        if count and int(model.body_rootid[body]) not in chosen:
+            continue  # of a tree that is no part of the robot
+        if model.body_mocapid[body] >= 0:
+            continue  # a marker
+        for j in sorted(mine.intersection(ids)):
+            parents.append(link)
+            axes.append(j)
+            link = len(axes)
+        links[body] = link
+    return links, np.array(parents, np.intp), np.array(axes, np.intp)
+
+
+def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
+    """Returns what of a model is no part of the robot, a sentence for each kind."""
+
+    def names(kind: mujoco.mjtObj, ids: Ints) -> str:
+        return first_of([mujoco.mj_id2name(model, kind, int(i)) or f"number {i}" for i in ids])
+
+    sentences = []
+    held = np.flatnonzero(model.jnt_type == _BALL)
+    held = held[links[model.jnt_bodyid[held]] >= 0]
+    if len(held):
+        what = names(mujoco.mjtObj.mjOBJ_JOINT, held)
+        sentences.append(f"ball joints are held where they are, they have no single axis: {what}")
+    others = np.flatnonzero(links[1:] < 0) + 1
+    if len(others):
+        what = names(mujoco.mjtObj.mjOBJ_BODY, others)
+        sentences.append(f"bodies that no drive of the robot moves are left out: {what}")
+    springs = np.flatnonzero(mine & (model.jnt_stiffness > 0))
+    if len(springs):
+        what = names(mujoco.mjtObj.mjOBJ_JOINT, springs)
+        sentences.append(f"springs of joints are left out: {what}")
+    for count, what in ((model.nskin, "skin"), (model.nflex, "flex")):
+        if count:
+            sentences.append(
+                f"the {what} is left out" if count == 1 else f"{count} {what}s left out"
+            )
+    gravity = float(np.linalg.norm(model.opt.gravity))
+    if gravity and abs(gravity / _EARTH - 1.0) > 0.1:
+        text = f"its gravity is {gravity:g}; expected {_EARTH:g} m/s2: is it in other units?"
+        sentences.append(text)
+    loops = [i for i in range(model.neq) if int(model.eq_type[i]) != int(mujoco.mjtEq.mjEQ_JOINT)]
+    if loops:
+        what = names(mujoco.mjtObj.mjOBJ_EQUALITY, np.array(loops))
+        sentences.append(f"constraints other than between joints are left out: {what}")
+    return sentences
+
+
+def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
+    """Returns the torque limits of joints, (n,), Nm or N; inf where the model states none.
+
+    The lower of the joint's `actuatorfrcrange` and the `forcerange` of its actuators (for a motor
+    without one its `ctrlrange`) times their gear.
+    """
+    limits = np.full(len(joints), np.inf)
+    for i, joint in enumerate(joints):
+        mine = np.isin(model.actuator_trntype, _ON_JOINT) & (model.actuator_trnid[:, 0] == joint)
+        if mine.any():
+            limits[i] = sum(_actuator_limit(model, int(k)) for k in mine.nonzero()[0])
+        if model.jnt_actfrclimited[joint]:
+            limits[i] = min(limits[i], np.abs(model.jnt_actfrcrange[joint]).max())
+    return np.where(limits > 0, limits, np.inf)
+
+
+def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
+    gear = abs(float(model.actuator_gear[actuator, 0]))
+    if model.actuator_forcelimited[actuator]:
+        return gear * float(np.abs(model.actuator_forcerange[actuator]).max())
+    is_motor = model.actuator_gaintype[actuator] == _FIXED_GAIN
+    is_motor &= model.actuator_biastype[actuator] == _NO_BIAS
+    if is_motor and model.actuator_ctrllimited[actuator]:
+        gain = abs(float(model.actuator_gainprm[actuator, 0]))
+        return gear * gain * float(np.abs(model.actuator_ctrlrange[actuator]).max())
+    return float("inf")

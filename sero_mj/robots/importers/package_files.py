@@ -1,0 +1,154 @@
+"""Finds the files that descriptions of robots name: `package://`, `model://`, `file://`, relative.
+
+Nothing of ROS or Gazebo need be installed: packages are searched for above the file that names
+them, then where the environment says that they are.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from urllib.parse import unquote
+
+from ...base.paths import open_file
+
+# Folders with packages in them; of the latter, below `share`.
+_PACKAGE_PATHS = (
+    "ROS_PACKAGE_PATH",
+    "GZ_SIM_RESOURCE_PATH",
+    "IGN_GAZEBO_RESOURCE_PATH",
+    "GAZEBO_MODEL_PATH",
+)
+_PREFIX_PATHS = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
+# NAME=DIR, as several of a path: what `--package` adds to.
+PACKAGES_VARIABLE = "SERO_MJ_PACKAGES"
+# Arguments of xacro as an object of JSON: what `--arg` adds to.
+ARGUMENTS_VARIABLE = "SERO_MJ_XACRO_ARGUMENTS"
+_MOST_ABOVE = 12  # folders above a file that are searched
+_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/*")
+# As xacro and launch files name packages, whose own programs put a path there.
+_FIND = re.compile(r"(?:file:/*)?\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)/*")
+_MANIFEST_NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
+
+
+def find_file(name: str, beside: Path, packages: Mapping[str, Path] | None = None) -> Path | None:
+    """Returns the file that a description names; None where there is none.
+
+    Args:
+        name: `package://NAME/...`, `model://NAME/...`, `file:///...`, `$(find NAME)/...`, or a
+            path; relative ones start at the folder of the description, or at any folder above it.
+            Capital letters count only where they tell files apart.
+        beside: the description's own file.
+        packages: folders of packages by name, before any others.
+    """
+    if "\0" in name:
+        return None
+    candidates = list(dict.fromkeys(_candidates(name.strip(), beside, packages or {})))
+    for find in (lambda path: path, _in_other_case):
+        for candidate in candidates:
+            try:
+                found = find(candidate)
+                if found is not None and found.is_file():
+                    return Path(os.path.abspath(found))
+            except OSError:
+                continue  # a name that is too long, or a folder that may not be entered
+    return None
+
+
+def _in_other_case(path: Path) -> Path | None:
+    """A file of this name but for capital letters, as Windows and macOS find it; None for none."""
+    if path.exists():
+        return path
+    above = _in_other_case(path.parent) if path.parent != path else None
+    if above is None or not above.is_dir():
+        return None
+    name = path.name.casefold()
+    return min((each for each in above.iterdir() if each.name.casefold() == name), default=None)
+
+
+def package_of(name: str) -> str | None:
+    """The package that a file's name names; None where it names none."""
+    if (sought := _FIND.match(name)) is not None:
+        return sought[1]
+    found = _SCHEME.match(name)
+    if found is None or found[1].lower() not in ("package", "model"):
+        return None
+    return unquote(name[found.end() :]).replace("\\", "/").split("/")[0] or None
+
+
+def _candidates(name: str, beside: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
+    name = _FIND.sub(r"package://\1/", name)
+    scheme = _SCHEME.match(name)
+    kind = scheme[1].lower() if scheme is not None else ""
+    rest = name if scheme is None else unquote(name[scheme.end() :])
+    rest = rest.replace("\\", "/")
+    if kind == "file":
+        yield Path(rest if re.match(r"[A-Za-z]:/", rest) else f"/{rest}")
+        yield from (above / rest for above in _above(beside))
+    elif kind in ("package", "model"):
+        package, _, inside = rest.partition("/")
+        inside = inside.lstrip("/")
+        yield from (folder / inside for folder in package_folders(package, beside, packages))
+        # Its folder has another name, as copies have.
+        yield from (above / inside for above in _above(beside))
+    elif not kind:
+        yield from (above / rest for above in _above(beside))
+
+
+def package_folders(
+    package: str, beside: Path, packages: Mapping[str, Path] | None = None
+) -> Iterator[Path]:
+    """Yields the folders that a package may be in, the likeliest first.
+
+    Args:
+        package: its name.
+        beside: the file that names it.
+        packages: folders of packages by name, before any others.
+    """
+    if packages and package in packages:
+        yield Path(packages[package])
+    for entry in os.environ.get(PACKAGES_VARIABLE, "").split(os.pathsep):
+        name, _, at = entry.partition("=")
+        if name == package and at:
+            yield Path(at)
+    for above in _above(beside):
+        if above.name == package or _manifest_name(above) == package:
+            yield above
+        yield above / package
+    for variable in _PACKAGE_PATHS:
+        for folder in _listed(variable):
+            if folder.name == package:
+                yield folder
+            yield folder / package
+            yield from _inside(folder, package)
+    for variable in _PREFIX_PATHS:
+        yield from (folder / "share" / package for folder in _listed(variable))
+
+
+def _above(file: Path) -> list[Path]:
+    """Returns the folders above a file, and above what it is a link to."""
+    paths = dict.fromkeys((Path(os.path.abspath(file)), Path(os.path.realpath(file))))
+    return list(dict.fromkeys(above for path in paths for above in [*path.parents][:_MOST_ABOVE]))
+
+
+def _listed(variable: str) -> list[Path]:
+    return [Path(entry) for entry in os.environ.get(variable, "").split(os.pathsep) if entry]
+
+
+def _inside(folder: Path, package: str) -> Iterator[Path]:
+    """Packages of stacks: one folder deeper, as `ROS_PACKAGE_PATH` has them."""
+    try:
+        yield from (inner / package for inner in sorted(folder.iterdir()) if inner.is_dir())
+    except OSError:
+        return
+
+
+def _manifest_name(folder: Path) -> str:
+    try:
+        with open_file(folder / "package.xml") as file:
+            found = _MANIFEST_NAME.search(file.read(10_000))
+    except OSError:
+        return ""
+    return "" if found is None else found[1].decode(errors="replace")

@@ -1,0 +1,227 @@
+"""A robot's tables as the text of a commented robot file, as one would write it by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.frames import quat_from_rotation
+from .described import Described
+from .toml_text import inline, toml_entry
+
+_SCHEMA = "#:schema ./robot.schema.json"
+_ZERO = 1e-15  # m, rad, kg m2: rounding
+_WIDEST = 60  # of a column of entries, before comments
+
+
+def robot_text(
+    described: Described,
+    tables: Mapping[str, Any],
+    limbs: Mapping[str, Sequence[int]],
+    *,
+    file: str,
+    bodies: Sequence[Sequence[str]],
+    flange: str,
+) -> str:
+    """Returns the text of a robot file; `tomllib` reads tables of the same robot from it.
+
+    Args:
+        described: what was read.
+        tables: those of it, with files as they are to be.
+        limbs: indices of joints by limb.
+        file: name of the file that it was read from.
+        bodies: names of what the base is made of, and each link.
+        flange: which frame of it is the flange.
+    """
+    text = _RobotText(bodies, _rounded(tables))
+    lines = [
+        f"Made of {file} by `sero-mj import`. Lengths in m, angles in rad, masses in kg,",
+        "torques in Nm (of prismatic joints forces in N). Links fixed to each other are one.",
+    ]
+    if described.warnings:
+        lines += ["", "What is not as in that file:"]
+        lines += [f"- {warning}" for warning in described.warnings]
+    text.lines += [_SCHEMA, *(f"# {line}".rstrip() for line in lines)]
+    text.add_kinematics(flange, limbs)
+    text.add_limits()
+    text.add_geometry()
+    text.add_dynamics()
+    return "\n".join(text.lines) + "\n"
+
+
+class _RobotText:
+    """The lines of a robot file, section by section.
+
+    Args:
+        bodies: names of the links of the base, and of those that each joint moves.
+        tables: of the robot file.
+    """
+
+    def __init__(self, bodies: Sequence[Sequence[str]], tables: Mapping[str, Any]) -> None:
+        self.lines: list[str] = []
+        self._tables = tables
+        self._names: list[str] = tables["joint_names"]
+        self._links = [", ".join(links) for links in bodies]
+        self._of_joints = [f"{i + 1} {name}" for i, name in enumerate(self._names)]
+        self._of_links = [f"base: {self._links[0]}"]
+        self._of_links += [
+            f"{name}: {links}" for name, links in zip(self._names, self._links[1:], strict=True)
+        ]
+
+    def _rows(self, key: str, values: Sequence[Any], notes: Sequence[str], about: str = "") -> None:
+        """A list with an entry in each line, and what it is of."""
+        self.lines += [*([f"# {about}"] if about else []), f"{key} = ["]
+        texts = [f"  {inline(value)}," for value in values]
+        width = min(max(map(len, texts), default=0), _WIDEST)
+        self.lines += [f"{t:<{width}}  # {n}" for t, n in zip(texts, notes, strict=True)]
+        self.lines.append("]")
+
+    def _given(self, *keys: str, about: str = "") -> None:
+        for key in keys:
+            if key in self._tables:
+                self.lines += [*([f"# {about}"] if about else [])]
+                self.lines += toml_entry(key, self._tables[key])
+
+    def _frame(self, key: str, about: str = "") -> None:
+        if key in self._tables:
+            note = f"  # {about}" if about else ""
+            self.lines.append(f"{key} = {inline(frame_table(self._tables[key]))}{note}")
+
+    def add_kinematics(self, flange: str, limbs: Mapping[str, Sequence[int]]) -> None:
+        """The table or the joint frames, and how joints hang on each other."""
+        self.lines += ["#", f"# Limbs, by which routes call them, of {len(self._names)} joints:"]
+        self.lines += [f"# - {self._limb(name, joints)}" for name, joints in limbs.items()]
+        self.lines += ["", f"description = {inline(self._tables['description'])}", ""]
+        if "dh_params" in self._tables:
+            self._given("dh_convention")
+            about = "alpha (rad), a (m), theta (rad), d (m)"
+            self._rows("dh_params", self._tables["dh_params"], self._of_joints, about)
+            self._frame("dh_base_frame", "frame 0 of the table in the base")
+        else:
+            about = "frame of each link on what carries it, at joint value zero; z is the joint's"
+            frames = [frame_table(T) for T in self._tables["joint_frames"]]
+            self._rows("joint_frames", frames, self._of_joints, about)
+        self._given("joint_names", "joint_types")
+        self._given("link_names", about="names in that file, of the base first")
+        self._given("parents", about="the joint whose link carries each joint")
+        self._given("flange_on", about="the joint whose link carries the flange")
+        self._frame("flange_frame", flange)
+        self._given("free_base")
+        self._frame("base_frame")
+
+    def add_limits(self) -> None:
+        """Limits of all joints, and where they begin."""
+        self.lines.append("")
+        for key, about in (
+            ("position_limits", "rad or m; inf for none"),
+            ("velocity_limits", "rad/s or m/s"),
+            ("torque_limits", "Nm or N; at these arrows have their full width"),
+        ):
+            if key in self._tables:
+                self._rows(key, self._tables[key], self._names, about)
+        self._given("joint_angles", about="until something is received; zero is out of the limits")
+        self._given("fit_arrows", about="arrows are as large as the links beside them need")
+
+    def add_geometry(self) -> None:
+        """What is drawn and what touches, for every link, with a line for every part of it."""
+        self.lines.append("")
+        self._given("directory")
+        self._given("mjcf", about="what is drawn and what touches; its joints are these")
+        for key, about in (
+            ("filenames", "what is drawn"),
+            ("collisions", "what touches in simulation"),
+        ):
+            if key not in self._tables:
+                continue
+            self.lines += [f"# {about}", f"{key} = ["]
+            for parts, note in zip(self._tables[key], self._of_links, strict=True):
+                self.lines.append(f"  [  # {note}" if parts else f"  [],  # {note}")
+                for part in parts:
+                    at = {"frame": frame_table(part["frame"])} if "frame" in part else {}
+                    self.lines.append(f"    {inline({**part, **at})},")
+                self.lines += ["  ],"] if parts else []
+            self.lines.append("]")
+
+    def add_dynamics(self) -> None:
+        """The tables of the file: colours, couplings, and dynamics."""
+        for table in ("colors", "couplings"):
+            if table in self._tables:
+                self.lines += ["", f"[{table}]"]
+                for key, value in self._tables[table].items():
+                    self.lines += toml_entry(key, value)
+        if "dynamics" not in self._tables:
+            return
+        self.lines += ["", "# Of the base and the links, in their frames; the rest is estimated."]
+        self.lines.append("[dynamics]")
+        about = {
+            "masses": "kg",
+            "centers_of_mass": "m",
+            "inertias": "Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, kg m2",
+            "motor_inertias": "kg m2, as seen at the joint",
+            "viscous_friction": "Nm s/rad or N s/m",
+            "coulomb_friction": "Nm or N",
+        }
+        for key, value in self._tables["dynamics"].items():
+            if isinstance(value, list):
+                notes = self._names if len(value) == len(self._names) else self._of_links
+                self._rows(key, value, notes, about[key])
+            else:
+                self.lines += toml_entry(key, value)
+
+    def _limb(self, name: str, joints: Sequence[int]) -> str:
+        first, last = joints[0], joints[-1]
+        parents = self._tables.get("parents", ["base", *self._names[:-1]])
+        which = f"joint {first + 1}" if first == last else f"joints {first + 1} to {last + 1}"
+        between = [self._names[first]] if first == last else [self._names[i] for i in (first, last)]
+        on = f"on {parents[first]}, to {self._links[last + 1]}"
+        return f"{name}: {which}, {' ... '.join(between)}, {on}"
+
+
+def _rounded(value: Any) -> Any:
+    """Tables whose numbers are without the last digit, which is rounding."""
+    if isinstance(value, Mapping):
+        return {key: _rounded(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray):
+        return _rounded(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_rounded(each) for each in value]
+    if isinstance(value, float):
+        return 0.0 if abs(value) < _ZERO else float(f"{value:.15g}")
+    return value
+
+
+def frame_table(T: Any) -> dict[str, list[float]]:
+    """Returns a frame (4, 4) as files have it: `xyz` and `quat`, without what is zero."""
+    T = np.asarray(T, np.float64)
+    table = {}
+    if (np.abs(T[:3, 3]) > _ZERO).any():
+        table["xyz"] = _rounded(T[:3, 3].tolist())
+    if np.abs(T[:3, :3] - np.eye(3)).max() > _ZERO:
+        table["quat"] = _rounded(quat_from_rotation(T[:3, :3]).tolist())
+    return table or {"xyz": [0.0, 0.0, 0.0]}
+
+
+def copied_meshes(tables: Mapping[str, Any], copy: Callable[[Path, str], None]) -> dict[str, Any]:
+    """Returns tables whose mesh files are in a folder `meshes`, into which `copy` has put them.
+
+    Args:
+        tables: of a robot.
+        copy: gets each file and its name in that folder.
+    """
+    result = dict(tables)
+    folder = Path(result.get("directory", ""))
+    names = {
+        part["file"]
+        for key in ("filenames", "collisions")
+        for link in tables.get(key, [])
+        for part in link
+        if "file" in part
+    }
+    for name in sorted(names):
+        copy(folder / name, name)
+    if names:
+        result["directory"] = "meshes"
+    return result

@@ -1,0 +1,779 @@
+"""URDF as it is found in the wild -> the tables of a robot file.
+
+Follows the specification of URDF 1.0 (wiki.ros.org/urdf/XML), and the viewers that files are
+written for where it is silent: colours of a mesh file win over the `<material>` beside it (RViz), a
+range of zero is none (MuJoCo), a joint that states no axis has x. What is wrong is told all at once
+with the line of its element. A mesh that cannot be read costs that mesh only.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import unquote
+
+import numpy as np
+
+from ...base.declaration import LARGEST
+from ...base.errors import DeclarationError, Problem, did_you_mean, reason_of
+from ...base.frames import Array, frame, rotation_from_rpy
+from ...base.paths import format_of_file, read_file
+from .described import Described, NoJoints, first_of
+from .mesh_files import read_mesh
+from .package_files import ARGUMENTS_VARIABLE, find_file, package_folders, package_of
+from .robot_tree import (
+    MOVING,
+    TOO_FAR,
+    Geometry,
+    Joint,
+    Link,
+    TreeTables,
+    meant_limits,
+    plain_name,
+)
+from .xml_file import Element, XmlError, parse_loose_xml, parse_xml
+
+_MOST_BYTES = 50_000_000
+_MOST_JOINTS = 128  # that move
+_KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+_SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
+           "capsule": "radius, length"}  # fmt: skip
+_XACRO = re.compile(r"\{[^}]*xacro[^}]*\}")
+_COMMAS = re.compile(r"\s*,\s*")
+_SECOND_POINT = re.compile(r"^([+-]?[0-9]+\.[0-9]*)\.$")
+_FROM_ENVIRONMENT = re.compile(r"\$\((?:env\s+(\w+)|optenv\s+(\w+)([^()]*))\)")
+_NO_ARGUMENT = re.compile(r"Undefined substitution argument (\w+)")
+_NO_XACRO = (
+    "is xacro, which becomes URDF by a package: `pip install sero-mj[xacro]`, or on a machine "
+    "with ROS `xacro {name} > robot.urdf`"
+)
+
+
+def read_urdf(
+    path: Path | str,
+    packages: Mapping[str, Path | str] | None = None,
+    arguments: Mapping[str, Any] | None = None,
+) -> Described:
+    """Reads a robot from a URDF file, or from xacro if the package `xacro` is installed.
+
+    Args:
+        path: of the file.
+        packages: folders of ROS packages by name, for `package://NAME/...`; others are searched
+            for above the file and on the paths that the environment names.
+        arguments: of xacro by name, over its defaults.
+
+    Returns:
+        the tables of a robot file: a DH table (Craig's) for chains that have one, `joint_frames`
+        else; `filenames`, `collisions`, `colors`, limits, couplings and `dynamics`.
+
+    Raises:
+        NoJoints: nothing in it moves; `read_rigid_urdf` reads it.
+        DeclarationError: everything that is wrong in it, with lines.
+    """
+    file = UrdfFile(Path(path), packages, arguments)
+    file.check_joints()
+    return file.described
+
+
+def read_rigid_urdf(path: Path | str) -> Described:
+    """Reads a URDF file without joints that move: a table, a tool, a ball.
+
+    Returns:
+        of the tables of a robot file `filenames`, `collisions`, `colors` and `directory`, for
+        the base alone.
+
+    Raises:
+        DeclarationError: everything that is wrong in it, with lines; or there are joints.
+    """
+    file = UrdfFile(Path(path))
+    if file.tree.joints:
+        found = f"{len(file.tree.joints)} joints that move"
+        message = f"found {found}; expected none in an object: a robot is model = "
+        raise DeclarationError([Problem("robot", f'{message}"{file.path.name}"', str(path))])
+    return file.described
+
+
+class _Arguments(dict[str, str]):
+    """Arguments of xacro as texts, those of the environment first; remembers what is asked for."""
+
+    def __init__(self, arguments: Mapping[str, Any]) -> None:
+        over = json.loads(os.environ.get(ARGUMENTS_VARIABLE) or "{}")
+        super().__init__({name: _as_text(value) for name, value in {**arguments, **over}.items()})
+        self.given = set(self)
+        self.asked: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:
+        self.asked.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        self.asked.add(name)
+        return super().__getitem__(name)
+
+
+def _as_text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+class UrdfFile:
+    """One URDF file that is being read.
+
+    Args:
+        path: of the file.
+        packages: as of `read_urdf`.
+        arguments: as of `read_urdf`.
+        convention: of its DH table, where it has one.
+
+    Attributes:
+        path: of the file.
+        tree: what became of it, with names that only comments need.
+        described: what `read_urdf` returns.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        packages: Mapping[str, Path | str] | None = None,
+        arguments: Mapping[str, Any] | None = None,
+        convention: Literal["craig", "standard"] = "craig",
+    ) -> None:
+        self.path = path
+        self._arguments = _Arguments(arguments or {})
+        self._packages = {name: Path(folder) for name, folder in (packages or {}).items()}
+        self._problems: list[Problem] = []
+        self._warnings: list[str] = []
+        self._has_lines = True
+        self._lost: dict[str, list[str]] = {}  # mesh files that were not found, and who has them
+        self._found: dict[str, Path | None] = {}  # the file that a name means
+        self._last_found: dict[str, Path] = {}  # the folder of a package
+        self._unread: dict[Path, str] = {}
+        self._colored: dict[Path, bool] = {}  # whether a mesh file has colours of its own
+        self._flat: set[Path] = set()
+        self._odd: dict[str, list[str]] = {}  # what is taken for something else, and where
+        root = self._root()
+        self._root_line = root.sourceline if self._has_lines else None
+        self._materials = self._colors(root)
+        links = self._links(root)
+        joints = self._joints(root, {link.name for link in links})
+        self._stop()
+        base, base_frame, is_free = self._tree(links, joints)
+        self._stop()
+        self._check_mimics(joints)
+        moving = [joint for joint in joints if joint.kind in MOVING]
+        if len(moving) > _MOST_JOINTS:
+            found = f"{len(moving)} joints that move"
+            self._problem(root, "robot", f"found {found}; expected at most {_MOST_JOINTS}")
+        self._stop()
+        self._tell_about_meshes()
+        given = (root.get("name") or "").strip()
+        self.tree = TreeTables(given, links, joints, base, convention)
+        name = plain_name(given or path.stem, set())
+        tables: dict[str, Any] = {
+            "name": name,
+            "description": f"{len(moving)} joint{'s' * (len(moving) > 1)}, from {path.name}",
+        }
+        if is_free:
+            tables["free_base"] = True
+        if not np.array_equal(base_frame, np.eye(4)):
+            tables["base_frame"] = base_frame.tolist()
+        tables |= {**self.tree.tables, "fit_arrows": True}
+        warnings = [
+            *(f"{what}: {first_of(where)}" for what, where in self._odd.items()),
+            *self._warnings,
+            *self.tree.warnings,
+        ]
+        lines = {"name": root.sourceline, **self.tree.lines} if self._has_lines else {}
+        self.described = Described(tables, {k: v for k, v in lines.items() if v}, warnings)
+
+    def check_joints(self) -> None:
+        """Raises NoJoints where nothing moves."""
+        if not self.tree.joints:
+            message = (
+                "has no joint that moves; expected one or more: what is rigid is an object, "
+                f'urdf = "{self.path.name}"'
+            )
+            raise NoJoints([Problem("robot", message, str(self.path), self._root_line)])
+
+    def _problem(self, element: Element | None, key: str, message: str) -> None:
+        line = None if element is None or not self._has_lines else element.sourceline
+        self._problems.append(Problem(key, message, str(self.path), line))
+
+    def _stop(self) -> None:
+        if self._problems:
+            raise DeclarationError(self._problems)
+
+    def _note(self, what: str, element: Element, key: str) -> None:
+        line = f" (line {element.sourceline})" if self._has_lines else ""
+        self._odd.setdefault(what, []).append(f"{key}{line}")
+
+    def _root(self) -> Element:
+        try:
+            root, told = parse_loose_xml(read_file(self.path, _MOST_BYTES))
+            self._warnings += told
+            if any(_XACRO.match(name) for each in root.iter() for name in _names(each)):
+                root = self._expanded()
+            else:
+                self._fill_in_environment(root)
+        except DeclarationError:
+            raise
+        except XmlError as error:
+            self._problems += [
+                Problem("", f"is not XML that can be read: {reason}", str(self.path), line)
+                for line, reason in error.reasons
+            ]
+        except FileNotFoundError:
+            self._problem(None, "", "no such file")
+        except (OSError, ValueError) as error:
+            self._problem(None, "", f"cannot be read: {reason_of(error)}")
+        self._stop()
+        if _tag(root) != "robot":
+            found = format_of_file(self.path) or f"XML <{_tag(root)}>"
+            self._problem(root, "", f"is {found}; expected a URDF file, whose root is <robot>")
+        self._stop()
+        return root
+
+    def _fill_in_environment(self, root: Element) -> None:
+        """Replaces `$(env NAME)` and `$(optenv NAME DEFAULT)`, which xacro knows, in attributes."""
+
+        def value(found: re.Match[str]) -> str:
+            name, optional, default = found.groups()
+            if name is not None and name not in os.environ:
+                message = f"found {found[0]}; the environment has no {name}"
+                self._problem(element, f"<{_tag(element)}>", message)
+            return os.environ.get(name or optional, (default or "").strip())
+
+        for element in root.iter():
+            for key, text in element.attrib.items():
+                if "$(" in text:
+                    element.set(key, _FROM_ENVIRONMENT.sub(value, text))
+
+    def _expanded(self) -> Element:
+        """The root of what xacro makes of the file."""
+        try:
+            import xacro
+            from xacro import substitution_args
+        except ImportError:
+            self._problem(None, "", _NO_XACRO.format(name=self.path.name))
+            self._stop()
+        self._has_lines = False  # xacro keeps none
+
+        def find(package: str) -> str:
+            folders = package_folders(package, self.path, self._packages)
+            found = next((str(folder) for folder in folders if folder.is_dir()), None)
+            if found is None:
+                raise ValueError(f"package '{package}' is not found: --package {package}=DIR")
+            return found
+
+        own = getattr(substitution_args, "_eval_find", None)
+        try:
+            substitution_args._eval_find = find
+            said = io.StringIO()
+            with redirect_stderr(said), redirect_stdout(said):
+                text = xacro.process_file(str(self.path), mappings=self._arguments).toxml()
+        except (Exception, SystemExit) as error:  # it evaluates expressions of the file
+            reason = " ".join(str(error).split()) or type(error).__name__
+            if (lacking := _NO_ARGUMENT.search(reason)) is not None:
+                reason += f"; --arg {lacking[1]}=VALUE says what it is"
+            self._problem(None, "", f"xacro cannot expand it: {reason}")
+            self._stop()
+        finally:
+            substitution_args._eval_find = own
+        for name in self._arguments.given - self._arguments.asked:
+            near = did_you_mean(name, self._arguments.asked)
+            self._warnings.append(f"xacro has no argument '{name}'{near}")
+        return parse_xml(text.encode())
+
+    def _colors(self, root: Element) -> dict[str, Array]:
+        """Colours of materials by name: those of the robot, then the first of a link."""
+        colors: dict[str, Array] = {}
+        inner = [
+            material for each in _children(root, "link") for material in _all(each, "material")
+        ]
+        for material in (*_children(root, "material"), *inner):
+            name, color = material.get("name", ""), _child(material, "color")
+            if color is not None and name and name not in colors:
+                rgba = self._rgba(color, f"material '{name}'")
+                if rgba is not None:
+                    colors[name] = rgba
+        return colors
+
+    def _rgba(self, color: Element, key: str) -> Array | None:
+        rgba = self._numbers(color, "rgba", key, (3, 4))
+        return None if rgba is None else np.clip([*rgba, 1.0][:4], 0.0, 1.0)
+
+    def _links(self, root: Element) -> list[Link]:
+        links: list[Link] = []
+        lines: dict[str, int | None] = {}
+        for element in _children(root, "link"):
+            name = self._name(element, "link")
+            if name in lines:
+                self._problem(element, f"link '{name}'", f"is there already, line {lines[name]}")
+                continue
+            lines[name] = element.sourceline
+            link = Link(name, element.sourceline)
+            self._inertial(element, link)
+            for tag, geometries in (("visual", link.visuals), ("collision", link.collisions)):
+                for each in _children(element, tag):
+                    geometry = self._geometry(each, tag, name)
+                    if geometry is not None:
+                        geometries.append(geometry)
+            links.append(link)
+        if not links:
+            self._problem(root, "robot", "has no <link>; expected one or more")
+        return links
+
+    def _inertial(self, element: Element, link: Link) -> None:
+        inertial, key = _child(element, "inertial"), f"link '{link.name}'"
+        if inertial is None:
+            return
+        T = self._origin(inertial, key)
+        mass, inertia = _child(inertial, "mass"), _child(inertial, "inertia")
+        value = None
+        if mass is None or mass.get("value") is None:
+            self._note("<inertial> without <mass value=...>, taken for none", inertial, key)
+        elif (value := self._number(mass, "value", key)) is not None and value < 0:
+            self._problem(mass, key, f"<mass>: found {value:g} kg; expected 0 or more")
+        elif value == 0 and _all(element, "geometry"):  # else it is a frame that has a name
+            self._note("links whose mass is zero", mass, f"'{link.name}'")
+        tensor = np.zeros((3, 3))
+        if inertia is not None:
+            names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+            found = [
+                self._number(inertia, name, key, None if name[1] == name[2] else 0.0)
+                for name in names
+            ]
+            if None not in found:
+                xx, yy, zz, xy, xz, yz = found
+                tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], np.float64)
+        if value and not tensor.any():
+            self._note("links with a mass and no tensor", inertial, f"'{link.name}'")
+        if value and value > 0:
+            link.mass, link.center = value, T[:3, 3]
+            link.tensor = T[:3, :3] @ tensor @ T[:3, :3].T
+
+    def _geometry(self, element: Element, tag: str, link: str) -> Geometry | None:
+        """A mesh or a shape; None where there is none that can be shown."""
+        key = f"link '{link}'"
+        T = self._origin(element, key)
+        outer = _child(element, "geometry")
+        inner = None if outer is None else next(iter(_children(outer)), None)
+        if inner is None:
+            self._note(f"<{tag}> without geometry", element, f"'{link}'")
+            return None
+        color = self._color(element, key)
+        if _tag(inner) == "mesh":
+            return self._mesh(inner, tag, link, T, color)
+        if _tag(inner) not in _SHAPES:
+            near = did_you_mean(_tag(inner), ["mesh", *_SHAPES])
+            self._problem(inner, key, f"<{tag}>: no geometry <{_tag(inner)}>{near}")
+            return None
+        names = _SHAPES[_tag(inner)].split(", ")
+        if _tag(inner) == "box":
+            size = self._numbers(inner, "size", key, (3,))
+        else:
+            values = [self._number(inner, name, key) for name in names]
+            size = None if None in values else np.array(values, np.float64)
+        if size is None:
+            return None
+        if (size <= 0).any():
+            self._note(f"shapes of <{tag}> without extent, left out", inner, f"'{link}'")
+            return None
+        return Geometry(T, shape=_tag(inner), size=size, color=color, line=element.sourceline)
+
+    def _color(self, element: Element, key: str) -> tuple[str, Array] | None:
+        material = _child(element, "material")
+        if material is None:
+            return None
+        name, color = material.get("name", ""), _child(material, "color")
+        rgba = None if color is None else self._rgba(color, f"{key}, material '{name}'")
+        if rgba is None:
+            rgba = self._materials.get(name)
+        if rgba is None and _child(material, "texture") is not None:
+            self._note("textures are not shown", material, f"material '{name}'")
+        return None if rgba is None else (name, rgba)
+
+    def _mesh(
+        self, mesh: Element, tag: str, link: str, T: Array, color: tuple[str, Array] | None
+    ) -> Geometry | None:
+        key = f"link '{link}'"
+        name = (mesh.get("filename") or "").strip()
+        if not name:
+            self._problem(mesh, key, '<mesh> has no filename; expected filename="..."')
+            return None
+        scale = np.ones(3)
+        if mesh.get("scale") is not None:
+            given = self._numbers(mesh, "scale", key, (1, 3))
+            if given is None:
+                return None
+            scale = np.broadcast_to(given, 3).copy()
+        if (scale == 0).any():
+            self._note("meshes scaled to nothing, left out", mesh, f"'{link}'")
+            return None
+        file = self._mesh_file(mesh, name, tag, link)
+        if file is None:
+            return None
+        # What a mesh file says of its colours wins.
+        color = None if self._colored[file] else color
+        return Geometry(T, file, scale, color=color, line=mesh.sourceline)
+
+    def _mesh_file(self, mesh: Element, name: str, tag: str, link: str) -> Path | None:
+        """The file of a mesh; None for one that cannot be found, read or used."""
+        if name not in self._found:
+            self._found[name] = self._search(name)
+        file = self._found[name]
+        if file is None:
+            line = f", line {mesh.sourceline}" if self._has_lines else ""
+            self._lost.setdefault(name, []).append(f"<{tag}> of '{link}'{line}")
+            return None
+        if file not in self._colored and file not in self._unread:
+            try:
+                pieces = read_mesh(file)
+                self._colored[file] = any(piece.rgba is not None for piece in pieces)
+                if any(piece.is_flat for piece in pieces):
+                    self._flat.add(file)
+            except DeclarationError as error:
+                self._unread[file] = str(error.problems[0])
+        if tag == "collision" and file in self._flat:
+            self._note(
+                "flat meshes of <collision> left out, as they have no hull", mesh, f"'{link}'"
+            )
+            return None
+        return None if file in self._unread else file
+
+    def _search(self, name: str) -> Path | None:
+        """Finds the file of a mesh, first where the last one of its package was."""
+        file = find_file(name, self.path, {**self._last_found, **self._packages})
+        package = package_of(name)
+        if file is not None and package is not None:
+            inside = Path(unquote(name).partition(f"{package}/")[2])
+            if file.parts[-len(inside.parts) :] == inside.parts:
+                self._last_found[package] = file.parents[len(inside.parts) - 1]
+        return file
+
+    def _tell_about_meshes(self) -> None:
+        if self._lost:
+            wanted = {package for name in self._lost if (package := package_of(name)) is not None}
+            unknown = [
+                package
+                for package in sorted(wanted)
+                if not any(f.is_dir() for f in package_folders(package, self.path, self._packages))
+            ]
+            named = [f"{name} ({'; '.join(who)})" for name, who in self._lost.items()]
+            how = "".join(f"; --package {package}=DIR says where it is" for package in unknown)
+            count = len(named)
+            self._warnings.append(
+                f"{count} mesh file{'s are' if count > 1 else ' is'} not found and not shown{how}: "
+                f"{first_of(named)}"
+            )
+        self._warnings += [f"{reason}; it is not shown" for reason in self._unread.values()]
+
+    def _joints(self, root: Element, links: set[str]) -> list[Joint]:
+        joints: list[Joint] = []
+        lines: dict[str, int | None] = {}
+        carried: dict[str, str] = {}
+        for element in _children(root, "joint"):
+            name = self._name(element, "joint")
+            key = f"joint '{name}'"
+            if name in lines:
+                self._problem(element, key, f"is there already, line {lines[name]}")
+                continue
+            lines[name] = element.sourceline
+            kind = (element.get("type") or "").strip()
+            if kind not in _KINDS:
+                found = f"found type '{kind}'" if kind else "has no type"
+                near = did_you_mean(kind, _KINDS) if kind else ""
+                near = near if "did you mean" in near else f"; expected {', '.join(_KINDS)}"
+                self._problem(element, key, f"{found}{near}")
+                continue
+            ends = [self._end(element, tag, key, links) for tag in ("parent", "child")]
+            T = self._origin(element, key)
+            if None in ends:
+                continue
+            parent, child = ends
+            assert parent is not None and child is not None
+            if child in carried:
+                message = f"carries link '{child}', which joint '{carried[child]}' carries"
+                self._problem(element, key, f"{message}; expected one joint for each link")
+                continue
+            carried[child] = name
+            joint = Joint(name, kind, parent, child, T, np.array([1.0, 0, 0]), element.sourceline)
+            if kind in ("revolute", "continuous", "prismatic"):
+                self._moving(element, joint)
+            joints.append(joint)
+        return joints
+
+    def _end(self, element: Element, tag: str, key: str, links: set[str]) -> str | None:
+        end = _child(element, tag)
+        link = None if end is None else (end.get("link") or "").strip()
+        if end is None or not link:
+            self._problem(element, key, f'has no <{tag} link="...">')
+            return None
+        if link not in links:
+            self._problem(end, key, f"<{tag}>: no link '{link}'{did_you_mean(link, links)}")
+            return None
+        return link
+
+    def _moving(self, element: Element, joint: Joint) -> None:
+        """Axis, limits, friction and mimic of a joint."""
+        key = f"joint '{joint.name}'"
+        axis = _child(element, "axis")
+        if axis is None:
+            self._note("joints without <axis> turn about x", element, f"'{joint.name}'")
+        else:
+            given = self._numbers(axis, "xyz", key, (3,))
+            if given is not None and np.linalg.norm(given) < 1e-9:
+                self._problem(axis, key, f"<axis>: found {_text(given)}; expected a direction")
+            elif given is not None:
+                joint.axis = given
+        limit = _child(element, "limit")
+        if limit is not None:
+            joint.limit_line = limit.sourceline
+            self._limit(limit, joint, key)
+        elif joint.kind != "continuous":
+            self._note("joints without <limit>", element, f"'{joint.name}'")
+        joint.kind = "revolute" if joint.kind == "continuous" else joint.kind
+        dynamics = _child(element, "dynamics")
+        if dynamics is not None:
+            self._friction(dynamics, joint, key)
+        mimic = _child(element, "mimic")
+        if mimic is not None:
+            ratio = self._number(mimic, "multiplier", key, 1.0)
+            offset = self._number(mimic, "offset", key, 0.0)
+            to = (mimic.get("joint") or "").strip()
+            if not to:
+                self._problem(mimic, key, '<mimic> has no joint; expected joint="..."')
+            elif ratio is not None and offset is not None:
+                joint.mimic = (to, ratio, offset)
+
+    def _friction(self, dynamics: Element, joint: Joint, key: str) -> None:
+        for what in ("damping", "friction"):
+            value = self._number(dynamics, what, key, 0.0, largest=np.inf) or 0.0
+            if value < 0:
+                self._problem(dynamics, key, f"{what}: found {value:g}; expected 0 or more")
+            elif value > LARGEST:
+                self._note(f"{what} is taken for {LARGEST:g}, the most", dynamics, key)
+            setattr(joint, what, min(value, LARGEST))
+
+    def _limit(self, limit: Element, joint: Joint, key: str) -> None:
+        if joint.kind != "continuous":
+            lower = self._number(limit, "lower", key, 0.0, largest=np.inf)
+            upper = self._number(limit, "upper", key, 0.0, largest=np.inf)
+            if lower is not None and upper is not None:
+                if lower >= upper:
+                    how = "equal" if lower == upper else "in the wrong order"
+                    what = f"joints whose limits are {how} are taken as without limits"
+                    self._note(what, limit, f"'{joint.name}'")
+                else:
+                    joint.lower, joint.upper = meant_limits(np.array([lower, upper])).tolist()
+                    if (joint.lower, joint.upper) != (lower, upper):
+                        self._note(TOO_FAR, limit, f"'{joint.name}'")
+        for name in ("velocity", "effort"):
+            value = self._number(limit, name, key, 0.0, largest=np.inf)
+            if value is not None and value < 0:
+                message = f"<limit>: found {name} = {value:g}; expected 0 or more"
+                self._problem(limit, key, message)
+            elif value and value < LARGEST:  # zero stands for nothing known
+                setattr(joint, name, value)
+
+    def _tree(self, links: list[Link], joints: list[Joint]) -> tuple[str, Array, bool]:
+        """The base, its frame, and whether it is free; the joint of a free base is taken out."""
+        carrying = {joint.child: joint for joint in joints}
+        roots = [link for link in links if link.name not in carrying]
+        below: dict[str, list[Joint]] = {}
+        for joint in joints:
+            below.setdefault(joint.parent, []).append(joint)
+        whole = {root.name: _reached(root.name, below) for root in roots}
+        base = max(whole, key=lambda name: len(whole[name]), default="")
+        for link in roots:
+            if link.name != base:
+                message = f"no joint has it as <child>; expected one, as the base is '{base}'"
+                self._item_problem("link", link, message)
+        everywhere = set().union(*whole.values()) if whole else set()
+        circle = [link for link in links if link.name not in everywhere]
+        if circle:
+            names = ", ".join(f"'{link.name}'" for link in circle[:6])
+            message = f"joints go round in a circle: {names}; expected a tree"
+            self._item_problem("link", circle[0], message)
+        T, is_free = np.eye(4), False
+        for joint in [each for each in joints if each.kind in ("floating", "planar")]:
+            first = next(link for link in links if link.name == joint.parent)
+            is_first = joint.parent == base and len(below[base]) == 1
+            if joint.kind == "floating" and is_first and not (first.mass or first.visuals):
+                joints.remove(joint)
+                links.remove(first)
+                base, T, is_free = joint.child, joint.frame, True
+                continue
+            what = "free_base = true frees the base" if joint.kind == "floating" else (
+                "two prismatic joints and a revolute one do the same"
+            )  # fmt: skip
+            expected = f"expected {', '.join(_KINDS[:4])}; {what}"
+            line = joint.line if self._has_lines else None
+            self._problems.append(
+                Problem(
+                    f"joint '{joint.name}'", f"is {joint.kind}; {expected}", str(self.path), line
+                )
+            )
+        return base, T, is_free
+
+    def _item_problem(self, kind: str, item: Link | Joint, message: str) -> None:
+        line = item.line if self._has_lines else None
+        self._problems.append(Problem(f"{kind} '{item.name}'", message, str(self.path), line))
+
+    def _check_mimics(self, joints: list[Joint]) -> None:
+        """Lets joints move on their own whose <mimic> has no meaning."""
+        by_name = {joint.name: joint for joint in joints}
+        moving = [joint.name for joint in joints if joint.kind in MOVING]
+        for joint in joints:
+            if joint.mimic is None:
+                continue
+            to, ratio, _ = joint.mimic
+            reason = ""
+            if to not in by_name:
+                reason = f"no joint '{to}'{did_you_mean(to, moving)}"
+            elif _follows_itself(joint, by_name):
+                reason = "it follows itself"
+            elif to not in moving:
+                reason = f"joint '{to}' does not move"
+            elif ratio == 0:
+                reason = "multiplier is 0"
+            if reason:
+                line = f" (line {joint.line})" if self._has_lines else ""
+                self._odd.setdefault("joints whose <mimic> is left out", []).append(
+                    f"'{joint.name}'{line}: {reason}"
+                )
+                joint.mimic = None
+
+    def _name(self, element: Element, kind: str) -> str:
+        name = (element.get("name") or "").strip()
+        if not name:
+            self._problem(element, kind, 'has no name; expected name="..."')
+        return name or f"{kind} of line {element.sourceline}"
+
+    def _origin(self, element: Element, key: str) -> Array:
+        """The frame of its <origin> (4, 4); identity where there is none."""
+        origin = _child(element, "origin")
+        if origin is None:
+            return np.eye(4)
+        xyz = self._numbers(origin, "xyz", key, (3,), np.zeros(3))
+        rpy = self._numbers(origin, "rpy", key, (3,), np.zeros(3))
+        if xyz is None or rpy is None:
+            return np.eye(4)
+        return frame(rotation_from_rpy(rpy) if rpy.any() else None, xyz)
+
+    def _number(
+        self,
+        element: Element,
+        name: str,
+        key: str,
+        default: float | None = None,
+        largest: float = LARGEST,
+    ) -> float | None:
+        """One number of an attribute; None where there is a problem with it."""
+        fallback = None if default is None else np.array([default])
+        found = self._numbers(element, name, key, (1,), fallback, largest)
+        return None if found is None else float(found[0])
+
+    def _numbers(
+        self,
+        element: Element,
+        name: str,
+        key: str,
+        counts: tuple[int, ...],
+        default: Array | None = None,
+        largest: float = LARGEST,
+    ) -> Array | None:
+        """Numbers of an attribute; None where there is a problem with them."""
+        text = element.get(name)
+        if text is None:
+            if default is None:
+                self._problem(element, key, f'<{_tag(element)}> has no {name}="..."')
+            return default
+        expected = f"{' or '.join(map(str, counts))} number{'s' if counts[-1] > 1 else ''}"
+        try:
+            values = np.array([float(word) for word in text.split()])
+        except ValueError:
+            values = self._meant(element, text, key, counts)
+        if len(values) > counts[-1] and not np.isnan(values).any():
+            self._note(f"more than {expected} in {name}, the first are taken", element, key)
+            values = values[: counts[-1]]
+        if len(values) not in counts or np.isnan(values).any() or (abs(values) > largest).any():
+            found = f"{name} = '{text[:80]}'"
+            most = f" up to {largest:g}" if (abs(values) > largest).any() else ""
+            self._problem(
+                element, key, f"<{_tag(element)}>: found {found}; expected {expected}{most}"
+            )
+            return None
+        return values
+
+    def _meant(self, element: Element, text: str, key: str, counts: tuple[int, ...]) -> Array:
+        """Numbers with commas between them, or a second point behind them; NaN for any other."""
+        words = [_SECOND_POINT.sub(r"\1", word) for word in _COMMAS.split(text.strip())]
+        if len(words) == 1:
+            words = [_SECOND_POINT.sub(r"\1", word) for word in text.split()]
+        try:
+            values = np.array([float(word) for word in words])
+        except ValueError:
+            return np.array([np.nan])
+        if len(values) not in counts:
+            return np.array([np.nan])
+        self._note(f"'{text[:80]}' is taken for {' '.join(words)}", element, key)
+        return values
+
+
+def _names(element: Element) -> Iterator[str]:
+    """Names of an element and its attributes, with namespaces in braces."""
+    if isinstance(element.tag, str):
+        yield element.tag
+        yield from (str(name) for name in element.attrib)
+
+
+def _tag(element: Element) -> str:
+    """Its name without a namespace."""
+    return element.tag.rpartition("}")[2] if isinstance(element.tag, str) else ""
+
+
+def _children(element: Element, tag: str | None = None) -> list[Element]:
+    return [
+        each for each in element if isinstance(each.tag, str) and (tag is None or _tag(each) == tag)
+    ]
+
+
+def _child(element: Element, tag: str) -> Element | None:
+    return next(iter(_children(element, tag)), None)
+
+
+def _all(element: Element, tag: str) -> list[Element]:
+    return [each for each in element.iter() if _tag(each) == tag]
+
+
+def _text(values: Array) -> str:
+    return " ".join(f"{value:g}" for value in values)
+
+
+def _reached(root: str, below: Mapping[str, list[Joint]]) -> set[str]:
+    """Names of the links that joints lead to, with the first."""
+    found, waiting = {root}, [root]
+    while waiting:
+        for joint in below.get(waiting.pop(), []):
+            if joint.child not in found:
+                found.add(joint.child)
+                waiting.append(joint.child)
+    return found
+
+
+def _follows_itself(joint: Joint, by_name: Mapping[str, Joint]) -> bool:
+    seen = {joint.name}
+    at: Joint | None = joint
+    while at is not None and at.mimic is not None:
+        name = at.mimic[0]
+        if name in seen:
+            return name == joint.name
+        seen.add(name)
+        at = by_name.get(name)
+    return False

@@ -1,0 +1,340 @@
+"""What a file of the classic VRML syntax holds: nodes, their fields, PROTOs, ROUTEs.
+
+A syntax does not tell a field's type, so values are kept as they stand; `read_field` takes one as
+of a type.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...base.errors import DeclarationError, Problem
+from ...base.frames import Array
+
+_MOST_PROBLEMS = 20  # told of one file
+# Numbers of one value of a type.
+_WIDTHS = {
+    "Float": 1, "Double": 1, "Time": 1, "Int32": 1,
+    "Vec2f": 2, "Vec2d": 2, "Vec3f": 3, "Vec3d": 3, "Vec4f": 4, "Vec4d": 4,
+    "Rotation": 4, "Color": 3, "ColorRGBA": 4,
+    "Matrix3f": 9, "Matrix3d": 9, "Matrix4f": 16, "Matrix4d": 16,
+}  # fmt: skip
+_OTHER_TYPES = ("Bool", "String", "Node", "Image")
+TYPES = tuple(f"{many}{kind}" for kind in (*_WIDTHS, *_OTHER_TYPES) for many in ("SF", "MF"))
+_LARGEST = 1e30  # no number of a scene is larger
+
+
+class Is(NamedTuple):
+    """`IS name`: the value of a field of the PROTO around it."""
+
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Value:
+    """The value of a field as it stands.
+
+    Attributes:
+        items: numbers (float, or all of them in an array), texts, true and false, nodes, None for
+            NULL, or one `Is`.
+        line: of its first token.
+    """
+
+    items: Sequence[Any] | Array
+    line: int
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A field that a PROTO, an EXTERNPROTO or a Script declares.
+
+    Attributes:
+        access: `initializeOnly`, `inputOnly`, `outputOnly` or `inputOutput`.
+        type: `SFFloat`, ...
+        value: its default; None where it has none.
+        line: of its declaration.
+    """
+
+    access: str
+    type: str
+    value: Value | None
+    line: int
+
+
+@dataclass(eq=False)
+class Proto:
+    """A PROTO or an EXTERNPROTO.
+
+    Attributes:
+        name: of the nodes that it makes.
+        line: of its declaration.
+        fields: by name.
+        body: what it makes its nodes of; empty for an EXTERNPROTO.
+        urls: where an EXTERNPROTO's PROTO stands.
+    """
+
+    name: str
+    line: int
+    fields: dict[str, Field] = field(default_factory=dict)
+    body: list[Node] = field(default_factory=list)
+    urls: tuple[str, ...] = ()
+
+
+@dataclass(eq=False)
+class Node:
+    """A node.
+
+    Attributes:
+        kind: its type, `Transform`.
+        line: of its type.
+        name: that DEF gives it; empty for none.
+        fields: values by name.
+        proto: that declares its kind; None for X3D's own.
+    """
+
+    kind: str
+    line: int
+    name: str = ""
+    fields: dict[str, Value] = field(default_factory=dict)
+    proto: Proto | None = None
+
+    @property
+    def label(self) -> str:
+        """How messages call it."""
+        return self.name or self.kind
+
+    def value(self, name: str) -> Value | None:
+        """The value of a field, or its PROTO's default; None where there is neither."""
+        if name in self.fields:
+            return self.fields[name]
+        declared = None if self.proto is None else self.proto.fields.get(name)
+        return None if declared is None else declared.value
+
+
+@dataclass(frozen=True)
+class Route:
+    """`ROUTE node.event TO node.event`."""
+
+    origin: str
+    event: str
+    target: str
+    input: str
+    line: int
+
+
+@dataclass(eq=False)
+class Document:
+    """What a file holds.
+
+    Attributes:
+        path: of the file.
+        nodes: at its top.
+        routes: all but those inside PROTOs.
+        names: nodes by the names that DEF gives them.
+        protos: PROTOs and EXTERNPROTOs by name.
+    """
+
+    path: Path
+    nodes: list[Node] = field(default_factory=list)
+    routes: list[Route] = field(default_factory=list)
+    names: dict[str, Node] = field(default_factory=dict)
+    protos: dict[str, Proto] = field(default_factory=dict)
+
+
+class Problems:
+    """Collects what is wrong in a file."""
+
+    def __init__(self, path: Path, found: list[Problem] | None = None) -> None:
+        self.path = path
+        self.found: list[Problem] = [] if found is None else found
+
+    def of(self, path: Path) -> Problems:
+        """Collects those of another file among these."""
+        return Problems(path, self.found)
+
+    def add(self, key: str, message: str, line: int | None) -> None:
+        """Adds one."""
+        self.found.append(Problem(key, message, str(self.path), line))
+
+    @contextmanager
+    def told(self, key: str, line: int) -> Iterator[None]:
+        """Adds what a ValueError inside says."""
+        try:
+            yield
+        except ValueError as error:
+            self.add(key, str(error), line)
+
+    def raise_all(self) -> None:
+        """Raises DeclarationError where there are any, of many the first ones."""
+        if not self.found:
+            return
+        different = dict.fromkeys(self.found)
+        left = len(different) - _MOST_PROBLEMS
+        shown = sorted(different, key=lambda each: each.line or 0)[:_MOST_PROBLEMS]
+        if left > 0:
+            shown.append(Problem("", f"and {left} more", str(self.path)))
+        raise DeclarationError(shown)
+
+
+def instance(node: Node) -> Node | None:
+    """The node that a PROTO of the same file makes of one of its own; None for one without body."""
+    if node.proto is None or not node.proto.body:
+        return None
+    made: dict[int, Node] = {}
+
+    def copy(of: Node) -> Node:
+        if id(of) in made:
+            return made[id(of)]
+        new = made[id(of)] = Node(of.kind, of.line, of.name, proto=of.proto)
+        for name, value in of.fields.items():
+            given = first(value)
+            bound = node.value(given.name) if isinstance(given, Is) else value
+            if bound is not None:
+                new.fields[name] = bound if bound is not value else copied(value)
+        return new
+
+    def copied(value: Value) -> Value:
+        if isinstance(value.items, np.ndarray):
+            return value
+        items = [copy(item) if isinstance(item, Node) else item for item in value.items]
+        return Value(items, value.line)
+
+    return copy(node.proto.body[0])
+
+
+def first(value: Value) -> Any:
+    """The first item of a value; None where there is none."""
+    return value.items[0] if len(value.items) else None
+
+
+def is_text(item: Any) -> bool:
+    """Whether an item of a value is a text."""
+    return isinstance(item, str)
+
+
+def read_field(value: Value, kind: str) -> Any:
+    """Takes a value as one of a type; with and without brackets.
+
+    Args:
+        value: as it stands.
+        kind: `SFFloat`, `MFVec3f`, ...
+
+    Returns:
+        bool, int, float, str, `Node` or None for SFBool, SFInt32, SFFloat, SFString and SFNode; an
+        array (w,) for what has w numbers; for MF a list of texts, nodes, or true and false, an
+        array (k,) or (k, w) else. Matrices as their numbers stand.
+
+    Raises:
+        ValueError: it is none; says what was found and expected.
+    """
+    many, base = kind[:2] == "MF", kind[2:]
+    items = value.items
+    if base in _WIDTHS:
+        numbers = _as_numbers(items)
+        if base == "Int32" and (numbers != np.round(numbers)).any():
+            raise ValueError(f"found {_shown(items)}; expected whole numbers")
+        width = _WIDTHS[base]
+        if many:
+            if numbers.size % width:
+                raise ValueError(f"found {numbers.size} numbers; expected {width} for each entry")
+            return numbers if width == 1 else numbers.reshape(-1, width)
+        if numbers.size != width:
+            expected = "one number" if width == 1 else f"{width} numbers"
+            raise ValueError(f"found {_counted(numbers)}; expected {expected}")
+        if width > 1:
+            return numbers
+        return int(numbers[0]) if base == "Int32" else float(numbers[0])
+    if base == "Image":
+        return _as_numbers(items)
+    types: dict[str, tuple[tuple[type, ...], str]] = {
+        "Bool": ((bool,), "TRUE or FALSE"),
+        "String": ((str,), 'a text in quotes, "..."'),
+        "Node": ((Node, type(None)), "a node"),
+    }
+    right, expected = types[base]
+    if not all(isinstance(item, right) for item in items):
+        plural = {"Bool": "TRUE or FALSE", "String": 'texts in quotes, "..."', "Node": "nodes"}
+        raise ValueError(f"found {_shown(items)}; expected {plural[base] if many else expected}")
+    if many:
+        return [item for item in items if item is not None]
+    if len(items) != 1:
+        raise ValueError(f"found {len(items)} values; expected {expected}")
+    return items[0]
+
+
+def _as_numbers(items: Sequence[Any] | Array) -> Array:
+    if not isinstance(items, np.ndarray) and not all(type(item) is float for item in items):
+        raise ValueError(f"found {_shown(items)}; expected numbers")
+    numbers = np.asarray(items, dtype=np.float64)
+    if not (np.abs(numbers) < _LARGEST).all():
+        raise ValueError(f"found {_shown(items)}; expected finite numbers up to {_LARGEST:g}")
+    return numbers
+
+
+def _counted(numbers: Array) -> str:
+    return "nothing" if not numbers.size else f"{numbers.size} numbers"
+
+
+def _shown(items: Sequence[Any] | Array) -> str:
+    """A value for messages."""
+    words = []
+    for item in items[:4]:
+        if isinstance(item, Node):
+            words.append(item.label)
+        elif isinstance(item, Is):
+            words.append(f"IS {item.name}")
+        elif item is None or isinstance(item, bool):
+            words.append({None: "NULL", True: "TRUE", False: "FALSE"}[item])
+        else:
+            words.append(f"{item:g}" if isinstance(item, float) else f'"{item[:40]}"')
+    return " ".join(words) + (" ..." if len(items) > 4 else "") or "nothing"
+
+
+def walk(nodes: Sequence[Node], most: int = 200_000) -> Iterator[Node]:
+    """Yields every node once, those inside it behind it; not those of PROTOs' bodies.
+
+    Args:
+        nodes: to begin with.
+        most: how many are told at most.
+    """
+    todo, seen = list(reversed(nodes)), set[int]()
+    while todo and len(seen) < most:
+        node = todo.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        yield node
+        inner = [
+            item
+            for value in node.fields.values()
+            if not isinstance(value.items, np.ndarray)
+            for item in value.items
+            if isinstance(item, Node)
+        ]
+        todo += reversed(inner)
+
+
+def get(node: Node, name: str, kind: str, default: Any, problems: Problems) -> Any:
+    """The value of a field as `read_field` returns it.
+
+    Args:
+        node: that may have it.
+        name: of the field.
+        kind: its type.
+        default: where the node does not have it, or has it wrongly.
+        problems: is told the latter.
+    """
+    value = node.value(name)
+    if value is None:
+        return default
+    try:
+        return read_field(value, kind)
+    except ValueError as error:
+        problems.add(f"{node.label}.{name}", str(error), value.line)
+        return default

@@ -1,0 +1,326 @@
+"""Geometry of VRML97 and X3D, as triangles by colour.
+
+Source of the nodes, their defaults and their meaning: ISO/IEC 14772-1 (VRML97), clause 6; of those
+that only X3D has ISO/IEC 19775-1.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base.errors import DeclarationError, Problem
+from ...base.frames import Array
+from ...base.paths import SCENE_ENDINGS
+from .vrml import read_document
+from .vrml_nodes import Node, Problems, get, instance, is_text, read_field
+from .wrl_geometry import GEOMETRIES, Triangles
+
+log = logging.getLogger(__name__)
+
+_MOST_NODES = 100_000  # on the way through a file; USE and PROTO may make many of few
+_MOST_TRIANGLES = 5_000_000
+_MOST_INLINES = 200
+_DEFAULT_COLOUR = (0.8, 0.8, 0.8)
+
+# What holds others, and the field in which it does.
+_GROUPS = {
+    "Transform": "children", "MatrixTransform": "children", "Group": "children",
+    "StaticGroup": "children", "Anchor": "children", "Billboard": "children",
+    "Collision": "children", "CADLayer": "children", "CADAssembly": "children",
+    "CADPart": "children", "Scene": "children", "Switch": "choice", "LOD": "level",
+}  # fmt: skip
+# What shows nothing of itself.
+_UNSEEN = {
+    "WorldInfo", "NavigationInfo", "Viewpoint", "OrthoViewpoint", "Background", "Fog",
+    "DirectionalLight", "PointLight", "SpotLight", "Script", "TimeSensor", "TouchSensor",
+    "MetadataString", "MetadataSet",
+}  # fmt: skip
+
+
+class Seen(NamedTuple):
+    """A node that is met on the way through a scene.
+
+    Attributes:
+        node: a Shape, a light, a robot, ...
+        T: from its coordinates into those where the way began, (4, 4), affine.
+        path: of the file that it stands in.
+    """
+
+    node: Node
+    T: Array
+    path: Path
+
+
+def read_wrl(path: Path) -> list[Triangles]:
+    """Reads the geometry of a VRML97 file, or of X3D in the classic encoding.
+
+    What is not drawn, and files of an Inline that are not in the folder, are named in a warning.
+
+    Returns:
+        for every colour its vertices (v, 3), as the file has its lengths, its triangles (f, 3),
+        counter-clockwise seen from outside, and red, green, blue, alpha (4,), 0 to 1; None
+        for shapes without a material. Vertices stand twice where an edge is sharp by the
+        `creaseAngle` or the normals of the file. Without any triangle empty.
+
+    Raises:
+        DeclarationError: all that is wrong, with lines.
+    """
+    problems = Problems(path)
+    document = read_document(path)
+    found = visit(document.nodes, path, problems)
+    pieces: list[Triangles] = []
+    left_out: dict[str, int] = {}
+    count = 0
+    for seen in found:
+        if seen.node.kind != "Shape":
+            if seen.node.kind not in _UNSEEN:
+                left_out.setdefault(kind_of(seen.node), seen.node.line)
+            continue
+        for piece in triangles_of(seen, problems.of(seen.path), left_out):
+            count += len(piece[1])
+            if count > _MOST_TRIANGLES:
+                message = f"has more than {_MOST_TRIANGLES:,} triangles"
+                raise DeclarationError([Problem("", message, str(path))])
+            pieces.append(piece)
+    problems.raise_all()
+    if left_out:
+        names = ", ".join(f"{kind} (line {line})" for kind, line in left_out.items())
+        log.warning("%s: not drawn: %s", path, names)
+    return by_colour(pieces)
+
+
+def by_colour(pieces: list[Triangles]) -> list[Triangles]:
+    """Joins the pieces of each colour."""
+    same: dict[bytes | None, list[Triangles]] = {}
+    for piece in pieces:
+        same.setdefault(None if piece[2] is None else piece[2].tobytes(), []).append(piece)
+    return [_joined(each) for each in same.values()]
+
+
+def _joined(pieces: list[Triangles]) -> Triangles:
+    starts = np.cumsum([0, *(len(vertices) for vertices, _, _ in pieces)])
+    vertices = np.concatenate([vertices for vertices, _, _ in pieces])
+    faces = np.concatenate(
+        [faces + start for (_, faces, _), start in zip(pieces, starts, strict=False)]
+    )
+    return vertices, faces, pieces[0][2]
+
+
+def visit(
+    nodes: Sequence[Node],
+    path: Path,
+    problems: Problems,
+    is_kept: Callable[[Node], bool] = lambda _: False,
+) -> list[Seen]:
+    """Goes through groups, transforms, PROTOs and inlined files to all other nodes, in order.
+
+    Args:
+        nodes: to begin with.
+        path: of their file; files that are inlined are looked for in its folder.
+        problems: gets what is wrong with the nodes on the way.
+        is_kept: whether a node is to be returned, instead of what is in it.
+
+    Raises:
+        DeclarationError: there are too many nodes.
+    """
+    found: list[Seen] = []
+    inlined: dict[Path, list[Node]] = {}
+    todo: list[tuple[Seen, tuple[Path, ...]]] = [
+        (Seen(node, np.eye(4), path), (path,)) for node in reversed(nodes)
+    ]
+    count = 0
+    while todo:
+        seen, files = todo.pop()
+        count += 1
+        if count > _MOST_NODES:
+            message = f"has more than {_MOST_NODES:,} nodes, counting those of every USE"
+            raise DeclarationError([Problem("", message, str(path))])
+        node, inner = seen.node, list[Node]()
+        T, here = seen.T, problems.of(seen.path)
+        if is_kept(node):
+            found.append(seen)
+            continue
+        made = instance(node)
+        if made is not None:
+            inner = [made]
+        elif node.kind in _GROUPS:
+            with here.told(node.label, node.line):
+                T = seen.T @ transform_of(node)
+            inner = _children(node, here)
+        elif node.kind == "Inline" and len(inlined) < _MOST_INLINES:
+            file = None
+            with here.told(f"{node.label}.url", node.line):
+                file = inlined_file(node, seen.path)
+            if file is None:
+                found.append(seen)
+            elif file not in files:
+                if file not in inlined:
+                    inlined[file] = _nodes_of(file, node, here)
+                todo += [(Seen(each, T, file), (*files, file)) for each in reversed(inlined[file])]
+        else:
+            found.append(seen)
+        todo += [(Seen(each, T, seen.path), files) for each in reversed(inner)]
+    return found
+
+
+def _children(node: Node, problems: Problems) -> list[Node]:
+    key = _GROUPS[node.kind]
+    if key not in node.fields and key != "children":
+        key = "children"  # of a Switch or LOD in X3D
+    children: list[Node] = get(node, key, "MFNode", [], problems)
+    if node.kind == "Switch":
+        choice = get(node, "whichChoice", "SFInt32", -1, problems)
+        return children[choice : choice + 1] if 0 <= choice < len(children) else []
+    return children[:1] if node.kind == "LOD" else children
+
+
+def inlined_file(node: Node, path: Path) -> Path | None:
+    """The file of an Inline: the first of its addresses in the folder of the file it stands in.
+
+    Args:
+        node: the Inline.
+        path: of the file that it stands in.
+
+    Raises:
+        ValueError: its addresses are no texts.
+    """
+    value = node.value("url")
+    for url in [] if value is None else read_field(value, "MFString"):
+        file = Path(url.removeprefix("file:"))
+        is_inside = not file.is_absolute() and ".." not in file.parts and "\0" not in url
+        if is_inside and "://" not in url and (path.parent / file).is_file():
+            return path.parent / file
+    return None
+
+
+def kind_of(node: Node) -> str:
+    """The kind of a node for messages, with the addresses of an Inline."""
+    value = node.value("url")
+    if node.kind != "Inline" or value is None:
+        return node.kind
+    return f"Inline of {', '.join(repr(url) for url in value.items if is_text(url))}"
+
+
+def _nodes_of(file: Path, node: Node, problems: Problems) -> list[Node]:
+    if file.suffix.lower() not in SCENE_ENDINGS:
+        message = f"found '{file.name}'; expected a file that ends in {', '.join(SCENE_ENDINGS)}"
+        problems.add(f"{node.label}.url", message, node.line)
+        return []
+    try:
+        return read_document(file).nodes
+    except DeclarationError as error:
+        problems.found += error.problems
+        return []
+
+
+def transform_of(node: Node) -> Array:
+    """T_parent_node (4, 4) of a grouping node, affine; identity for those that have none.
+
+    Raises:
+        ValueError: a field is wrong.
+    """
+    if node.kind == "MatrixTransform":
+        value = node.value("matrix")
+        return np.eye(4) if value is None else matrix(read_field(value, "SFMatrix4f"))
+    if node.kind != "Transform":
+        return np.eye(4)
+
+    def vector(name: str, default: float) -> Array:
+        value = node.value(name)
+        return np.full(3, default) if value is None else np.asarray(read_field(value, "SFVec3f"))
+
+    def turned(name: str) -> Array:
+        value = node.value(name)
+        return np.eye(3) if value is None else rotation(read_field(value, "SFRotation"))
+
+    center = vector("center", 0.0)
+    oriented = turned("scaleOrientation")
+    T = np.eye(4)
+    T[:3, :3] = turned("rotation") @ oriented @ np.diag(vector("scale", 1.0)) @ oriented.T
+    T[:3, 3] = vector("translation", 0.0) + center - T[:3, :3] @ center
+    return T
+
+
+def matrix(numbers: Array) -> Array:
+    """The frame (4, 4) that SFMatrix4f means: its translation is its fourth row.
+
+    Source: ISO/IEC 19775-1, 5.3.
+    """
+    return numbers.reshape(4, 4).T.copy()
+
+
+def rotation(axis_angle: Array) -> Array:
+    """Rotation (3, 3) of an SFRotation: an axis of any length and an angle in rad.
+
+    Raises:
+        ValueError: the axis is zero.
+    """
+    axis, angle = axis_angle[:3], float(axis_angle[3])
+    length = np.linalg.norm(axis)
+    if length == 0.0:
+        if angle == 0.0:
+            return np.eye(3)
+        raise ValueError(f"found a rotation about 0 0 0 by {angle:g}; expected an axis")
+    x, y, z = axis / length
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+
+
+def triangles_of(seen: Seen, problems: Problems, left_out: dict[str, int]) -> list[Triangles]:
+    """The triangles of a Shape where the way to it began, by colour.
+
+    Args:
+        seen: the Shape.
+        problems: gets what is wrong with it.
+        left_out: gets the kind of its geometry and the line, where that is not known.
+    """
+    shape = seen.node
+    node: Node | None = get(shape, "geometry", "SFNode", None, problems)
+    node = node and (instance(node) or node)
+    if node is None:
+        return []
+    build = GEOMETRIES.get(node.kind)
+    if build is None:
+        left_out.setdefault(node.kind, node.line)
+        return []
+    if not np.isfinite(seen.T).all():
+        problems.add(shape.label, "stands too far away", shape.line)
+        return []
+    try:
+        pieces: list[Triangles] = build(node, problems)
+    except ValueError as error:
+        problems.add(node.label, str(error), node.line)
+        return []
+    rgba = color_of(shape, problems)
+    is_mirrored = np.linalg.det(seen.T[:3, :3]) < 0
+    placed = []
+    for vertices, faces, own in pieces:
+        if not len(faces):
+            continue
+        color = rgba
+        if own is not None:
+            color = np.append(own[:3], 1.0 if rgba is None else rgba[3])
+        there = vertices @ seen.T[:3, :3].T + seen.T[:3, 3]
+        placed.append((there, faces[:, ::-1] if is_mirrored else faces, color))
+    return placed
+
+
+def color_of(shape: Node, problems: Problems) -> Array | None:
+    """Red, green, blue, alpha (4,) of a Shape's material; None where it has none."""
+    appearance: Node | None = get(shape, "appearance", "SFNode", None, problems)
+    appearance = appearance and (instance(appearance) or appearance)
+    material: Node | None = appearance and get(appearance, "material", "SFNode", None, problems)
+    material = material and (instance(material) or material)
+    if material is None:
+        return None
+    base = "baseColor" if material.kind == "PhysicalMaterial" else "diffuseColor"
+    color = get(material, base, "SFColor", np.array(_DEFAULT_COLOUR), problems)
+    if not np.any(color):  # it shines of itself, or is black
+        color = get(material, "emissiveColor", "SFColor", color, problems)
+    alpha = 1.0 - get(material, "transparency", "SFFloat", 0.0, problems)
+    return np.asarray(np.clip(np.append(color, alpha), 0.0, 1.0))

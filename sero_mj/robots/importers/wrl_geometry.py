@@ -1,0 +1,385 @@
+"""The nodes of VRML97 and X3D that are geometry, as triangles.
+
+Source of their defaults and meaning: ISO/IEC 14772-1 (VRML97), clause 6.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...base.frames import Array, Ints, rotation_about
+from .vrml_nodes import Node, Problems, get, instance
+
+_AROUND = 32  # sides of what is round
+_MOST_CORNERS = 2000  # of a polygon that is not convex; cutting it takes the square of it
+_MOST_BENT = 50_000  # polygons that are not convex
+_MOST_COLOURS = 24  # of one shape whose vertices have colours; more become their mean
+
+Triangles = tuple[Array, Ints, Array | None]  # vertices (v, 3), faces (f, 3), rgba (4,)
+
+
+def _box(node: Node, problems: Problems) -> list[Triangles]:
+    half = 0.5 * get(node, "size", "SFVec3f", np.full(3, 2.0), problems)
+    _check_positive("size", half)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
+    sides = np.array(
+        [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    )
+    faces = np.arange(24).reshape(6, 4)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    return [(corners[sides].reshape(-1, 3), faces, None)]
+
+
+def _check_positive(name: str, values: Any) -> None:
+    if not (np.asarray(values) > 0).all():
+        raise ValueError(f"{name}: found {np.asarray(values).tolist()}; expected numbers above 0")
+
+
+def _sphere(node: Node, problems: Problems) -> list[Triangles]:
+    radius = get(node, "radius", "SFFloat", 1.0, problems)
+    _check_positive("radius", radius)
+    down = np.linspace(0.0, np.pi, _AROUND // 2 + 1)
+    profile = np.column_stack([np.sin(down), np.cos(down)]) * radius
+    profile[[0, -1], 0] = 0.0
+    return [_revolved(profile)]
+
+
+def _cylinder(node: Node, problems: Problems) -> list[Triangles]:
+    radius = get(node, "radius", "SFFloat", 1.0, problems)
+    top = 0.5 * get(node, "height", "SFFloat", 2.0, problems)
+    _check_positive("radius and height", [radius, top])
+    return _profiles(
+        node, problems, {"top": [[0, top], [radius, top]], "side": [[radius, top], [radius, -top]],
+                         "bottom": [[radius, -top], [0, -top]]},
+    )  # fmt: skip
+
+
+def _cone(node: Node, problems: Problems) -> list[Triangles]:
+    radius = get(node, "bottomRadius", "SFFloat", 1.0, problems)
+    top = 0.5 * get(node, "height", "SFFloat", 2.0, problems)
+    _check_positive("bottomRadius and height", [radius, top])
+    profiles = {"side": [[0, top], [radius, -top]], "bottom": [[radius, -top], [0, -top]]}
+    return _profiles(node, problems, profiles)
+
+
+def _profiles(node: Node, problems: Problems, parts: dict[str, Any]) -> list[Triangles]:
+    """The parts of a round body that its node shows."""
+    return [
+        _revolved(np.array(profile, dtype=np.float64))
+        for name, profile in parts.items()
+        if get(node, name, "SFBool", True, problems)
+    ]
+
+
+def _revolved(profile: Array) -> Triangles:
+    """Turns a line (k, 2) of radius and height, from above to below, about y."""
+    k = len(profile)
+    turns = rotation_about(1, np.arange(_AROUND) * 2 * np.pi / _AROUND)
+    points = np.column_stack([profile[:, 0], profile[:, 1], np.zeros(k)])
+    vertices = np.einsum("aij,kj->kai", turns, points).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(k - 1), np.arange(_AROUND), indexing="ij")
+    a, b = i * _AROUND + j, i * _AROUND + (j + 1) % _AROUND
+    quads = np.stack([a, a + _AROUND, b + _AROUND, a, b + _AROUND, b], axis=-1)
+    faces = quads.reshape(-1, 3)
+    # At a pole many vertices are one.
+    at_pole = np.repeat(np.flatnonzero(profile[:, 0] == 0.0) * _AROUND, _AROUND)
+    renamed = np.arange(len(vertices))
+    for first in np.unique(at_pole):
+        renamed[first : first + _AROUND] = first
+    faces = renamed[faces]
+    is_flat = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])
+    is_flat |= faces[:, 0] == faces[:, 2]
+    used, faces = np.unique(faces[~is_flat], return_inverse=True)
+    return vertices[used], faces.reshape(-1, 3), None
+
+
+def _indexed_face_set(node: Node, problems: Problems) -> list[Triangles]:
+    points = _points(node, problems)
+    index = get(node, "coordIndex", "MFInt32", np.zeros(0), problems).astype(np.intp)
+    _check_index("coordIndex", index, len(points))
+    corners = _cut(points, index)
+    return _of_corners(node, problems, points, index, corners)
+
+
+def _indexed_triangle_set(node: Node, problems: Problems) -> list[Triangles]:
+    points = _points(node, problems)
+    index = get(node, "index", "MFInt32", np.zeros(0), problems).astype(np.intp)
+    if node.kind == "TriangleSet":
+        index = np.arange(len(points))
+    index = index[: len(index) // 3 * 3]
+    _check_index("index", index, len(points), least=0)
+    corners = np.arange(len(index)).reshape(-1, 3)
+    return _of_corners(node, problems, points, index, corners)
+
+
+def _points(node: Node, problems: Problems) -> Array:
+    coord: Node | None = get(node, "coord", "SFNode", None, problems)
+    coord = coord and (instance(coord) or coord)
+    if coord is None:
+        return np.zeros((0, 3))
+    kind = "MFVec3d" if coord.kind == "CoordinateDouble" else "MFVec3f"
+    return np.asarray(get(coord, "point", kind, np.zeros((0, 3)), problems)).reshape(-1, 3)
+
+
+def _check_index(name: str, index: Ints, count: int, least: int = -1) -> None:
+    if index.size and not (least <= index.min() and index.max() < count):
+        found = int(index.max() if index.max() >= count else index.min())
+        points = f"0 to {count - 1}" if count else "no index, since there are no points"
+        raise ValueError(f"{name}: found {found}; expected {points}")
+
+
+def _cut(points: Array, index: Ints) -> Ints:
+    """Cuts polygons into triangles.
+
+    Args:
+        points: (n, 3).
+        index: of their corners, with -1 behind each polygon.
+
+    Returns:
+        positions in `index` of the corners of triangles, (f, 3).
+
+    Raises:
+        ValueError: polygons that are not convex are too many or too long.
+    """
+    ends = np.flatnonzero(np.append(index, -1) < 0)
+    starts = np.append(0, ends[:-1] + 1)
+    counts = ends - starts
+    cut, bent = [], 0
+    for count in np.unique(counts[counts >= 3]):
+        polygons = starts[counts == count][:, None] + np.arange(count)
+        if count == 3:
+            cut.append(polygons)
+            continue
+        outlines = points[index[polygons]]
+        outlines = outlines - outlines[:, :1]
+        following = np.roll(outlines, -1, axis=1)
+        normals = np.cross(outlines, following).sum(axis=1)
+        before = np.roll(outlines, 1, axis=1)
+        bends = np.cross(outlines - before, following - outlines)
+        signs = np.einsum("pci,pi->pc", bends, normals)
+        sizes = np.linalg.norm(normals, axis=1) ** 2
+        if count == 4:  # at the corner that bends in, if one does
+            turns = (np.argmin(signs, axis=1)[:, None] + np.arange(4)) % 4
+            polygons = np.take_along_axis(polygons, turns, axis=1)
+            signs = np.ones_like(signs)
+        is_convex = (signs >= -1e-9 * sizes[:, None]).all(axis=1)
+        fan = np.stack([np.zeros(count - 2, int), np.arange(1, count - 1), np.arange(2, count)], 1)
+        cut.append(polygons[is_convex][:, fan].reshape(-1, 3))
+        bent += int((~is_convex).sum())
+        if bent > _MOST_BENT:
+            raise ValueError(f"has more than {_MOST_BENT:,} polygons that are not convex")
+        for polygon, outline, normal in zip(
+            polygons[~is_convex], outlines[~is_convex], normals[~is_convex], strict=True
+        ):
+            cut.append(polygon[clip_ears(outline, normal)])
+    return np.concatenate([np.zeros((0, 3), np.intp), *cut])
+
+
+def clip_ears(outline: Array, normal: Array) -> Ints:
+    """Cuts a plane polygon that need not be convex into triangles, an ear after the other.
+
+    Args:
+        outline: its corners (n, 3), counter-clockwise seen along -normal.
+        normal: (3,), of any length.
+
+    Returns:
+        corners of the triangles, (n - 2, 3).
+
+    Raises:
+        ValueError: it has too many corners.
+
+    Source: Meisters, Polygons Have Ears, 1975.
+    """
+    if len(outline) > _MOST_CORNERS:
+        raise ValueError(
+            f"found a polygon of {len(outline)} corners that is not convex; expected at most "
+            f"{_MOST_CORNERS}"
+        )
+    # Onto the plane of the two axes in which it is largest, counter-clockwise.
+    drop = int(np.abs(normal).argmax())
+    flat = outline[:, [(drop + 1) % 3, (drop + 2) % 3]]
+    if normal[drop] < 0:
+        flat = flat[:, ::-1]
+    left = list(range(len(flat)))
+    triangles = []
+    while len(left) > 3:
+        ring = flat[left]
+        before, after = np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0)
+        turn = _cross(ring - before, after - ring)
+        # The most pointed ears first would be prettier; the first one found is right as well.
+        ears = np.flatnonzero(turn > 0)
+        reflex = ring[turn <= 0]
+        # Where there is none it crosses itself; what is left is cut all the same.
+        empty = (int(k) for k in ears if _is_empty(before[k], ring[k], after[k], reflex))
+        ear = next(empty, int(np.argmin(np.abs(turn))))
+        triangles.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
+        del left[ear]
+    return np.array([*triangles, left], dtype=np.intp)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _is_empty(a: Array, b: Array, c: Array, points: Array) -> bool:
+    """Whether none of the points (k, 2), but for the corners, is in a triangle."""
+    inside = (_cross(b - a, points - a) >= 0) & (_cross(c - b, points - b) >= 0)
+    inside &= _cross(a - c, points - c) >= 0
+    for corner in (a, b, c):
+        inside &= (points != corner).any(axis=1)
+    return not inside.any()
+
+
+def _of_corners(
+    node: Node, problems: Problems, points: Array, index: Ints, corners: Ints
+) -> list[Triangles]:
+    """Makes triangles of corners: sharp where they are, and apart by their colours."""
+    faces = index[corners]
+    sides = points[faces]
+    normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
+    is_real = np.linalg.norm(normals, axis=1) > 0
+    corners, faces, normals = corners[is_real], faces[is_real], normals[is_real]
+    if not get(node, "ccw", "SFBool", True, problems):
+        corners, faces, normals = corners[:, ::-1], faces[:, ::-1], -normals
+    polygon = np.cumsum(np.append(0, index < 0))[:-1]
+    if node.kind != "IndexedFaceSet":
+        polygon = np.arange(len(index)) // 3
+    smooth = _smoothing(node, problems, normals, faces, corners, polygon)
+    pieces = []
+    for chosen, rgb in _by_colour(node, problems, index, corners, polygon):
+        pairs = np.stack([faces[chosen].ravel(), smooth[chosen].ravel()], axis=1)
+        vertices, renamed = np.unique(pairs, axis=0, return_inverse=True)
+        own = renamed.reshape(-1, 3)
+        if not get(node, "solid", "SFBool", True, problems) and _has_ends(faces[chosen]):
+            own = np.concatenate([own, own[:, ::-1] + len(vertices)])
+            vertices = np.concatenate([vertices, vertices])
+        pieces.append((points[vertices[:, 0]], own, rgb))
+    return pieces
+
+
+def is_open(vertices: Array, faces: Ints) -> bool:
+    """Whether a surface has an edge that only one triangle has, so that one sees into it."""
+    _, names = np.unique(vertices, axis=0, return_inverse=True)
+    return _has_ends(names.ravel()[faces])
+
+
+def with_hull(vertices: Array) -> Array:
+    """Vertices (v, 3), and one more that no face has, just off the plane that all are in, if any.
+
+    MuJoCo makes a convex hull of every mesh, which those in a plane have not.
+    """
+    centre = vertices.mean(axis=0)
+    _, extents, axes = np.linalg.svd(vertices - centre, full_matrices=False)
+    if len(extents) == 3 and extents[2] > 1e-5 * extents[0]:
+        return vertices
+    size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    return np.concatenate([vertices, [centre + 1e-3 * size * axes[2]]])
+
+
+def _has_ends(faces: Ints) -> bool:
+    edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    return bool((counts == 1).any())
+
+
+def _smoothing(
+    node: Node, problems: Problems, normals: Array, faces: Ints, corners: Ints, polygon: Ints
+) -> Ints:
+    """A number for every corner of triangles (f, 3), equal where the surface is smooth."""
+    normal: Node | None = get(node, "normal", "SFNode", None, problems)
+    if normal is not None:
+        if not get(node, "normalPerVertex", "SFBool", True, problems):
+            return polygon[corners]
+        index = get(node, "normalIndex", "MFInt32", np.zeros(0), problems).astype(np.intp)
+        if len(index) > corners.max(initial=-1):
+            vectors = get(normal, "vector", "MFVec3f", np.zeros((0, 3)), problems)
+            _check_index("normalIndex", index, len(vectors))
+            same = np.unique(vectors.round(6), axis=0, return_inverse=True)[1].ravel()
+            return np.asarray(same[index[corners]]) if len(same) else np.zeros_like(corners)
+        return np.zeros_like(corners)
+    if node.kind != "IndexedFaceSet":
+        smooths = get(node, "normalPerVertex", "SFBool", True, problems)
+        return np.zeros_like(corners) if smooths else polygon[corners]
+    crease = get(node, "creaseAngle", "SFFloat", 0.0, problems)
+    if crease >= np.pi:
+        return np.zeros_like(corners)
+    return smoothed(normals, faces, np.cos(max(crease, 0.0) + 1e-4))
+
+
+def smoothed(normals: Array, faces: Ints, least_cosine: float) -> Ints:
+    """Numbers corners of triangles so that those which meet at smooth edges have the same.
+
+    Args:
+        normals: of the triangles (f, 3), of any length but zero.
+        faces: (f, 3).
+        least_cosine: of the angle between two triangles at an edge that is smooth.
+
+    Returns:
+        (f, 3).
+    """
+    units = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    count = len(faces)
+    here = np.arange(3 * count).reshape(-1, 3)
+    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)  # edges, and the corners at their ends
+    at = here[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    turned = ends[:, 0] > ends[:, 1]
+    ends[turned], at[turned] = ends[turned][:, ::-1], at[turned][:, ::-1]
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    ends, at = ends[order], at[order]
+    of = order // 3
+    shared = (ends[1:] == ends[:-1]).all(axis=1)
+    shared &= np.einsum("ij,ij->i", units[of[1:]], units[of[:-1]]) >= least_cosine
+    first, second = at[:-1][shared].ravel(), at[1:][shared].ravel()
+    labels = np.arange(3 * count)
+    while True:
+        least = np.minimum(labels[first], labels[second])
+        new = labels.copy()
+        np.minimum.at(new, first, least)
+        np.minimum.at(new, second, least)
+        new = new[new]
+        if (new == labels).all():
+            return labels.reshape(-1, 3)
+        labels = new
+
+
+def _by_colour(
+    node: Node, problems: Problems, index: Ints, corners: Ints, polygon: Ints
+) -> list[tuple[Any, Array | None]]:
+    """Which triangles have which colour of their own, (3,) or (4,); None for the material's."""
+    everything: list[tuple[Any, Array | None]] = [(slice(None), None)]
+    color: Node | None = get(node, "color", "SFNode", None, problems)
+    if color is None or not len(corners):
+        return everything
+    kind = "MFColorRGBA" if color.kind == "ColorRGBA" else "MFColor"
+    colors = np.asarray(get(color, "color", kind, np.zeros((0, 3)), problems))[..., :3]
+    own = get(node, "colorIndex", "MFInt32", np.zeros(0), problems).astype(np.intp)
+    if get(node, "colorPerVertex", "SFBool", True, problems):
+        given = own if len(own) else index
+        if len(given) <= corners.max():
+            found, least = len(given), int(corners.max()) + 1
+            raise ValueError(f"colorIndex: found {found} entries; expected {least}")
+        chosen = given[corners]
+    else:
+        of = polygon[corners[:, 0]]
+        if len(own) and len(own) <= of.max():
+            raise ValueError(f"colorIndex: found {len(own)} entries; expected {of.max() + 1}")
+        chosen = (own[of] if len(own) else of)[:, None]
+    _check_index("colors", chosen.ravel(), len(colors), least=0)
+    means = np.clip(colors[chosen].mean(axis=1), 0.0, 1.0)
+    values, which = np.unique(means.round(3), axis=0, return_inverse=True)
+    if len(values) > _MOST_COLOURS:
+        return [(slice(None), means.mean(axis=0))]
+    return [(which.ravel() == k, value) for k, value in enumerate(values)]
+
+
+# Triangles of a node, and colours of its own where faces have some.
+GEOMETRIES: dict[str, Any] = {
+    "Box": _box,
+    "Sphere": _sphere,
+    "Cylinder": _cylinder,
+    "Cone": _cone,
+    "IndexedFaceSet": _indexed_face_set,
+    "IndexedTriangleSet": _indexed_triangle_set,
+    "TriangleSet": _indexed_triangle_set,
+}

@@ -1,0 +1,148 @@
+"""XML of others, read without what is dangerous in it."""
+
+from __future__ import annotations
+
+import codecs
+import re
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from lxml import etree
+
+from ...base.paths import open_file
+
+Element: TypeAlias = Any  # lxml has no types
+_MOST_HEAD = 100_000  # bytes in which a file's first element begins
+_NO_ELEMENT = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!.*?>", re.DOTALL)
+_ELEMENT = re.compile(rb"<([A-Za-z_][\w.-]*)")
+# What may stand before a file's first element, and before its declaration although it must not.
+_BEFORE = rb"\s|\xef\xbb\xbf|<!--(?>.*?-->)"
+_DECLARATION = re.compile(rb"((?>%b)*+)(<\?xml\s[^>]*?\?>)" % _BEFORE, re.DOTALL)
+_ROOT = re.compile(rb"(?>%b|<\?(?>.*?\?>))*+<[A-Za-z_][^\s/>]*" % _BEFORE, re.DOTALL)
+_VERSION = re.compile(rb"version\s*=\s*[\"']1\.")
+_STATED = re.compile(rb"(?:\xef\xbb\xbf)?<\?xml\s[^>]*?encoding\s*=\s*[\"']([\w.-]+)")
+_ENCODING = re.compile(rb"encoding\s*=\s*[\"']([\w.-]+)")
+_ROOT = re.compile(
+    rb"(?>\s|\xef\xbb\xbf|<!--(?>.*?-->)|<\?(?>.*?\?>))*+<[A-Za-z_][^\s/>]*", re.DOTALL
+)
+_PREFIX = re.compile(rb"[<\s]([A-Za-z_][\w.-]*):[A-Za-z_][\w.-]*(?=[\s=/>])")
+_MOST_PREFIXES = 100
+
+
+class XmlError(ValueError):
+    """XML that cannot be read; `reasons` are pairs of a line, or None, and what is wrong there."""
+
+    def __init__(self, reasons: list[tuple[int | None, str]]) -> None:
+        self.reasons = reasons
+        super().__init__("; ".join(reason for _, reason in reasons))
+
+
+def root_name(path: Path) -> str | None:
+    """Returns the name of a file's first element; None for a file that cannot be read."""
+    try:
+        with open_file(path) as file:
+            head = file.read(_MOST_HEAD)
+    except (OSError, ValueError):
+        return None
+    found = _ELEMENT.search(_NO_ELEMENT.sub(b"", head))
+    return None if found is None else found[1].decode()
+
+
+def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
+    """Returns the root element; its descendants know their lines (`sourceline`).
+
+    Declarations of entities are refused: of a few bytes they make gigabytes, or the contents of
+    other files. Nothing is fetched from elsewhere.
+
+    Args:
+        contents: of the file.
+        encoding: over what the file states, by any name that Python knows.
+
+    Raises:
+        XmlError: it is no XML, or declares entities.
+    """
+    stated = None
+    if encoding is None and (found := _STATED.match(contents)) is not None:
+        stated = found[1].decode()
+    known = None if (name := encoding or stated) is None else _known(name)
+    encoding = None if known == stated else known  # what lxml knows it reads as it is stated
+    try:
+        parser = etree.XMLParser(
+            resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
+            recover=False, remove_comments=True, remove_pis=True, encoding=encoding,
+        )  # fmt: skip
+    except LookupError:
+        raise XmlError([(None, f"has an unknown encoding, '{encoding}'")]) from None
+    try:
+        root = etree.fromstring(contents, parser)
+    except (etree.XMLSyntaxError, ValueError) as error:
+        log = [(entry.line, _plain(entry.message)) for entry in parser.error_log]
+        raise XmlError([*dict.fromkeys(log)] or [(None, str(error) or "is empty")]) from None
+    declared = root.getroottree().docinfo.internalDTD
+    if declared is not None and (entities := list(declared.iterentities())):
+        names = ", ".join(f"'{entity.name}'" for entity in entities[:3])
+        raise XmlError([(None, f"declares entities ({names}); expected none")])
+    return root
+
+
+def _known(encoding: str) -> str:
+    """The name by which lxml knows an encoding, where Python knows that, too; else as it is."""
+    try:
+        etree.XMLParser(encoding=encoding)
+    except LookupError:
+        try:
+            return codecs.lookup(encoding).name
+        except LookupError:
+            return encoding
+    return encoding
+
+
+def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
+    """As `parse_xml`, of what other programs read although it is not quite XML.
+
+    That is a declaration that is not at the start or of an unknown version, and prefixes that are
+    not declared. Both are mended in the text, in their lines, so all else is guarded as ever.
+
+    Returns:
+        the root element, and what was mended, a sentence for each.
+
+    Raises:
+        XmlError: it is no XML all the same, or declares entities.
+    """
+    try:
+        return parse_xml(contents), []
+    except XmlError as error:
+        first = error
+    told: list[str] = []
+    encoding = None
+    found = _DECLARATION.match(contents[:_MOST_HEAD])
+    is_first = found is not None and not found[1].strip(b"\xef\xbb\xbf")
+    if found is not None and not (is_first and _VERSION.search(found[2])):
+        stated = _ENCODING.search(found[2])
+        encoding = None if stated is None else stated[1].decode()
+        blank = re.sub(rb"[^\n]", b" ", found[2])
+        contents = contents[: found.start(2)] + blank + contents[found.end(2) :]
+        told.append(f"its XML declaration is not as it must be, and not read: {_shown(found[2])}")
+    root = _ROOT.match(contents)
+    if root is not None:
+        tag = contents[root.end() : contents.find(b">", root.end())]
+        known = {b"xml", b"xmlns", *re.findall(rb"xmlns:([\w.-]+)", tag)}
+        unknown = sorted({*_PREFIX.findall(contents)} - known)
+        if 0 < len(unknown) <= _MOST_PREFIXES:
+            added = b"".join(b' xmlns:%b="%b"' % (each, each) for each in unknown)
+            contents = contents[: root.end()] + added + contents[root.end() :]
+            told.append(f"prefixes of names are not declared: {_shown(b', '.join(unknown))}")
+    if not told:
+        raise first
+    return parse_xml(contents, encoding), told
+
+
+def _shown(text: bytes) -> str:
+    return text.decode(errors="replace")[:100]
+
+
+def _plain(message: str) -> str:
+    """libxml2's message without what only its callers can do about it."""
+    if "amplification" in message:
+        return "declares entities that grow without end; expected none"
+    return message.partition(", use XML_PARSE_HUGE")[0].strip()

@@ -1,0 +1,86 @@
+"""`Compiler`: a cache of compiled worlds, for runs that simulate the same robots."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ...base.declaration import Declaration
+from ...base.frames import Array
+from ...robots.assemble.robot import SerialRobot
+from ...robots.assemble.robot_dynamics import GRAVITY
+from ...robots.assemble.scene import Scene
+from ...robots.assemble.world import World
+from .robot_model import RobotModel, world_without_meshes
+
+EARTH: Array = np.array([0.0, 0.0, -GRAVITY])  # m/s2
+_MAX_WORLDS = 8  # worlds that are remembered; a sweep over masses has a new one every time
+
+
+class Compiler:
+    """Compiles dynamic worlds, and copies those that it has compiled before.
+
+    Two scenes are the same when everything that is declared of robots, objects and floor is;
+    mesh files are taken not to change while it lives.
+    """
+
+    def __init__(self) -> None:
+        self._worlds: dict[object, World] = {}
+
+    def world(self, scene: Scene, gravity: Array = EARTH) -> World:
+        """A dynamic world with a model of its own, which may be changed.
+
+        Args:
+            scene: of which robots, objects and floor are looked at, and nothing else.
+            gravity: (3,), m/s2, in the world.
+
+        Raises:
+            DeclarationError: what MuJoCo cannot compile.
+        """
+        key = fingerprint([scene.robots, scene.objects, scene.floor])
+        world = copy.copy(self._find(key, lambda: World(scene, dynamic=True)))
+        world.model = copy.copy(world.model)
+        world.model.opt.gravity[:] = gravity
+        world.scene = scene
+        return world
+
+    def robot_model(self, robot: SerialRobot, gravity: Array = EARTH) -> RobotModel:
+        """What a controller knows of a robot, for it alone.
+
+        Args:
+            robot: standing in the world.
+            gravity: (3,), m/s2, in the world.
+
+        Raises:
+            DeclarationError: MuJoCo cannot compile the robot.
+        """
+        key = "without meshes", fingerprint(robot)
+        world = self._find(key, lambda: world_without_meshes(robot))
+        world.model.opt.gravity[:] = gravity
+        return RobotModel.of(robot, world)
+
+    def _find(self, key: object, make: Callable[[], World]) -> World:
+        world = self._worlds.pop(key, None)
+        if world is None:
+            world = make()
+            if len(self._worlds) >= _MAX_WORLDS:
+                self._worlds.pop(next(iter(self._worlds)))
+        self._worlds[key] = world  # the one that was asked for last stands last
+        return world
+
+
+def fingerprint(value: Any) -> object:
+    """A hashable value that is equal for equal declarations."""
+    if isinstance(value, Declaration):
+        fields = type(value).model_fields
+        return type(value).__name__, tuple(fingerprint(getattr(value, key)) for key in fields)
+    if isinstance(value, np.ndarray):
+        return value.shape, value.dtype.str, value.tobytes()
+    if isinstance(value, Mapping):
+        return "mapping", tuple((key, fingerprint(each)) for key, each in value.items())
+    if isinstance(value, list | tuple):
+        return "list", tuple(fingerprint(each) for each in value)
+    return type(value).__name__, repr(value)

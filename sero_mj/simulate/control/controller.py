@@ -1,0 +1,263 @@
+"""What controllers share: what they get, the method that computes torques, and their gains."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Annotated, Any, ClassVar, Protocol
+
+import numpy as np
+from pydantic import AfterValidator, BeforeValidator
+
+from ...base.declaration import Declaration, numbers
+from ...base.errors import DeclarationError, Problem
+from ...base.frames import Array
+from .robot_model import RobotModel
+
+
+def _one_or_more(value: Any) -> Any:
+    if value is None:
+        return None
+    array = numbers(value)
+    if array.ndim > 1 or array.size == 0:
+        raise ValueError(
+            f"found {array.ndim} levels of lists; expected one number or one per joint"
+        )
+    return np.atleast_1d(array)
+
+
+def within(low: float, high: float, unit: str = "", note: str = "") -> AfterValidator:
+    """Returns a validator for arrays of numbers.
+
+    Args:
+        low: the least that is allowed.
+        high: the greatest.
+        unit: for the message.
+        note: at its end.
+    """
+    unit = unit and f" {unit}"
+
+    def validate(array: Array) -> Array:
+        bad = (array < low) | (array > high)
+        if bad.any():
+            message = f"found {array[bad][0]:g}; expected {low:g} to {high:g}{unit}"
+            raise ValueError(f"{message}{note}")
+        return array
+
+    return AfterValidator(validate)
+
+
+PerJoint = Annotated[Array, BeforeValidator(_one_or_more)]
+MaybePerJoint = Annotated[Array | None, BeforeValidator(_one_or_more)]
+Ratio = Annotated[PerJoint, within(0.0, 2.0, "(a ratio; 1 is critical damping)")]
+DEFAULT_RATIO: Array = np.array([0.7])
+# Of the stiffness of elastic joints: what a spring before them may have. `HangingLinks` is a
+# contraction by this factor in every step.
+SOFTEST = 0.8
+
+
+class Sensed:
+    """What the sensors of one robot measure; the buffers are the same ones at every step.
+
+    Args:
+        n: number of joints.
+        values: (3, n), row after row in memory, to be used in place: what a simulation or a
+            receiver writes is then seen without a copy.
+        motor_state: (2n,), angles, then velocities of the motors where joints are elastic, to be
+            used in place; those of the links when None.
+        rows: () for one robot; (m,) for m of them, which are then the first axis of all.
+
+    Attributes:
+        time: s since the start.
+        values: (3, n): angles, velocities, torques; the others are views of it.
+        state: (2n,), angles, then velocities, so that one operation takes both.
+        angles: (n,), rad or m.
+        velocities: (n,), per second.
+        torques: (n,), Nm or N, as the sensors on the link side of the gears read them.
+        motor_state: (2n,), angles, then velocities of the motors, on the link's side of the gear.
+            Springs and dampers act on these: with those of the links the control would not be
+            passive, because the elastic joint is between them and the motors (Ott 2008).
+        motor_angles: (n,), the first half of it.
+        motor_velocities: (n,), the second.
+
+    Raises:
+        ValueError: the values are not (3, n), float64 and row after row.
+    """
+
+    __slots__ = (
+        "angles",
+        "motor_angles",
+        "motor_state",
+        "motor_velocities",
+        "state",
+        "time",
+        "torques",
+        "values",
+        "velocities",
+    )
+
+    def __init__(
+        self,
+        n: int,
+        values: Array | None = None,
+        motor_state: Array | None = None,
+        rows: tuple[int, ...] = (),
+    ) -> None:
+        self.time = 0.0
+        self.values: Array = np.zeros((*rows, 3, n)) if values is None else values
+        shape, kind = self.values.shape, self.values.dtype
+        if shape != (*rows, 3, n) or kind != np.float64 or not self.values.flags.c_contiguous:
+            gaps = "" if self.values.flags.c_contiguous else " with gaps"
+            expected = f"{(*rows, 3, n)} float64 without gaps"
+            raise ValueError(f"found {shape} {kind}{gaps}; expected {expected}")
+        self.state: Array = self.values.reshape(*rows, 3 * n)[..., : 2 * n]
+        self.angles: Array = self.values[..., 0, :]
+        self.velocities: Array = self.values[..., 1, :]
+        self.torques: Array = self.values[..., 2, :]
+        self.motor_state: Array = self.state if motor_state is None else motor_state
+        self.motor_angles: Array = self.motor_state[..., :n]
+        self.motor_velocities: Array = self.motor_state[..., n:]
+
+
+class Target:
+    """The target of one robot; a controller reads what it needs and ignores the rest.
+
+    Write into the arrays (`target.angles[:] = ...`): controllers keep them.
+
+    Args:
+        n: number of joints.
+        rows: as for `Sensed`.
+
+    Attributes:
+        planned: (3n + 22,), `motion`, `pose` and `twist`, so that one copy sets all.
+        motion: (3n,), angles, velocities and accelerations.
+        state: (2n,), its first two thirds, like that of `Sensed`.
+        angles: (n,), rad or m; the first half of `state`.
+        velocities: (n,), per second; the second half of `state`.
+        accelerations: (n,), per second squared.
+        torques: (n,), Nm or N, added to what the controller computes.
+        has_torques: whether `torques` and `wrench` are added; false, and faster, where both are
+            zero all the time.
+        pose: (4, 4), T_world_flange, m.
+        position: (3,), of it.
+        rotation: (3, 3), of it.
+        twist: (6,), of the flange in world axes: m/s, then rad/s.
+        wrench: (6,), at the flange in world axes, that the robot is to exert: N, then Nm.
+        posture: (n,), rad or m, where the null space is drawn to.
+    """
+
+    __slots__ = (
+        "accelerations",
+        "angles",
+        "has_torques",
+        "motion",
+        "planned",
+        "pose",
+        "position",
+        "posture",
+        "rotation",
+        "state",
+        "torques",
+        "twist",
+        "velocities",
+        "wrench",
+    )
+
+    def __init__(self, n: int, rows: tuple[int, ...] = ()) -> None:
+        self.planned: Array = np.zeros((*rows, 3 * n + 22))
+        self.motion: Array = self.planned[..., : 3 * n]
+        self.state: Array = self.motion[..., : 2 * n]
+        self.angles: Array = self.state[..., :n]
+        self.velocities: Array = self.state[..., n:]
+        self.accelerations: Array = self.motion[..., 2 * n :]
+        self.torques: Array = np.zeros((*rows, n))
+        self.has_torques = True
+        self.pose: Array = self.planned[..., 3 * n : -6].reshape(*rows, 4, 4)
+        self.pose[:] = np.eye(4)
+        self.position: Array = self.pose[..., :3, 3]
+        self.rotation: Array = self.pose[..., :3, :3]
+        self.twist: Array = self.planned[..., -6:]
+        self.wrench: Array = np.zeros((*rows, 6))
+        self.posture: Array = np.zeros((*rows, n))
+
+
+class Controller(Protocol):
+    """Computes torques: one of the shipped controllers, or any object with this method.
+
+    Where joints are elastic and behind a torque loop, the links' resting places are found from the
+    torques that the controller would command at rest; those of one without `hold_links` (see
+    `LinkHolder`) are taken to be gravity's.
+
+    ```python
+    class Wave:
+        def torques(self, sensed, target, out):
+            out[:] = 5.0 * np.sin(sensed.time)
+    ```
+    """
+
+    def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
+        """Writes the motor torques of this step.
+
+        Args:
+            sensed: what the sensors say; not to be changed.
+            target: what is asked for; not to be changed.
+            out: (n,), Nm or N, to be written; holds the last step's.
+        """
+
+
+class LinkHolder(Controller, Protocol):
+    """A controller that says where the links of elastic joints would rest; all shipped ones do."""
+
+    def hold_links(self, joint_stiffness: Array) -> Array:
+        """Prepares for elastic joints, once.
+
+        Args:
+            joint_stiffness: (n,), Nm/rad or N/m.
+
+        Returns:
+            (n,), Nm or N: what it commands at rest, written at every step.
+        """
+
+
+class ControllerDeclaration(Declaration, ABC):
+    """Base of the declarations of controllers; numbers per joint may be one for all.
+
+    Attributes:
+        torque_limits: (n,), Nm or N, where they are below those of the robot.
+        torque_rate_limits: (n,), Nm/s or N/s; None for none.
+        needs_target: whether it holds a pose, so that a robot without a target stays where it is.
+        needs_pose: whether it follows the flange's pose, and not only joint angles.
+    """
+
+    needs_target: ClassVar[bool] = True
+    needs_pose: ClassVar[bool] = False
+
+    torque_limits: MaybePerJoint = None
+    torque_rate_limits: MaybePerJoint = None
+
+    @abstractmethod
+    def make(self, model: RobotModel, timestep: float) -> LinkHolder:
+        """The controller, without torque limits.
+
+        Args:
+            model: what it knows of its robot; it has it for itself.
+            timestep: s between two calls.
+
+        Raises:
+            DeclarationError: gains that do not fit the robot's joints.
+        """
+
+    def per_joint(self, key: str, n: int) -> Array:
+        """A field as (n,) numbers.
+
+        Raises:
+            DeclarationError: it has neither one nor n.
+        """
+        return per_joint(key, np.asarray(getattr(self, key)), n)
+
+
+def per_joint(key: str, value: Array, n: int) -> Array:
+    """One number for all joints or n of them as (n,) numbers; raises DeclarationError."""
+    if len(value) not in (1, n):
+        message = f"found {len(value)} entries; expected {n}, one per joint, or one for all"
+        raise DeclarationError([Problem(key, message)])
+    return np.array(np.broadcast_to(value, n))

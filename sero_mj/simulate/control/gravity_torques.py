@@ -1,0 +1,58 @@
+"""`GravityTorques`: the torques that hold robots still, by their model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from ...base.errors import DeclarationError, Problem
+from ...base.frames import Array
+from ...robots.assemble.robot import SerialRobot
+from ...robots.assemble.scene import Scene
+from ...robots.assemble.world import World, dynamics_of
+from .compiler import EARTH
+
+
+class GravityTorques:
+    """Knows what the joints of robots hold against gravity, with all that they carry.
+
+    Robots that are mounted on others weigh on these. Bases are where they are declared.
+
+    Args:
+        robots: by name.
+
+    Raises:
+        DeclarationError: MuJoCo cannot compile the robots, or one of them floats.
+    """
+
+    def __init__(self, robots: Mapping[str, SerialRobot]) -> None:
+        floating = [name for name, robot in robots.items() if robot.free_base]
+        if floating:
+            why = "has a free base: it holds nothing"
+            raise DeclarationError([Problem(f"robots.{name}", why) for name in floating])
+        scene = Scene(robots=list(robots.values()), floor=False)
+        known = dynamics_of(scene)
+        # Without meshes: to compile them takes longest, and their masses are known.
+        bare = [
+            robot.model_copy(update={"filenames": [], "collisions": []})
+            for robot in scene.robots.values()
+        ]
+        self._world = World(Scene(robots=bare, floor=False), dynamic=True, dynamics=known)
+        self._world.model.opt.gravity[:] = EARTH
+        self._data = self._world.make_data()
+        self._torques: Array = np.zeros(self._world.model.nv)
+
+    def of(self, angles: Mapping[str, Array]) -> dict[str, Array]:
+        """Returns the torques of every robot, (n,), Nm or N.
+
+        Args:
+            angles: of every robot, (n,), rad or m.
+        """
+        model, data, parts = self._world.model, self._data, self._world.robots
+        for name, part in parts.items():
+            data.qpos[part.qpos] = angles[name]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_rne(model, data, 0, self._torques)
+        return {name: self._torques[part.dofs] for name, part in parts.items()}

@@ -1,0 +1,179 @@
+"""Inverse kinematics: joint angles that bring a frame of a robot to a pose, or as near as it gets.
+
+Damped least squares (Nakamura and Hanafusa 1986, Inverse Kinematic Solutions With Singularity
+Robustness, J. Dyn. Sys. Meas. Control 108; Wampler 1986, IEEE Trans. Systems, Man, and Cybernetics
+16), step by step from the angles before: what moves continuously is followed continuously.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...base.frames import Array, Bools
+from ...robots.assemble.robot import SerialRobot
+
+ITERATIONS = 60
+CLOSE = 1e-3  # m, or rad; what is nearer is reached
+_DAMPING = 1e-4  # of the pseudo-inverse, m2 and rad2
+_LONGEST = 0.2  # rad or m per iteration
+_AT_LIMIT = 1e-6  # rad or m
+_BACK = 0.5  # of the way back to the posture, per iteration
+_RESTS = 1e-4  # rad or m; a step of the null space below it has come to its end
+# Angles to where the frame is then, (4, 4), m, and its Jacobian (6, n): linear, then angular.
+Place = Callable[[Array], tuple[Array, Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """Angles as near as they get to a pose.
+
+    Attributes:
+        angles: (n,), rad or m.
+        distance: that is left, m.
+        angle: that is left, rad; 0 where only a position was asked for.
+        at_limit: which joints are at a position limit, (n,).
+    """
+
+    angles: Array
+    distance: float
+    angle: float
+    at_limit: Bools
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the pose is reached, within `CLOSE`."""
+        return self.distance <= CLOSE and self.angle <= CLOSE
+
+
+def frame_place(robot: SerialRobot, base: Array, link: int, at: Array) -> Place:
+    """Returns where a frame of a robot is, by numpy, as a function of its independent joints.
+
+    Args:
+        robot: its declaration.
+        base: T_world_base (4, 4), m.
+        link: that carries the frame, 0 for the base, up to n.
+        at: T_link_frame (4, 4), m.
+    """
+    tree, coupled = robot.kinematics, robot.coupled
+    follows: Array = np.zeros((coupled.n, coupled.k))  # of all joints' rates those of these
+    follows[np.arange(coupled.n), coupled.source] = coupled.ratio
+
+    def place(angles: Array) -> tuple[Array, Array]:
+        q = coupled.positions(angles)
+        frames = tree.frames(q, base)
+        axis, point = tree.joint_axes(frames)
+        pose = frames[link] @ at
+        turns = tree.revolute[:, None]
+        linear = np.where(turns, np.cross(axis, pose[:3, 3] - point), axis)
+        both = np.concatenate([linear, np.where(turns, axis, 0.0)], axis=1)
+        return pose, (both * tree.moves[link][:, None]).T @ follows
+
+    return place
+
+
+def independent_limits(robot: SerialRobot) -> Array | None:
+    """Position limits of the independent joints, (k, 2), within which coupled ones keep theirs."""
+    limits = robot.position_limits
+    if limits is None:
+        return None
+    coupled = robot.coupled
+    found: Array = np.tile([-np.inf, np.inf], (coupled.k, 1))
+    for joint, source in enumerate(coupled.source.tolist()):
+        low, high = np.sort((limits[joint] - coupled.offset[joint]) / coupled.ratio[joint])
+        found[source] = max(found[source, 0], low), min(found[source, 1], high)
+    return found
+
+
+def reach(
+    place: Place,
+    goal: Array,
+    angles: Array,
+    limits: Array | None,
+    *,
+    turns: bool = True,
+    posture: Array | None = None,
+    iterations: int = ITERATIONS,
+) -> Reached:
+    """Returns angles at which a frame is at a pose, within the position limits.
+
+    Args:
+        place: of the frame.
+        goal: T_world_frame (4, 4), m.
+        angles: (n,), rad or m, to begin with.
+        limits: (n, 2), rad or m; None for none.
+        turns: whether the rotation matters, or the position alone.
+        posture: (n,), where the null space is drawn to; None lets it stay where the way leads.
+        iterations: at most.
+    """
+    error: Array = np.zeros(6)
+    rows = slice(None) if turns else slice(0, 3)
+    angle = 0.0
+    for iteration in range(iterations):
+        pose, jacobian = place(angles)
+        error[:3] = goal[:3, 3] - pose[:3, 3]
+        if turns:
+            error[3:], angle = _turn(goal[:3, :3] @ pose[:3, :3].T)
+        left = float(np.linalg.norm(error[:3])), angle
+        is_close = max(left) < 1e-2 * CLOSE
+        if (is_close and posture is None) or iteration == iterations - 1:
+            break
+        inner = None if posture is None else _BACK * (posture - angles)
+        step = _step(jacobian[rows], error[rows], angles, limits, inner)
+        if is_close and float(np.abs(step).max()) < _RESTS:
+            break
+        angles = angles + step
+    at_limit = np.zeros(len(angles), bool)
+    if limits is not None:
+        at_limit = (angles <= limits[:, 0] + _AT_LIMIT) | (angles >= limits[:, 1] - _AT_LIMIT)
+    return Reached(angles, *left, at_limit)
+
+
+def _turn(rotation: Array) -> tuple[Array, float]:
+    """Returns a rotation (3, 3) as a vector along its axis, rad, and its angle."""
+    sin = 0.5 * np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    size = float(np.linalg.norm(sin))
+    angle = float(np.arctan2(size, 0.5 * (np.trace(rotation) - 1.0)))
+    return sin * (angle / size if size > 1e-12 else 1.0), angle
+
+
+def _step(
+    jacobian: Array, error: Array, angles: Array, limits: Array | None, inner: Array | None
+) -> Array:
+    """A step towards the pose; joints that would leave their limits go up to them and stay.
+
+    Args:
+        jacobian: (m, n).
+        error: what is left, (m,), m and rad.
+        angles: (n,).
+        limits: (n, 2), or None.
+        inner: (n,), what to move where that leaves the frame in place; None for nothing.
+    """
+    m, n = jacobian.shape
+    low, high = (np.full(n, -np.inf), np.full(n, np.inf)) if limits is None else limits.T
+    free: Array = np.ones(n)
+    held: Array = np.zeros(n)
+    step = held
+    for _ in range(n):
+        J = jacobian * free
+        rest = error - jacobian @ held
+        if inner is not None:
+            rest = rest - J @ inner
+        step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(m), rest)
+        if inner is not None:
+            step = step + free * inner
+        step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-12))
+        out = (free > 0.0) & ((angles + step < low) | (angles + step > high))
+        if not out.any():
+            break
+        held[out] = np.clip(angles + step, low, high)[out] - angles[out]
+        free[out] = 0.0
+    return np.asarray(np.where(free > 0.0, step, held))

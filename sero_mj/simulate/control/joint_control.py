@@ -1,0 +1,407 @@
+"""Joint-space controllers (gravity compensation, torque, impedance, position) and their damping.
+
+They control one robot, or as many equal ones as their model has rows: what they sense, aim at and
+command then has the rows as its first axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from ...base.errors import DeclarationError, Problem
+from ...base.frames import Array, Bools
+from .controller import (
+    DEFAULT_RATIO,
+    SOFTEST,
+    ControllerDeclaration,
+    PerJoint,
+    Ratio,
+    Sensed,
+    Target,
+    within,
+)  # fmt: skip
+from .model_rows import ModelRows
+from .robot_model import RobotModel
+
+MAX_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
+
+
+class GravityCompensation(ControllerDeclaration):
+    """Compensates gravity: the robot can be moved by hand.
+
+    Attributes:
+        damping: Nm s/rad or N s/m per joint, against motion.
+    """
+
+    needs_target: ClassVar[bool] = False
+
+    kind: Literal["gravity_compensation"] = "gravity_compensation"
+    damping: Annotated[PerJoint, within(0.0, 1e4, "Nm s/rad")] = np.zeros(1)
+
+    def make(self, model: RobotModel | ModelRows, timestep: float) -> GravityCompensator:
+        """The controller, without torque limits."""
+        return GravityCompensator(model, damping=self.per_joint("damping", model.n))
+
+
+class Torque(ControllerDeclaration):
+    """Constant torques on top of gravity compensation.
+
+    Attributes:
+        torques: Nm per joint, all the time; what a target brings comes on top.
+        compensate_gravity: whether gravity is added.
+    """
+
+    needs_target: ClassVar[bool] = False
+
+    kind: Literal["torque"] = "torque"
+    torques: PerJoint = np.zeros(1)
+    compensate_gravity: bool = True
+
+    def make(self, model: RobotModel | ModelRows, timestep: float) -> GravityCompensator:
+        """The controller, without torque limits."""
+        own = self.per_joint("torques", model.n)
+        return GravityCompensator(
+            model, torques=own, feed_forward=True, compensate_gravity=self.compensate_gravity
+        )
+
+
+class JointImpedance(ControllerDeclaration):
+    """Every joint is a spring and a damper about the target's angles.
+
+    Attributes:
+        at_links: whether the stiffness is what one feels at the links of elastic joints, behind a
+            torque loop; else it is that of their motors.
+        stiffness: Nm/rad per joint, 0 to 5000 as on the KUKA LWR.
+        damping: ratio per joint; 0.7 overshoots by 4.6 %, 1 not at all.
+        feed_forward: whether the torques that the target's motion takes are added.
+        damping_every: s between two designs of the damping matrix.
+    """
+
+    at_links: ClassVar[bool] = True
+
+    kind: Literal["joint_impedance"] = "joint_impedance"
+    stiffness: Annotated[
+        PerJoint,
+        within(0.0, MAX_STIFFNESS, "Nm/rad", "; kind = 'joint_position' can be stiffer"),
+    ]
+    damping: Ratio = DEFAULT_RATIO
+    feed_forward: bool = False
+    damping_every: float = Field(0.1, gt=0, le=1)
+
+    def make(self, model: RobotModel | ModelRows, timestep: float) -> JointImpedanceController:
+        """The controller, without torque limits."""
+        return JointImpedanceController(
+            model,
+            self.per_joint("stiffness", model.n),
+            self.per_joint("damping", model.n),
+            timestep,
+            feed_forward=self.feed_forward,
+            damping_every=self.damping_every,
+            at_links=self.at_links,
+        )
+
+
+class JointPosition(JointImpedance):
+    """Follows the target's angles as a stiff impedance, with the torques that its motion takes.
+
+    Behind a torque loop, elastic joints are under full state feedback: with the loop's B, Bt and T
+    (`torque_loop`), gains are B / Bt K of the motors' positions, B / Bt D of their velocities,
+    B / Bt - 1 of the joint torques and B / Bt T of the torques' derivatives. The links are where
+    the motors are but for the deflection by what the motion takes, which is allowed for.
+
+    Attributes:
+        stiffness: Nm/rad per joint.
+        damping: ratio per joint.
+        feed_forward: as for `JointImpedance`.
+        damping_every: as for `JointImpedance`.
+    """
+
+    at_links: ClassVar[bool] = False
+
+    kind: Literal["joint_position"] = "joint_position"  # type: ignore[assignment]
+    stiffness: Annotated[PerJoint, within(1.0, 1e6, "Nm/rad")] = np.array([10000.0])
+    damping: Ratio = np.ones(1)
+    feed_forward: bool = True
+
+
+class GravityCompensator:
+    """tau = g(q) - d dq + tau_0, or g(q) + tau_0 + tau_target.
+
+    Args:
+        model: for itself.
+        damping: d, (n,), Nm s/rad; None for none.
+        torques: tau_0, (n,), Nm, added all the time; None for none.
+        feed_forward: whether the target's torques are added.
+        compensate_gravity: whether g(q) is.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel | ModelRows,
+        *,
+        damping: Array | None = None,
+        torques: Array | None = None,
+        feed_forward: bool = False,
+        compensate_gravity: bool = True,
+    ) -> None:
+        self.model = model
+        self._compensates, self._feeds_forward = compensate_gravity, feed_forward
+        self._damping = damping if damping is not None and damping.any() else None
+        self._own = torques if torques is not None and torques.any() else None
+        self._rest: Array | None = None
+        self._resisting: Array = np.zeros((*model.rows, model.n))
+
+    def hold_links(self, joint_stiffness: Array) -> Array:
+        """See `LinkHolder`."""
+        self._rest = np.zeros((*self.model.rows, self.model.n))
+        return self._rest
+
+    def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
+        """Writes the torques of this step, (n,)."""
+        if self._compensates:
+            self.model.update(sensed.motor_angles, sensed.motor_velocities)
+            self.model.gravity(out)
+        else:
+            out[:] = 0.0
+        if self._own is not None:
+            np.add(out, self._own, out)
+        if self._feeds_forward:
+            np.add(out, target.torques, out)
+        if self._rest is not None:
+            self._rest[...] = out
+        if self._damping is not None:
+            np.multiply(self._damping, sensed.motor_velocities, self._resisting)
+            np.subtract(out, self._resisting, out)
+
+
+class JointImpedanceController:
+    """tau = K (q_d - q) + D (dq_d - dq) + g(q) + tau_target.
+
+    With feed-forward also M(q) ddq_d + C(q, dq) dq_d, which makes the error of a moving target die
+    out as that of a resting one does (PD+; Paden and Panja 1988, Globally asymptotically stable
+    'PD+' controller for robot manipulators, Int. J. Control 47). To a resting target the robot
+    moves as springs and dampers on its own inertia would make it: the energy
+    1/2 dq M dq + 1/2 e K e falls by dq D dq (Hogan 1985; Albu-Schäffer, Ott, Hirzinger 2007, A
+    Unified Passivity-based Control Framework, IJRR 26). D is designed from M(q), motors' inertia
+    included, every `damping_every`, and held: any positive semidefinite D takes energy.
+
+    Where joints are elastic, q and dq are the motors', and the links hang below their targets by
+    what gravity bends; behind a torque loop q is where the links come to rest (`HangingLinks`), so
+    that K is what one feels at the links.
+
+    Args:
+        model: for itself.
+        stiffness: the diagonal of K, (n,), Nm/rad.
+        damping: ratio, (n,).
+        timestep: s between two calls.
+        feed_forward: whether the torques of the target's motion are added.
+        damping_every: s.
+        at_links: whether K is meant at the links of elastic joints, or at their motors.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel | ModelRows,
+        stiffness: Array,
+        damping: Array,
+        timestep: float,
+        *,
+        feed_forward: bool = False,
+        damping_every: float = 0.04,
+        at_links: bool = True,
+    ) -> None:
+        n = model.n
+        self._at_links = at_links
+        self._rest: Array | None = None
+        self.model = model
+        self.stiffness: Array = np.diag(stiffness)
+        self._spring = stiffness
+        self._ratio = damping
+        self._timestep = timestep
+        self._every = max(round(damping_every / timestep), 1)
+        # Steps until now, and those in which the damping of every row is designed anew.
+        self._k = self._next = 0
+        self._due = np.zeros(model.rows, np.intp)
+        # One product for all: [K D 1 -1 M_motors] [e; de; own torques; ddq_d], or but for the last
+        # two without feed-forward. numpy takes longer to make a view than to compute with it.
+        self._feeds_forward = feed_forward
+        gains = [self.stiffness, np.zeros((n, n)), np.eye(n)]
+        if feed_forward:
+            gains += [-np.eye(n), np.diag(model.motor_inertia)]
+        self._gains: Array = np.tile(np.hstack(gains), (*model.rows, 1, 1))
+        self.damping: Array = self._gains[..., n : 2 * n]
+        terms: Array = np.zeros((*model.rows, len(gains) * n))
+        self._column = terms[..., None]
+        self._errors, self._own = terms[..., : 2 * n], terms[..., 2 * n : 3 * n]
+        self._less, self._accelerations = terms[..., 3 * n : 4 * n], terms[..., 4 * n :]
+
+    def begin(self, which: Bools) -> None:
+        """Begins anew with some of the rows, (m,): what was designed for them is forgotten."""
+        self._due[which] = self._next = self._k
+
+    def hold_links(self, joint_stiffness: Array) -> Array:
+        """See `LinkHolder`.
+
+        Raises:
+            DeclarationError: K is too close to the stiffness of the joints themselves.
+        """
+        own, most = self._spring, SOFTEST * joint_stiffness
+        problems = [
+            Problem(
+                "stiffness",
+                f"joint {self.model.joint_names[i]}: found {own[i]:g} Nm/rad; expected at most "
+                f"{most[i]:g}, {100 * SOFTEST:g} % of that of the elastic joint",
+            )
+            for i in np.flatnonzero(own > most).tolist()
+        ]
+        if self._at_links and problems:
+            raise DeclarationError(problems)
+        self._rest = np.zeros((*self.model.rows, self.model.n))
+        return self._rest
+
+    def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
+        """Writes the torques of this step, (n,)."""
+        model = self.model
+        model.update(sensed.motor_angles, sensed.motor_velocities)
+        if self._k == self._next:
+            self._design()
+        self._k += 1
+        np.subtract(target.state, sensed.motor_state, self._errors)
+        if self._feeds_forward:
+            accelerations = target.accelerations
+            self._accelerations[...] = accelerations
+            model.write_inverse_dynamics(target.velocities, accelerations, self._own, self._less)
+        else:
+            model.gravity(self._own)
+        np.matmul(self._gains, self._column, out[..., None])
+        if target.has_torques:
+            np.add(out, target.torques, out)
+        if self._rest is not None:
+            self._write_rest(self._rest)
+
+    def _design(self) -> None:
+        """Designs the damping of those rows whose time it is."""
+        model = self.model
+        if isinstance(model, RobotModel):
+            self.damping[:] = design_damping(model.mass(), self.stiffness, self._ratio)
+            self._next = self._k + self._every
+            return
+        due = self._due <= self._k
+        masses = model.mass(np.flatnonzero(due).tolist())
+        self.damping[due] = design_damping(masses, self.stiffness, self._ratio)
+        self._due[due] = self._k + self._every
+        self._next = int(self._due.min())
+
+    def _write_rest(self, rest: Array) -> None:
+        np.copyto(rest, self._own)
+        if self._feeds_forward:
+            rest -= self._less
+        if self._at_links:
+            rest += self._spring * self._errors[..., : self.model.n]
+
+    def check(self, angles: Array) -> None:
+        """Refuses gains for which the time step is too long; see `LimitedController.check`."""
+        model = self.model
+        model.update(angles, np.zeros(model.n))
+        mass = model.mass()
+        damping = design_damping(mass, self.stiffness, self._ratio)
+        joint = unstable_joint(mass, self.stiffness, damping, self._timestep)
+        if joint is not None:
+
+            def holds(share: float) -> bool:
+                stiffness = share * self.stiffness
+                damping = design_damping(mass, stiffness, self._ratio)
+                return unstable_joint(mass, stiffness, damping, self._timestep) is None
+
+            gain = float(self.stiffness[joint, joint])
+            share = largest_share(holds)
+            most = 0.99 * share * gain
+            name = model.joint_names[joint]
+            others = f" and {99 * share:.2g} % of the others" if model.n > 1 else ""
+            up_to = f"up to {most:.3g}{others}"
+            raise too_stiff(name, f" at {gain:g} Nm/rad", self._timestep, up_to)
+
+
+def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array:
+    """Damping matrix that gives every mode of mass and stiffness a damping ratio.
+
+    Double diagonalisation: M = Q Q^T and K = Q W^2 Q^T with diagonal W, then D = 2 Q Z W Q^T. Modes
+    then move as mass-spring-dampers of their own: with one ratio z a step overshoots by
+    exp(-pi z / sqrt(1 - z^2)), 4.6 % at 0.7. A direction without stiffness has no damping.
+
+    Modes belong to no single joint. Ratios that differ are put in as sqrt(z_i z_j) before the
+    entries of the matrix for ratio one: it stays positive semidefinite, and equal ratios give the
+    exact result.
+
+    Args:
+        mass: (..., n, n), symmetric, positive definite.
+        stiffness: (..., n, n), symmetric, positive semidefinite.
+        ratio: damping ratio, 1 for critical damping; a number or (n,).
+
+    Returns:
+        (..., n, n), symmetric, positive semidefinite: it can only take energy, also when it is
+        kept while the mass matrix changes.
+
+    Source: Albu-Schäffer, Ott, Frese, Hirzinger 2003, Cartesian Impedance Control of Redundant
+    Robots: Recent Results with the DLR-Light-Weight-Arms, ICRA (double diagonalization design).
+    """
+    lower = np.linalg.cholesky(mass)
+    unlower = np.linalg.inv(lower)
+    squares, vectors = np.linalg.eigh(unlower @ stiffness @ unlower.mT)
+    modes = lower @ vectors
+    scale = 2.0 * np.sqrt(np.maximum(squares, 0.0))
+    matrix = (modes * scale[..., None, :]) @ modes.mT
+    root = np.sqrt(np.broadcast_to(ratio, mass.shape[-1]))
+    return np.asarray(matrix * root * root[:, None])
+
+
+def unstable_joint(mass: Array, stiffness: Array, damping: Array, timestep: float) -> int | None:
+    """The joint that moves most in an unstable mode of a sampled controller, or None.
+
+    The torques -K q - D dq are held for a step, and velocities are stepped before angles (MuJoCo's
+    semi-implicit Euler): the robot is stable where no eigenvalue of that map is beyond one. For one
+    mass this is w^2 t^2 + 4 z w t < 4 with w^2 = K / M and D = 2 z w M.
+
+    Args:
+        mass: (n, n), kg m2 (kg).
+        stiffness: (n, n), Nm/rad (N/m).
+        damping: (n, n), Nm s/rad (N s/m).
+        timestep: s between two torques.
+    """
+    n = len(mass)
+    pull = timestep * np.linalg.solve(mass, np.hstack([stiffness, damping]))
+    step: Array = np.eye(2 * n)
+    step[n:] -= pull
+    step[:n] += timestep * step[n:]
+    values, vectors = np.linalg.eig(step)
+    worst = int(np.argmax(np.abs(values)))
+    if np.abs(values[worst]) <= 1.0 + 1e-7:
+        return None
+    return int(np.argmax(np.abs(vectors[n:, worst])))
+
+
+def largest_share(holds: Callable[[float], bool]) -> float:
+    """The largest share from 0 to 1 of something for which a condition holds, within 0.03 %."""
+    low, high = 0.0, 1.0
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+def too_stiff(joint: str, gain: str, timestep: float, expected: str = "less") -> DeclarationError:
+    """The error for gains that are unstable at a time step.
+
+    Args:
+        joint: name of the one that moves most.
+        gain: for the message: ` at 500 Nm/rad`, say.
+        timestep: s between two torques.
+        expected: what would do, where that is known.
+    """
+    found = f"joint {joint} is unstable{gain} with a time step of {1e3 * timestep:g} ms"
+    message = f"{found}; expected {expected}, or a shorter step"
+    return DeclarationError([Problem("stiffness", message)])

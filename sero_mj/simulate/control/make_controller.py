@@ -1,0 +1,213 @@
+"""From a declaration to a controller whose torques are limited; the table of all kinds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...base.declaration import by_kind
+from ...base.errors import DeclarationError, Problem, SimulationError
+from ...base.frames import Array, Bools
+from .cartesian_control import CartesianImpedance
+from .controller import Controller, ControllerDeclaration, Sensed, Target
+from .joint_control import GravityCompensation, JointImpedance, JointPosition, Torque
+from .robot_model import RobotModel
+
+
+class LimitedController:
+    """A controller behind torque limits and torque rate limits.
+
+    The first torques are not rate-limited: they are the reference for the next step.
+
+    Args:
+        controller: whose torques to limit.
+        limits: (n,), Nm or N.
+        timestep: s between two calls.
+        rates: (n,), Nm/s or N/s; None for no limit.
+        robot: its name, for messages.
+        joint_names: of every joint, for messages.
+
+    Attributes:
+        controller: what is limited.
+        asked: (n,), what the controller asked for in the last step; the same array at every step.
+        limits: (n,), as given.
+
+    Raises:
+        DeclarationError: a limit is not positive, or there is not one for every joint.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        limits: Array,
+        timestep: float,
+        rates: Array | None = None,
+        *,
+        robot: str = "robot",
+        joint_names: Sequence[str],
+    ) -> None:
+        n = len(joint_names)
+        problems = _limit_problems("torque_limits", limits, "Nm", joint_names)
+        if rates is not None:
+            problems += _limit_problems("torque_rate_limits", rates, "Nm/s", joint_names)
+        if problems:
+            raise DeclarationError(problems)
+        self.controller = controller
+        self.asked: Array = np.zeros(n)
+        self._given: Array = self.asked
+        self._robot, self._names = robot, list(joint_names)
+        self.limits: Array = np.array(limits, float)
+        self._low: Array = -self.limits
+        self._step: Array | None = None if rates is None else np.multiply(rates, timestep)
+        self._last: Array | None = None
+        self._from: Array = np.zeros(n)
+        self._to: Array = np.zeros(n)
+
+    def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
+        """Writes the torques within the limits, (n,).
+
+        Raises:
+            SimulationError: a torque is NaN or infinite.
+        """
+        asked = self.asked
+        try:
+            returned = self.controller.torques(sensed, target, asked)  # type: ignore[func-returns-value]
+        except np.linalg.LinAlgError:  # what numpy makes of NaN in a matrix
+            asked[:] = math.nan
+            returned = None
+        if returned is not None:
+            reason = "torques() has returned something; expected it to write into `out`"
+            raise SimulationError(sensed.time, self._robot, reason)
+        # One number tells of NaN and inf in any joint.
+        if not asked.dot(asked) < math.inf:
+            raise self.not_finite(sensed)
+        np.minimum(np.maximum(asked, self._low, out=out), self.limits, out=out)
+        if self._step is not None:
+            if self._last is None:
+                self._last = out.copy()
+            np.subtract(self._last, self._step, self._from)
+            np.add(self._last, self._step, self._to)
+            np.minimum(np.maximum(out, self._from, out=out), self._to, out=out)
+            self._last[...] = out
+        self._given = out
+
+    @property
+    def saturated(self) -> Bools:
+        """Which joints got something else than they asked for in the last step, (n,)."""
+        return np.not_equal(self._given, self.asked)
+
+    def check(self, angles: Array) -> None:
+        """Refuses gains for which the time step is too long, where the controller can tell.
+
+        Args:
+            angles: (n,), rad or m, where the robot starts.
+
+        Raises:
+            DeclarationError: names the joint that would shake most.
+        """
+        check = getattr(self.controller, "check", None)
+        if check is not None:
+            check(angles)
+
+    def not_finite(self, sensed: Sensed) -> SimulationError:
+        """Names the joint whose sensor is to blame, else the one whose torque is."""
+        for values, what in zip(sensed.values, ("angle", "velocity", "torque"), strict=True):
+            if not np.isfinite(values).all():
+                joint = int(np.argmax(~np.isfinite(values)))
+                reason = f"the controller gets a measured {what} of {values[joint]:g}"
+                break
+        else:
+            bad = ~np.isfinite(self.asked)
+            joint = int(np.argmax(bad if bad.any() else np.abs(self.asked)))
+            reason = f"the controller asks for {self.asked[joint]:g} Nm"
+        place = f"{self._robot}/{self._names[joint]}"
+        return SimulationError(sensed.time, place, f"{reason}; expected a finite number")
+
+
+def _limit_problems(key: str, limits: Array, unit: str, names: Sequence[str]) -> list[Problem]:
+    """What is wrong with limits, joint by joint."""
+    values = np.asarray(limits, float)
+    if values.shape != (len(names),):
+        message = f"found {values.size} entries; expected {len(names)}, one per joint"
+        return [Problem(key, message)]
+    return [
+        Problem(key, f"joint {name} has {value:g}; expected a positive number of {unit}")
+        for name, value in zip(names, values, strict=True)
+        if not value > 0
+    ]
+
+
+CONTROLLERS: dict[str, type[ControllerDeclaration]] = {
+    "gravity_compensation": GravityCompensation,
+    "joint_position": JointPosition,
+    "joint_impedance": JointImpedance,
+    "cartesian_impedance": CartesianImpedance,
+    "torque": Torque,
+}
+
+
+def controller_from(table: Any) -> ControllerDeclaration:
+    """Builds the declaration of a controller from a table of a file.
+
+    Args:
+        table: `kind` and its fields; a declaration comes back as it is.
+
+    Raises:
+        DeclarationError: there is no such kind, or fields are wrong.
+    """
+    return by_kind(table, CONTROLLERS, ControllerDeclaration)  # type: ignore[type-abstract]
+
+
+def make_controller(
+    controller: ControllerDeclaration | Controller,
+    model: RobotModel,
+    timestep: float,
+    torque_limits: Array | None = None,
+) -> LimitedController:
+    """Makes a controller and limits its torques as its robot asks.
+
+    Args:
+        controller: a declaration, or any object with the method `torques` of `Controller`.
+        model: what the controller knows of its robot; for it alone.
+        timestep: s between two calls.
+        torque_limits: the robot's, (n,), Nm or N; None where it has none.
+
+    Raises:
+        DeclarationError: gains or limits do not fit the robot.
+    """
+    n = model.n
+    limits: Array = np.full(n, np.inf) if torque_limits is None else np.array(torque_limits, float)
+    rates = None
+    if isinstance(controller, ControllerDeclaration):
+        own = controller
+        controller = own.make(model, timestep)
+        if own.torque_limits is not None:
+            limits = _lower(own.per_joint("torque_limits", n), limits, model.joint_names)
+        if own.torque_rate_limits is not None:
+            rates = own.per_joint("torque_rate_limits", n)
+    elif isinstance(controller, type):
+        message = (
+            f"found the class {controller.__name__}; expected an object: {controller.__name__}()"
+        )
+        raise DeclarationError([Problem("", message)])
+    elif not callable(getattr(controller, "torques", None)):
+        message = f"found {controller!r}; expected a method torques(sensed, target, out)"
+        raise DeclarationError([Problem("", message)])
+    return LimitedController(
+        controller, limits, timestep, rates, robot=model.name, joint_names=model.joint_names
+    )
+
+
+def _lower(own: Array, robots: Array, names: list[str]) -> Array:
+    """A controller's limits, which may not be above those of its robot."""
+    problems = [
+        Problem("torque_limits", f"joint {name} has {a:g}; expected up to {b:g}, the robot's")
+        for name, a, b in zip(names, own, robots, strict=True)
+        if a > b
+    ]
+    if problems:
+        raise DeclarationError(problems)
+    return own

@@ -1,0 +1,64 @@
+"""`ModelRows`: what the controllers of many equal robots know of them, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ...base.frames import Array
+from .robot_model import RobotModel
+
+
+class ModelRows:
+    """`RobotModel` of m robots: the same questions and answers, with the rows as first axis.
+
+    MuJoCo is asked row by row: for a skeleton that takes less time than a batch of it, and rows
+    that are not asked about cost nothing.
+
+    Args:
+        model: of one of them; for itself.
+        m: how many.
+
+    Attributes:
+        rows: (m,), the first axis of all that is asked and answered.
+        n: number of joints of a robot.
+        joint_names: of every joint, without the robot's name before it.
+        motor_inertia: (n,), kg m2 or kg, of all of them.
+    """
+
+    def __init__(self, model: RobotModel, m: int) -> None:
+        self._model, self.rows, self.n = model, (m,), model.n
+        self.joint_names, self.motor_inertia = model.joint_names, model.motor_inertia
+        self._angles, self._velocities, self._gravity = np.zeros((3, m, model.n))
+
+    def update(self, angles: Array, velocities: Array) -> None:
+        """Moves the models, (m, n) each; both are kept, not copied, until the next update."""
+        self._angles, self._velocities = angles, velocities
+
+    def gravity(self, out: Array | None = None) -> Array:
+        """g(q), (m, n)."""
+        result = self._gravity if out is None else out
+        model, still = self._model, self._velocities[0]
+        for angles, torques in zip(self._angles, result, strict=True):
+            model.update(angles, still)
+            model.gravity(torques)
+        return result
+
+    def mass(self, which: Iterable[int] | None = None) -> Array:
+        """M(q) of k of the robots, or of all, (k, n, n), in an array of its own."""
+        found = []
+        for row in range(self.rows[0]) if which is None else which:
+            self._model.update(self._angles[row], self._velocities[row])
+            found.append(self._model.mass().copy())
+        return np.array(found)
+
+    def write_inverse_dynamics(
+        self, velocities: Array, accelerations: Array, torques: Array, less: Array
+    ) -> None:
+        """See `RobotModel`; (m, n) each."""
+        for row in range(self.rows[0]):
+            self._model.update(self._angles[row], self._velocities[row])
+            self._model.write_inverse_dynamics(
+                velocities[row], accelerations[row], torques[row], less[row]
+            )

@@ -1,0 +1,198 @@
+"""Targets of robots at every step of a run, computed before it begins.
+
+Here are all kinds of target motions by name, and inverse kinematics along a motion of the flange.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...base.declaration import by_kind
+from ...base.errors import DeclarationError, Problem
+from ...base.frames import Array
+from ...robots.assemble.robot import SerialRobot
+from .compiler import Compiler
+from .controller import Controller, ControllerDeclaration
+from .inverse_kinematics import Reached, reach
+from .robot_model import RobotModel
+from .target_motions import (
+    CartesianConstant,
+    CartesianLaw,
+    CartesianMotion,
+    Chirp,
+    Constant,
+    JointLaw,
+    Law,
+    Motion,
+    Recorded,
+    Sine,
+    Step,
+)  # fmt: skip
+from .way_points import CartesianWayPoints, WayPoints
+
+LAWS: Mapping[str, type[Law]] = {
+    "constant": Constant,
+    "way_points": WayPoints,
+    "sine": Sine,
+    "chirp": Chirp,
+    "step": Step,
+    "recorded": Recorded,
+    "cartesian_constant": CartesianConstant,
+    "cartesian_way_points": CartesianWayPoints,
+}
+
+_EVERY = 0.02  # s between two poses that are tried
+
+
+def law_from(table: Any) -> Law:
+    """Builds the declaration of a target motion from a table of a file.
+
+    Args:
+        table: `kind` and its fields; a declaration comes back as it is.
+
+    Raises:
+        DeclarationError: there is no such kind, or fields are wrong.
+    """
+    return by_kind(table, LAWS, Law)
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The target of one robot at every step.
+
+    Attributes:
+        joints: angles, velocities and accelerations, (T, n) each; None where there is no target.
+        flange: poses and twists, where the controller or the law is Cartesian; only with `joints`.
+        moves: whether it ever changes.
+    """
+
+    joints: Motion | None
+    flange: CartesianMotion | None
+    moves: bool
+
+    @cached_property
+    def rows(self) -> Array:
+        """(T, k), what is asked for at every step, as the first k numbers of `Target.planned`."""
+        if self.joints is None:
+            return np.zeros((1, 0))
+        joints, flange = self.joints, self.flange
+        parts = [joints.angles, joints.velocities, joints.accelerations]
+        if flange is not None:
+            parts += [flange.poses.reshape(len(flange.poses), 16), flange.twists]
+        return np.hstack(parts)
+
+
+def make_plan(
+    robot: SerialRobot,
+    law: Law | None,
+    controller: ControllerDeclaration | Controller,
+    times: Array,
+    compiler: Compiler,
+    start: Array | None = None,
+) -> Plan:
+    """The target of a robot over a run.
+
+    A law in joint space is turned into poses for a Cartesian controller, and a Cartesian one into
+    joint angles; the latter are shown in any case, and are proof that it can be followed.
+
+    Args:
+        robot: with its limits.
+        law: of the motion; None stays where it starts, or has no target where there is no spring.
+        controller: that is to follow it.
+        times: (T,), s.
+        compiler: of the model with which a flange's way is followed.
+        start: (n,), where the robot stands at first, rad or m; as it is declared when None.
+
+    Raises:
+        DeclarationError: the motion leaves the robot's limits or reach.
+    """
+    start = np.asarray(robot.home if start is None else start, np.float64)
+    if law is None and not getattr(controller, "needs_target", True):
+        return Plan(None, None, moves=False)
+    if isinstance(law, CartesianLaw):
+        first = robot.base_frame @ robot.fwd_kin_base_to_flange(start)
+        flange = law.sample(times, first)
+        angles = follow_poses(flange, compiler.robot_model(robot), robot, start)
+        joints = _motion(times, angles)
+        return Plan(joints, flange, moves=bool(np.ptp(flange.poses, axis=0).max() > 0))
+    law = Constant() if law is None else law
+    assert isinstance(law, JointLaw)
+    joints = law.sample(times, robot, start)
+    moves = bool(np.ptp(joints.angles, axis=0).max() > 0)
+    return Plan(
+        joints, _poses(robot, joints) if getattr(controller, "needs_pose", False) else None, moves
+    )
+
+
+def _motion(times: Array, angles: Array) -> Motion:
+    """A motion of joints of which only the angles are known."""
+    if len(times) < 3:
+        return Motion(times, angles, np.zeros_like(angles), np.zeros_like(angles))
+    velocities = np.gradient(angles, times, axis=0)
+    return Motion(times, angles, velocities, np.gradient(velocities, times, axis=0))
+
+
+def _poses(robot: SerialRobot, motion: Motion) -> CartesianMotion:
+    """Where the flange is during a motion of the joints."""
+    poses = robot.base_frame @ robot.fwd_kin_base_to_flange(motion.angles)
+    jacobians = robot.kinematics.jacobian(
+        motion.angles, robot.base_frame, robot.T_n_flange, robot.flange_link
+    )
+    twists = np.einsum("tij,tj->ti", jacobians, motion.velocities)
+    accelerations = np.gradient(twists, motion.times, axis=0) if len(twists) > 2 else 0.0 * twists
+    return CartesianMotion(motion.times, poses, twists, np.asarray(accelerations))
+
+
+def follow_poses(
+    motion: CartesianMotion, model: RobotModel, robot: SerialRobot, start: Array
+) -> Array:
+    """Joint angles (T, n) along a motion of the flange, within the position limits.
+
+    Found pose by pose, every 20 ms and linearly between, by damped least squares (`reach`), each
+    from the one before; a check and a first guess, no plan. A redundant arm might get through with
+    another elbow where this one is stopped by a limit.
+
+    Args:
+        motion: of the flange.
+        model: of the robot; it is moved.
+        robot: whose limits to keep.
+        start: (n,), rad or m, the angles at first.
+
+    Raises:
+        DeclarationError: says when the flange stays behind, how far, and what is at its limit.
+    """
+    times = motion.times
+    picked = np.unique(
+        np.hstack([np.searchsorted(times, np.arange(times[0], times[-1], _EVERY)), len(times) - 1])
+    )
+    found: Array = np.empty((len(picked), model.n))
+    angles = np.array(start, float)
+    still: Array = np.zeros(model.n)
+
+    def place(angles: Array) -> tuple[Array, Array]:
+        model.update(angles, still)
+        return model.flange(), model.jacobian()
+
+    for row, pose in zip(found, picked, strict=True):
+        reached = reach(place, motion.poses[pose], angles, robot.position_limits)
+        if not reached.is_there:
+            raise _too_far(times[pose], reached, robot)
+        row[:] = angles = reached.angles
+    return np.stack([np.interp(times, times[picked], column) for column in found.T], axis=1)
+
+
+def _too_far(time: float, reached: Reached, robot: SerialRobot) -> DeclarationError:
+    left = f"{1e3 * reached.distance:.1f} mm and {np.rad2deg(reached.angle):.1f} deg"
+    found = f"the flange cannot follow at t = {time:.3f} s: it stays {left} away"
+    names = [name for name, there in zip(robot.names, reached.at_limit, strict=True) if there]
+    if names:
+        joints = f"joint {names[0]} is" if len(names) == 1 else f"joints {', '.join(names)} are"
+        why = f"{joints} at the limit"
+    else:
+        why = "no joint is at its limit, it is too far or a singularity in the way"
+    return DeclarationError([Problem("", f"{found}; {why}")])

@@ -1,0 +1,396 @@
+"""`RobotModel`: the kinematics and dynamics that a controller knows of its robot.
+
+It is a model of that robot: no payload, no contact, and the masses that the controller believes
+in. Other robots are in it only as what carries it and as its load, see `follow`. What differs from
+that in the simulated world shows as it would on the real robot.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from mujoco import (
+    mj_comVel,
+    mj_factorM,
+    mj_fullM,
+    mj_fwdKinematics,
+    mj_jacSite,
+    mj_makeM,
+    mj_rne,
+    mj_solveM,
+    mju_mat2Quat,
+    mju_mulQuat,
+    mju_rotVecQuat,
+)
+
+from ...base.frames import Array, frame, inverse
+from ...robots.assemble.robot import SerialRobot
+from ...robots.assemble.scene import Scene
+from ...robots.assemble.world import World, dynamics_of
+from .whole_body import Mounting
+
+
+class RobotModel:
+    """Kinematics and dynamics of one robot at the angles and velocities it was last given.
+
+    `update` once, then ask: nothing is computed that is not asked for. What comes back is a
+    buffer that the next call of the same method writes again; copy it to keep it.
+
+    Joint torques are in Nm, forces of prismatic joints in N. The Coriolis matrix C is that of the
+    Christoffel symbols (Siciliano et al. 2009, Robotics, 7.2), so that dM/dt = C + C^T.
+
+    Args:
+        model: where the robot's masses are taken from, at once; other robots, payloads fixed later
+            and contacts are not. Other joints of the robot (a gripper's, elastic ones) are rigid.
+        joints: ids of the robot's hinge and slide joints, base to flange.
+        site: id of the site at the flange. One of site and body is needed.
+        body: id of the body whose frame is the flange's.
+        name: the robot's name, for messages.
+
+    Attributes:
+        rows: (), the shape of what there is one of in a row; see `ModelRows`.
+        n: number of joints.
+        name: the robot's name.
+        joint_names: of every joint, without the robot's name before it.
+        motor_inertia: (n,), kg m2 or kg, as reflected to the joint; on the diagonal of M.
+        flange_position: (3,), m, in the world; always that of the last `update`.
+        flange_rotation: (3, 3), R_world_flange, likewise.
+
+    Raises:
+        ValueError: the joints are not those of one robot in their order, or there is no flange.
+    """
+
+    rows: tuple[int, ...] = ()
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        joints: Sequence[int],
+        *,
+        site: int | None = None,
+        body: int | None = None,
+        name: str = "robot",
+    ) -> None:
+        if (site is None) == (body is None):
+            raise ValueError("expected a site or a body for the flange, and not both")
+        ids = [int(joint) for joint in joints]
+        n = len(ids)
+        sliding_or_turning = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
+        trees = set(model.body_rootid[model.jnt_bodyid[ids]].tolist())
+        kinds = set(model.jnt_type[ids].tolist())
+        if ids != sorted(set(ids)) or len(trees) != 1 or not kinds <= sliding_or_turning:
+            raise ValueError(f"found joints {ids}; expected those of one robot, base to flange")
+        self.n, self.name = n, name
+        self.joint_names = [model.joint(joint).name.rpartition("/")[2] for joint in ids]
+        self._model = skeleton(model, ids, site, body)
+        self._data = mujoco.MjData(self._model)
+        # mj_rne reads velocities from cvel and cdof_dot. They stay zero in `_data`, so there it
+        # gives gravity alone; in the others gravity is zero.
+        self._weightless = copy.copy(self._model)
+        self._weightless.opt.gravity[:] = 0.0
+        self._moving = mujoco.MjData(self._weightless)
+        self._swapped = mujoco.MjData(self._weightless)
+        mj_fwdKinematics(self._model, self._data)
+        self._take_views()
+
+    def _take_views(self) -> None:
+        """Views into MuJoCo's arrays: to look one up costs as much as to compute with it."""
+        n, data = self.n, self._data
+        self._qpos: Array = data.qpos
+        self._qvel: Array = self._moving.qvel
+        self._qacc: Array = self._moving.qacc
+        self._gravity, self._coriolis, self._transposed, self._momentum = np.zeros((4, n))
+        self._velocities: Array = np.zeros(n)
+        self._mass: Array = np.zeros((n, n))
+        self.motor_inertia: Array = self._model.dof_armature.copy()
+        self._jacobian: Array = np.zeros((6, n))
+        self._linear, self._angular = self._jacobian[:3], self._jacobian[3:]
+        self.flange_position: Array = data.site_xpos[0]
+        self.flange_rotation: Array = data.site_xmat[0].reshape(3, 3)
+        moving, swapped = self._moving, self._swapped
+        self._cinert, self._cdof = data.cinert, data.cdof
+        self._moving_cinert, self._moving_cdof = moving.cinert, moving.cdof
+        self._moving_cdof_dot = moving.cdof_dot
+        self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
+        self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
+        self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
+        self._mounting: Mounting | None = None
+        self._loads: list[tuple[Array, Array, Array]] = []
+        self._of_base: list[tuple[Array, Array, Array, Array]] = []
+
+    @property
+    def skeleton(self) -> mujoco.MjModel:
+        """The model that all is computed with: links and joints without shapes and friction."""
+        return self._model
+
+    def follow(self, mounting: Mounting, T_world_base: Array) -> None:
+        """Lets every `update` take over where the base is, and what the robot carries, as a load.
+
+        Args:
+            mounting: whose arrays are read at every update.
+            T_world_base: (4, 4), where the base was when this model was made.
+        """
+        model, inverse_base = self._model, inverse(T_world_base)
+        turn: Array = np.empty(4)
+        mju_mat2Quat(turn, inverse_base[:3, :3].ravel())
+        for body in np.flatnonzero(model.body_parentid == 0)[1:]:  # of those that the base carries
+            quat: Array = np.empty(4)
+            mju_mulQuat(quat, turn, model.body_quat[body])
+            position = inverse_base[:3, :3] @ model.body_pos[body] + inverse_base[:3, 3]
+            self._of_base.append((model.body_pos[body], model.body_quat[body], position, quat))
+        bodies = [(int(model.jnt_bodyid[link - 1]), load) for link, load in mounting.loads
+                  if link > 0]  # the base's load is held by what the base stands on  # fmt: skip
+        # A base with several branches is as many trees, each about a centre of its own.
+        self._loads = [
+            (self._data.cinert[body], load, self._data.subtree_com[model.body_rootid[body]])
+            for body, load in bodies
+        ]
+        self._mounting = mounting
+
+    def _move_base(self, mounting: Mounting) -> None:
+        """Puts what the base carries where the base is now."""
+        for body_pos, body_quat, position, quat in self._of_base:
+            mju_rotVecQuat(body_pos, position, mounting.quaternion)
+            np.add(body_pos, mounting.position, body_pos)
+            mju_mulQuat(body_quat, mounting.quaternion, quat)
+
+    def _add_loads(self, mounting: Mounting) -> None:
+        """Adds the inertias of the loads to those of the links that carry them.
+
+        Both are about a point, in the world's axes: by the parallel-axis theorem, a shift by d of
+        the point adds (m d.d - 2 h.d) E + h d^T + d h^T - m d d^T to the tensor and -m d to the
+        first moment h.
+        """
+        for inertia, load, about in self._loads:
+            x, y, z = (about - mounting.about).tolist()
+            xx, yy, zz, xy, xz, yz, hx, hy, hz, m = load.tolist()
+            round_ = m * (x * x + y * y + z * z) - 2.0 * (hx * x + hy * y + hz * z)
+            inertia[:] += (
+                xx + round_ + (2.0 * hx - m * x) * x,
+                yy + round_ + (2.0 * hy - m * y) * y,
+                zz + round_ + (2.0 * hz - m * z) * z,
+                xy + hx * y + hy * x - m * x * y,
+                xz + hx * z + hz * x - m * x * z,
+                yz + hy * z + hz * y - m * y * z,
+                hx - m * x,
+                hy - m * y,
+                hz - m * z,
+                m,
+            )
+
+    @classmethod
+    def of(cls, robot: SerialRobot, world: World | None = None) -> RobotModel:
+        """The model of a declared robot, with its own masses and nothing else in the world.
+
+        Args:
+            robot: its declaration, standing in the world (`mounts.unmounted`).
+            world: a dynamic one with this robot alone, where it has been compiled already.
+
+        Raises:
+            DeclarationError: MuJoCo cannot compile the robot.
+        """
+        if world is None:
+            world = world_without_meshes(robot)
+        part = world.robots[robot.name]
+        joints = [int(world.model.dof_jntid[dof]) for dof in part.dofs]
+        return cls(world.model, joints, body=part.flange_body, name=robot.name)
+
+    def update(self, angles: Array, velocities: Array) -> None:
+        """Moves the model.
+
+        Args:
+            angles: (n,), rad or m.
+            velocities: (n,), per second; kept, not copied, until the next update.
+        """
+        self._qpos[...] = angles
+        self._velocities = velocities
+        self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
+        mounting = self._mounting
+        if mounting is None:
+            mj_fwdKinematics(self._model, self._data)
+            return
+        self._move_base(mounting)
+        mj_fwdKinematics(self._model, self._data)
+        if self._loads:
+            self._add_loads(mounting)
+
+    def gravity(self, out: Array | None = None) -> Array:
+        """g(q), (n,): the torques that hold the robot still.
+
+        Args:
+            out: (n,), to be written instead of the buffer.
+        """
+        result = self._gravity if out is None else out
+        mj_rne(self._model, self._data, 0, result)
+        return result
+
+    def coriolis(self) -> Array:
+        """C(q, dq) dq, (n,)."""
+        self._move()
+        mj_rne(self._weightless, self._moving, 0, self._coriolis)
+        return self._coriolis
+
+    def write_inverse_dynamics(
+        self, velocities: Array, accelerations: Array, torques: Array, less: Array
+    ) -> None:
+        """Writes M_link(q) a + C(q, dq) v + g(q), what tracking takes, as a difference of two.
+
+        Args:
+            velocities: v, (n,), per second.
+            accelerations: a, (n,), per second squared.
+            torques: (n,), to be written.
+            less: (n,), likewise; to be taken from them.
+        """
+        # C(q, dq) v is linear in both and the same when they change places, so with c(x) =
+        # C(q, x) x it is c((dq + v) / 2) - c((dq - v) / 2): two passes of Newton and Euler.
+        qvel = self._qvel
+        self._moving_cinert[...], self._moving_cdof[...] = self._cinert, self._cdof
+        self._qacc[...] = accelerations
+        np.add(self._velocities, velocities, qvel)
+        np.multiply(qvel, 0.5, qvel)
+        mj_comVel(self._model, self._moving)
+        mj_rne(self._model, self._moving, 1, torques)
+        np.subtract(qvel, velocities, qvel)
+        mj_comVel(self._model, self._moving)
+        mj_rne(self._weightless, self._moving, 0, less)
+        self._is_moving = False  # it moves, but at another velocity
+
+    def transposed_coriolis(self) -> Array:
+        """C(q, dq)^T dq, (n,): the slope of the kinetic energy along the angles, dq held.
+
+        Turning joint k turns all beyond it, momentum h_k, while the velocity v of what is before
+        it stays: the slope is (v x s_k) . h_k with the axis s_k. MuJoCo has v x s_k as
+        `cdof_dot`. Its recursive Newton-Euler sums axis . (inertia x acceleration) over all beyond
+        a joint; given velocities for accelerations and v x s for the axes, it sums just this, to
+        the last digit (spatial vectors as in Featherstone 2008, Rigid Body Dynamics Algorithms).
+        """
+        self._swap()
+        self._swapped_cdof[...] = self._moving_cdof_dot
+        mj_rne(self._weightless, self._swapped, 0, self._transposed)
+        return self._transposed
+
+    def link_momentum(self) -> Array:
+        """M_link(q) dq, (n,): the generalised momentum of the links, without the motors'."""
+        self._swap()
+        self._swapped_cdof[...] = self._cdof
+        mj_rne(self._weightless, self._swapped, 0, self._momentum)
+        return self._momentum
+
+    def mass(self) -> Array:
+        """M(q), (n, n), kg m2 (kg), with the motors' inertia on its diagonal."""
+        if not self._has_mass:
+            if not self._is_factored:
+                mj_makeM(self._model, self._data)
+            mj_fullM(self._model, self._data, self._mass)
+            self._has_mass = True
+        return self._mass
+
+    def over_mass(self, rows: Array, out: Array) -> Array:
+        """Rows A as A M^-1, for a sixth of what an inverse of M takes.
+
+        Args:
+            rows: A, (k, n).
+            out: (k, n), to be written.
+        """
+        if not self._is_factored:
+            if not self._has_mass:
+                mj_makeM(self._model, self._data)
+            mj_factorM(self._model, self._data)
+            self._is_factored = True
+        mj_solveM(self._model, self._data, out, rows)
+        return out
+
+    def jacobian(self) -> Array:
+        """J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""
+        self.write_jacobian(self._linear, self._angular)
+        return self._jacobian
+
+    def write_jacobian(self, linear: Array, angular: Array) -> None:
+        """Writes both halves of J(q), (3, n) each, to where they are wanted."""
+        mj_jacSite(self._model, self._data, linear, angular, 0)
+
+    def flange(self) -> Array:
+        """T_world_flange, (4, 4), m; a new array."""
+        return frame(self.flange_rotation, self.flange_position)
+
+    def _move(self) -> None:
+        if not self._is_moving:
+            self._moving_cinert[...], self._moving_cdof[...] = self._cinert, self._cdof
+            self._qvel[...] = self._velocities
+            mj_comVel(self._weightless, self._moving)
+            self._is_moving = True
+
+    def _swap(self) -> None:
+        """Fills the data in which velocities stand where accelerations do."""
+        self._move()
+        if not self._is_swapped:
+            self._swapped_cinert[...], self._swapped_cdof_dot[...] = self._cinert, self._cdof
+            self._swapped_qvel[...] = self._velocities
+            self._is_swapped = True
+
+
+def world_without_meshes(robot: SerialRobot) -> World:
+    """A dynamic world with a robot alone, of the masses that its meshes give it.
+
+    To compile these meshes as well takes many times as long, and a controller sees none of them.
+
+    Raises:
+        DeclarationError: MuJoCo cannot compile the robot.
+    """
+    known = dynamics_of(Scene(robots=[robot], floor=False))
+    bare = robot.model_copy(update={"filenames": [], "collisions": []})
+    return World(Scene(robots=[bare], floor=False), dynamic=True, dynamics=known)
+
+
+def skeleton(
+    model: mujoco.MjModel, joints: Sequence[int], site: int | None, body: int | None
+) -> mujoco.MjModel:
+    """Returns a model of one robot without shapes; its only site is the flange.
+
+    Its base stays where it is in the model. Of its joints only those named are left; the others
+    (of a gripper, of elastic gears) are fixed where they are at first. Bodies that do not move
+    against each other are one.
+
+    Args:
+        model: where the robot is, perhaps among others.
+        joints: ids of its hinge and slide joints, base to flange.
+        site: id of the site at the flange, or None.
+        body: id of the body whose frame is the flange's, where there is no site.
+    """
+    spec = mujoco.MjSpec()
+    spec.option.gravity = model.opt.gravity
+    spec.compiler.fusestatic = True
+    spec.compiler.degree = False
+    spec.compiler.balanceinertia = False
+    copies = {0: spec.worldbody}
+    root = model.body_rootid[model.jnt_bodyid[joints[0]]]
+    for old in range(1, model.nbody):
+        if model.body_rootid[old] != root:
+            continue
+        new = copies[int(model.body_parentid[old])].add_body(
+            pos=model.body_pos[old], quat=model.body_quat[old]
+        )
+        copies[old] = new
+        if model.body_mass[old] > 0.0:
+            new.explicitinertial = True
+            new.mass, new.inertia = model.body_mass[old], model.body_inertia[old]
+            new.ipos, new.iquat = model.body_ipos[old], model.body_iquat[old]
+        first = int(model.body_jntadr[old])
+        for joint in range(first, first + int(model.body_jntnum[old])):
+            if joint in joints:
+                new.add_joint(
+                    type=mujoco.mjtJoint(int(model.jnt_type[joint])),
+                    pos=model.jnt_pos[joint],
+                    axis=model.jnt_axis[joint],
+                    ref=model.qpos0[model.jnt_qposadr[joint]],
+                    armature=model.dof_armature[model.jnt_dofadr[joint]],
+                )
+    if site is not None:
+        at = copies[int(model.site_bodyid[site])]
+        at.add_site(name="flange", pos=model.site_pos[site], quat=model.site_quat[site])
+    else:
+        copies[int(body or 0)].add_site(name="flange")
+    return spec.compile()

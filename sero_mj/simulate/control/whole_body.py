@@ -1,0 +1,89 @@
+"""`WholeBody`: where the bases of mounted robots are, and what robots carry.
+
+A controller knows its own robot. What is mounted on it is a load of which it knows mass, centre
+and inertia at the angles that the carried joints have now, and its base is where the joints below
+have it. Velocities of the others' joints are not taken into account: what they do to a robot
+while they move are torques from outside to it, as they are to the controllers of real limbs.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array
+from ...robots.assemble.mounts import carrying_link
+from ...robots.assemble.world import World
+
+
+@dataclass(frozen=True, eq=False)
+class Mounting:
+    """Where one robot's base is and what it carries; the arrays change with the whole body.
+
+    Attributes:
+        position: of its base in the world, (3,), m.
+        quaternion: of its base in the world, (4,).
+        loads: for every robot that it carries, the link that carries it (0 is the base), and the
+            spatial inertia (10,) of all that hangs there, as in MuJoCo's `cinert`: Ixx, Iyy, Izz,
+            Ixy, Ixz, Iyz about `about`, first moment, mass; in the world's axes.
+        about: (3,), m, in the world.
+    """
+
+    position: Array
+    quaternion: Array
+    loads: list[tuple[int, Array]]
+    about: Array
+
+
+class WholeBody:
+    """The robots of a dynamic world together, at the angles that are measured of them.
+
+    It knows the masses that the world has when this is made, without payloads picked up later.
+
+    Args:
+        world: compiled with `dynamic`.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._model = copy.copy(world.model)
+        self._data = mujoco.MjData(self._model)
+        parts = world.robots.values()
+        self._qpos = np.concatenate([part.qpos for part in parts])
+        # What stands free is where the plant has it: controllers would have an inertial unit.
+        free = self._model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)
+        self._free = np.setdiff1d(np.arange(self._model.nq), self._model.jnt_qposadr[~free])
+
+    @staticmethod
+    def is_needed(world: World) -> bool:
+        """Whether a base of the world moves or carries something, so that a model must follow."""
+        return any(part.mocap < 0 for part in world.robots.values())
+
+    def update(self, joint_angles: Array, data: mujoco.MjData) -> None:
+        """Moves the whole body.
+
+        Args:
+            joint_angles: (N,), of all joints of the world's robots, as measured, rad or m.
+            data: of the world, for bases that stand free.
+        """
+        own, model = self._data, self._model
+        own.qpos[self._qpos] = joint_angles
+        own.qpos[self._free] = data.qpos[self._free]
+        mujoco.mj_kinematics(model, own)
+        mujoco.mj_comPos(model, own)
+        mujoco.mj_makeM(model, own)  # of which the composite inertias are taken
+
+    def mounting(self, name: str) -> Mounting:
+        """Returns where a robot's base is and what it carries, now and after every `update`."""
+        data, robots = self._data, self._world.scene.robots
+        base = int(self._world.robots[name].bodies[0])
+        loads = []
+        for other, robot in robots.items():
+            if robot.mount is not None and carrying_link(robots, other)[0] == name:
+                carried = int(self._world.robots[other].bodies[0])
+                loads.append((carrying_link(robots, other)[1], data.crb[carried]))
+        about = data.subtree_com[self._model.body_rootid[base]]
+        return Mounting(data.xpos[base], data.xquat[base], loads, about)

@@ -1,0 +1,283 @@
+"""Signals over time of recorded packets: as they were sent, and of robots by a scene's routes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import RecordingError
+from ...base.frames import Array
+from ...data.drive.route import Affine, Origin
+from ...data.drive.wiring import wire
+from ...data.receive.intake import pad_packets
+from ...data.receive.source import SIGNALS, Packets, Source
+from ...data.record.recording import Recording
+from ...data.record.replay import Replay
+from ...robots.assemble.double import Double
+from ...robots.assemble.groups import Group
+from ...robots.assemble.robot import SerialRobot
+from ...robots.assemble.scene import Scene, names_in, route_texts
+from .run_log import event_of
+
+# Inputs of a robot that are signals of a run.
+_SIGNALS = ("joint_angles", "torques", "commanded_torques")
+_TARGET = "target_angles"  # of a double
+_AT_ONCE = 8192  # packets
+# Packets over which a typical period is found; its share by which those of a bunch are apart, most
+# bunches per packet, and the longest period in a bunch, by the typical one, before it is a pause.
+_TYPICAL, _LEAST_TYPICAL = 64, 8
+_AT_ONCE_SHARE, _MOST_BUNCHES, _LONGEST = 0.25, 0.6, 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Numbers over time.
+
+    Attributes:
+        times: (T,), s, rising.
+        events: event to its numbers, (T, count), flat behind the first axis.
+    """
+
+    times: Array
+    events: dict[str, Array]
+
+    def held_at(self, event: str, times: Array) -> Array:
+        """An event's newest numbers at other times, (T', count); NaN before the first."""
+        at = np.searchsorted(self.times, times, side="right") - 1
+        values = self.events[event][np.maximum(at, 0)].copy()
+        values[at < 0] = np.nan
+        return values
+
+
+def read_events(recording: Recording, receiver: Source, name: str) -> Series:
+    """Decodes a source's packets; malformed ones are left out, as they were when they came.
+
+    Where packets carry the time at which they were sent, and it only rises, that is their time,
+    moved so that the first has the time of its arrival; else it is the time of their arrival, of
+    bunches spread evenly, see `spread_bunches`.
+
+    Args:
+        recording: where from.
+        receiver: that knows how to decode it; NaN is allowed in what it was told.
+        name: of the source.
+
+    Raises:
+        RecordingError: the file cannot be read.
+        UnknownName: no such source was recorded.
+    """
+    parts = list(_decoded(recording, receiver, name))
+    if not parts:
+        events = {event: np.empty((0, *shape)) for event, shape in receiver.events.items()}
+        return Series(np.empty(0), {key: _flat(values) for key, values in events.items()})
+    events = {
+        event: _flat(np.concatenate([part.values[event] for part in parts]))
+        for event in receiver.events
+    }
+    return series_of(receiver, events, np.concatenate([part.arrivals for part in parts]))
+
+
+def series_of(receiver: Source, events: Mapping[str, Array], arrivals: Array) -> Series:
+    """Good packets of a source over time, see `read_events`.
+
+    Args:
+        receiver: that knows which event is the time at which packets were sent.
+        events: event to its numbers, (T, count), T >= 1.
+        arrivals: (T,), s.
+    """
+    times = spread_bunches(arrivals)
+    if receiver.time:
+        sent = events[receiver.time][:, 0] * receiver.time_scale
+        if np.isfinite(sent).all() and (np.diff(sent) > 0).all():
+            times = sent - sent[0] + arrivals[0]
+    # Of packets that came at once the last is what was shown.
+    later = np.minimum.accumulate(times[::-1])[::-1]
+    keep = np.append(times[:-1] < later[1:], True)
+    return Series(times[keep], {event: values[keep] for event, values in events.items()})
+
+
+def spread_bunches(arrivals: Array) -> Array:
+    """Times at which packets that came in bunches may have been sent: evenly between two bunches.
+
+    What buffers or a slow network hold back comes all at once, and differences between such rows
+    mean nothing. The last of a bunch was sent when it came, as far as is known, the first just
+    after the bunch before.
+
+    Args:
+        arrivals: (T,), s, never decreasing.
+
+    Returns:
+        (T,), s; arrivals as they are where they do not come in bunches.
+    """
+    size = min(_TYPICAL, len(arrivals) - 1)
+    if size < _LEAST_TYPICAL:
+        return arrivals
+    period = float(np.median(arrivals[size:] - arrivals[:-size])) / size  # whatever the pauses
+    begins = np.append(True, np.diff(arrivals) >= _AT_ONCE_SHARE * period)
+    if begins.mean() > _MOST_BUNCHES:
+        return arrivals
+    firsts = np.flatnonzero(begins)
+    counts = np.diff(np.append(firsts, len(arrivals)))
+    ends = arrivals[firsts + counts - 1]
+    usual, spans = counts * period, np.diff(ends, prepend=-np.inf)
+    spans = np.where(spans > _LONGEST * usual, usual, spans)  # a pause, and before the first
+    behind = np.repeat(counts + firsts, counts) - 1 - np.arange(len(arrivals))
+    return np.asarray(np.repeat(ends, counts) - np.repeat(spans / counts, counts) * behind)
+
+
+def receiver_of(recording: Recording, name: str) -> Source:
+    """A receiver that decodes the packets of a recorded source."""
+    receiver = Replay(file=recording.path, source=name).original
+    receiver.debug_level = 0
+    return receiver
+
+
+def _decoded(recording: Recording, receiver: Source, name: str) -> Iterator[Packets]:
+    intake, number = receiver.intake, 0
+    packets = recording.packets(name)
+    while batch := list(islice(packets, _AT_ONCE)):
+        times, packed = zip(*batch, strict=True)
+        rows, arrivals = intake.take(*pad_packets(packed, receiver.size), np.array(times))
+        intake.count()
+        number += len(rows)
+        if len(rows):
+            yield Packets(intake.decode(rows), arrivals, number)
+
+
+def _flat(values: Array) -> Array:
+    return values.reshape(len(values), int(np.prod(values.shape[1:])))
+
+
+def follow_routes(
+    path: Path,
+    receivers: Mapping[str, Source],
+    read: Callable[[str], Series],
+    robots: Mapping[str, SerialRobot],
+    routes: Mapping[str, Any],
+    doubles: Mapping[str, Any],
+    groups: Mapping[str, Any],
+) -> tuple[dict[str, Array], Array]:
+    """Computes the inputs of robots over a recording, or a table.
+
+    The rows are the packets of the source that moves the first robot; of other sources the
+    newest packet counts, as in a picture.
+
+    Args:
+        path: of the recording.
+        receivers: of its sources, by name.
+        read: gives what a source has sent.
+        robots: by name.
+        routes: input to origin, as a scene has them; those from elsewhere are left out.
+        doubles: double to its table; the first double that is moved is its robot's target. One of
+            a group is one of each of its robots.
+        groups: group to its table.
+
+    Returns:
+        signals by event, (T, n), and their times (T,), s since the first row.
+
+    Raises:
+        RecordingError: no robot is moved by what was recorded, or a route is wrong.
+    """
+    wanted = route_texts(routes)
+    lists = {name: [each for each in table["robots"] if each in {*robots, *groups}]
+             for name, table in groups.items()
+             if isinstance(table, Mapping) and isinstance(table.get("robots"), list)}  # fmt: skip
+    grouped = [Group(name=name, robots=names) for name, names in lists.items() if names]
+    owners = {*robots, *(group.name for group in grouped)}
+    of = {name: str(table["of"]) for name, table in doubles.items()
+          if isinstance(table, Mapping) and table.get("of") in owners}  # fmt: skip
+    wanted = _possible(wanted, {*owners, *of}, receivers)
+    scene = Scene(
+        robots=list(robots.values()),
+        groups=grouped,
+        doubles=[Double(name=name, of=robot) for name, robot in of.items()],
+        sources=dict(receivers),
+        routes=wanted,
+    )
+    wiring = wire(scene)
+    if wiring.problems:
+        reason = "; ".join(str(problem) for problem in wiring.problems[:3])
+        raise RecordingError(path, f"its routes cannot be followed: {reason}")
+    values = {route.to.target: route.value for route in wiring.routes}
+    moved = [name for name in robots if f"{name}.joint_angles" in values]
+    if not moved:
+        led = ", ".join(routes) or "none"
+        reason = f"no source in it moves a robot: found routes to {led}; expected {{}}.joint_angles"
+        raise RecordingError(path, reason.format(next(iter(robots))))
+    names = {origin.name for value in values.values() for origin in value.origins
+             if origin.is_event}  # fmt: skip
+    series = {name: read(name) for name in names}
+    follower = _Follower(values, series, path, f"{moved[0]}.joint_angles")
+    inputs = {event_of(name, signal): f"{name}.{signal}" for name in moved for signal in _SIGNALS}
+    for double, robot in ((name, each.of) for name, each in scene.doubles.items()):
+        # The first one that is moved.
+        if robot in moved and f"{double}.joint_angles" in values:
+            inputs.setdefault(event_of(robot, _TARGET), f"{double}.joint_angles")
+    found = {event: follower.compute(each) for event, each in inputs.items() if each in values}
+    angles = [found[event_of(name, "joint_angles")] for name in moved]
+    there = np.isfinite(np.hstack(angles)).all(axis=1)
+    if not there.any():
+        raise RecordingError(path, "never tells where all of its robots are at once")
+    times = follower.times[there]
+    return {event: values[there] for event, values in found.items()}, times - times[0]
+
+
+def _possible(
+    routes: Mapping[str, str], owners: Collection[str], sources: Collection[str]
+) -> dict[str, str]:
+    """Routes to values of joints from what was recorded, or from each other."""
+    inputs = {target for target in routes if target.partition(".")[0] in owners
+              and target.rpartition(".")[2] in (*_SIGNALS, "joint_accelerations",
+                                               "billboard_values")}  # fmt: skip
+    left = {target: routes[target] for target in inputs}
+    while True:
+        bad = [target for target, origin in left.items()
+               if not all(_is_there(name, left, sources) for name in names_in(origin))]  # fmt: skip
+        if not bad:
+            return {target: left[target] for target in routes if target in left}
+        for target in bad:
+            del left[target]
+
+
+def _is_there(name: str, routes: Collection[str], sources: Collection[str]) -> bool:
+    """Whether a name in an origin is a unit, a recorded event or another route's input."""
+    owner, dot, key = name.partition(".")
+    return not dot or name in routes or (owner in sources and key not in SIGNALS)
+
+
+class _Follower:
+    """Computes routes over time, each once, at the times of what leads to the first."""
+
+    def __init__(
+        self, routes: Mapping[str, Affine], series: Mapping[str, Series], path: Path, first: str
+    ) -> None:
+        self._routes, self._series = routes, series
+        self._done: dict[str, Array] = {}
+        todo, leading = [first], []
+        while todo:
+            for origin in routes[todo.pop()].origins:
+                if origin.is_event:
+                    leading.append(series[origin.name].times)
+                elif str(origin) in routes:
+                    todo.append(str(origin))
+        self.times: Array = max(leading, key=len, default=np.empty(0))
+        if len(self.times) == 0:
+            raise RecordingError(path, f"has no good packet that leads to {first}")
+
+    def compute(self, target: str) -> Array:
+        """What a route leads to, (T, n)."""
+        if target not in self._done:
+            with np.errstate(over="ignore", invalid="ignore"):
+                values = self._routes[target].evaluate(self._numbers)
+            # What takes nothing received is the same at all times.
+            self._done[target] = np.broadcast_to(values, (len(self.times), values.shape[-1]))
+        return self._done[target]
+
+    def _numbers(self, origin: Origin) -> Array:
+        if origin.is_event:
+            return self._series[origin.name].held_at(origin.key, self.times)
+        return self.compute(str(origin))

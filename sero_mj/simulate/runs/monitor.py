@@ -1,0 +1,158 @@
+"""`Monitor`: a fault detector over the log of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from ...base.declaration import Declaration
+from ...base.frames import Array, Bools, Ints
+from .run_log import RunLog
+
+KINDS = (
+    "torque_error",
+    "external_torque",
+    "position_error",
+    "frozen_torque",
+    "saturated",
+    "velocity_limit",
+    "position_limit",
+)
+_UNITS = {
+    "torque_error": " Nm", "external_torque": " Nm", "position_error": " rad",
+    "frozen_torque": " s", "saturated": "", "velocity_limit": " rad/s", "position_limit": " rad",
+}  # fmt: skip
+_CLOSE = 1e-3  # rad or m, from a stop
+
+
+class Monitor(Declaration):
+    """Thresholds of faults; each has to be exceeded for `hold`.
+
+    Attributes:
+        torque_error: |commanded - measured| torque, as a share of the joint's torque limit. It
+            includes the torque that accelerates the motors' inertia.
+        external_torque: what the momentum observer takes for torque from outside, likewise.
+        position_error: |target - measured| angle, rad or m; None does not look.
+        frozen_after: s for which a torque sensor may read the very same while it should not.
+        frozen_change: by how much the commanded torque changes meanwhile, share of the limit.
+        hold: s.
+    """
+
+    torque_error: float = Field(0.15, gt=0)
+    external_torque: float = Field(0.15, gt=0)
+    position_error: float | None = Field(None, gt=0)
+    frozen_after: float = Field(0.05, gt=0)
+    frozen_change: float = Field(0.01, gt=0)
+    hold: float = Field(0.02, ge=0)
+
+    def find(self, log: RunLog) -> list[Finding]:
+        """Everything that was found, in the order in which it was noticed."""
+        found: list[Finding] = []
+        for robot in log.robots:
+            for kind, values, limits in self._looks(log, robot):
+                hold = self.frozen_after if kind == "frozen_torque" else self.hold
+                steps = max(round(hold / log.timestep), 1) if log.timestep else 1
+                found += _onsets(log, robot, kind, values, limits, steps)
+        return sorted(found, key=lambda finding: finding.time)
+
+    def _looks(self, log: RunLog, robot: str) -> Iterator[tuple[str, Array, Array]]:
+        """Kind, values (T, n), and limits (n,) or (T, n) that they must not be above."""
+        declared, limits = log.robots[robot], log.torque_limits(robot)
+        if log.has(robot, "commanded_torques"):
+            error = np.abs(log.torque_error(robot))
+            yield "torque_error", error, self.torque_error * limits
+            yield "frozen_torque", *self._frozen(log, robot, limits)
+        if log.has(robot, "external_torques"):
+            outer = np.abs(log.of(robot, "external_torques"))
+            yield "external_torque", outer, self.external_torque * limits
+        if log.has(robot, "saturated"):
+            yield "saturated", log.of(robot, "saturated"), np.full(declared.n, 0.5)
+        angles = log.of(robot, "joint_angles")
+        if self.position_error is not None and log.has(robot, "target_angles"):
+            error = np.abs(log.of(robot, "target_angles") - angles)
+            yield "position_error", error, np.full(declared.n, self.position_error)
+        if declared.velocity_limits is not None and log.has(robot, "joint_velocities"):
+            yield (
+                "velocity_limit",
+                np.abs(log.of(robot, "joint_velocities")),
+                declared.velocity_limits,
+            )
+        if declared.position_limits is not None:
+            low, high = declared.position_limits.T
+            beyond = np.maximum(low - angles, angles - high)
+            yield "position_limit", beyond, np.full(declared.n, -_CLOSE)
+
+    def _frozen(self, log: RunLog, robot: str, limits: Array) -> tuple[Array, Array]:
+        """For how long (s) every sensor has read the same where the command has changed, else 0."""
+        torques, commanded = log.of(robot, "torques"), log.of(robot, "commanded_torques")
+        same = np.zeros(torques.shape, bool)
+        same[1:] = torques[1:] == torques[:-1]
+        rows = max(round(self.frozen_after / log.timestep), 1) if log.timestep else 1
+        lasted = _since(same)
+        began = np.arange(len(torques))[:, None] - lasted
+        moved = np.abs(commanded - np.take_along_axis(commanded, began, axis=0))
+        changed = lasted >= rows
+        share = self.frozen_change * np.where(np.isfinite(limits), limits, 0.0)
+        seconds: Array = np.where(changed & (moved > share), lasted * log.timestep, 0.0)
+        return seconds, np.full(torques.shape[1], self.frozen_after - 0.5 * log.timestep)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A fault that the monitor has found.
+
+    Attributes:
+        time: when it was noticed, s.
+        robot: whose.
+        joint: which one.
+        kind: one of `KINDS`.
+        value: what was found.
+        limit: what would have been right.
+    """
+
+    time: float
+    robot: str
+    joint: str
+    kind: str
+    value: float
+    limit: float
+
+    def __str__(self) -> str:
+        kind = self.kind.replace("_", " ")
+        unit = _UNITS[self.kind]
+        found = f"{kind} {self.value:.4g}{unit}, above {self.limit:.4g}{unit}"
+        return f"{self.time:.3f} s  {self.robot}/{self.joint}  {found}"
+
+
+def _onsets(
+    log: RunLog, robot: str, kind: str, values: Array, limits: Array, steps: int
+) -> list[Finding]:
+    """A finding for every stretch of rows in which a value is above its limit for long enough."""
+    bad = values > limits
+    if not bad.any():
+        return []
+    steps = 1 if kind == "frozen_torque" else steps
+    noticed = _since(bad) == steps
+    names = log.robots[robot].names
+    bounds = np.broadcast_to(limits, values.shape)
+    return [
+        Finding(
+            float(log.times[row]),
+            robot,
+            names[joint],
+            kind,
+            float(values[row, joint]),
+            float(bounds[row, joint]),
+        )
+        for row, joint in np.argwhere(noticed)
+    ]
+
+
+def _since(flags: Bools) -> Ints:
+    """For how many rows in a row each column has been true, (T, n); 0 where it is false."""
+    rows = np.arange(1, len(flags) + 1)[:, None]
+    last = np.maximum.accumulate(np.where(flags, 0, rows), axis=0)
+    return np.asarray(np.where(flags, rows - last, 0))

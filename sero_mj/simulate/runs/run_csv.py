@@ -1,0 +1,83 @@
+"""A run as a CSV table: `simulate --csv` writes it; its columns are read also where others did."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ...base.frames import Array
+from ...data.record.csv_files import column_names, csv_table
+from ...robots.assemble.robot import SerialRobot
+from .run_log import MEASURED, TIME, RunLayout, RunLog, event_of, recorded_event
+
+_COLUMN = re.compile(r"(\w+)\[(\d+)\]")
+
+
+def run_of_columns(
+    path: Path, times: Array, columns: Mapping[str, Array], robots: Mapping[str, SerialRobot]
+) -> RunLog | None:
+    """The run in a table with `ROBOT_SIGNAL[JOINT]`, as `lwr_torques[0]`; None where there is none.
+
+    Args:
+        path: of the table.
+        times: (T,), s; those of the simulation, `time[0]`, count where a recording of one was
+            exported.
+        columns: name to values, (T,).
+        robots: by name; a table does not say what they are. Those without a column are left out.
+
+    Returns:
+        every signal that has a column for each joint; other columns are left out.
+    """
+    found: dict[str, dict[int, Array]] = {}
+    for name, values in columns.items():
+        if (match := _COLUMN.fullmatch(name)) is not None:
+            found.setdefault(match[1], {})[int(match[2])] = values
+    times = found.pop(TIME, {0: times})[0]
+    signals, known = {}, {}
+    for robot, declared in robots.items():
+        start = event_of(robot, "")
+        for signal in MEASURED:
+            event = event_of(robot, signal)
+            if (recorded := recorded_event(event, found)) in found:
+                found[event] = found.pop(recorded)
+        for event, of_joints in found.items():
+            if event.startswith(start) and set(of_joints) == set(range(declared.n)):
+                signals[event] = np.stack([of_joints[k] for k in range(declared.n)], axis=1)
+                known[robot] = declared
+    rising = np.append(True, np.diff(np.maximum.accumulate(times)) > 0)
+    signals = {event: values[rising] for event, values in signals.items()}
+    return RunLog(known, signals, times[rising], path.stem) if known else None
+
+
+def columns_of_events(
+    columns: Mapping[str, Array], events: Mapping[str, tuple[int, ...]]
+) -> dict[str, Array]:
+    """A source's events in a table, (T, count) each; nothing where one has no columns."""
+    names = {event: column_names({event: shape}) for event, shape in events.items()}
+    if not all(name in columns for each in names.values() for name in each):
+        return {}
+    return {event: np.stack([columns[name] for name in each], axis=1)
+            for event, each in names.items()}  # fmt: skip
+
+
+def write_run_csv(layout: RunLayout, rows: Array, path: Path) -> None:
+    """Writes a log as a table: `time`, s, and `ROBOT_SIGNAL[JOINT]`, SI units.
+
+    Args:
+        layout: of the rows.
+        rows: (T, width), the log.
+        path: where to.
+
+    Raises:
+        CsvError: the file cannot be written.
+    """
+    events = layout.structure.events
+    names = column_names({name: tuple(shape) for name, shape in events.items()})
+    names[0] = TIME
+    with csv_table(path) as table:
+        table.writerow(names)
+        for part in np.array_split(rows, max(len(rows) // 10_000, 1)):
+            table.writerows(part.tolist())

@@ -1,0 +1,412 @@
+"""A recording as a run: of a simulation, or of a robot that a scene's routes lead to."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from ...base import paths
+from ...base.errors import (
+    CsvError,
+    DeclarationError,
+    RecordingError,
+    UnknownName,
+    UsageError,
+    did_you_mean,
+)
+from ...base.frames import Array
+from ...base.toml_file import parse_toml
+from ...data.receive.source import Source, make_source
+from ...data.record.csv_files import column_names, read_csv
+from ...data.record.recording import Recording
+from ...robots.assemble.group_model import Expanded, expand_groups
+from ...robots.assemble.robot import SerialRobot, build_robot
+from ...robots.assemble.scene import MOST_ENTRIES, Scene
+from ...robots.importers.x3d import read_x3d
+from ._recorded_signals import Series, follow_routes, read_events, receiver_of, series_of
+from .run_csv import columns_of_events, run_of_columns
+from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
+
+_MODEL_FILES = (paths.ROBOT_FILE, paths.GROUP_FILE)
+# What a group's file says of its members' models; in a recording all models are beside each other.
+_MODEL_NAMED = re.compile(r"""(\bmodel\s*=\s*)["']([^"'\n]+)["']""")
+_ANGLES, _OLD_ANGLES = "_joint_angles", "_angles"
+# Before `angles`, in old events of a robot that has others as well.
+_DERIVED = ("actual_", "target_")
+
+
+def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None = None) -> RunLog:
+    """Reads a recording of a simulation, or of robots that a scene mirrors.
+
+    A source with the events `time` and `ROBOT_joint_angles` is a run as it was logged. Of others
+    the scene in the recording says what leads to which robot, in which unit. Time counts from the
+    start of the simulation, or from the first packet that tells where the robots are.
+
+    Args:
+        path: a recording.
+        source: which of its sources; all that matter when None.
+        scene: the robots and the routes; those in the recording when None.
+
+    Returns:
+        The signals `joint_angles`, `joint_velocities` (by differences where they were not sent)
+        and, where there are such, `torques`, `commanded_torques`, and all others of a simulation.
+
+    Raises:
+        RecordingError: it cannot be read, is no recording, or has no robot.
+        UsageError: no such source, or there are several and one has to be chosen.
+    """
+    path = Path(path)
+    with Recording(path) as recording:
+        names = _chosen(recording, source)
+        runs = [name for name in names if _robots_of(recording.sources[name].events)]
+        if len(runs) > 1:
+            found = ", ".join(runs)
+            raise UsageError(f"{path} has several runs: {found}; choose one of these sources")
+        if runs:
+            return _simulated(recording, runs[0], scene)
+        declared = _recorded(recording) if scene is None else _declared_in(scene)
+        robots = declared.robots
+        if not robots:
+            found = ", ".join(recording.attachments) or "no files"
+            reason = f"has no robot in it: found {found}; expected a scene, give one"
+            raise RecordingError(path, reason)
+        receivers = {name: receiver_of(recording, name) for name in names}
+        return _mirrored(
+            path, receivers, lambda name: read_events(recording, receivers[name], name), declared
+        )
+
+
+def read_run_table(path: Path | str, scene: Scene, source: str | None = None) -> RunLog:
+    """Reads a table of a simulation (`simulate --csv`), or of a source's packets (`export-csv`).
+
+    Args:
+        path: of the table.
+        scene: the robots, and the routes that lead from packets to them: a table says neither.
+        source: in the scene, whose packets they are; the only one with such columns when None.
+
+    Returns:
+        as of `read_run`.
+
+    Raises:
+        CsvError: it cannot be read, or its columns are neither.
+        UsageError: no such source, or there are several and one has to be chosen.
+    """
+    path = Path(path)
+    if source is not None and source not in scene.sources:
+        raise UsageError(f"no source '{source}' in the scene{did_you_mean(source, scene.sources)}")
+    times, columns = read_csv(path)
+    log = run_of_columns(path, times, columns, scene.robots)
+    if log is not None:
+        return replace(log, signals=_with_velocities(log.robots, log.signals, log.times))
+    names = scene.sources if source is None else [source]
+    wanted = {name: make_source(name, scene.sources[name]) for name in names}
+    sent = {name: columns_of_events(columns, each.events) for name, each in wanted.items()}
+    possible = {name: events for name, events in sent.items() if events}
+    if len(possible) > 1:
+        raise UsageError(f"{path} may be of {', '.join(possible)}; choose one of these sources")
+    if not possible:
+        raise CsvError(path, _expected_columns(columns, scene.robots, wanted))
+    ((name, events),) = possible.items()
+    series = series_of(wanted[name], events, times)
+    try:
+        return _mirrored(path, {name: wanted[name]}, lambda _: series, _declared_in(scene))
+    except RecordingError as error:
+        raise CsvError(path, error.reason) from None
+
+
+def _expected_columns(
+    columns: Mapping[str, Array], robots: Mapping[str, SerialRobot], sources: Mapping[str, Source]
+) -> str:
+    """What is wrong with a table's columns."""
+    expected = [
+        f"{event_of(name, 'torques')}[0] to [{robot.n - 1}]" for name, robot in robots.items()
+    ]
+    for name, source in sources.items():
+        names = column_names(source.events)
+        expected.append(f"{names[0]} to {names[-1]} of source '{name}'")
+    shown = ", ".join([*columns][:6])
+    wanted = ", or ".join(expected) or "ROBOT_torques[0]"
+    return f"found the columns {shown}, ...; expected such as {wanted}"
+
+
+def _mirrored(
+    path: Path,
+    receivers: Mapping[str, Source],
+    read: Callable[[str], Series],
+    declared: _Declared,
+) -> RunLog:
+    """A run of robots that were mirrored."""
+    robots = declared.robots
+    signals, times = follow_routes(
+        path, receivers, read, robots, declared.routes, declared.doubles, declared.groups
+    )
+    known = {name: robots[name] for name in robots if event_of(name, "joint_angles") in signals}
+    return RunLog(known, _with_velocities(known, signals, times), times, path.stem)
+
+
+def _chosen(recording: Recording, source: str | None) -> list[str]:
+    names = list(recording.sources)
+    if source is not None and source not in names:
+        near = did_you_mean(source, names)
+        raise UsageError(f"no source '{source}' in {recording.path}{near}")
+    if not names:
+        raise RecordingError(recording.path, "has no source")
+    return names if source is None else [source]
+
+
+def _robots_of(events: Iterable[str]) -> list[str]:
+    """Robots, as events call them, of a run that was logged; none when it is no such run."""
+    events = list(events)
+    if TIME not in events:
+        return []
+    prefixes = [event.removesuffix(_ANGLES) for event in events if event.endswith(_ANGLES)]
+    if prefixes:
+        return prefixes
+    prefixes = [event.removesuffix(_OLD_ANGLES) for event in events if event.endswith(_OLD_ANGLES)]
+    return [
+        prefix
+        for prefix in prefixes
+        if not any(
+            f"{prefix}_".endswith(f"_{derived}")
+            and f"{prefix}_".removesuffix(f"_{derived}") in prefixes
+            for derived in _DERIVED
+        )
+    ]
+
+
+def _simulated(recording: Recording, name: str, scene: Scene | None) -> RunLog:
+    receiver = receiver_of(recording, name)
+    receiver.allow_nan([event for event in receiver.events if event != TIME])
+    series = read_events(recording, receiver, name)
+    if len(series.times) == 0:
+        raise RecordingError(recording.path, f"has no good packet of '{name}'")
+    times = series.events[TIME][:, 0]
+    rising = np.append(True, np.diff(np.maximum.accumulate(times)) > 0)
+    declared = _recorded(recording).robots if scene is None else scene.robots
+    signals = {
+        event: values[rising].reshape(-1, *_row_shape(receiver.events[event]))
+        for event, values in series.events.items()
+    }
+    robots = {}
+    for prefix in _robots_of(receiver.events):
+        for signal in MEASURED:
+            event = event_of(prefix, signal)
+            if (recorded := recorded_event(event, signals)) in signals:
+                signals[event] = signals.pop(recorded)
+        count = signals[f"{prefix}{_ANGLES}"].shape[1]
+        chosen = _meant(recording.path, prefix, count, declared)
+        robots[chosen.name] = chosen
+    signals = _with_velocities(robots, signals, times[rising])
+    return RunLog(robots, signals, times[rising], recording.path.stem)
+
+
+def _row_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
+    """Of an event in a row of a `RunLog`: one vector or matrix has no axis for its number."""
+    return shape[1:] if len(shape) > 1 and shape[0] == 1 else shape
+
+
+def _meant(path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot]) -> SerialRobot:
+    """The robot that events mean."""
+    by_event = {event_of(name, "joint_angles").removesuffix(_ANGLES): each
+                for name, each in robots.items()}  # fmt: skip
+    robot = by_event.get(prefix)
+    if robot is None and len(robots) == 1:  # its file alone does not tell how it was called
+        only = next(iter(robots.values()))
+        robot = only.model_copy(update={"name": prefix}) if only.n == count else None
+    if robot is None:
+        near = did_you_mean(prefix, by_event)
+        raise RecordingError(path, f"does not say what robot '{prefix}' is{near}; give a scene")
+    if robot.n != count:
+        reason = f"{prefix}{_ANGLES} are {count}; its robot '{robot.name}' has {robot.n} joints"
+        raise RecordingError(path, reason)
+    return robot
+
+
+def _with_velocities(
+    robots: Mapping[str, SerialRobot], signals: Mapping[str, Array], times: Array
+) -> dict[str, Array]:
+    """Adds the velocities that were not sent, as differences of angles."""
+    found = dict(signals)
+    for name in robots:
+        event, angles = event_of(name, "joint_velocities"), event_of(name, "joint_angles")
+        if event not in found and angles in found and len(times) > 1:
+            found[event] = np.gradient(found[angles], times, axis=0)
+    return found
+
+
+@dataclass
+class _Declared:
+    """What a scene says of its robots, in a recording or elsewhere.
+
+    Attributes:
+        robots: by name, those of groups included.
+        routes: input to origin.
+        doubles: tables by name.
+        groups: tables by name, each with its robots.
+    """
+
+    robots: dict[str, SerialRobot] = field(default_factory=dict)
+    routes: dict[str, Any] = field(default_factory=dict)
+    doubles: dict[str, Any] = field(default_factory=dict)
+    groups: dict[str, Any] = field(default_factory=dict)
+
+
+def _declared_in(scene: Scene) -> _Declared:
+    doubles = {name: {"of": double.of} for name, double in scene.doubles.items()}
+    groups = {name: {"robots": group.robots} for name, group in scene.groups.items()}
+    return _Declared(scene.robots, dict(scene.routes), doubles, groups)
+
+
+def _recorded(recording: Recording) -> _Declared:
+    """Robots by their names in the recorded scene, else by those of their folders; its routes.
+
+    A robot that is installed here as it was recorded has its meshes; of another one the links grow
+    from its table.
+
+    Raises:
+        RecordingError: a file in it is damaged, or declares a robot or a group wrongly.
+    """
+    files = _read_tables(recording)
+    models = {name: name.split("/")[-2] for name in files if name.endswith(_MODEL_FILES)}
+    scenes = [tables for name, tables in files.items() if name not in models]
+    scenes = [tables for tables in scenes if {"robots", "groups"} & tables.keys()]
+    found = _Declared()
+    for tables in scenes:
+        found.routes = found.routes or _table(tables, "routes")
+        found.doubles = found.doubles or _table(tables, "doubles")
+    of_robots = {folder: name for name, folder in models.items() if name.endswith(_MODEL_FILES[0])}
+    if not scenes:  # a robot or a group by itself, which is called as its folder is
+        scenes = [{"robots": {folder: {"model": folder} for folder in of_robots}}]
+        whole = next((models[name] for name in models if name.endswith(_MODEL_FILES[1])), None)
+        if whole is not None:
+            scenes[0]["groups"] = {whole: {"model": whole}}
+    with TemporaryDirectory() as directory:
+        for name, folder in models.items():
+            text = recording.read_attachment(name).decode("utf-8-sig")
+            path = Path(directory) / folder / name.split("/")[-1]
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(
+                _MODEL_NAMED.sub(lambda each: f'{each[1]}"{_folder(each[2])}"', text), "utf-8"
+            )
+        for tables in scenes:
+            expanded = _expanded(recording, _table(tables, "groups"), Path(directory))
+            found.groups |= expanded.groups
+            for name, table in {**_table(tables, "robots"), **expanded.robots}.items():
+                if name not in found.robots:
+                    found.robots[name] = _robot(recording, name, dict(table), of_robots)
+    return found
+
+
+def _table(tables: Mapping[str, Any], key: str) -> dict[str, Any]:
+    found = tables.get(key)
+    return dict(found) if isinstance(found, dict) else {}
+
+
+def _folder(model: str) -> str:
+    """The folder of a model that is named, by itself: all models of a recording are beside it."""
+    path = Path(model)
+    return path.parent.name if path.suffix == ".toml" else path.name
+
+
+def _expanded(recording: Recording, groups: dict[str, Any], directory: Path) -> Expanded:
+    """What groups become, whose models are in a folder or installed."""
+    scene = directory / "scene.toml"  # which is not there: models are found beside it
+    found = expand_groups(_in_folders(groups), scene, MOST_ENTRIES)
+    if found.problems:
+        problem = found.problems[0]
+        file = str(problem.file).removeprefix(f"{directory}/")
+        reason = str(replace(problem, file=None if file == scene.name else file))
+        raise RecordingError(recording.path, f"its groups cannot be read: {reason}; give a scene")
+    return found
+
+
+def _in_folders(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables in which models are named by their folders."""
+    found = {
+        key: _in_folders(value) if isinstance(value, Mapping) else value
+        for key, value in tables.items()
+    }
+    model = tables.get("model")
+    return {**found, "model": _folder(model)} if isinstance(model, str) else found
+
+
+def _read_tables(recording: Recording) -> dict[str, dict[str, Any]]:
+    """Tables of every scene and robot file in a recording, by its name there.
+
+    Raises:
+        RecordingError: one is damaged or cannot be read.
+    """
+    found = {}
+    for name in recording.attachments:
+        if name.endswith(".toml"):
+            try:
+                found[name] = parse_toml(recording.read_attachment(name).decode("utf-8-sig"))
+            except ValueError as error:
+                reason = f"file '{name}' in it is no TOML: {error}"
+                raise RecordingError(recording.path, reason) from error
+        elif name.lower().endswith(paths.SCENE_ENDINGS):
+            with TemporaryDirectory() as directory:
+                path = Path(directory) / name.split("/")[-1]
+                path.write_bytes(recording.read_attachment(name))
+                try:
+                    found[name] = read_x3d(path).tables
+                except DeclarationError as error:
+                    reason = f"file '{name}' in it cannot be read: {error.problems[0].message}"
+                    raise RecordingError(recording.path, reason) from error
+    return found
+
+
+def _robot(
+    recording: Recording, name: str, table: dict[str, Any], models: Mapping[str, str]
+) -> SerialRobot:
+    model = table.pop("model", None)
+    # What is fixed to the flange may be in files that are not there; frames for mounts are not.
+    children = table.pop("children", None)
+    if isinstance(children, list):
+        table["children"] = [c for c in children if isinstance(c, Mapping) and c.get("shape")]
+    fields = {**table, "name": name}
+    if model is None:
+        return _built(recording, name, _without_meshes(fields), None)
+    folder = _folder(str(model))
+    attached = models.get(folder)
+    if attached is None:
+        return _built(recording, name, fields, str(model))
+    data = recording.read_attachment(attached)
+    installed = _installed(folder)
+    if installed is not None and installed.read_bytes() == data:
+        return _built(recording, name, fields, str(installed))
+    with TemporaryDirectory() as directory:
+        path = Path(directory) / folder / paths.ROBOT_FILE
+        path.parent.mkdir()
+        path.write_bytes(data)
+        return _built(recording, name, _without_meshes(fields), str(path))
+
+
+def _built(
+    recording: Recording, name: str, fields: dict[str, Any], model: str | None
+) -> SerialRobot:
+    try:
+        return build_robot(fields, None if model is None else paths.find_model(model))
+    except UnknownName as error:
+        reason = f"its robot '{name}' is not in it, nor installed: {error}; give a scene"
+        raise RecordingError(recording.path, reason) from error
+    except DeclarationError as error:
+        reason = f"its robot '{name}' is declared wrongly: {error}"
+        raise RecordingError(recording.path, reason) from error
+
+
+def _without_meshes(fields: dict[str, Any]) -> dict[str, Any]:
+    return {**fields, "filenames": [], "collisions": None, "mjcf": None, "directory": ""}
+
+
+def _installed(model: str) -> Path | None:
+    try:
+        return paths.find_model(model)
+    except (UnknownName, DeclarationError):
+        return None

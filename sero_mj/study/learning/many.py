@@ -1,0 +1,329 @@
+"""`ManyEnvironments`: m environments of a robot with a task, which are stepped together.
+
+Every thread simulates a lane of robots: MuJoCo steps all of a lane in one call, and its controllers
+are computed for all at once. (Threads that shared out every single step would wait for each other a
+thousand times a second of simulation.) What is seen and earned is that of m environments of their
+own, to rounding.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import DeclarationError, Problem
+from ...base.frames import Array, Bools
+from ...robots.assemble.mounts import base_frames, unmounted
+from ...simulate.control.controller import Sensed, Target
+from ...simulate.control.joint_control import JointImpedanceController
+from ...simulate.control.model_rows import ModelRows
+from ...simulate.control.torque_loop import HangingLinks
+from ...simulate.drives import Drives
+from ...simulate.plant_rows import PlantRows
+from ...simulate.rows import ManyRows
+from ...simulate.runs.run_log import MEASURED
+from .actions import checked_action
+from .environment import Environment
+from .tasks import ManyEpisodes, ManyStates
+
+
+class ManyEnvironments:
+    """m environments of a robot alone with a task, which are stepped together.
+
+    Args:
+        environment: one of them; it begins the episodes of all, and is not to be used otherwise.
+        m: how many.
+        threads: that simulate; each has a lane of its own.
+
+    Attributes:
+        environment: as given.
+        m: as given.
+        lanes: the robots, thread by thread.
+        seeds: (m,), of everything that is random; at first the environment's and those after it.
+        episodes: (m,), number of the current episode of each, from 0; -1 before the first. Episode
+            k of a seed is that of `Environment`.
+        is_over: (m,), whether no episode goes on: the next step begins one.
+        task: what is done.
+
+    Raises:
+        DeclarationError: environments of this kind can only be stepped one by one.
+    """
+
+    def __init__(self, environment: Environment, m: int, threads: int = 1) -> None:
+        self.task = _task_of_many(environment, m)
+        self.environment, self.m = environment, m
+        self.seeds = environment.seed + np.arange(m)
+        self.episodes = np.full(m, -1)
+        self.is_over: Bools = np.ones(m, bool)
+        self._left = np.zeros(m, np.intp)  # control steps until the end of the episode
+        self._length = -(-environment.simulation.steps // environment.substeps)
+        robot = environment.robot
+        self._base, self._robot = environment.base_frame, robot
+        ends = np.linspace(0, m, min(threads, m) + 1).round().astype(int).tolist()
+        self.lanes = [Lane(environment, slice(a, b), self.task) for a, b in pairwise(ends)]
+        others = len(self.lanes) - 1
+        self._pool = ThreadPoolExecutor(others) if others else None
+        self._seen: dict[str, Array] = {}
+
+    def close(self) -> None:
+        """Ends the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    def reset(self, seeds: Any | None = None) -> dict[str, Array]:
+        """Begins the next episode of every environment, or the first of new seeds, (m,).
+
+        Returns:
+            what is observed by name, (m, ...), in arrays of its own.
+        """
+        if seeds is not None:
+            self.seeds, self.episodes = np.array(seeds), np.full(self.m, -1)
+        self.is_over[:] = True
+        return self.begin_next()
+
+    def begin_next(self) -> dict[str, Array]:
+        """Begins the next episode where one is over.
+
+        Returns:
+            as of `reset`, of all.
+        """
+        self._begin(self.is_over.copy())
+        self._seen = self._observe(self._states_now())
+        return {name: value.copy() for name, value in self._seen.items()}
+
+    def _begin(self, which: Bools) -> None:
+        """Begins the next episode of some of the environments, (m,)."""
+        self.episodes[which] += 1
+        for lane in self.lanes:
+            for k in np.flatnonzero(which[lane.rows]).tolist():
+                j = lane.rows.start + k
+                self.environment.place(int(self.seeds[j]), int(self.episodes[j]))
+                lane.place(k)
+                self.task.begin(j)
+            lane.begin(which[lane.rows])
+        self._left[which] = self._length
+        self.is_over[which] = False
+
+    def step(self, actions: Any) -> tuple[dict[str, Array], Array, Bools, Bools]:
+        """Simulates a control step; where an episode is over the next one begins instead.
+
+        Args:
+            actions: (m, n), see `Environment.action_spec`.
+
+        Returns:
+            observations by name, (m, ...), rewards, and where the motion has become unstable, and
+            where the episode has come to its end, (m,) each: arrays of its own.
+
+        Raises:
+            ValueError: it is not m times n numbers.
+            SimulationError: one is NaN or infinite; names the joint. Nothing has been moved.
+        """
+        environment, goes_on = self.environment, ~self.is_over
+        spec, unit, time = environment.action_spec(), environment.action.unit, self._time
+        checked = checked_action(actions, spec, environment.robot, unit, float(time[0]), self.m)
+        rewards: Array = np.zeros(self.m)
+        unstable: Bools = np.zeros(self.m, bool)
+        if goes_on.any():
+            unstable = self._simulate(checked, goes_on, self.task.forces(time))
+            self._left -= goes_on
+        if not goes_on.all():
+            self._begin(~goes_on)
+        now = self._states_now()
+        earns = goes_on & ~unstable
+        rewards[earns] = self.task.rewards(now)[earns]
+        seen = self._observe(now)
+        if unstable.any():
+            for name, value in seen.items():
+                value[unstable] = self._seen[name][unstable]
+        at_end = earns & (self._left == 0)
+        self.is_over = unstable | at_end
+        self._seen = seen
+        return {name: value.copy() for name, value in seen.items()}, rewards, unstable, at_end
+
+    @property
+    def _time(self) -> Array:
+        """Since the start of the episode, (m,), s."""
+        return np.concatenate([lane.batch.bind("time") for lane in self.lanes])
+
+    def _simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
+        """Simulates a control step of some environments; returns where it has become unstable."""
+        first, *others = self.lanes
+
+        def simulate(lane: Lane) -> Bools:
+            return lane.simulate(actions[lane.rows], which[lane.rows], forces[lane.rows])
+
+        if self._pool is None:
+            return simulate(first)
+        waited = [self._pool.submit(simulate, lane) for lane in others]
+        return np.concatenate([simulate(first), *(each.result() for each in waited)])
+
+    def _states_now(self) -> ManyStates:
+        """Where the robots are."""
+        angles, measured = (
+            np.concatenate([getattr(lane.plant, key)[:, 0] for lane in self.lanes])
+            for key in ("actual", "measured")
+        )
+        if self.environment.plant.sensors.is_perfect:
+            measured = angles
+        return ManyStates(angles, measured, self._flanges_at)
+
+    def _flanges_at(self, angles: Array) -> Array:
+        """T_world_flange of joint angles (m, n), (m, 4, 4), m."""
+        return np.asarray(self._base @ self._robot.fwd_kin_base_to_flange(angles))
+
+    def _observe(self, now: ManyStates) -> dict[str, Array]:
+        """What is seen now, (m, ...), in arrays of its own."""
+        environment = self.environment
+        measured = np.concatenate([lane.plant.measured for lane in self.lanes])
+        found = {name: measured[:, MEASURED.index(name)] for name in environment.columns}
+        for name, (low, high) in environment.bounds.items():
+            np.clip(found[name], low, high, out=found[name])
+        commanded = [lane.action.observation() for lane in self.lanes]
+        for name in commanded[0]:
+            found[name] = np.concatenate([each[name] for each in commanded])
+        return {**found, **self.task.observations(now)}
+
+
+class Lane:
+    """The robots that one thread simulates.
+
+    Args:
+        environment: one of them.
+        rows: which of all robots they are, one after the other.
+        task: what is done.
+
+    Attributes:
+        rows: as given.
+        plant: the robots, with their sensors.
+        batch: MuJoCo's simulations of them.
+        action: what agents command.
+    """
+
+    def __init__(self, environment: Environment, rows: slice, task: ManyEpisodes) -> None:
+        m, n = rows.stop - rows.start, environment.robot.n
+        self.rows, self._environment, self._has_pushes = rows, environment, task.pushes
+        world, scenario = environment.world, environment.scenario
+        self._worlds = ManyRows(world.physics_model(), m, is_pushed=task.pushes)
+        self.batch = self._worlds.batch
+        self.plant = plant = PlantRows(world, self._worlds, scenario.make_sensors(0, m))
+        self._drives = None
+        if environment.simulation.drives is not None:
+            self._drives = Drives(plant, environment.simulation.robots, scenario.run)
+        self._is_plain = self._drives is None and plant.sensors.is_perfect
+        self.action = environment.settings.make_action(environment.robot, scenario.run.timestep)
+        robot, drives = environment.robot, self._drives
+        simulation = environment.simulation
+        standing = unmounted(robot, base_frames(simulation.robots)[robot.name])
+        models = ModelRows(simulation.robot_model(standing), m)
+        self._law = self.action.controller.make(models, scenario.run.timestep)
+        # Motors of elastic joints have encoders of their own, without errors; others the links'.
+        motor_state = np.zeros((m, 2 * n)) if plant.joints.elastic else None
+        self._sensed = Sensed(n, plant.measured, motor_state, models.rows)
+        self._target = Target(n, models.rows)
+        self._hanging = None
+        if plant.joints.elastic and drives is not None and drives.loop is not None:
+            stiffness, home = drives.gains[robot.name].stiffness, np.tile(robot.home, (m, 1))
+            self._hanging = HangingLinks(stiffness, None, models, home)
+        limits = environment.robot.torque_limits
+        self._high: Array = np.full(n, np.inf) if limits is None else np.array(limits, np.float64)
+        self._low: Array = -self._high
+        self._asked: Array = np.zeros((m, n))
+        self._commanded: Array = np.zeros((m, n))
+        if self._has_pushes:
+            self._find_flange()
+
+    def _find_flange(self) -> None:
+        """Finds where pushes act."""
+        world = self._environment.world
+        frame = world.frames.names.index(f"{self._environment.robot.name}/flange")
+        self._site = int(world.frames.site[frame])
+        self._body = int(world.model.site_bodyid[self._site])
+        self._points: Array = self.batch.bind("site_xpos")
+        self._centers: Array = self.batch.bind("xipos")
+        self._pushes: Array = self.batch.bind("xfrc_applied")
+
+    def place(self, k: int) -> None:
+        """Puts robot k where that of the environment is."""
+        self.plant.place(k, self._environment.plant)
+
+    def begin(self, which: Bools) -> None:
+        """Begins an episode of some of the robots, which have been placed, (m,)."""
+        if not which.any():
+            return
+        if self._drives is not None:
+            self._drives.reset(which)
+        self.action.begin(self._target, self.plant.actual[which, 0], which)
+        if isinstance(self._law, JointImpedanceController):
+            self._law.begin(which)
+        if self._hanging is not None:
+            home = np.asarray(self._environment.robot.home)
+            self._hanging.begin(which, home, self.plant.motor_angles)
+
+    def simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
+        """Simulates a control step of some of the robots.
+
+        Args:
+            actions: (m, n), within their bounds.
+            which: (m,), of which robots.
+            forces: (m, 3), that push the flanges meanwhile, N, in the world's axes.
+
+        Returns:
+            where the motion has become unstable, (m,).
+        """
+        plant, law, action, commanded = self.plant, self._law, self.action, self._commanded
+        sensed, target, asked = self._sensed, self._target, self._asked
+        move = plant.step if self._drives is None else self._drives.step
+        if self._has_pushes:
+            self._begin_pushes(forces)
+        action.take(actions)
+        self._worlds.begin(which)
+        substeps = self._environment.substeps
+        for k in range(substeps):
+            # Drives and late sensors ask for the torques of every step.
+            plant.joints.reads_torques = k == substeps - 1 or not self._is_plain
+            action.advance()
+            if plant.joints.elastic:
+                sensed.motor_angles[...] = plant.motor_angles
+                sensed.motor_velocities[...] = plant.motor_velocities
+            if self._hanging is not None:
+                sensed.motor_angles[...] = self._hanging.link_angles(sensed.motor_angles)
+            law.torques(sensed, target, asked)
+            np.minimum(np.maximum(asked, self._low, out=commanded), self._high, out=commanded)
+            if self._has_pushes:
+                self._push()
+            move(commanded)
+        return self._worlds.unstable.copy()
+
+    def _begin_pushes(self, forces: Array) -> None:
+        """Lets forces at the flanges, (m, 3), act in the next control step."""
+        self._pushes[:, self._body, :3] = forces
+        x, y, z = forces.T
+        zero = np.zeros(len(forces))
+        # arm x force is this matrix times the arm.
+        rows = [[zero, z, -y], [-z, zero, x], [y, -x, zero]]
+        self._turning = np.moveaxis(np.array(rows), 2, 0).copy()
+
+    def _push(self) -> None:
+        """Lets the forces act at where the flanges are now."""
+        arms = self._points[:, self._site] - self._centers[:, self._body]
+        self._pushes[:, self._body, 3:] = np.matmul(self._turning, arms[..., None])[..., 0]
+
+
+def _task_of_many(environment: Environment, m: int) -> ManyEpisodes:
+    """The task of m robots; raises DeclarationError where they can only be taken one by one."""
+    simulation, scenario = environment.simulation, environment.scenario
+    task = environment.task.make_many(m)
+    reason = None
+    if len(simulation.robots) > 1 or simulation.whole_body is not None:
+        reason = "found robots that carry others, or whose base moves; expected one robot"
+    elif scenario.disturbances or scenario.faults or task is None:
+        reason = "found a scenario; expected a robot with a task"
+    elif scenario.run.runaway_speed:
+        reason = "found run.runaway_speed; expected 0, for none"
+    if reason is not None or task is None:
+        advice = "; such environments are stepped one by one: vectorization_mode='sync'"
+        raise DeclarationError([Problem("num_envs", f"{reason}{advice}")])
+    return task

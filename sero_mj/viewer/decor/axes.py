@@ -1,0 +1,177 @@
+"""Smart axes: coordinate axes at the base, every joint, the flange and named frames.
+
+x is red, y green, z blue. Coinciding frames are nested: each further one has shorter and thicker
+bars, so that all of them can be distinguished and clicked on in any orientation (section 2.5). A
+click shows a frame's name.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.frames import Array, Bools
+from ...robots.assemble.world_view import WorldView
+from .feature import Feature, Frame
+from .panels import Panels, labels_at
+from .pen import GREY, Kind, Pen
+from .picture_view import PictureView
+
+# Red, green, blue, in shades that also differ in lightness.
+AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)
+_HALF_WIDTH_OF_LENGTH = 0.022
+_STALE_SHARE = 0.75  # fraction of grey in the colour of a stale frame
+# Frames closer than the first coincide, farther than the second they do not. In between, sizes
+# change continuously, so that frames that move apart do not flicker.
+_AT_ONE_PLACE = (0.004, 0.02)  # m
+_SHORTER, _THICKER = 0.45, 0.35  # scale factors per coinciding frame
+# Rotations of the bar's z onto x, y and z.
+ONTO_AXIS = np.array(
+    [
+        [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
+        [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+        [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    ],
+    np.float64,
+)
+
+
+class SmartAxes(Feature):
+    """The coordinate axes of one world."""
+
+    order = 80
+
+    def draw(self, frame: Frame) -> None:
+        """Draws the axes that are shown."""
+        stale = frame.is_stale(self.world.frames.names)
+        draw_axes(frame.pen, self.world, frame.data, frame.shown.axes, stale)
+
+
+def ranks(positions: Array) -> Array:
+    """Returns how many earlier frames coincide with every frame.
+
+    Args:
+        positions: (m, 3), m.
+
+    Returns:
+        (m,), 0 for the first of coinciding frames; continuous in the positions.
+    """
+    squares = np.einsum("ij,ij->i", positions, positions)
+    apart = squares[:, None] + squares - 2.0 * positions @ positions.T
+    distance = np.sqrt(np.maximum(apart, 0.0))
+    near, far = _AT_ONE_PLACE
+    shared = np.minimum(np.maximum((far - distance) / (far - near), 0.0), 1.0)
+    return np.asarray(np.einsum("ij,ij->i", shared, _earlier(len(positions))))
+
+
+@cache
+def _earlier(m: int) -> Array:
+    """Returns 1 where the column's frame comes before the row's, (m, m)."""
+    return np.tril(np.ones((m, m)), -1)
+
+
+def draw_axes(pen: Pen, world: WorldView, data: mujoco.MjData, shown: Bools, stale: Bools) -> None:
+    """Draws three bars for every frame whose axes are shown.
+
+    Bars are boxes of 12 triangles. Arrow geoms have a thousand: axes would cost more than the
+    robot.
+
+    Args:
+        pen: where to.
+        world: the compiled scene.
+        data: its state.
+        shown: which frames' axes to draw, (M,) bool.
+        stale: which frames have no fresh data and are drawn grey, (M,) bool.
+    """
+    table = world.frames
+    index = (shown & (table.alpha > 0)).nonzero()[0]
+    if not len(index):
+        return
+    sites = table.site[index]
+    origins = data.site_xpos[sites]
+    rank = ranks(origins)
+    length = table.size[index] / (1.0 + _SHORTER * rank)
+    half_width = _HALF_WIDTH_OF_LENGTH * table.size[index] * (1.0 + _THICKER * rank)
+    rgb = AXIS_RGB
+    if stale.any():
+        rgb = np.repeat(AXIS_RGB[None], len(index), axis=0)
+        rgb[stale[index]] += _STALE_SHARE * (np.array(GREY, np.float32) - AXIS_RGB)
+    rotation = data.site_xmat[sites].reshape(-1, 3, 3)
+    draw_bars(pen, origins, rotation, (length, half_width), rgb, table.alpha[index], index)
+
+
+def draw_bars(
+    pen: Pen,
+    origins: Array,
+    rotation: Array,
+    size: tuple[Array, Array],
+    rgb: NDArray[np.float32],
+    alpha: Array,
+    items: NDArray[np.intp] | None = None,
+) -> None:
+    """Draws the axes of k frames.
+
+    Args:
+        pen: where to.
+        origins: (k, 3), m.
+        rotation: (k, 3, 3).
+        size: length and half the width of the bars, (k,) each, m.
+        rgb: of the three bars, (3, 3) or (k, 3, 3).
+        alpha: (k,).
+        items: rows of the frames in `FrameTable`, (k,); None for axes that cannot be clicked on.
+    """
+    kind = Kind.NONE if items is None else Kind.AXES
+    owners = 0 if items is None else np.repeat(items, 3)
+    rows = pen.take(3 * len(origins), int(mujoco.mjtGeom.mjGEOM_BOX), kind, owners)
+    if not len(rows):
+        return
+    grid = rows.reshape(-1, 3)  # three bars per frame
+    length, half_width = size[0][:, None], size[1][:, None]
+    onto = rotation[:, None] @ ONTO_AXIS
+    grid["pos"] = origins[:, None] + onto[..., 2] * (length / 2)[..., None]
+    grid["mat"] = onto
+    grid["size"][..., :2] = half_width[..., None]
+    grid["size"][..., 2] = length / 2
+    grid["rgba"][..., :3] = rgb
+    grid["rgba"][..., 3] = alpha[:, None]
+
+
+class FrameNames(Feature):
+    """Shows the names of frames whose name is switched on, by a click for example."""
+
+    order = 60
+
+    def lay_out(self, frame: Frame) -> None:
+        """Adds a label below the origin of every frame whose name is shown."""
+        panels = name_panels(self.world, frame.data, frame.shown.frame_names, frame.view)
+        if panels is not None:
+            frame.panels.append(panels)
+
+
+def name_panels(
+    world: WorldView, data: mujoco.MjData, named: Bools, view: PictureView
+) -> Panels | None:
+    """Returns labels below the origins of frames, or None if there are none.
+
+    Args:
+        world: the compiled scene.
+        data: its state.
+        named: whether a frame's name is shown, (M,) bool.
+        view: of the picture.
+    """
+    shown = named.nonzero()[0]
+    if not len(shown):
+        return None
+    origins, depth = view.project(data.site_xpos[world.frames.site[shown]])
+    inside = view.sees(origins, depth)
+    shown, origins = shown[inside], origins[inside]
+    if not len(shown):
+        return None
+    texts = [world.frames.names[i].encode("ascii", "replace")[:99] for i in shown]
+    lines = [[text] for text in texts]
+    below = origins - [0.0, view.font.height]
+    centres, sizes = labels_at(view, below, lines)
+    return Panels(centres, sizes, lines, kind=Kind.NAME, items=shown)

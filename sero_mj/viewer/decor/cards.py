@@ -1,0 +1,480 @@
+"""Cards: panels beside the robots, with a leader line to the item they describe.
+
+Each robot's cards stand on its own side of the picture; a single robot, or one in the middle, has
+cards on both sides. Their heights follow the joints continuously; a card changes its place only
+where leaders would cross, or where a robot gets behind it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Bools, Ints
+from ...robots.assemble.double import OUT_OF_SIGHT
+from ...robots.assemble.mounts import carrier
+from ...robots.assemble.parts import DoublePart
+from ...robots.assemble.world_view import WorldView
+from .layout import LEFT, RIGHT, columns, is_narrow, uncross, with_room
+from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes
+from .pen import Kind, Pen
+from .picture_view import PictureView
+
+_Key = tuple[Kind, int]
+
+_CLOSE = 0.03  # of the picture's width, by which a robot moves before it changes its place
+_LEAST_GAIN = 0.01  # of a line's height: less is noise, and no reason to change places
+_FEWEST = 8  # cards, also where they need several columns
+# Of a robot with more joints only the most loaded have cards, unless they were clicked on.
+_MANY, _MOST_LOADED = 24, 12
+_GAP = 0.3  # between cards, of a line's height
+# A hand or finger is less than this of the arm that carries it: their cards stand together.
+SMALL = 0.5
+NO_SHARE = -1.0  # comes after any known share
+# A card takes the room of another one only if its share is larger by this factor, and this much.
+_MORE = (1.25, 0.02)
+_NEW_ROOM = 0.5  # of a line's height, by which robots must be farther away from a new card
+_MARGIN = 0.5  # of a line's height
+_ROUNDS = 4  # of placing and uncrossing; panels of several sizes can need more than one
+# Dark on a light scene, light on a dark one.
+LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)}
+
+
+@dataclass(frozen=True, eq=False)
+class Cards:
+    """Cards of one kind, before layout.
+
+    Attributes:
+        kind: kind of the items they describe.
+        items: indices of these items, (k,).
+        anchors: pixels that their leaders point at, (k, 2).
+        sizes: width and height, (k, 2), pixels.
+        texts: the lines of every card, top first.
+        owners: robot or double that they belong to, by their order in `WorldView.owners`, (k,); -1
+            for none.
+        side: `LEFT` or `RIGHT`, (k,), where there is one robot; else the robot's side is taken.
+        rank: vertical order, lowest first, (k,).
+        share: how much each carries of what it can, (k,), `NO_SHARE` where that is unknown: where
+            there is no room for all, those with the largest are shown; inf for those that always
+            are.
+        clear: minimum horizontal distance of their columns from the anchors, pixels.
+        rgba: (k, 4), or one for all.
+    """
+
+    kind: Kind
+    items: Ints
+    anchors: Array
+    sizes: Array
+    texts: list[list[bytes]]
+    owners: Ints
+    side: Ints
+    rank: Ints
+    share: Array
+    clear: float
+    rgba: tuple[float, float, float, float] | Array = PANEL_RGBA
+
+    def only(self, kept: Bools) -> Cards:
+        """Returns those of its cards that are kept, (k,)."""
+        arrays = ("items", "anchors", "sizes", "owners", "side", "rank", "share")
+        parts = {name: getattr(self, name)[kept] for name in arrays}
+        texts = [text for text, is_kept in zip(self.texts, kept, strict=True) if is_kept]
+        rgba = self.rgba[kept] if isinstance(self.rgba, np.ndarray) else self.rgba
+        return replace(self, **parts, texts=texts, rgba=rgba)
+
+
+class CardLayout:
+    """Places the cards of a world, and keeps their places from frame to frame.
+
+    A card keeps its side and its place in the vertical order from frame to frame, until leaders
+    cross: then two cards change places. So nothing moves to and fro at a limit.
+
+    Args:
+        owner_group: as returned by `owner_groups`.
+    """
+
+    def __init__(self, owner_group: Ints) -> None:
+        self._owner_group = owner_group
+        self._groups_in_order: list[int] = []  # from left to right
+        self._middles: dict[int, float] = {}  # by which they are sorted, pixels
+        self._wanted: dict[_Key, int] = {}  # side that the robots' positions give
+        self._places: dict[_Key, tuple[int, float]] = {}  # side and rank
+        self._chosen: set[_Key] = set()  # where there is no room for all
+
+    def lay_out(
+        self,
+        pen: Pen,
+        view: PictureView,
+        groups: list[Cards],
+        points: Array,
+        radii: Array,
+        owners: Ints,
+        corners: list[Panels],
+        leader_rgba: tuple[float, float, float, float] = LEADER_RGBA["light"],
+    ) -> tuple[list[Cards], list[Panels], list[Panels]]:
+        """Places the cards and draws their leaders.
+
+        Where there is no room for all beside what the robots cover, or a robot has many, those
+        with the largest shares are shown, but not less than a few; a note in the corner says how
+        many.
+
+        Args:
+            pen: where to.
+            view: of the picture.
+            groups: cards of every kind.
+            points: of the robots and doubles that are shown, (m, 3), m; cards are placed beside
+                them.
+            radii: of the robot around every point, (m,), m.
+            owners: index of the robot or double of every point, (m,).
+            corners: panels in the corners of the picture, which cards must not cover.
+            leader_rgba: of the leaders.
+
+        Returns:
+            the cards that are shown, their panels, and the note for the corner if there is one.
+        """
+        groups = [group for group in groups if group.texts]
+        if not groups:
+            return [], [], []
+        gap = _GAP * view.font.height
+        low, high = view.free
+        width, height = high - low
+        pixels, depth = view.project(points)
+        is_before = depth > view.near
+        pixels, of_point = pixels[is_before], self._owner_group[owners[is_before]]
+        radius = (radii[is_before] / view.pixel_size(depth[is_before]))[:, None]
+        covered = np.concatenate([pixels - radius, pixels + radius], axis=1) - [*low, *low]
+        keys = _keys(groups)
+        side, rank = self._last_places(keys, groups, pixels[:, 0], of_point, width)
+        kept, note = self._choose(view, groups, side, covered, corners)
+        corners = [*corners, *note]
+        if note:
+            groups = _only(groups, kept)
+            keys, side, rank = _keys(groups), side[kept], rank[kept]
+        kept_free = _rectangles(corners, low)
+        anchors = np.concatenate([group.anchors for group in groups])
+        sizes = np.concatenate([group.sizes for group in groups])
+        across = np.concatenate([pixels[:, 0], anchors[:, 0]]) - low[0]
+
+        def place(side: Ints, rank: Array) -> Array:
+            order = np.argsort(rank, kind="stable")
+            centres = np.empty((len(anchors), 2))
+            centres[order] = columns(
+                anchors[order] - low,
+                sizes[order],
+                side[order],
+                gap,
+                min(max(3 * gap, *(group.clear for group in groups)), width / 6),
+                width,
+                height,
+                span=(max(float(across.min()), 0.0), min(float(across.max()), width)),
+                kept_free=kept_free,
+                covered=covered,
+            )
+            return centres + low
+
+        for _ in range(_ROUNDS):
+            centres = place(side, rank)
+            starts = _starts(centres, sizes, anchors, side)
+            changed = uncross(starts, anchors, _LEAST_GAIN * view.font.height)
+            if (changed == np.arange(len(keys))).all():
+                break
+            side, rank = side[changed], rank[changed]
+        self._places.update(zip(keys, zip(side.tolist(), rank.tolist(), strict=True), strict=True))
+        draw_leaders(pen, view, starts, anchors, leader_rgba)
+        panels = []
+        first = 0
+        for group in groups:
+            these = slice(first, first + len(group.texts))
+            panels.append(
+                Panels(
+                    centres[these],
+                    sizes[these],
+                    group.texts,
+                    group.rgba,
+                    group.kind,
+                    group.items,
+                    has_values=True,
+                )
+            )
+            first += len(group.texts)
+        return groups, panels, note
+
+    def _choose(
+        self,
+        view: PictureView,
+        groups: list[Cards],
+        side: Ints,
+        covered: Array,
+        corners: list[Panels],
+    ) -> tuple[Bools, list[Panels]]:
+        """Returns which cards are shown, (k,), and a note of how many, in a list; none for all.
+
+        They are those with the largest shares in the whole picture. The sides of some may be
+        changed: those for which their own has no room.
+        """
+        low, high = view.free
+        line, (width, height) = view.font.height, high - low
+        sizes = np.concatenate([group.sizes for group in groups])
+        share = np.concatenate([group.share for group in groups])
+        keys = _keys(groups)
+        last = np.array([key in self._chosen for key in keys])
+        factor, more = _MORE
+        order = np.argsort(
+            -np.where(last, np.maximum(factor * share, share) + more, share), kind="stable"
+        )
+        asked = int(np.isinf(share).sum())
+        limit = max(_most_cards(np.concatenate([group.owners for group in groups])), asked)
+        if is_narrow(sizes, _GAP * line, width):  # leaders cross one column more than two
+            limit = max(_FEWEST, asked)
+        first = order[:limit]
+
+        def fitting(around: Array, corners: list[Panels], fewest: int = 0) -> tuple[int, Ints]:
+            # Each of several robots has its cards on its own side, if these are not too few.
+            for may_move in (False, True) if len(self._groups_in_order) > 1 else (True,):
+                found = with_room(
+                    sizes[first],
+                    side[first],
+                    _GAP * line,
+                    width,
+                    height,
+                    kept_free=_rectangles(corners, low),
+                    covered=around,
+                    may_move=may_move,
+                )
+                if found[0] >= fewest:
+                    break
+            return found
+
+        def is_all(found: tuple[int, Ints]) -> bool:
+            if found[0] < len(keys):
+                return False
+            side[order] = found[1]
+            self._chosen.clear()
+            return True
+
+        everything, nothing = np.ones(len(keys), bool), np.zeros((0, 4))
+        if len(keys) <= _FEWEST and is_all(fitting(nothing, corners, len(keys))):
+            return everything, []
+        if not self._chosen and is_all(fitting(covered, corners)):
+            return everything, []
+        note = _note(view, len(keys), corners)
+        corners = [*corners, note]
+        # A few are shown even over robots, but never over each other.
+        fewest = fitting(nothing, corners, min(_FEWEST, limit))[0]
+        least = max(min(fewest, max(_FEWEST, asked), limit), 1)
+        apart = _NEW_ROOM * line * np.array([-1, -1, 1, 1])
+        count, sides = fitting(covered + apart, corners, least)
+        if is_all((count, sides)):
+            return everything, []
+        if count < len(self._chosen):  # as many as in the last frame, if they still have room
+            most, sides = fitting(covered, corners, least)
+            count = min(most, len(self._chosen))
+        if count < least:
+            count, sides = least, fitting(nothing, corners, least)[1]
+        side[first] = sides
+        kept = np.zeros(len(keys), bool)
+        kept[order[:count]] = True
+        self._chosen = {key for key, is_kept in zip(keys, kept, strict=True) if is_kept}
+        is_load = np.concatenate(
+            [np.full(len(group.texts), group.kind == Kind.BILLBOARD) for group in groups]
+        )
+        is_loaded = bool((share[kept & is_load] > NO_SHARE).all())
+        text = _note_text(int((kept & is_load).sum()), int(is_load.sum()), is_loaded)
+        return kept, [replace(note, texts=[[text]])]
+
+    def _last_places(
+        self,
+        keys: list[_Key],
+        groups: list[Cards],
+        across: Array,
+        of_point: Ints,
+        width: float,
+    ) -> tuple[Ints, Array]:
+        """Returns side and rank of every card (k,): the last ones, or those of a new card."""
+        owner = np.concatenate([group.owners for group in groups])
+        side = np.concatenate([group.side for group in groups])
+        rank = np.concatenate([group.rank for group in groups]).astype(float)
+        group_of = np.append(self._owner_group, -1)[owner]  # -1 for no owner
+        self._sort_groups(across, of_point, width)
+        robots = self._groups_in_order
+        if len(robots) > 1:
+            counts = np.array([(group_of == group).sum() for group in robots])
+            middles = np.cumsum(counts) - counts / 2
+            for place, group in enumerate(robots):
+                if 2 * place + 1 != len(robots):  # one in the middle has cards on both sides
+                    of_left = middles[place] < counts.sum() / 2
+                    side[group_of == group] = LEFT if of_left else RIGHT
+        for k, key in enumerate(keys):
+            if self._wanted.get(key) == side[k] and key in self._places:
+                side[k], rank[k] = self._places[key]
+            else:
+                self._wanted[key] = int(side[k])
+        return side, rank
+
+    def _sort_groups(self, across: Array, of_point: Ints, width: float) -> None:
+        """Sorts the robots in the picture from left to right; small moves change nothing."""
+        for group in set(of_point.tolist()):
+            middle = float(across[of_point == group].mean())
+            if abs(middle - self._middles.get(group, np.inf)) > _CLOSE * width:
+                self._middles[group] = middle
+        self._groups_in_order = sorted(set(of_point.tolist()), key=self._middles.__getitem__)
+
+
+def owner_groups(world: WorldView) -> Ints:
+    """Returns the index of the robot with which the cards of every owner of joints stand.
+
+    A double's is that of its robot; a hand's that of the arm which carries it.
+    """
+    names, robots = list(world.owners), world.scene.robots
+
+    def stands_with(name: str) -> str:
+        below = carrier(robots[name]) if name in robots else None
+        if below not in world.robots or robots[name].reach > SMALL * robots[below].reach:
+            return name
+        return stands_with(below)
+
+    return np.array(
+        [
+            names.index(stands_with(part.double.of if isinstance(part, DoublePart) else name))
+            for name, part in world.owners.items()
+        ],
+        np.intp,
+    )
+
+
+def _keys(groups: list[Cards]) -> list[_Key]:
+    return [(group.kind, int(item)) for group in groups for item in group.items]
+
+
+def _most_cards(owners: Ints) -> int:
+    """Returns how many cards a picture has at most: of each owner with many `_MOST_LOADED`.
+
+    Args:
+        owners: of all cards, (k,), -1 for none.
+    """
+    counts = np.unique(owners[owners >= 0], return_counts=True)[1]
+    return int(np.where(counts > _MANY, _MOST_LOADED, counts).sum() + (owners < 0).sum())
+
+
+def _only(groups: list[Cards], kept: Bools) -> list[Cards]:
+    """Returns the cards that are kept, without groups of which none is."""
+    ends = np.cumsum([len(group.texts) for group in groups])
+    parts = zip(groups, np.split(kept, ends[:-1]), strict=True)
+    return [group.only(mine) for group, mine in parts if mine.any()]
+
+
+def _rectangles(corners: list[Panels], origin: Array) -> Array:
+    """Returns left, bottom, right and top of every corner's panels from an origin, (c, 4)."""
+    rows = np.array([np.concatenate(bounds(corner)) for corner in corners]).reshape(-1, 4)
+    return rows - np.tile(origin, 2)
+
+
+def _note(view: PictureView, count: int, corners: list[Panels]) -> Panels:
+    """Returns a note that says of `count` cards how many are shown, for the lower right corner."""
+    margin = _MARGIN * view.font.height
+    text = _note_text(count, count)  # the longest
+    size = panel_sizes(np.array([view.font.width(text)]), 1, view)[0]
+    right, bottom = view.free[1][0] - margin, view.free[0][1] + margin
+    for corner in corners:  # above the legend, in a narrow picture
+        low, high = bounds(corner)
+        if high[0] > right - size[0] and low[1] < bottom + size[1]:
+            bottom = high[1] + margin
+    centre = np.array([right, bottom]) + size * (-0.5, 0.5)
+    return Panels(centre[None], size[None], [[text]])
+
+
+def _note_text(shown: int, count: int, is_loaded: bool = True) -> bytes:
+    which = ", the most loaded" if is_loaded else ""  # of joints without data none is
+    return f"cards: {shown} of {count} joints{which}".encode()
+
+
+class Outline:
+    """Points along the links of all robots and doubles, with radii, as an outline of them.
+
+    Every geom counts as a capsule along its longest side, with a point at each end and in the
+    middle.
+
+    Args:
+        world: the compiled scene.
+    """
+
+    def __init__(self, world: WorldView) -> None:
+        model = world.model
+        owner = np.full(model.ngeom, -1)
+        for i, part in enumerate(world.owners.values()):
+            owner[np.isin(model.geom_bodyid, part.bodies)] = i
+        owner[(model.geom_group > 2) | (model.geom_rgba[:, 3] <= 0)] = -1
+        self._geoms = (owner >= 0).nonzero()[0]
+        centre, half = np.hsplit(model.geom_aabb[self._geoms], 2)
+        longest = half.argmax(axis=1)
+        self._radii = np.sort(half, axis=1)[:, 1]
+        along = np.eye(3)[longest] * (half.max(axis=1) - self._radii)[:, None]
+        self._offsets = np.stack([centre - along, centre, centre + along], axis=1)
+        self._owners = owner[self._geoms]
+        self._joints = world.joints
+
+    def points(
+        self,
+        data: mujoco.MjData,
+        hidden: Bools | None,
+        sites: Array,
+        arrows: Bools,
+    ) -> tuple[Array, Array, Ints]:
+        """Returns points (m, 3), m, radii (m,), m, and the index of their robot or double (m,).
+
+        Args:
+            data: the state of the model.
+            hidden: geoms that are not shown, (ngeom,) bool; None for none.
+            sites: positions of the world's sites, `site_xpos` of its state, m.
+            arrows: which joints have an arrow, which belongs to the outline, (N,) bool.
+        """
+        rotation = data.geom_xmat[self._geoms].reshape(-1, 1, 3, 3)
+        points = data.geom_xpos[self._geoms, None] + (rotation @ self._offsets[..., None])[..., 0]
+        is_shown = points[:, 0, 2] > OUT_OF_SIGHT[2] / 2  # doubles without a pose are far away
+        if hidden is not None:
+            is_shown &= ~hidden[self._geoms]
+        joints = self._joints
+        of_links, of_arrows = points[is_shown].reshape(-1, 3), sites[joints.centre_site[arrows]]
+        radii = np.repeat(self._radii[is_shown], 3), joints.arrow_radius[arrows]
+        owners = np.repeat(self._owners[is_shown], 3), joints.owner[arrows]
+        return np.concatenate([of_links, of_arrows]), np.concatenate(radii), np.concatenate(owners)
+
+
+def _starts(centres: Array, sizes: Array, anchors: Array, side: Ints) -> Array:
+    """Returns where leaders begin, (k, 2): the middle of a card's edge towards its anchor.
+
+    Of a card above or below its anchor it is the edge towards the middle of the picture.
+    """
+    half = sizes[:, 0] / 2
+    beside = anchors[:, 0] - centres[:, 0]
+    edge = np.where(np.abs(beside) > half, np.sign(beside), np.where(side == LEFT, 1.0, -1.0))
+    return np.stack([centres[:, 0] + edge * half, centres[:, 1]], axis=1)
+
+
+def move_below(right: Panels, left: Panels) -> Panels:
+    """Returns the upper left corner's panels, moved below the right one's if they overlap."""
+    low, _ = bounds(right)
+    _, high = bounds(left)
+    down = high[1] - low[1]
+    if high[0] < low[0] or down <= 0:
+        return left
+    return replace(left, centres=left.centres - [0.0, down])
+
+
+def bounds(panels: Panels) -> tuple[Array, Array]:
+    """Returns the lower left and upper right pixel of all panels of a corner."""
+    half = panels.sizes / 2
+    return (panels.centres - half).min(axis=0), (panels.centres + half).max(axis=0)
+
+
+def heights_in_order(heights: Array) -> Ints:
+    """Returns the rank of every height, the lowest first, (k,).
+
+    The order is computed once, in the declared pose: sorting by the current heights would make
+    panels swap places.
+    """
+    order = np.argsort(heights, kind="stable")
+    rank = np.empty(len(order), np.intp)
+    rank[order] = np.arange(len(order))
+    return rank

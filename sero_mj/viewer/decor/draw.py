@@ -1,0 +1,167 @@
+"""`Decor`: all features of a world, as a function of data, toggles and view."""
+
+from __future__ import annotations
+
+import logging
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array
+from ...robots.assemble.double import fade_in, spread_out
+from ...robots.assemble.world_view import WorldView
+from .cards import LEADER_RGBA, CardLayout, Outline, owner_groups
+from .feature import Feature, Frame, make_features
+from .panels import Panels, clear_of, draw_panels, labels_at, panel_sizes
+from .pen import CAPACITY, Pen
+from .picture_view import PictureView
+from .quantities import arrow_values, joint_values
+from .round_arrows import ARROW_GEOMS
+from .staleness import Staleness
+from .toggles import Toggles
+
+log = logging.getLogger(__name__)
+
+_BESIDE = 0.6  # distance of the label from the pointer, of a line's height
+# Positions of the label: lower right, where pointers do not cover it, then above, then left.
+_CORNERS = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, -1.0], [-1.0, 1.0]])
+# Fraction of white in panels: on the dark floor of the dark look they would not be seen.
+_LIGHTER = {"light": 0.0, "dark": 0.14}
+_HOVER_RGBA = (0.20, 0.20, 0.16, 0.90)
+
+
+class Decor:
+    """The decor of one world.
+
+    Args:
+        world: the compiled scene.
+        capacity: maximum number of geoms that the host takes.
+        arrow_geoms: maximum number of geoms of a round arrow.
+
+    Attributes:
+        pen: the geoms of the last frame.
+        features: the features, in drawing order.
+        panels: those of the last frame, in drawing order.
+    """
+
+    def __init__(
+        self, world: WorldView, capacity: int = CAPACITY, arrow_geoms: int = ARROW_GEOMS
+    ) -> None:
+        self.pen = Pen(capacity)
+        self.features = make_features(world)
+        self.panels: list[Panels] = []
+        self._world = world
+        self._arrow_geoms = arrow_geoms
+        self._staleness = Staleness(world)
+        self._cards = CardLayout(owner_groups(world))
+        self._outline = Outline(world)
+
+    def draw(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> Pen:
+        """Lays out one frame and returns the pen that holds it.
+
+        Args:
+            data: the world's state, with frames up to date (`data.drive.Placer`).
+            toggles: what is shown; updated from inputs that packets set.
+            view: camera and picture size.
+        """
+        pen, world = self.pen, self._world
+        of_model, data = data, world.state(data)
+        pen.clear()
+        toggles.apply_inputs(data)
+        pen.hidden = toggles.hidden_geoms()
+        pen.opacity = _opacity(world, of_model)
+        pen.drawn_doubles = world.drawn_doubles(data, toggles.doubles)
+        stale = self._staleness.find(data)
+        for name, on in zip(world.doubles, toggles.doubles, strict=True):
+            if not on:
+                stale.pop(name, None)
+        values = joint_values(world, data)
+        arrows, limit = arrow_values(world, data, values, toggles.arrow_quantity)
+        frame = Frame(
+            pen=pen,
+            data=data,
+            view=view,
+            toggles=toggles,
+            shown=toggles.shown(data),
+            values=values,
+            arrow_values=arrows,
+            arrow_limit=limit,
+            stale=stale,
+            stale_joints=self._staleness.joints(stale),
+            arrow_geoms=self._arrow_geoms,
+        )
+        self._each("lay_out", frame)
+        look = world.scene.view.look
+        cards: list[Panels] = []
+        if frame.cards:
+            body = self._outline.points(of_model, pen.hidden, data.site_xpos, frame.shown.arrows)
+            frame.cards, cards, note = self._cards.lay_out(
+                pen, view, frame.cards, *body, frame.corners, LEADER_RGBA[look]
+            )
+            frame.corners += note
+        notes = self._staleness.panels(pen, data, view, stale)
+        panels = [*frame.corners, *cards]
+        panels += clear_of([*frame.panels, *notes], panels, view)
+        # Text first: where the capacity is exceeded, arrows are dropped and not text.
+        panels += _hover_panel(toggles, view, panels)
+        self.panels = draw_panels(pen, view, panels, _LIGHTER[look])
+        self._each("draw", frame)
+        return pen
+
+    def _each(self, step: str, frame: Frame) -> None:
+        """Runs a step of all features; one that raises is logged and removed."""
+        for feature in [*self.features]:
+            try:
+                getattr(feature, step)(frame)
+            except Exception:
+                if _is_own(feature):
+                    raise
+                log.exception("%s cannot be drawn and is disabled", type(feature))
+                self.features.remove(feature)
+
+
+def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
+    """Returns the opacity factor of every geom (ngeom,): doubles fade in as they leave the robot.
+
+    Args:
+        world: the compiled scene.
+        data: its state, with frames up to date.
+    """
+    compiled = [part for part in world.doubles.values() if part.is_compiled]
+    if not compiled:
+        return None
+    factors = np.ones(world.model.nbody)
+    for part in compiled:
+        links, own = part.bodies, part.of.bodies
+        factors[links] = fade_in(data.xpos[links], data.xmat[links], data.xpos[own], data.xmat[own])
+        if part.path is not None:
+            factors[links] *= spread_out(data.xpos[links], part.robot.arrow_radii)
+    return np.asarray(factors[world.model.geom_bodyid])
+
+
+def _is_own(feature: Feature) -> bool:
+    return type(feature).__module__.startswith(__package__)
+
+
+def _hover_panel(toggles: Toggles, view: PictureView, others: list[Panels]) -> list[Panels]:
+    """Returns the label beside the pointer in a list; empty if there is nothing under it.
+
+    Args:
+        toggles: `hover` has the text and the pointer's position.
+        view: of the picture.
+        others: all panels of the frame; the label is placed where it covers least of them.
+    """
+    if toggles.hover is None:
+        return []
+    text, pixel = toggles.hover
+    lines = [[text.encode("ascii", "replace")[:99]]]
+    width = np.array([view.font.width(lines[0][0])])
+    size = panel_sizes(width, 1, view)[0]
+    centres = np.array(pixel) + (size / 2 + _BESIDE * view.font.height) * _CORNERS
+    centres, sizes = labels_at(view, centres, lines * len(_CORNERS))
+    covered = np.zeros(len(_CORNERS))
+    for panels in others:
+        overlap = (sizes[0] + panels.sizes) / 2 - np.abs(centres[:, None] - panels.centres)
+        covered += np.maximum(overlap, 0.0).prod(axis=2).sum(axis=1)
+    best = covered.argmin()  # ties go to the first candidate
+    return [Panels(centres[best : best + 1], sizes[:1], lines, _HOVER_RGBA, in_front=True)]

@@ -1,0 +1,106 @@
+"""`Feature`: the base class of visual features, built-in or of another package; and its `Frame`.
+
+A package adds a feature by an entry point in the group `sero_mj.decor`:
+
+    [project.entry-points."sero_mj.decor"]
+    temperature = "my_package:TemperatureGauge"
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from ...base.errors import PluginError
+from ...base.frames import Array, Bools
+from ...base.plugins import DECOR, load_plugin, plugins
+from ...robots.assemble.world_view import WorldView
+from .cards import Cards
+from .panels import Panels
+from .pen import Pen
+from .picture_view import PictureView
+from .staleness import stale_mask
+from .toggles import Shown, Toggles
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(eq=False)
+class Frame:
+    """A frame during layout.
+
+    Attributes:
+        pen: takes geoms.
+        data: the state of the world: `time`, `xpos`, `site_xpos`, `userdata`, ... as of `MjData`.
+        view: camera and picture size.
+        toggles: what is switched on.
+        shown: the part of it that has a pose.
+        values: per-joint values by name, (N,) each: `torques`, `torque_error`, `joint_angles`, and
+            every other input of robots; NaN for no data.
+        arrow_values: values that the joints' arrows show, (N,), NaN for no data.
+        arrow_limit: values at which arrows have full width, (N,), inf for none.
+        stale: message by name of robots, doubles, arrows and frames without fresh data.
+        stale_joints: which joints have no fresh data, (N,) bool.
+        arrow_geoms: maximum number of geoms of a round arrow.
+        cards: panels beside the robots with leaders; features append theirs.
+        corners: panels in the corners of the picture, which cards do not cover; likewise.
+        panels: other panels; likewise.
+    """
+
+    pen: Pen
+    data: Any
+    view: PictureView
+    toggles: Toggles
+    shown: Shown
+    values: dict[str, Array]
+    arrow_values: Array
+    arrow_limit: Array
+    stale: dict[str, str]
+    stale_joints: Bools
+    arrow_geoms: int
+    cards: list[Cards] = field(default_factory=list)
+    corners: list[Panels] = field(default_factory=list)
+    panels: list[Panels] = field(default_factory=list)
+
+    def is_stale(self, names: list[str]) -> Bools:
+        """Returns which of these names have no fresh data, (k,) bool."""
+        return stale_mask(names, self.stale)
+
+
+class Feature:
+    """A visual feature of a world.
+
+    All features lay out first, then text is drawn, then all of them draw. So text is kept where
+    the number of geoms exceeds the host's capacity.
+
+    Args:
+        world: the compiled scene.
+
+    Attributes:
+        order: position in both passes, lowest first; built-in features have 10 to 90.
+    """
+
+    order: ClassVar[int] = 100
+
+    def __init__(self, world: WorldView) -> None:
+        self.world = world
+
+    def lay_out(self, frame: Frame) -> None:
+        """Adds cards, corner panels and panels to the frame."""
+
+    def draw(self, frame: Frame) -> None:
+        """Adds geoms to the frame's pen."""
+
+
+def make_features(world: WorldView) -> list[Feature]:
+    """Returns all installed features for a world; logs those that cannot be loaded."""
+    found: list[tuple[int, str, type[Feature]]] = []
+    for name in plugins(DECOR):
+        try:
+            kind: type[Feature] = load_plugin(DECOR, name)
+        except PluginError as error:
+            log.warning("%s; not shown", error)
+            continue
+        found.append((kind.order, name, kind))
+    return [kind(world) for _, _, kind in sorted(found, key=lambda entry: entry[:2])]

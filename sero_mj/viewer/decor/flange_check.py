@@ -1,0 +1,173 @@
+"""Flange check (section 3.1): compares a received base-to-flange frame with the robot's own.
+
+The received frame is drawn as a second, paler flange frame with a line to the first. The difference
+is shown in the upper right corner, or in red beside the flange if it exceeds the robot's
+`flange_tolerance`.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, rotation_angle
+from ...robots.assemble.parts import RobotPart
+from ...robots.assemble.world_view import WorldView
+from .axes import AXIS_RGB, draw_bars
+from .cards import Cards
+from .feature import Feature, Frame
+from .layout import RIGHT
+from .panels import Panels, panel_sizes
+from .pen import Kind, Pen
+from .picture_view import PictureView
+from .smart_arrows import frames_along
+
+OFF_RGBA = (0.55, 0.04, 0.04, 0.92)
+_PALE = 0.45  # fraction of white in the colour of the received axes
+_LINE_RGBA = (0.78, 0.07, 0.07, 1.0)
+_RIGHT_LINE_RGBA = (0.35, 0.37, 0.40, 1.0)
+_LINE_HALF_WIDTH = 0.003  # m
+_AXES_SHARE = 0.8  # of the robot's axes
+_CORNER_RGBA = (0.09, 0.11, 0.14, 0.6)
+_MARGIN = 0.5  # of a line's height
+
+
+def flange_difference(
+    world: WorldView, data: mujoco.MjData, robot: str
+) -> tuple[float, float] | None:
+    """Returns the difference between the received flange frame and the robot's own.
+
+    Args:
+        world: the compiled scene.
+        data: its state, frames up to date.
+        robot: its name.
+
+    Returns:
+        distance of the origins, m, and angle between the two, rad; None if no frame, or one
+        with NaN, was received.
+    """
+    received = _received(world, data, robot)
+    if received is None:
+        return None
+    own = world.fwd_kin_base_to_flange(data, robot)
+    distance = float(np.linalg.norm(received[:3, 3] - own[:3, 3]))
+    return distance, rotation_angle(own[:3, :3].T @ received[:3, :3])
+
+
+def _received(world: WorldView, data: mujoco.MjData, robot: str) -> Array | None:
+    """Returns the received T_base_flange (4, 4)."""
+    target = f"{robot}.flange_check"
+    if data.userdata[world.flags[target]] <= 0:
+        return None
+    T = data.userdata[world.slots[target]].reshape(4, 4)
+    return T if np.isfinite(T).all() else None
+
+
+class FlangeCheck(Feature):
+    """Draws the comparison for every robot with a received flange frame."""
+
+    order = 30
+
+    def __init__(self, world: WorldView) -> None:
+        super().__init__(world)
+        self._flags = np.array([world.flags[f"{name}.flange_check"] for name in world.robots], int)
+
+    def lay_out(self, frame: Frame) -> None:
+        """Draws the received flange frames and adds panels with the differences.
+
+        Differences above tolerance are shown on a card at the flange; the others, and those of
+        flanges outside the picture, in the upper right corner. A robot without fresh data has no
+        numbers there.
+        """
+        data, view = frame.data, frame.view
+        if not frame.toggles.flange_checks or not (data.userdata[self._flags] > 0).any():
+            return
+        items, anchors, texts, right = [], [], [], []
+        clear, unseen = 0.0, False
+        for i, (name, part) in enumerate(self.world.robots.items()):
+            difference = flange_difference(self.world, data, name)
+            if difference is None:
+                continue
+            if name in frame.stale:
+                text = f"{name} flange check: {frame.stale[name]}"
+                right.append(text.encode("ascii", "replace")[:99])
+                continue
+            distance, angle = difference[0], float(np.rad2deg(difference[1]))
+            robot = part.robot
+            off = distance > robot.flange_tolerance or angle > robot.flange_tolerance_deg
+            point = self._draw_frame(frame.pen, data, name, off)
+            numbers = f"{1e3 * distance:7.2f} mm  {angle:6.2f} deg"
+            if not off:
+                right.append(f"{name} flange check{numbers}".encode("ascii", "replace"))
+                continue
+            pixel, depth = view.project(point)
+            if not view.sees(pixel, depth):
+                right.append(f"{name} flange is off {numbers}".encode("ascii", "replace"))
+                unseen = True
+                continue
+            clear = max(clear, robot.axes_length / view.pixel_size(float(depth)))
+            items.append(i)
+            anchors.append(pixel)
+            head = f"{name} flange is off"
+            position, turn = f"  position {1e3 * distance:8.2f} mm", f"  angle    {angle:8.2f} deg"
+            texts.append([head.encode("ascii", "replace"), position.encode(), turn.encode()])
+        if items:
+            frame.cards.append(self._cards(view, items, np.array(anchors), texts, clear))
+        if right:
+            frame.corners.append(_corner(view, right, unseen))
+
+    def _cards(
+        self,
+        view: PictureView,
+        items: list[int],
+        anchors: Array,
+        texts: list[list[bytes]],
+        clear: float,
+    ) -> Cards:
+        widths = np.array([view.font.block_width(lines) for lines in texts])
+        top = len(self.world.joints.names)  # ranked above all billboards
+        return Cards(
+            kind=Kind.CHECK,
+            items=np.array(items, np.intp),
+            anchors=anchors,
+            sizes=panel_sizes(widths, len(texts[0]), view),
+            texts=texts,
+            owners=np.array(items, np.intp),
+            side=np.full(len(items), RIGHT, np.intp),
+            rank=np.array(items, np.intp) + top,
+            share=np.full(len(items), np.inf),
+            clear=clear,
+            rgba=OFF_RGBA,
+        )
+
+    def _draw_frame(self, pen: Pen, data: mujoco.MjData, name: str, off: bool) -> Array:
+        """Draws the received frame and the line to it; returns its position (3,), m."""
+        world = self.world
+        part: RobotPart = world.robots[name]
+        received = _received(world, data, name)
+        assert received is not None
+        base = world.frame(data, part.base_name)
+        own = world.frame(data, part.flange_name)[:3, 3]
+        T = base @ received
+        length = np.array([_AXES_SHARE * part.robot.axes_length])
+        rgb = (AXIS_RGB + _PALE * (1.0 - AXIS_RGB))[None]
+        draw_bars(pen, T[None, :3, 3], T[None, :3, :3], (length, 0.03 * length), rgb, np.ones(1))
+        between = T[:3, 3] - own
+        distance = float(np.linalg.norm(between))
+        if distance > 1e-6:
+            rows = pen.take(1, int(mujoco.mjtGeom.mjGEOM_BOX))
+            if len(rows):
+                rows["pos"] = own + between / 2
+                rows["mat"] = frames_along(between[None] / distance)
+                rows["size"] = (_LINE_HALF_WIDTH, _LINE_HALF_WIDTH, distance / 2)
+                rows["rgba"] = _LINE_RGBA if off else _RIGHT_LINE_RGBA
+        return np.asarray(T[:3, 3])
+
+
+def _corner(view: PictureView, lines: list[bytes], off: bool) -> Panels:
+    """Returns a panel in the upper right corner, red if a difference is above tolerance."""
+    widest = np.array([max(view.font.width(line) for line in lines)])
+    size = panel_sizes(widest, len(lines), view)
+    margin = _MARGIN * view.font.height
+    corner = view.free[1] - margin
+    return Panels(corner - size / 2, size, [lines], OFF_RGBA if off else _CORNER_RGBA)

@@ -1,0 +1,156 @@
+"""Handles by which a frame is dragged, and the mark of a place that cannot be reached.
+
+Three arrows move the frame along its axes, three rings turn it about them, and a cube at its origin
+moves it in the plane of the picture. All are as large in the picture however near it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.frames import Array
+from .axes import AXIS_RGB, ONTO_AXIS
+from .feature import Feature, Frame
+from .pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
+from .picture_view import PictureView
+
+# What the handles do, by the item of their geoms: axes 0 to 2 along, 3 to 5 about, and the cube.
+HANDLE_NAMES = (
+    *(f"move along {axis}" for axis in "xyz"),
+    *(f"turn about {axis}" for axis in "xyz"),
+    "move in the picture",
+)
+CUBE = 6
+_ARROW_LENGTH = 6.4  # of a line's height
+_RING_RADIUS = 4.6
+_ARROW_RADIUS = 0.22
+_RING_HALF_WIDTH = 0.11
+_CUBE_HALF = 0.30
+SEGMENTS = 28  # boxes of a ring
+_LIT_RGB = (1.00, 0.86, 0.25)
+_CUBE_RGB = (0.92, 0.93, 0.95)
+_MARK_RGBA = (0.90, 0.12, 0.10, 0.95)
+_MARK_HALF = 0.16  # of a line's height
+_LARGEST = 0.16  # of the picture's height: the arrows in small pictures
+
+
+class HandleDecor(Feature):
+    """Draws the handles and the mark of the toggles."""
+
+    order = 85
+
+    def draw(self, frame: Frame) -> None:
+        """Draws them, if there are any."""
+        handles = frame.toggles.handles
+        if handles is None:
+            return
+        if handles.pose is not None:
+            draw_handles(frame.pen, handles.pose, handles.lit, frame.view)
+        if handles.mark is not None:
+            _draw_mark(frame.pen, handles.mark, frame.view)
+
+
+def handle_length(point: Array, view: PictureView) -> float:
+    """Returns the length of a line's height at a point (3,) of the picture, m."""
+    depth = max(float((point - view.position) @ view.forward), view.near)
+    line = min(view.font.height, _LARGEST * view.height / _ARROW_LENGTH)
+    return float(view.pixel_size(depth)) * line
+
+
+def ring_radius(point: Array, view: PictureView) -> float:
+    """Returns the radius of the rings about a point (3,), m."""
+    return _RING_RADIUS * handle_length(point, view)
+
+
+def draw_handles(pen: Pen, pose: Array, lit: int, view: PictureView) -> None:
+    """Draws the handles of a frame.
+
+    Args:
+        pen: where to.
+        pose: T_world_frame (4, 4), m.
+        lit: see `Handles`.
+        view: of the picture.
+    """
+    origin, rotation = pose[:3, 3], pose[:3, :3]
+    unit = handle_length(origin, view)
+    rgb = np.array([*AXIS_RGB, *AXIS_RGB, _CUBE_RGB])
+    if lit >= 0:
+        rgb[lit] = _LIT_RGB
+    onto = rotation @ ONTO_AXIS
+    rows = pen.take(3, int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.HANDLE, np.arange(3))
+    if len(rows):
+        rows["pos"] = origin + onto[..., 2] * (_CUBE_HALF + 0.1) * unit
+        rows["mat"] = onto
+        rows["size"][:, :2] = _ARROW_RADIUS * unit
+        rows["size"][:, 2] = _ARROW_LENGTH * unit * ARROW_SIZE_OF_LENGTH
+        rows["rgba"] = [[*each, 1.0] for each in rgb[:3]]
+        rows["emission"] = 0.6
+    items = np.repeat(np.arange(3, 6), SEGMENTS)
+    rows = pen.take(3 * SEGMENTS, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.HANDLE, items)
+    if len(rows):
+        for grid, axes, colour in zip(rows.reshape(3, -1), onto, rgb[3:6], strict=True):
+            look = (*colour.tolist(), 0.95)
+            fill_ring(grid, origin, axes, _RING_RADIUS * unit, _RING_HALF_WIDTH * unit, look)
+        rows["emission"] = 0.6
+    rows = pen.take(1, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.HANDLE, CUBE)
+    if len(rows):
+        rows["pos"], rows["mat"], rows["size"] = origin, rotation, _CUBE_HALF * unit
+        rows["rgba"] = [*rgb[CUBE], 1.0]
+
+
+def fill_ring(
+    rows: NDArray[Any],
+    centre: Array,
+    axes: Array,
+    radius: float,
+    half_width: float,
+    rgba: Sequence[float],
+) -> None:
+    """Makes boxes a ring.
+
+    Args:
+        rows: of `SEGMENTS` boxes, changed in place.
+        centre: (3,), m.
+        axes: (3, 3), of which the third column is the ring's axis.
+        radius: m.
+        half_width: of the ring, m.
+        rgba: its colour.
+    """
+    phase = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
+    x, y, z = axes.T
+    outwards = np.cos(phase)[:, None] * x + np.sin(phase)[:, None] * y
+    rows["pos"] = centre + radius * outwards
+    along = np.broadcast_to(z, outwards.shape)
+    rows["mat"] = np.stack([outwards, np.cross(along, outwards), along], axis=2)
+    rows["size"] = [half_width, 1.02 * radius * np.pi / SEGMENTS, half_width]
+    rows["rgba"] = rgba
+
+
+def _draw_mark(pen: Pen, mark: Array, view: PictureView) -> None:
+    """Draws a red line from where something is to a cross where it is wanted."""
+    wanted, there = mark
+    half = _MARK_HALF * handle_length(wanted, view)
+    rows = pen.take(4, int(mujoco.mjtGeom.mjGEOM_BOX))
+    if not len(rows):
+        return
+    rows["pos"], rows["rgba"] = wanted, _MARK_RGBA
+    rows["mat"] = view.facing
+    turn = np.sqrt(0.5) * np.array([[1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, np.sqrt(2.0)]])
+    rows["mat"][:2] = view.facing @ turn
+    rows["size"][:2] = [[5 * half, half, half], [half, 5 * half, half]]
+    rows["size"][2] = half
+    way = wanted - there
+    length = float(np.linalg.norm(way))
+    rows["pos"][3] = (wanted + there) / 2
+    if length > 1e-9:
+        z = way / length
+        x = np.cross(z, view.forward)
+        x = x / max(float(np.linalg.norm(x)), 1e-9)
+        rows["mat"][3] = np.column_stack([x, np.cross(z, x), z])
+    rows["size"][3] = 0.4 * half, 0.4 * half, length / 2
+    rows["emission"] = 0.7

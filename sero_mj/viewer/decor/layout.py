@@ -1,0 +1,373 @@
+"""Layout of panels in columns beside the robots, and of straight leaders, in pixels.
+
+Heights follow what the panels point at continuously. Panels do not overlap as long as the picture
+is large enough.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...base.frames import Array, Bools, Ints
+
+LEFT, RIGHT = 0, 1
+_RAMP = 6  # distance, in gaps, over which a column that approaches a corner gradually avoids it
+_LEAST_GAP = 0.2  # of the usual gap, before a second column is begun or a robot is covered
+
+
+def columns(
+    anchors: Array,
+    sizes: Array,
+    side: Ints,
+    gap: float,
+    beside: float,
+    width: float,
+    height: float,
+    *,
+    span: tuple[float, float] | None = None,
+    kept_free: Array | None = None,
+    covered: Array | None = None,
+) -> Array:
+    """Lays out all panels of a picture.
+
+    Args:
+        anchors: pixel of every panel's joint, (k, 2), in vertical order of the panels, lowest
+            first.
+        sizes: width and height of every panel, (k, 2), pixels.
+        side: `LEFT` or `RIGHT`, (k,).
+        gap: minimum space between panels, pixels.
+        beside: space between the innermost columns and the outermost joint, pixels.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        span: first and last pixel column of the robots, which panels do not cover; None for
+            those of the anchors.
+        kept_free: rectangles in the corners of the picture (legend, faults, flange check) that
+            panels do not cover: left, bottom, right, top, (c, 4), pixels.
+        covered: rectangles around parts of the robots (r, 4), pixels; a column that has to stand
+            in front of some leaves them free where it has the room.
+
+    Returns:
+        centres of the panels, (k, 2), pixels from the lower left corner.
+    """
+    centres = np.empty((len(anchors), 2))
+    if not len(anchors):
+        return centres
+    corners = np.zeros((0, 4)) if kept_free is None else kept_free
+    on_left = (corners[:, 0] + corners[:, 2]) / 2 < width / 2
+    sides = (corners[on_left], corners[~on_left])
+    groups = []
+    for which in (LEFT, RIGHT):
+        low, high = side_limits(corners, which, width, height)
+        groups.append(_chunks((side == which).nonzero()[0], sizes, gap, high - low))
+    widths = [[float(sizes[column, 0].max()) + gap for column in group] for group in groups]
+    left, right = (sum(group) for group in widths)
+    # Both sides move inward, over the robot if necessary, so that panels neither leave the picture
+    # nor cover the other side.
+    first, last = span or (float(anchors[:, 0].min()), float(anchors[:, 0].max()))
+    inner_left = max(first - beside, left)
+    inner_right = min(last + beside, width - right)
+    inner_left = min(inner_left, width - right - gap)
+    inner_right = max(inner_right, inner_left + gap)
+    for which, outward, start in ((LEFT, -1.0, inner_left), (RIGHT, 1.0, inner_right)):
+        edge = start
+        for column, column_width in zip(groups[which], widths[which], strict=True):
+            # Panels of one column are aligned on the side of the robot.
+            half = sizes[column, 0] / 2
+            x = edge + outward * half
+            centres[column, 0] = np.maximum(np.minimum(x, width - half), half)
+            inner = outward * float((outward * centres[column, 0] - half).min())
+            near = _as_near(sides[1 - which], inner, outward, _RAMP * gap, height)
+            low, high = limits(np.concatenate([sides[which], near]), height)
+            high = max(high, low + 2 * gap + float(sizes[column, 1].max()))
+            blocked = np.zeros((0, 2))
+            if covered is not None:
+                right_edge = float((centres[column, 0] + half).max())
+                left_edge = float((centres[column, 0] - half).min())
+                is_behind = (covered[:, 2] > left_edge) & (covered[:, 0] < right_edge)
+                blocked = covered[is_behind][:, [1, 3]]
+            centres[column, 1] = spread_around(
+                anchors[column, 1], sizes[column, 1], gap, low + gap, high - gap, blocked
+            )
+            edge += outward * column_width
+    return centres
+
+
+def with_room(
+    sizes: Array,
+    side: Ints,
+    gap: float,
+    width: float,
+    height: float,
+    *,
+    kept_free: Array,
+    covered: Array,
+    may_move: bool,
+) -> tuple[int, Ints]:
+    """Returns how many of the first panels one column on each edge of the picture has room for.
+
+    A narrow picture has one column, on the right.
+
+    Args:
+        sizes: width and height of every panel, (k, 2), pixels, the most important one first.
+        side: `LEFT` or `RIGHT`, (k,).
+        gap: minimum space between panels, pixels.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        kept_free: rectangles in the corners of the picture, (c, 4), pixels, as for `columns`.
+        covered: rectangles around parts of the robots (r, 4), pixels, which are left free.
+        may_move: whether a panel for which its own side has no room stands on the other one.
+
+    Returns:
+        their number, and the side of every panel (k,).
+    """
+    column = float(sizes[:, 0].max(initial=0.0)) + gap
+    least = float(sizes[:, 1].min(initial=height)) + _LEAST_GAP * gap
+    left_over = []
+    for which in (LEFT, RIGHT):
+        low, high = side_limits(kept_free, which, width, height)
+        is_behind = covered[:, 0] < column if which == LEFT else covered[:, 2] > width - column
+        rooms = _rooms_between(covered[is_behind][:, [1, 3]], low + gap, high - gap, least)
+        left_over.append(
+            sum((top - bottom + _LEAST_GAP * gap) // least * least for bottom, top in rooms)
+        )
+    side = side.copy()
+    if is_narrow(sizes, gap, width):
+        side[:], may_move = RIGHT, False
+    for k, needed in enumerate(sizes[:, 1] + _LEAST_GAP * gap - 1e-9):
+        if may_move and left_over[side[k]] < needed:
+            side[k] = LEFT + RIGHT - side[k]
+        if left_over[side[k]] < needed:
+            return k, side
+        left_over[side[k]] -= needed
+    return len(sizes), side
+
+
+def is_narrow(sizes: Array, gap: float, width: float) -> bool:
+    """Whether two columns of panels (k, 2) side by side would cover each other, in pixels."""
+    return bool(2 * (float(sizes[:, 0].max(initial=0.0)) + gap) > width)
+
+
+def side_limits(corners: Array, side: int, width: float, height: float) -> tuple[float, float]:
+    """Returns the vertical range that corners leave free on one side of the picture, pixels."""
+    on_left = (corners[:, 0] + corners[:, 2]) / 2 < width / 2
+    # A corner panel that extends beyond the middle limits the other side too.
+    wide = (corners[:, 2] > width / 2) & (corners[:, 0] < width / 2)
+    return limits(corners[wide | (on_left == (side == LEFT))], height)
+
+
+def limits(corners: Array, height: float) -> tuple[float, float]:
+    """Returns the vertical range that corners leave free, at least a third of the picture."""
+    at_bottom = corners[:, 1] + corners[:, 3] < height
+    below = float(corners[at_bottom, 3].max(initial=0.0))
+    above = float(corners[~at_bottom, 1].min(initial=height))
+    above = max(above, height / 3)
+    return min(below, above - height / 3), above
+
+
+def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: float) -> Array:
+    """Returns corners of the other side, with heights scaled for a column that begins at `inner`.
+
+    The height is full for a corner that reaches the column, zero for one `ramp` pixels away, and
+    interpolated in between, so that panels do not jump when the robot moves.
+    """
+    away = inner - corners[:, 2] if outward > 0 else corners[:, 0] - inner
+    share = np.clip(1.0 - away / ramp, 0.0, 1.0)
+    at_bottom = corners[:, 1] + corners[:, 3] < height
+    near = corners.copy()
+    near[:, 3] = np.where(at_bottom, share * corners[:, 3], height)
+    near[:, 1] = np.where(at_bottom, 0.0, height - share * (height - corners[:, 1]))
+    return near
+
+
+def _chunks(index: Ints, sizes: Array, gap: float, height: float) -> list[Ints]:
+    """Splits one side's panels into as few columns of similar length as the height allows."""
+    if not len(index):
+        return []
+    needed = float(sizes[index, 1].sum()) + _LEAST_GAP * gap * len(index)
+    if needed <= height - gap:
+        return [index]
+    count = min(int(np.ceil(needed / max(height - gap, 1.0))), len(index))
+    return np.array_split(index, max(count, 1))
+
+
+def spread(centres: Array, heights: Array, gap: float, low: float, high: float) -> Array:
+    """Moves intervals apart, in their given order, as little as necessary.
+
+    Args:
+        centres: desired centres, (k,), pixels.
+        heights: (k,), pixels.
+        gap: minimum space between two intervals, pixels.
+        low: lower bound of all intervals.
+        high: upper bound of all intervals. If they do not fit, the gap is reduced, then they
+            overlap evenly.
+
+    Returns:
+        centres (k,), the first lowest.
+    """
+    if not len(centres):
+        return centres
+    room = high - low
+    needed = float(heights.sum()) + gap * (len(heights) - 1)
+    if needed > room and len(heights) > 1:
+        gap = (room - float(heights.sum())) / (len(heights) - 1)
+        needed = room
+    below = np.concatenate([[0.0], np.cumsum(heights[:-1] + gap)])
+    start = centres - heights / 2 - below
+    # The mean of the smallest non-decreasing upper bound and the largest non-decreasing lower
+    # bound is itself non-decreasing, and continuous in the centres.
+    rising = np.maximum.accumulate(start)
+    falling = np.minimum.accumulate(start[::-1])[::-1]
+    start = (rising + falling) / 2
+    start = np.minimum(np.maximum(start, low), max(high - needed, low))
+    return np.asarray(start + below + heights / 2)
+
+
+def spread_around(
+    centres: Array, heights: Array, gap: float, low: float, high: float, blocked: Array
+) -> Array:
+    """Moves intervals apart, as `spread` does, and out of blocked ranges where there is room.
+
+    Args:
+        centres: desired centres, (k,), pixels.
+        heights: (k,), pixels.
+        gap: minimum space between two intervals, pixels.
+        low: lower bound of all intervals.
+        high: upper bound of all intervals.
+        blocked: lower and upper end of every blocked range, (b, 2), pixels; without effect if the
+            intervals do not fit between them.
+
+    Returns:
+        centres (k,), the first lowest.
+    """
+    rooms = _rooms_between(blocked, low, high, float(heights.min())) if len(blocked) else []
+    for between in (gap, _LEAST_GAP * gap) if rooms else ():
+        firsts = _assign_rooms(centres, heights, between, rooms)
+        if firsts is None:
+            continue
+        placed = np.empty(len(centres))
+        for (bottom, top), first, stop in zip(rooms, firsts, firsts[1:], strict=False):
+            these = slice(first, stop)
+            placed[these] = spread(centres[these], heights[these], between, bottom, top)
+        return placed
+    return spread(centres, heights, gap, low, high)
+
+
+def _assign_rooms(
+    centres: Array, heights: Array, gap: float, rooms: list[tuple[float, float]]
+) -> list[int] | None:
+    """Returns the index of the first interval of every room, and k; None if they do not fit.
+
+    The intervals are moved least in total, by dynamic programming over the rooms.
+    """
+    k = len(centres)
+    until = np.concatenate([[0.0], np.cumsum(heights + gap)])
+    least = np.where(np.arange(k + 1) == 0, 0.0, np.inf)  # of the first i intervals so far
+    firsts = []
+    for bottom, top in rooms:
+        away = np.maximum(
+            np.maximum(bottom + heights / 2 - centres, centres - top + heights / 2), 0
+        )
+        distance = np.concatenate([[0.0], np.cumsum(away)])
+        cost = least + distance[:, None] - distance  # [i, j]: intervals j to i - 1 are in this room
+        cost[until[:, None] - until - gap > top - bottom] = np.inf
+        cost[np.triu_indices(k + 1, 1)] = np.inf
+        firsts.append(cost.argmin(axis=1))
+        least = cost.min(axis=1)
+    if not np.isfinite(least[-1]):
+        return None
+    found = [k]
+    for first in reversed(firsts):
+        found.append(int(first[found[-1]]))
+    return found[::-1]
+
+
+def _rooms_between(
+    blocked: Array, low: float, high: float, least: float
+) -> list[tuple[float, float]]:
+    """Returns ranges from low to high, of a least size, that no blocked range covers, in order."""
+    bottoms, tops = blocked[np.argsort(blocked[:, 0])].T
+    starts = np.maximum.accumulate(np.append(low, tops))
+    ends = np.append(np.minimum(bottoms, high), high)
+    is_room = ends >= starts + least
+    return list(zip(starts[is_room].tolist(), ends[is_room].tolist(), strict=True))
+
+
+def place_clear(centres: Array, sizes: Array, taken: Array, low: Array, high: Array) -> Array:
+    """Moves rectangles off those that are taken and off each other, each as little as possible.
+
+    Args:
+        centres: desired centres, (k, 2), pixels.
+        sizes: (k, 2), pixels.
+        taken: left, bottom, right and top of what stays where it is, (m, 4), pixels.
+        low: lower left pixel of the room that there is, (2,).
+        high: upper right pixel, (2,).
+
+    Returns:
+        centres (k, 2). One for which there is no room stays where it is.
+    """
+    placed = centres.copy()
+    for k, (centre, half) in enumerate(zip(centres, sizes / 2, strict=True)):
+        # A centre inside one of these bounds is over what is taken.
+        below, above = taken[:, :2] - half, taken[:, 2:] + half
+
+        def is_clear(at: Array, below: Array = below, above: Array = above) -> Bools:
+            over = (at[:, None] > below + 1e-6) & (at[:, None] < above - 1e-6)
+            return np.asarray(~(over[..., 0] & over[..., 1]).any(axis=1))
+
+        if not is_clear(centre[None])[0]:
+            x, y = (np.concatenate([[centre[i]], below[:, i], above[:, i]]) for i in (0, 1))
+            grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+            grid = grid[((grid >= low + half) & (grid <= high - half)).all(axis=1)]
+            grid = grid[np.argsort(np.linalg.norm(grid - centre, axis=1), kind="stable")]
+            clear = is_clear(grid).nonzero()[0]
+            if len(clear):
+                placed[k] = grid[clear[0]]
+        taken = np.concatenate([taken, np.concatenate([placed[k] - half, placed[k] + half])[None]])
+    return placed
+
+
+def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:
+    """Returns which start belongs to every end, so that straight leaders do not cross.
+
+    Two that cross change their starts, which makes their total length smaller: so it ends.
+
+    Args:
+        starts: (k, 2), pixels.
+        ends: (k, 2), pixels.
+        least_gain: two stay as they are if their total length would become smaller by less than
+            this, pixels: those that barely cross, next to one of their ends.
+
+    Returns:
+        index of the start for every end, (k,).
+    """
+    index = np.arange(len(starts))
+    for _ in range(len(index) ** 2):
+        crossing = crossings(starts[index], ends)
+        if not crossing.any():
+            break
+        length = np.linalg.norm(starts[index][:, None] - ends, axis=2)  # of start i to end j
+        own = length.diagonal()
+        gain = np.where(crossing, own[:, None] + own - length - length.T, 0.0)
+        i, j = np.unravel_index(gain.argmax(), gain.shape)
+        if gain[i, j] <= least_gain:
+            break
+        index[[i, j]] = index[[j, i]]
+    return index
+
+
+def crossings(starts: Array, ends: Array) -> Bools:
+    """Returns which straight leaders cross, (k, k) bool.
+
+    Args:
+        starts: (k, 2), pixels.
+        ends: (k, 2), pixels.
+    """
+    along = ends - starts
+
+    def side_of(points: Array) -> Array:
+        """Returns on which side of every leader (rows) points (columns) are."""
+        away = points - starts[:, None]
+        return along[:, None, 0] * away[..., 1] - along[:, None, 1] * away[..., 0]
+
+    between = side_of(starts) * side_of(ends) < 0
+    return between & between.T

@@ -1,0 +1,190 @@
+"""The legend: quantity of the arrows, positive direction, and meaning of full width."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...base.frames import Array, nice
+from ...robots.assemble.robot_parts import ARROW_QUANTITIES
+from ...robots.assemble.world_view import WorldView
+from .feature import Feature, Frame
+from .panels import PADDING, Panels, panel_sizes
+from .picture_view import PictureView
+from .round_arrows import WIDEST
+from .smart_arrows import SHORTEST, arrow_vectors
+from .toggles import Toggles
+
+_RGBA = (0.09, 0.11, 0.14, 0.6)
+# Names of the colours in `round_arrows`; verified by a test.
+_SIGNS = b"orange: + about z, blue: -"
+_LARGEST_SHARE = 0.10  # maximum fraction of the picture
+_MARGIN = 0.5  # of a line's height
+_MODELLED = "gravity torque of the model"
+_WORDS = {
+    "torques": ("joint torque", "torque limit"),
+    "torque_error": ("torque error, commanded - measured", "torque limit"),
+    "joint_accelerations": ("joint acceleration", "acceleration limit"),
+    "singularity": ("towards the singularity", "at it"),
+}
+_STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
+_LONGEST_NAMES = 32  # characters, of robots before a note, and of arrows before their scale
+_TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
+_UNLIMITED = "width grows with the value"
+_BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
+# A line with a bar before each number, as wide as an arrow of that share of the limit.
+_SHARES = np.array([0.1, 0.5, 1.0])
+_SCALE = ("     10 %", "     50 %", "     ")  # and the name of the limit
+_BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # of a line's height
+
+
+class Legend(Feature):
+    """Panels for all quantities that arrows show, in the lower left corner.
+
+    Below them is what scene and robots note about their data.
+    """
+
+    order = 40
+
+    def __init__(self, world: WorldView) -> None:
+        super().__init__(world)
+        self._key: object = None
+        self._panels: Panels | None = None
+        self._notes = _notes(world)
+        self._drawn = np.zeros(len(world.arrows.names), bool)  # smart arrows, so far
+
+    def lay_out(self, frame: Frame) -> None:
+        """Adds the legend if it is switched on, and an arrow is or there are notes."""
+        panels = self._shown(frame)
+        if panels is not None:
+            frame.corners.append(panels)
+
+    def _shown(self, frame: Frame) -> Panels | None:
+        toggles, view, limit = frame.toggles, frame.view, frame.arrow_limit
+        self._note_drawn(frame)
+        is_needed = toggles.arrows.any() or (toggles.vectors & self._drawn).any() or self._notes
+        if not toggles.legend or not is_needed:
+            return None
+        key = (
+            toggles.arrows.tobytes(),
+            toggles.arrow_quantity.tobytes(),
+            toggles.modelled.tobytes(),
+            (toggles.vectors & self._drawn).tobytes(),
+            view.font.height,
+            view.width,
+            view.height,
+            view.inset,
+        )
+        if key != self._key:  # cached: it changes only with the toggles and the picture
+            self._key, self._panels = key, self._laid_out(toggles, view, limit)
+        return self._panels
+
+    def _note_drawn(self, frame: Frame) -> None:
+        """Notes which smart arrows are long enough to be seen.
+
+        From then on the legend has their scale: it does not come and go with contacts.
+        """
+        new = frame.shown.vectors & ~self._drawn
+        if new.any():
+            sizes = np.linalg.norm(arrow_vectors(self.world, frame.data)[1], axis=1)
+            self._drawn |= new & (np.nan_to_num(sizes) * self.world.arrows.scale > SHORTEST)
+
+    def _laid_out(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels | None:
+        margin = _MARGIN * view.font.height
+        scales = self._scales(toggles)
+        texts = [lines for lines in (self._notes, scales) if lines]
+        of_torque = toggles.arrow_quantity == ARROW_QUANTITIES.index("torques")
+        kinds = [
+            (code, toggles.arrows & (toggles.arrow_quantity == code) & of_model)
+            for code in sorted(set(toggles.arrow_quantity[toggles.arrows].tolist()))
+            for of_model in (~(toggles.modelled & of_torque), toggles.modelled & of_torque)
+        ]
+        for code, shown in kinds:
+            if not shown.any():
+                continue
+            what, width = _WORDS[ARROW_QUANTITIES[code]]
+            if (toggles.modelled & of_torque)[shown].any():
+                what = _MODELLED
+            if not np.isfinite(limit[shown]).any():
+                has_load = np.isfinite(self.world.joints.arrow_load[shown]).any()
+                width = _BY_LOAD if has_load else _UNLIMITED
+            if not self.world.joints.revolute[shown].all() and code < _TORQUES:
+                what += ", or force"
+            has_scale = width not in (_UNLIMITED, _BY_LOAD)
+            scale = "".join(_SCALE) + width if has_scale else width
+            lines = [f"round arrows: {what}".encode(), _SIGNS, scale.encode()]
+            texts.append(lines)
+        sizes = np.array(
+            [
+                panel_sizes(
+                    np.array([max(view.font.width(line) for line in lines)]), len(lines), view
+                )[0]
+                for lines in texts
+            ]
+        )
+        # Omitted in a small picture, of which it would cover too much.
+        room = _LARGEST_SHARE * view.width * view.height
+        kept = int((np.cumsum(sizes.prod(axis=1)) < room).sum())
+        if not kept:
+            return None
+        below = np.concatenate([[0.0], np.cumsum(sizes[:-1, 1] + margin)])
+        centres = view.free[0] + margin + sizes / 2
+        centres[:, 1] += below
+        panels = Panels(centres[:kept], sizes[:kept], texts[:kept], _RGBA)
+        return replace(panels, bars=_bars(panels, view))
+
+    def _scales(self, toggles: Toggles) -> list[bytes]:
+        """Returns a line for every scale of the smart arrows seen: value per length or width."""
+        scene = self.world.scene
+        lines: dict[str, list[str]] = {}
+        kinds: dict[str, dict[str, None]] = {}
+        seen = toggles.vectors & self._drawn
+        for name in np.array(self.world.arrows.names, object)[seen]:
+            arrow = scene.arrows[name]
+            value = nice(_STATED_LENGTH / arrow.metres_per_unit)
+            size = 1e3 * value * arrow.metres_per_unit
+            word = "wide" if arrow.is_round else "long"
+            scale = f"{size:g} mm {word} = {value:g} {arrow.unit_text}"
+            lines.setdefault(scale, []).append(name)
+            kinds.setdefault(scale, {})[arrow.kind.replace("_", " ")] = None
+        texts = [
+            f"{_named(names) or ', '.join(kinds[scale]) + ' arrows'}: {scale}"
+            for scale, names in lines.items()
+        ]
+        return [text.encode("ascii", "replace")[:99] for text in texts]
+
+
+def _notes(world: WorldView) -> list[bytes]:
+    """Returns the notes of the scene and its robots; those of some robots only with their names."""
+    robots = world.scene.robots
+    lines = [world.scene.note]
+    for note in dict.fromkeys(robot.note for robot in robots.values()):
+        names = [name for name, robot in robots.items() if robot.note == note]
+        if len(names) == len(robots):
+            lines.append(note)
+        elif note:
+            lines.append(f"{_named(names) or f'{len(names)} robots'}: {note}")
+    unique = dict.fromkeys(line for line in lines if line)
+    return [line.encode("ascii", "replace")[:99] for line in unique]
+
+
+def _named(names: list[str]) -> str:
+    """Returns the names; nothing where they are too long together."""
+    listed = ", ".join(names)
+    return listed if len(names) == 1 or len(listed) <= _LONGEST_NAMES else ""
+
+
+def _bars(panels: Panels, view: PictureView) -> Array:
+    """Returns the bars of the scale (m, 4): as wide as arrows, by the square root of the share."""
+    line = view.font.height
+    ends = np.array([view.font.width("".join(_SCALE[:k]) + _SCALE[-1]) for k in range(len(_SCALE))])
+    bars = []
+    for centre, size, texts in zip(panels.centres, panels.sizes, panels.texts, strict=True):
+        if texts[-1].startswith(_SCALE[0].encode()):
+            left, bottom = centre - size / 2 + PADDING * line * np.array([1.0, 0.5])
+            for end, share in zip(ends, _SHARES, strict=True):
+                height = _BAR_HEIGHT * line * np.sqrt(share)
+                x = left + end - 1.85 * _BAR_WIDTH * line
+                bars.append([x, bottom + 0.1 * line, _BAR_WIDTH * line, height])
+    return np.array(bars).reshape(-1, 4)

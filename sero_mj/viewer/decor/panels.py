@@ -1,0 +1,263 @@
+"""Semitransparent panels with text, laid out in pixels, in front of the scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.frames import Array
+from .layout import place_clear
+from .pen import Kind, Pen, place_triangles
+from .picture_view import PictureView
+
+PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
+# Depths in units of the near plane: text before panels before leaders before the scene.
+_PANEL_DEPTH, _LEADER_DEPTH = 1.5, 1.6
+_FRONT_DEPTH = 1.3  # offset of panels in front of the others
+_BAR_DEPTH = 1.45
+_TEXT_NEARER = 0.1
+BAR_RGBA = (0.93, 0.93, 0.93, 1.0)
+_UPPER_LEFT = np.array([-0.5, 0.5])
+_LEADER_BASE = 0.22  # of a line's height
+PADDING = 0.35  # of a line's height, on every side
+
+
+def panel_sizes(text_widths: Array, lines: NDArray[np.intp] | int, view: PictureView) -> Array:
+    """Returns width and height of panels, (k, 2), pixels.
+
+    Args:
+        text_widths: of the widest line of every panel, (k,), pixels.
+        lines: number of lines of every panel, (k,).
+        view: of the picture.
+    """
+    line = view.font.height
+    sizes = np.empty((len(text_widths), 2))
+    sizes[:, 0] = text_widths + 2 * PADDING * line
+    sizes[:, 1] = np.asarray(lines) * line + PADDING * line
+    return sizes
+
+
+@dataclass(frozen=True, eq=False)
+class Panels:
+    """Panels with text, laid out in pixels.
+
+    Attributes:
+        centres: (k, 2), pixels.
+        sizes: (k, 2), pixels.
+        texts: the lines of every panel, top first.
+        rgba: their colour, or one for each, (k, 4).
+        kind: kind of the items they belong to.
+        items: index of the joint or frame that every panel belongs to, (k,).
+        in_front: whether they cover other panels; covered text is not drawn.
+        has_values: whether their lines are values, which hosts may align in columns.
+        bars: light bars on them: left, bottom, width and height, (m, 4), pixels.
+    """
+
+    centres: Array
+    sizes: Array
+    texts: list[list[bytes]]
+    rgba: tuple[float, float, float, float] | Array = PANEL_RGBA
+    kind: Kind = Kind.NONE
+    items: NDArray[np.intp] | None = None
+    in_front: bool = False
+    has_values: bool = False
+    bars: Array | None = None
+
+
+def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
+    """Returns centres and sizes of panels, moved to be inside the picture.
+
+    Args:
+        view: of the picture.
+        centres: desired centres, (k, 2), pixels.
+        texts: the lines of each.
+    """
+    widths = np.array([max(view.font.width(line) for line in lines) for lines in texts], float)
+    sizes = panel_sizes(widths, np.array([len(lines) for lines in texts]), view)
+    half = sizes / 2
+    low, high = view.free
+    return np.clip(centres, low + half, np.maximum(high - half, low + half)), sizes
+
+
+def clear_of(labels: list[Panels], others: list[Panels], view: PictureView) -> list[Panels]:
+    """Returns labels moved off other panels and off each other, as far as the picture has room.
+
+    Args:
+        labels: the first ones have the first choice.
+        others: these stay where they are.
+        view: of the picture.
+    """
+    if not labels:
+        return []
+    taken = np.concatenate(
+        [np.hstack([p.centres - p.sizes / 2, p.centres + p.sizes / 2]) for p in others]
+        or [np.zeros((0, 4))]
+    )
+    centres = place_clear(
+        np.concatenate([label.centres for label in labels]),
+        np.concatenate([label.sizes for label in labels]),
+        taken,
+        *view.free,
+    )
+    ends = np.cumsum([len(label.texts) for label in labels])
+    parts = np.split(centres, ends[:-1])
+    return [replace(label, centres=part) for label, part in zip(labels, parts, strict=True)]
+
+
+def draw_panels(
+    pen: Pen, view: PictureView, groups: list[Panels], lighter: float = 0.0
+) -> list[Panels]:
+    """Draws all panels of a frame in one vectorized pass.
+
+    Args:
+        pen: where to.
+        view: of the picture.
+        groups: panels of different colours.
+        lighter: fraction of white that is added to all of them.
+
+    Returns:
+        the panels as drawn, in this order, with empty lines where others cover them; none if they
+        exceed the pen's capacity.
+    """
+    groups = sorted((group for group in groups if group.texts), key=lambda group: group.in_front)
+    if not groups:
+        return []
+    centres = np.concatenate([group.centres for group in groups])
+    sizes = np.concatenate([group.sizes for group in groups])
+    texts = [lines for group in groups for lines in group.texts]
+    in_front: NDArray[np.bool_] = np.array([g.in_front for g in groups for _ in g.texts], bool)
+    depth = np.where(in_front, _FRONT_DEPTH, _PANEL_DEPTH)[:, None] * view.near
+    first, start = pen.count, 0
+    rows = pen.take(len(texts), int(mujoco.mjtGeom.mjGEOM_BOX))
+    if not len(rows):
+        return []
+    for group in groups:
+        stop = start + len(group.texts)
+        rows["rgba"][start:stop] = group.rgba
+        if group.items is not None:
+            pen.kinds[first + start : first + stop] = group.kind
+            pen.items[first + start : first + stop] = group.items
+        start = stop
+    rows["rgba"][:, :3] += lighter * (1.0 - rows["rgba"][:, :3])
+    rows["rgba"][:, 3] = np.maximum(rows["rgba"][:, 3], view.least_alpha)
+    rows["pos"] = view.at(centres, depth)
+    rows["mat"] = view.facing
+    pixel = view.pixel_size(depth)
+    rows["size"][:, :2] = sizes * (pixel / 2)
+    rows["size"][:, 2:] = pixel / 10
+    rows["emission"] = 1.0
+
+    line = view.font.height
+    panel = np.array([k for k, lines in enumerate(texts) for _ in lines])
+    row = np.array([j for lines in texts for j in range(len(lines))])
+    lines = [text for lines in texts for text in lines]
+    starts = (centres + sizes * _UPPER_LEFT)[panel]
+    starts[:, 0] += PADDING * line
+    starts[:, 1] -= (PADDING / 2 + 1 + row) * line
+    drawn = _in_colours(groups, rows["rgba"].astype(float))
+    if in_front.any():
+        seen = ~_covered(view, starts, lines, centres[in_front], sizes[in_front])
+        seen |= in_front[panel]
+        drawn = _without(drawn, ~seen)
+        starts, panel = starts[seen], panel[seen]
+        lines = [text for text, is_seen in zip(lines, seen, strict=True) if is_seen]
+    _draw_lines(pen, view, starts, lines, depth[panel])
+    for group in groups:
+        if group.bars is not None:
+            _draw_bars(pen, view, group.bars)
+    pen.text = slice(first, pen.count)
+    return drawn
+
+
+def _draw_lines(
+    pen: Pen, view: PictureView, starts: Array, lines: list[bytes], depth: Array
+) -> None:
+    """Draws lines of text, by their lower left pixels (k, 2) and the depth of their panels."""
+    labels = pen.take(len(starts), int(mujoco.mjtGeom.mjGEOM_LABEL))
+    if not len(labels):
+        return
+    across, up = view.font.anchor
+    if across:
+        starts[:, 0] += across * view.font.line_widths(lines)
+    starts[:, 1] += up * view.font.height
+    labels["pos"] = view.at(starts, depth - _TEXT_NEARER * view.near)
+    labels["mat"] = view.facing
+    labels["size"] = view.pixel_size(depth)
+    labels["rgba"] = 1.0
+    labels["label"] = lines
+
+
+def _draw_bars(pen: Pen, view: PictureView, bars: Array) -> None:
+    """Draws bars in front of panels; see `Panels`."""
+    rows = pen.take(len(bars), int(mujoco.mjtGeom.mjGEOM_BOX))
+    if not len(rows):
+        return
+    depth = _BAR_DEPTH * view.near
+    rows["pos"] = view.at(bars[:, :2] + bars[:, 2:] / 2, depth)
+    rows["mat"] = view.facing
+    rows["size"][:, :2] = bars[:, 2:] * view.pixel_size(depth) / 2
+    rows["size"][:, 2] = view.pixel_size(depth) / 10
+    rows["rgba"] = BAR_RGBA
+    rows["emission"] = 1.0
+
+
+def _in_colours(groups: list[Panels], rgba: Array) -> list[Panels]:
+    """Returns the panels in their colours as drawn (k, 4)."""
+    stops = np.cumsum([len(group.texts) for group in groups])
+    return [
+        replace(group, rgba=rgba[stop - len(group.texts) : stop])
+        for group, stop in zip(groups, stops, strict=True)
+    ]
+
+
+def _without(groups: list[Panels], covered: NDArray[np.bool_]) -> list[Panels]:
+    """Returns the panels with those of all their lines empty that are covered, (k,) bool."""
+    each = iter(covered.tolist())
+    return [
+        replace(group, texts=[[b"" if next(each) else t for t in lines] for lines in group.texts])
+        for group in groups
+    ]
+
+
+def _covered(
+    view: PictureView, starts: Array, lines: list[bytes], centres: Array, sizes: Array
+) -> NDArray[np.bool_]:
+    """Returns which lines of text (k,), by their lower left pixels (k, 2), panels (m, 2) cover."""
+    text = np.stack(
+        [view.font.line_widths(lines), np.full(len(lines), float(view.font.height))], axis=1
+    )
+    apart = np.abs(starts[:, None] + text[:, None] / 2 - centres)
+    is_under = np.all(apart < (text[:, None] + sizes) / 2, axis=2)
+    return np.asarray(is_under.any(axis=1))
+
+
+def draw_leaders(
+    pen: Pen, view: PictureView, starts: Array, ends: Array, rgba: Array | tuple[float, ...]
+) -> None:
+    """Draws leaders as thin triangles in the picture plane.
+
+    Args:
+        pen: where to.
+        view: of the picture.
+        starts: middle of the base, (k, 2), pixels.
+        ends: the tip, (k, 2), pixels.
+        rgba: colour, (4,) or (k, 4).
+    """
+    rows = pen.take(len(starts), int(mujoco.mjtGeom.mjGEOM_TRIANGLE))
+    if not len(rows):
+        return
+    depth = _LEADER_DEPTH * view.near
+    base = max(_LEADER_BASE * view.font.height, 3.0)
+    along = ends - starts
+    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-3)
+    along /= length[:, None]
+    across = along[:, ::-1] * (1.0, -1.0)
+    # By their corners, since lenses bend what is straight in the world.
+    first = starts - across * (base / 2)
+    pixels = first, first + across * base, first + along * length[:, None]
+    place_triangles(rows, np.stack([view.at(pixel, depth) for pixel in pixels], axis=1))
+    rows["rgba"] = rgba
+    rows["emission"] = 1.0

@@ -1,0 +1,146 @@
+"""`Pen`: the buffer of decor geoms that features fill every frame."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.frames import Array, Bools, Ints
+from ...robots.assemble.parts import DrawnDouble
+
+# mjvGeom of MuJoCo 4.0 (mjvisualize.h). `struct_view` compares it with the loaded library.
+GEOM = np.dtype(
+    {
+        "names": [
+            "type", "dataid", "objtype", "objid", "category", "matid", "texid", "texuniform",
+            "texcoord", "segid", "size", "pos", "mat", "rgba", "emission", "specular",
+            "shininess", "reflectance", "texrepeat", "castshadow", "label",
+        ],
+        "formats": [
+            *["<i4"] * 10, ("<f4", 3), ("<f4", 3), ("<f4", (3, 3)), ("<f4", 4), "<f4", "<f4",
+            "<f4", "<f4", ("<f4", 2), "u1", "S100",
+        ],
+        "offsets": [*range(0, 40, 4), 40, 52, 64, 100, 116, 120, 124, 128, 132, 140, 141],
+        "itemsize": 256,
+    }
+)  # fmt: skip
+_LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
+MAX_GEOMS = 1024  # MuJoCo Studio's web viewer ignores geoms above this number
+CAPACITY = 4 * MAX_GEOMS  # for other hosts
+# Both renderers of MuJoCo 4.0.0 draw an arrow half as long as its size[2] (glScalef by size[2] / 6
+# in render_gl3.c): a third of it shaft, a sixth head; verified by a test in a picture.
+ARROW_SIZE_OF_LENGTH = 2.0
+GREY = (0.50, 0.50, 0.51)
+
+
+class Kind(IntEnum):
+    """Kind of item that a geom belongs to; with the item's index it identifies what was clicked."""
+
+    NONE = 0
+    ARROW = 1  # item: joint of the world
+    BILLBOARD = 2  # item: joint
+    AXES = 3  # item: frame
+    NAME = 4  # item: frame; the panel with its name
+    VECTOR = 5  # item: smart arrow
+    CARD = 6  # item: smart arrow; the panel with its numbers
+    CHECK = 7  # item: robot; the panel of its flange check
+    HANDLE = 8  # item: what it does, see `handles`
+
+
+class Pen:
+    """A buffer of decor geoms that is cleared and filled again every frame.
+
+    Attributes:
+        rows: all geoms as a structured array (`geoms.GEOM`); the first `count` are in use.
+        count: how many are in use.
+        kinds: kind of item that every geom belongs to (`Kind`).
+        items: index of this item.
+        dropped: number of geoms of this frame that exceeded the capacity.
+        grey: geoms of the model to draw grey, (ngeom,) bool; None for none.
+        hidden: geoms of the model not to draw, (ngeom,) bool; None for none.
+        opacity: factor for every geom of the model, (ngeom,); None for 1.
+        drawn_doubles: doubles to draw that are not compiled into the model.
+        text: rows of the panels and their labels, for hosts that set text themselves.
+    """
+
+    def __init__(self, capacity: int = CAPACITY) -> None:
+        self.rows: NDArray[Any] = np.zeros(capacity, GEOM)
+        self.rows["dataid"] = self.rows["objid"] = self.rows["matid"] = -1
+        self.rows["texid"] = self.rows["segid"] = -1
+        self.rows["texrepeat"] = 1.0
+        # Prevents the classic renderer from casting shadows of billboards on the robot.
+        self.rows["category"] = int(mujoco.mjtCatBit.mjCAT_DECOR)
+        self.rows["objtype"] = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
+        self.rows["shininess"] = 0.3
+        self.kinds = np.zeros(capacity, np.uint8)
+        self.items = np.zeros(capacity, np.intp)
+        self.grey: Bools | None = None
+        self.hidden: Bools | None = None
+        self.opacity: Array | None = None
+        self.drawn_doubles: list[DrawnDouble] = []
+        self.text = slice(0, 0)
+        self._labelled: list[slice] = []
+        self.count = 0
+        self.dropped = 0
+
+    def clear(self) -> None:
+        """Starts a new frame."""
+        for place in self._labelled:
+            self.rows["label"][place] = b""
+        self._labelled.clear()
+        self.text = slice(0, 0)
+        self.count = 0
+        self.dropped = 0
+
+    def take(
+        self, n: int, geom: int, kind: Kind = Kind.NONE, items: Ints | int = 0
+    ) -> NDArray[Any]:
+        """Allocates n rows for geoms of one type and returns them.
+
+        The caller sets size, pos, mat and rgba. If the capacity does not suffice for all of them,
+        none are returned and `dropped` is increased, so that nothing is drawn in part.
+
+        Args:
+            n: number of geoms.
+            geom: `mjtGeom`.
+            kind: kind of item that they belong to.
+            items: index of the joint, frame, smart arrow or robot, (n,).
+        """
+        if self.count + n > len(self.rows):
+            self.dropped += n
+            return self.rows[:0]
+        place = slice(self.count, self.count + n)
+        rows = self.rows[place]
+        self.kinds[place] = kind
+        self.items[place] = items
+        self.count += n
+        rows["type"] = geom
+        if geom == _LABEL:  # others have no label; clearing it for all would be the slowest part
+            self._labelled.append(place)
+        rows["emission"] = 0.35
+        rows["specular"] = 0.1
+        return rows
+
+
+def place_triangles(rows: NDArray[Any], corners: Array) -> None:
+    """Sets size, pos and mat of triangles.
+
+    A triangle's corners are its origin, size[0] along x and size[1] along y; it is seen from where
+    z points to.
+
+    Args:
+        rows: (...), of `Pen.take`.
+        corners: (..., 3, 3), m, anticlockwise where they are to be seen from.
+    """
+    edges = corners[..., 1:, :] - corners[..., :1, :]
+    sizes = np.sqrt(np.einsum("...ej,...ej->...e", edges, edges))
+    edges /= sizes[..., None]
+    rows["pos"] = corners[..., 0, :]
+    rows["size"][..., :2] = sizes
+    rows["mat"][..., :2] = edges.swapaxes(-1, -2)
+    normal = np.cross(edges[..., 0, :], edges[..., 1, :])
+    rows["mat"][..., 2] = normal / np.sqrt(np.einsum("...j,...j->...", normal, normal))[..., None]

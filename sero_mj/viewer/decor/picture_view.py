@@ -1,0 +1,150 @@
+"""`PictureView`: camera pose, field of view and size of a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TypeVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.frames import Array
+from .font import DEFAULT_FONT, Font
+
+Depth = TypeVar("Depth", float, Array)
+
+
+@dataclass(frozen=True, eq=False)
+class PictureView:
+    """A perspective camera and its picture.
+
+    Pixels are counted from the lower left corner, x to the right, y up.
+
+    Attributes:
+        position: of the camera, (3,), m.
+        right: unit vector (3,).
+        up: unit vector (3,).
+        forward: unit vector (3,).
+        tan_half_fovy: tangent of half the vertical field of view.
+        near: distance of the near plane, m.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        font: of the host's labels.
+        inset: margins of the picture that the host's own windows cover: left, bottom, right,
+            top, pixels; panels are placed inside.
+        least_alpha: minimum opacity of panels, for a host that draws them more transparent.
+    """
+
+    position: Array
+    right: Array
+    up: Array
+    forward: Array
+    tan_half_fovy: float
+    near: float
+    width: int
+    height: int
+    font: Font = field(default=DEFAULT_FONT)
+    inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    least_alpha: float = 0.0
+
+    @classmethod
+    def of_scene(
+        cls,
+        scene: mujoco.MjvScene,
+        width: int,
+        height: int,
+        font: Font = DEFAULT_FONT,
+        inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+        least_alpha: float = 0.0,
+    ) -> PictureView:
+        """Returns the view of an `MjvScene` that `mjv_updateScene` has filled.
+
+        Args:
+            scene: with camera.
+            width: of the picture, pixels.
+            height: of the picture, pixels.
+            font: of the host's labels.
+            inset: see the attributes.
+            least_alpha: see the attributes.
+        """
+        left, right = scene.camera[0], scene.camera[1]
+        position = (np.array(left.pos, np.float64) + right.pos) / 2
+        forward = np.array(left.forward, np.float64)
+        up = np.array(left.up, np.float64)
+        near = float(left.frustum_near)
+        return cls(
+            position=position,
+            right=np.cross(forward, up),
+            up=up,
+            forward=forward,
+            tan_half_fovy=float(left.frustum_top - left.frustum_bottom) / (2 * near),
+            near=near,
+            width=width,
+            height=height,
+            font=font,
+            inset=inset,
+            least_alpha=least_alpha,
+        )
+
+    @cached_property
+    def free(self) -> tuple[Array, Array]:
+        """Lower left and upper right pixel (2,) of the area that the host does not cover."""
+        left, below, right, above = self.inset
+        low = np.array([left, below])
+        return low, np.maximum(np.array([self.width - right, self.height - above]), low)
+
+    @cached_property
+    def facing(self) -> Array:
+        """Rotation (3, 3) with columns right, up, and towards the camera."""
+        return np.stack([self.right, self.up, -self.forward], axis=1)
+
+    @cached_property
+    def _pixels_per_tan(self) -> float:
+        return self.height / (2 * self.tan_half_fovy)
+
+    @cached_property
+    def _centre(self) -> Array:
+        return np.array([self.width / 2, self.height / 2])
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Projects points of the world into the picture.
+
+        Args:
+            points: (..., 3), m.
+
+        Returns:
+            pixels (..., 2), and depth along the viewing direction (...), m; a point behind the
+            camera has a negative depth and undefined pixels.
+        """
+        in_eye = (points - self.position) @ self.facing
+        depth = -in_eye[..., 2]
+        safe = np.where(np.abs(depth) < 1e-9, 1e-9, depth)
+        pixels = in_eye[..., :2] * (self._pixels_per_tan / safe)[..., None]
+        return pixels + self._centre, depth
+
+    def sees(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
+        """Whether projected points are in the picture, (...) bool.
+
+        Args:
+            pixels: as returned by `project`, (..., 2).
+            depth: as returned by `project`, (...), m.
+        """
+        inside = (pixels >= 0).all(axis=-1) & (pixels < [self.width, self.height]).all(axis=-1)
+        return np.asarray(inside & (depth > self.near))
+
+    def at(self, pixels: Array, depth: Depth) -> Array:
+        """Returns the world points (..., 3), m, at pixels and depths.
+
+        Args:
+            pixels: (..., 2).
+            depth: along the viewing direction, m; a scalar, or (..., 1).
+        """
+        scale = self.pixel_size(depth)
+        middle = self.position + depth * self.forward
+        return np.asarray(middle + ((pixels - self._centre) * scale) @ self.facing[:, :2].T)
+
+    def pixel_size(self, depth: Depth) -> Depth:
+        """Returns the size of a pixel at a depth, m."""
+        return depth / self._pixels_per_tan

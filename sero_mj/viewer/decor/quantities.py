@@ -1,0 +1,98 @@
+"""Per-joint values that decor shows: received values and those computed from them."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.frames import Array
+from ...robots.assemble.robot_parts import ARROW_QUANTITIES
+from ...robots.assemble.world_view import WorldView
+from .singularity import towards_singularity
+
+QUANTITY_NAMES = {
+    "torques": "torque",
+    "torque_error": "torque error",
+    "joint_accelerations": "acceleration",
+    "singularity": "towards singularity",
+}
+# A value above this multiple of its limit is considered a fault of its source.
+IMPLAUSIBLE_FACTOR = 1e3
+DOUBTFUL_FACTOR = 10.0  # above it the arrow, which is striped, is not enough
+
+
+def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
+    """Returns all received values of all joints, and those computed from them.
+
+    Returns:
+        arrays (N,) by name: all per-joint inputs, `joint_angles`, and `torque_error`
+        (commanded - measured); NaN for no data.
+    """
+    data = world.state(data)
+    joints, userdata = world.joints, data.userdata
+    values: dict[str, Array] = {"joint_angles": joints.angles(data)}
+    for key, slots in joints.slots.items():
+        received = userdata[slots]
+        received[(userdata[joints.has[key]] <= 0) | (slots < 0)] = np.nan
+        values[key] = received
+    values["torque_error"] = values["commanded_torques"] - values["torques"]
+    return values
+
+
+def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]:
+    """Returns messages for torques over `DOUBTFUL_FACTOR` times their limit.
+
+    Args:
+        world: the compiled scene.
+        values: as returned by `joint_values`.
+    """
+    joints, torques = world.joints, values["torques"]
+    share = np.abs(torques) / joints.torque_limit
+    found = np.flatnonzero(share > DOUBTFUL_FACTOR)  # not NaN
+    return [
+        f"{joints.names[i]}: {torques[i]:.3g} {'Nm' if joints.revolute[i] else 'N'} is "
+        + (
+            f"over {IMPLAUSIBLE_FACTOR:.0f} times the limit; not drawn"
+            if share[i] > IMPLAUSIBLE_FACTOR
+            else f"{share[i]:.0f} times the limit"
+        )
+        for i in found
+    ]
+
+
+def arrow_values(
+    world: WorldView, data: mujoco.MjData, values: dict[str, Array], quantity: NDArray[np.intp]
+) -> tuple[Array, Array]:
+    """Returns the value that every joint's arrow shows, and the value of full width.
+
+    Args:
+        world: the compiled scene.
+        data: its state.
+        values: as returned by `joint_values`.
+        quantity: index in `ARROW_QUANTITIES`, (N,).
+
+    Returns:
+        values (N,), NaN for no data, and limits (N,), inf for none.
+    """
+    joints = world.joints
+    shown = np.full(len(joints.names), np.nan)
+    limit = joints.torque_limit.copy()
+    for code in set(quantity.tolist()):
+        at = quantity == code
+        name = ARROW_QUANTITIES[code]
+        if name == "singularity":
+            for part in world.owners.values():
+                if at[part.joints].any():
+                    shown[part.joints] = np.where(
+                        at[part.joints], towards_singularity(world, data, part), shown[part.joints]
+                    )
+            limit[at] = 1.0
+            continue
+        shown[at] = values[name][at]
+        if name == "joint_accelerations":
+            limit[at] = joints.acceleration_limit[at]
+    bounded = np.isfinite(limit)
+    with np.errstate(invalid="ignore"):
+        shown[bounded & (np.abs(shown) > IMPLAUSIBLE_FACTOR * limit)] = np.nan
+    return shown, limit

@@ -1,0 +1,217 @@
+"""Ribbons: the shape of round arrows, and how they are drawn.
+
+A ribbon is a row of thin boxes along an arc. Its heads are of triangles and taper in width and in
+thickness, so that they are recognizable both from the side and along the axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.frames import Array
+from .pen import Kind, Pen, place_triangles
+
+_STRIPE_RGB = (0.08, 0.08, 0.09)
+
+_ARC = np.deg2rad(315.0)
+_HEAD_ARC = np.deg2rad(46.0)
+# How many heads there may be, and steps along the arc that each has, finest first. The last head is
+# at the tip; wherever the joint's link hides one, another is seen.
+_HEADS = ((3, 3), (3, 2), (2, 2), (2, 1), (1, 1))
+_FEWEST_BOXES = 8  # of the ribbon, where there is more than one head
+_MARK_SIZE = 0.7  # how far the heads before the last protrude, of what the last does
+_NECK = 0.25  # width in front of these heads, of the ribbon's
+_THICKNESS = 0.05  # of the radius
+_HEAD_THICKNESS = 0.30  # of the radius, maximum thickness of the head
+# Width of the head: factor of the ribbon's width, plus fraction of the radius.
+_HEAD_WIDER = (1.5, 0.28)
+# Ribbon width from which heads have full size (about 2 % of the limit), of the radius.
+_FULL_HEAD_WIDTH = 0.14
+
+
+@dataclass(frozen=True, eq=False)
+class Ribbons:
+    """Pose and appearance of k round arrows.
+
+    Attributes:
+        items: indices of the items they belong to, (k,).
+        centre: (k, 3), m.
+        axes: rotations with z along the axis of the arrow (right-hand rule), (k, 3, 3).
+        phase: angle of the tail about z from x, in the arrow's direction, (k,), rad.
+        sign: 1, or -1 for the opposite direction, (k,).
+        radius: (k,), m.
+        width: (k,), m.
+        rgba: (k, 4).
+        striped: whether they are striped, for values beyond the limit, (k,) bool.
+    """
+
+    items: NDArray[np.intp]
+    centre: Array
+    axes: Array
+    phase: Array
+    sign: Array
+    radius: Array
+    width: Array
+    rgba: Array
+    striped: NDArray[np.bool_]
+
+
+def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, budget: int) -> None:
+    """Draws round arrows.
+
+    Args:
+        pen: where to.
+        kind: kind of the items they belong to.
+        ribbons: the arrows.
+        budget: number of geoms that each arrow may have.
+    """
+    shape = ribbon_shape(budget)
+    count, boxes = len(ribbons.items), len(shape.middle)
+    box, triangle = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
+    rows = pen.take(count * shape.geoms, box, kind, np.repeat(ribbons.items, shape.geoms))
+    if not len(rows):
+        return
+    grid = rows.reshape(count, shape.geoms)
+    grid["rgba"] = ribbons.rgba[:, None]
+    if ribbons.striped.any():
+        grid["rgba"][..., :3] = np.where(
+            (ribbons.striped[:, None] & shape.dark)[..., None], _STRIPE_RGB, grid["rgba"][..., :3]
+        )
+    _place_boxes(grid[:, :boxes], ribbons, shape)
+    grid["type"][:, boxes:] = triangle
+    _place_heads(grid[:, boxes:], ribbons, shape)
+
+
+def _angles(ribbons: Ribbons, along: Array) -> Array:
+    """Returns angles about the axis from x, (k, n), of places along the arc from the tail."""
+    return np.asarray(ribbons.sign[:, None] * (ribbons.phase[:, None] + along))
+
+
+def _directions(ribbons: Ribbons, angles: Array) -> Array:
+    """Returns unit vectors away from the axis at these angles, (k, n, 3)."""
+    x, y = ribbons.axes[:, None, :, 0], ribbons.axes[:, None, :, 1]
+    return np.asarray(np.cos(angles)[..., None] * x + np.sin(angles)[..., None] * y)
+
+
+def _place_boxes(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> None:
+    """Sets the boxes of ribbons (k, boxes): width along the axis, thickness outward."""
+    radius = ribbons.radius[:, None]
+    angles = _angles(ribbons, shape.middle)
+    outward = _directions(ribbons, angles)
+    grid["pos"] = ribbons.centre[:, None] + radius[..., None] * outward
+    grid["mat"][..., 0] = outward
+    grid["mat"][..., 1] = _directions(ribbons, angles + np.pi / 2)
+    grid["mat"][..., 2] = ribbons.axes[:, None, :, 2]
+    grid["size"][..., 0] = _THICKNESS / 2 * radius
+    # Adjacent boxes meet at the ribbon's outer edge.
+    grid["size"][..., 1] = radius * (1.0 + _THICKNESS / 2) * np.tan(shape.half_angle)
+    grid["size"][..., 2] = ribbons.width[:, None] / 2
+
+
+def _place_heads(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> None:
+    """Sets the triangles of heads (k, triangles): rectangles along the arc, and their sides."""
+    radius, widths = ribbons.radius[:, None], ribbons.width[:, None]
+    # A head of constant size on a very thin arrow would make noise look like a torque.
+    grown = np.minimum(widths / (_FULL_HEAD_WIDTH * radius), 1.0)
+    wider = (_HEAD_WIDER[0] - 1.0) * widths + _HEAD_WIDER[1] * radius * grown
+    width = widths * shape.own + wider * shape.flare
+    thickness = radius * np.maximum(_HEAD_THICKNESS * grown * shape.flare, _THICKNESS)
+    thickness *= shape.own > 0  # the tip is a point
+    # For the other direction an arrow is turned over, so that the outside of triangles stays there.
+    out = radius[..., None] + thickness[..., None] / 2 * (1.0, 1.0, -1.0, -1.0)
+    aside = (ribbons.sign[:, None] * width)[..., None] / 2 * (1.0, -1.0, -1.0, 1.0)
+    outward = _directions(ribbons, _angles(ribbons, shape.rings))
+    corners = (
+        ribbons.centre[:, None, None]
+        + out[..., None] * outward[:, :, None]
+        + aside[..., None] * ribbons.axes[:, None, None, :, 2]
+    ).reshape(len(grid), -1, 3)
+    place_triangles(grid, corners[:, shape.triangles])
+
+
+@dataclass(frozen=True, eq=False)
+class RibbonShape:
+    """What all round arrows of the same number of geoms have in common.
+
+    Attributes:
+        middle: angle of the centre of every box from the tail, (b,), rad.
+        half_angle: half the angle of every box, (b,), rad.
+        rings: angle of every rectangle of the heads, from a head's barbs to its tip, (r,), rad.
+        own: factor of the ribbon's width there, (r,).
+        flare: factor of how far a full head protrudes there, (r,).
+        triangles: the three of the corners (4 r) that form each triangle, outside anticlockwise,
+            (t, 3).
+        dark: which boxes and triangles are dark where an arrow is striped, (b + t,) bool.
+    """
+
+    middle: Array
+    half_angle: Array
+    rings: Array
+    own: Array
+    flare: Array
+    triangles: NDArray[np.intp]
+    dark: NDArray[np.bool_]
+
+    @property
+    def geoms(self) -> int:
+        """Number of geoms of an arrow."""
+        return len(self.dark)
+
+
+def _triangles_of(heads: int, steps: int) -> int:
+    """Returns the number of triangles of the heads: sides and backs, without those of no area."""
+    return heads * (8 * steps + 2) - 4
+
+
+@cache
+def ribbon_shape(budget: int) -> RibbonShape:
+    """Returns the shape of round arrows of at most `budget` geoms, of which there are six at least.
+
+    Heads come first: with little to spend, they are all that is drawn.
+    """
+    heads, steps = next(
+        (heads, steps)
+        for heads, steps in _HEADS
+        if _triangles_of(heads, steps) + _FEWEST_BOXES <= budget or (heads, steps) == _HEADS[-1]
+    )
+    boxes = max(budget - _triangles_of(heads, steps), 0)
+    tips = np.linspace(0.0, _ARC, heads + 1)
+    counts = np.diff(np.linspace(0, boxes, heads + 1).round().astype(int))
+    edges = [
+        np.linspace(begin, end - _HEAD_ARC, count + 1)
+        for begin, end, count in zip(tips, tips[1:], counts, strict=False)
+    ]
+    taper = np.tile(np.linspace(1.0, 0.0, steps + 1), heads)
+    is_last = np.arange(len(taper)) >= (heads - 1) * (steps + 1)
+
+    # Corners of a rectangle go round: outside on one side and on the other, inside on that one and
+    # on the first. From each side of it a side of the head goes on to the next rectangle, of which
+    # the last is a point.
+    triangles, is_dark = [], []
+    for head in range(heads):
+        back = 4 * head * (steps + 1)
+        triangles += [(back, back + 3, back + 2), (back, back + 2, back + 1)]
+        is_dark += [False, False]
+        for step in range(steps):
+            for side in range(4):
+                a, b = back + 4 * step + side, back + 4 * step + (side + 1) % 4
+                triangles.append((a, b, b + 4))
+                if (head, step) != (heads - 1, steps - 1):
+                    triangles.append((a, b + 4, a + 4))
+            is_dark += [step % 2 == 1] * (len(triangles) - len(is_dark))
+    return RibbonShape(
+        middle=np.concatenate([(edge[:-1] + edge[1:]) / 2 for edge in edges]),
+        half_angle=np.concatenate([np.diff(edge) / 2 for edge in edges]),
+        rings=np.repeat(tips[1:], steps + 1) - _HEAD_ARC * taper,
+        # The last head ends in a point; those before it do not, so that the ribbon holds together.
+        own=np.where(is_last, taper, _NECK + (1.0 - _NECK) * taper),
+        flare=np.where(is_last, 1.0, _MARK_SIZE) * taper,
+        triangles=np.array(triangles, np.intp),
+        dark=np.append(np.arange(boxes) % 2 == 1, is_dark),
+    )

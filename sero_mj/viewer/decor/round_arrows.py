@@ -1,0 +1,189 @@
+"""Round arrows: they turn about their joint and show a value by direction, colour and width.
+
+An arrow turns at constant speed, by the right-hand rule about the joint's z for a positive torque;
+the colour shows the sign as well. Arrows of doubles are transparent and slightly smaller.
+
+Width: with a limit, `arrow_radius` (times `arrow_width_scale` / 0.01) at the limit and proportional
+to the square root of the value below it, so that 2 % of the limit has a seventh of the full width;
+zero in the dead band, from which it grows to that within another one. Without a limit,
+`arrow_width_scale` m per unit, or as wide as the radius at the joint's `arrow_load`. Beyond the
+limit the ribbon is striped. Source: the paper's section 2.2; square root, dead band and stripes are
+additions.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.frames import Array
+from .axes import AXIS_RGB
+from .feature import Feature, Frame
+from .panels import Panels, labels_at
+from .pen import ARROW_SIZE_OF_LENGTH, GREY, MAX_GEOMS, Kind, Pen
+from .ribbons import Ribbons, draw_ribbons
+
+TURNING_SPEED = 1.6  # rad/s
+
+# Orange and blue: distinct for all common kinds of colour blindness (Okabe and Ito 2008).
+POSITIVE_RGBA = (0.93, 0.45, 0.02, 1.0)
+NEGATIVE_RGBA = (0.02, 0.36, 0.78, 1.0)
+
+DEFAULT_WIDTH_SCALE = 0.01  # the default of `arrow_width_scale`
+INVISIBLE_WIDTH = 0.03  # of the radius; narrower arrows (0.1 % of a torque limit) are not drawn
+WIDEST = 1.5  # of the radius
+
+_STRAIGHT_LENGTH = 2.5  # of the radius, for the straight arrow of a prismatic joint
+_Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # of the radius, and of the length
+DARKER = 0.4  # brightness of a straight arrow beyond its limit
+ARROW_GEOMS, _FEWEST_ARROW_GEOMS = 92, 10  # bounds of the geoms of an arrow
+_FEWEST_ON_PAGE = 6  # where pages show no more geoms than `MAX_GEOMS`
+_GEOMS_FOR_THE_REST = 60  # geoms reserved for legend, status, names and smart arrows
+
+
+def arrow_widths(
+    values: Array, limit: Array, radius: Array, width_scale: Array, dead_band: Array
+) -> NDArray[np.float64]:
+    """Returns the width of the arrow of every joint.
+
+    Args:
+        values: values of the arrows, (N,); the sign is ignored.
+        limit: value at which an arrow has full width, (N,); inf for none.
+        radius: `arrow_radius` (N,), m.
+        width_scale: `arrow_width_scale` (N,): m per unit of the value, and with a limit, of which
+            `DEFAULT_WIDTH_SCALE` gives full width, a factor.
+        dead_band: fraction of the limit below which the width is zero, (N,).
+
+    Returns:
+        (N,), m; continuous and monotone in the value, 0 up to the dead band and for NaN, at most
+        `WIDEST` times the radius.
+    """
+    size = np.abs(values)
+    size[~np.isfinite(size)] = 0.0
+    limited = np.isfinite(limit)
+    share = size / np.where(limited, limit, 1.0)
+    band = np.maximum(dead_band, 1e-9)
+    grown = np.minimum(np.maximum(share / band - 1.0, 0.0), 1.0)
+    of_limit = radius * (width_scale / DEFAULT_WIDTH_SCALE) * np.sqrt(share) * grown
+    return np.minimum(np.where(limited, of_limit, size * width_scale), WIDEST * radius)
+
+
+class RoundArrows(Feature):
+    """The arrows of one world's joints."""
+
+    order = 90  # last, so that arrows are dropped first if the capacity is exceeded
+
+    def lay_out(self, frame: Frame) -> None:
+        """Adds the names of the z axes of joints that were clicked on, at their tips."""
+        clicked = (frame.shown.arrows & frame.toggles.details).nonzero()[0]
+        if not len(clicked):
+            return
+        joints, view = self.world.joints, frame.view
+        sites = joints.centre_site[clicked]
+        z = frame.data.site_xmat[sites].reshape(-1, 3, 3)[:, :, 2]
+        length = _Z_LENGTH * joints.arrow_radius[clicked][:, None]
+        tips, depth = view.project(frame.data.site_xpos[sites] + 1.1 * length * z)
+        tips = tips[view.sees(tips, depth)]
+        if len(tips):
+            lines = [[b"z"] for _ in tips]
+            frame.panels.append(Panels(*labels_at(view, tips, lines), lines))
+
+    def draw(self, frame: Frame) -> None:
+        """Draws an arrow for every joint that has a value and whose arrow is shown."""
+        pen, data, shown = frame.pen, frame.data, frame.shown
+        values, limit, stale = frame.arrow_values, frame.arrow_limit, frame.stale_joints
+        joints = self.world.joints
+        by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
+        scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
+        widths = arrow_widths(values, limit, joints.arrow_radius, scale, joints.arrow_dead_band)
+        # Between close joints the full width is less, and so is what no arrow exceeds.
+        narrow = joints.arrow_width_scale / DEFAULT_WIDTH_SCALE
+        widest = WIDEST * joints.arrow_radius * np.where(by_load, np.minimum(narrow, 1.0), 1.0)
+        widths = np.minimum(widths, widest)
+        visible = shown.arrows & (widths > INVISIBLE_WIDTH * joints.arrow_radius)
+        over = np.abs(values) > limit  # false for NaN
+        rgba = np.where((values > 0)[:, None], POSITIVE_RGBA, NEGATIVE_RGBA)
+        rgba[stale, :3] = GREY
+        rgba[:, 3] = joints.arrow_alpha
+        turning = (visible & joints.revolute).nonzero()[0]
+        sliding = (visible & ~joints.revolute).nonzero()[0]
+        if len(turning):
+            sites = joints.centre_site[turning]
+            sign = np.sign(values[turning])
+            # The site turns with its link; subtracting q keeps the arrow's speed constant while its
+            # joint moves.
+            phase = TURNING_SPEED * data.time - joints.angles(data)[turning] * sign
+            ribbons = Ribbons(
+                items=turning,
+                centre=data.site_xpos[sites],
+                axes=data.site_xmat[sites].reshape(-1, 3, 3),
+                phase=phase,
+                sign=sign,
+                radius=joints.arrow_radius[turning],
+                width=widths[turning],
+                rgba=rgba[turning],
+                striped=over[turning],
+            )
+            draw_ribbons(pen, Kind.ARROW, ribbons, _budget(frame))
+        clicked = (shown.arrows & frame.toggles.details).nonzero()[0]
+        if len(clicked):
+            self._draw_z(frame, clicked)
+        if len(sliding):
+            self._draw_straight(pen, data, sliding, (values, widths, over, rgba))
+
+    def _draw_z(self, frame: Frame, index: NDArray[np.intp]) -> None:
+        """Draws the z axis, about which positive torques turn, of joints that were clicked on."""
+        joints, pen = self.world.joints, frame.pen
+        sites = joints.centre_site[index]
+        length = _Z_LENGTH * joints.arrow_radius[index][:, None]
+        centre = frame.data.site_xpos[sites]
+        rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW))
+        if len(rows):
+            rows["pos"] = centre
+            rows["mat"] = frame.data.site_xmat[sites].reshape(-1, 3, 3)
+            rows["size"][:, :2] = _Z_WIDTH * length
+            rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length[:, 0]
+            rows["rgba"] = (*AXIS_RGB[2], 1.0)
+
+    def _draw_straight(
+        self,
+        pen: Pen,
+        data: mujoco.MjData,
+        index: NDArray[np.intp],
+        look: tuple[Array, Array, NDArray[np.bool_], Array],
+    ) -> None:
+        """Draws the force of prismatic joints: straight arrows along the axis, beside the link.
+
+        An arrow is one geom and cannot be striped; beyond the limit it is dark.
+        """
+        forces, widths, over, rgba = (of_all[index] for of_all in look)
+        joints = self.world.joints
+        rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.ARROW, index)
+        if not len(rows):
+            return
+        mat = data.site_xmat[joints.centre_site[index]].reshape(-1, 3, 3).copy()
+        mat[:, :, 1:] *= np.sign(forces)[:, None, None]  # a half turn about x: still a rotation
+        radius = joints.arrow_radius[index][:, None]
+        length = _STRAIGHT_LENGTH * radius
+        centre = data.site_xpos[joints.centre_site[index]]
+        rows["pos"] = centre + radius * mat[:, :, 0] - length / 2 * mat[:, :, 2]
+        rows["mat"] = mat
+        rows["size"][:, :2] = (widths / 4)[:, None]
+        rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length[:, 0]
+        rgba[over, :3] *= DARKER
+        rows["rgba"] = rgba
+
+
+def _budget(frame: Frame) -> int:
+    """Returns how many geoms an arrow may have, such that all fit into the host's capacity.
+
+    It depends on the toggles and not on the values, which would make arrows flicker.
+    """
+    of_cards = sum(2 + len(lines) for cards in frame.cards for lines in cards.texts)
+    others = 3 * int(np.count_nonzero(frame.shown.axes)) + of_cards
+    is_page = len(frame.pen.rows) <= MAX_GEOMS
+    room = (1 if is_page else 2) * MAX_GEOMS - _GEOMS_FOR_THE_REST - others
+    budget = room // max(int(np.count_nonzero(frame.shown.arrows)), 1)
+    fewest = _FEWEST_ON_PAGE if is_page else _FEWEST_ARROW_GEOMS
+    return min(max(budget, fewest), frame.arrow_geoms)

@@ -1,0 +1,197 @@
+"""Marks items without fresh data: they are grey, and a label states the age of the data."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...data.receive.source import QUIET_AFTER
+from ...robots.assemble.inputs import SOURCE_FIELDS
+from ...robots.assemble.parts import DoublePart, robots_of_bodies
+from ...robots.assemble.world_view import WorldView
+from .panels import Panels, labels_at
+from .pen import Pen
+from .picture_view import PictureView
+
+_AGE = SOURCE_FIELDS.index("age")
+_FAULT_AGE = SOURCE_FIELDS.index("fault_age")
+_RGBA = (0.12, 0.12, 0.13, 0.88)
+NO_DATA_YET = "no data yet"
+
+
+@dataclass(frozen=True, eq=False)
+class _Routed:
+    """An item with routes.
+
+    Attributes:
+        name: of a robot, a double, a smart arrow or a received frame.
+        ages: indices in `userdata` of the ages of its sources.
+        stale_after: age from which data is stale, s.
+        base: body at whose origin the label is shown; -1 for arrows and frames.
+        geoms: its geoms in the model, (ngeom,) bool.
+    """
+
+    name: str
+    ages: NDArray[np.intp]
+    stale_after: float
+    base: int
+    geoms: NDArray[np.bool_] | None
+
+
+_Labelled = tuple[int, list[str]]  # the body at whose origin a group's label is, and its robots
+
+
+class Staleness:
+    """Finds items without fresh data, makes them grey and labels them."""
+
+    def __init__(self, world: WorldView) -> None:
+        scene = world.scene
+        self._routed: list[_Routed] = []
+        names = (*world.robots, *world.doubles, *scene.arrows, *scene.frames)
+        for name in names:
+            targets = [
+                item.target
+                for item in world.inputs.values()
+                if item.name == name and item.kind != "toggle" and scene.routed(item.target)
+            ]
+            sources = scene.sources_of(*targets) if targets else set()
+            if not sources:  # items without routes are as declared and never stale
+                continue
+            slots = [world.slots[f"sources.{source}"].start + _AGE for source in sorted(sources)]
+            self._routed.append(_routed_item(world, name, np.array(slots, np.intp)))
+        self._groups = _groups_with_data(world, {item.name for item in self._routed})
+        self._owner, self._owners = world.joints.owner, list(world.owners)
+        self._soonest = min((item.stale_after for item in self._routed), default=np.inf)
+        self._all = np.array(sorted({int(i) for item in self._routed for i in item.ages}), np.intp)
+
+    def find(self, data: mujoco.MjData) -> dict[str, str]:
+        """Returns a message by name, for all items without fresh data."""
+        ages = data.userdata[self._all]
+        if not len(ages) or (ages.min() >= 0 and ages.max() <= self._soonest):
+            return {}
+        stale = {}
+        for item in self._routed:
+            ages = data.userdata[item.ages]
+            if (ages < 0).any():
+                stale[item.name] = NO_DATA_YET
+            elif ages.max() > item.stale_after:
+                faults = data.userdata[item.ages + _FAULT_AGE - _AGE]
+                good = "good " if ((faults >= 0) & (faults < ages)).any() else ""
+                stale[item.name] = f"no {good}data for {_duration(float(ages.max()))}"
+        return stale
+
+    def joints(self, stale: dict[str, str]) -> NDArray[np.bool_]:
+        """Returns which joints belong to robots and doubles without fresh data, (N,) bool.
+
+        Args:
+            stale: as returned by `find`.
+        """
+        return stale_mask(self._owners, stale)[self._owner]
+
+    def time_without_data(self, data: mujoco.MjData, stale: dict[str, str]) -> NDArray[np.float64]:
+        """Returns the time without data of every joint, (N,), s.
+
+        Args:
+            data: the world's state.
+            stale: as returned by `find`.
+
+        Returns:
+            0 for joints with fresh data, inf before the first data.
+        """
+        of_owner = dict.fromkeys(self._owners, 0.0)
+        for item in self._routed:
+            if item.name in stale and item.name in of_owner:
+                ages = data.userdata[item.ages]
+                of_owner[item.name] = np.inf if (ages < 0).any() else float(ages.max())
+        return np.array([*of_owner.values()], np.float64)[self._owner]
+
+    def panels(
+        self, pen: Pen, data: mujoco.MjData, view: PictureView, stale: dict[str, str]
+    ) -> list[Panels]:
+        """Makes stale robots and doubles grey and returns their labels.
+
+        Args:
+            pen: its `grey` is set.
+            data: the world's state.
+            view: of the picture.
+            stale: as returned by `find`.
+        """
+        pen.grey = None
+        texts: dict[int, list[bytes]] = {}  # labels of a robot and its doubles below each other
+        labels = [(item.name, item.base) for item in self._routed if item.geoms is not None]
+        said = dict(stale)
+        for group, (base, names) in self._groups.items():
+            if names[0] in stale and len({stale.get(name) for name in names}) == 1:
+                labels = [label for label in labels if label[0] not in names]
+                labels.append((group, base))  # one label says it of all
+                said[group] = stale[names[0]]
+        for item in self._routed:
+            if item.name in stale and item.geoms is not None:
+                pen.grey = item.geoms if pen.grey is None else pen.grey | item.geoms
+        for name, base in labels:
+            if name in said:
+                text = f"{name}: {said[name]}".encode("ascii", "replace")[:99]
+                texts.setdefault(base, []).append(text)
+        if not texts:
+            return []
+        anchors, depth = view.project(data.xpos[list(texts)])
+        inside = depth > view.near
+        if not inside.any():
+            return []
+        lines = [lines for lines, here in zip(texts.values(), inside, strict=True) if here]
+        below = anchors[inside] - [0.0, 2.0 * view.font.height]
+        centres, sizes = labels_at(view, below, lines)
+        return [Panels(centres, sizes, lines, _RGBA, in_front=True)]
+
+
+def stale_mask(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
+    """Returns which names have no fresh data, (k,) bool."""
+    if not stale:
+        return np.zeros(len(names), bool)
+    return np.array([name in stale for name in names], bool)
+
+
+def _groups_with_data(world: WorldView, routed: Collection[str]) -> dict[str, _Labelled]:
+    """Returns groups with the body for their label and their routed robots or doubles.
+
+    They are those in no other group. The label stands at a robot that no other one carries, if
+    there is one, and that of doubles below that of their robots.
+    """
+    found: dict[str, _Labelled] = {}
+    for group, robots in world.scene.membership.members.items():
+        names = [name for name in robots if name in world.robots]
+        moved = [name for name in names if name in routed]
+        if len(moved) > 1 and not world.scene.membership.around.get(group):
+            at = next((name for name in names if world.robots[name].mocap >= 0), names[0])
+            found[group] = int(world.robots[at].bodies[0]), moved
+    for group, doubles in world.scene.double_groups.items():
+        moved = [name for name in doubles if name in routed]
+        if len(moved) > 1:
+            part = world.doubles[moved[0]].of
+            bases = [base for base, names in found.values() if part.robot.name in names]
+            found[group] = (bases or [int(part.bodies[0])])[0], moved
+    return found
+
+
+def _routed_item(world: WorldView, name: str, ages: NDArray[np.intp]) -> _Routed:
+    model = world.model
+    if name in world.robots:
+        part = world.robots[name]
+        number = list(world.robots).index(name)
+        own = robots_of_bodies(model, world.robots)[model.geom_bodyid] == number
+        return _Routed(name, ages, part.robot.stale_after, int(part.bodies[0]), own)
+    if name in world.doubles:
+        double: DoublePart = world.doubles[name]
+        own = np.isin(model.geom_bodyid, double.bodies)
+        return _Routed(name, ages, double.robot.stale_after, int(double.of.bodies[0]), own)
+    return _Routed(name, ages, QUIET_AFTER, -1, None)
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.1f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.0f} h"

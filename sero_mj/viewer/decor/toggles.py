@@ -1,0 +1,206 @@
+"""`Toggles`: which features are shown, by robot, joint, frame and arrow."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Bools
+from ...robots.assemble.inputs import SCENE, Input
+from ...robots.assemble.parts import DoublePart
+from ...robots.assemble.robot_parts import ARROW_QUANTITIES
+from ...robots.assemble.world_view import WorldView
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The items to draw in one frame: those that are switched on and have a pose.
+
+    Attributes:
+        joints: whether a joint has a pose, (N,) bool.
+        arrows: arrows of the joints, (N,) bool.
+        billboards: billboards of the joints, including those with an arrow's precise values,
+            (N,) bool.
+        axes: axes of the frames, (M,) bool.
+        frame_names: names of the frames, (M,) bool.
+        vectors: smart arrows, (K,) bool.
+        cards: cards of the smart arrows, (K,) bool.
+    """
+
+    joints: Bools
+    arrows: Bools
+    billboards: Bools
+    axes: Bools
+    frame_names: Bools
+    vectors: Bools
+    cards: Bools
+
+
+@dataclass(frozen=True, eq=False)
+class Handles:
+    """What is shown to drag a frame by, see `handles.py`.
+
+    Attributes:
+        pose: T_world_frame (4, 4), m; None for a mark alone.
+        lit: the handle under the pointer, index in `handles.HANDLE_NAMES`; -1 for none.
+        mark: where the frame is wanted and where it is, (2, 3), m; None where that is one.
+    """
+
+    pose: Array | None = None
+    lit: int = -1
+    mark: Array | None = None
+
+
+class Toggles:
+    """Which features are switched on: initially as declared, changed by users and packets.
+
+    Attributes:
+        arrows: arrows of the joints, (N,) bool.
+        arrow_quantity: quantity of the arrows, index in `ARROW_QUANTITIES`, (N,).
+        billboards: billboards of the joints, (N,) bool.
+        clicked: joints whose billboards are shown before others where not all are, (N,) bool.
+        details: whether a joint's billboard has the precise values of its arrow, (N,) bool.
+        frame_names: names of the frames, (M,) bool.
+        axes: axes of the frames, (M,) bool.
+        vectors: smart arrows, (K,) bool.
+        cards: cards of the smart arrows, with their values, (K,) bool.
+        doubles: doubles, including paths, (D,) bool.
+        legend: whether the legend of the arrows is shown.
+        status: whether faults of the sources are shown.
+        flange_checks: whether received flange frames are compared with the robots' own.
+        hover: text beside the pointer, and the pointer's position (pixels); None for no text.
+        selected: the joint that a user has selected, which is lit; None for none.
+        handles: that are shown to drag a frame by; None for none.
+        modelled: joints whose torque is that of gravity by the model, (N,) bool; no toggle, so
+            `reset` leaves it.
+    """
+
+    def __init__(self, world: WorldView) -> None:
+        self._world = world
+        self.hover: tuple[str, tuple[float, float]] | None = None
+        self.handles: Handles | None = None
+        self.selected: int | None = None
+        self.modelled = np.zeros(len(world.joints.names), bool)
+        self._last = np.full(0, np.nan)
+        doubles = list(world.doubles)
+        owners = [
+            doubles.index(name) if isinstance(part, DoublePart) else -1
+            for name, part in world.owners.items()
+        ]
+        of_owner = np.array([*owners, -1], np.intp)  # the last entry is for frames without owner
+        self._double_of_joint = of_owner[world.joints.owner]
+        self._double_of_frame = of_owner[world.frames.owner]
+        switches = [item for item in world.inputs.values() if item.kind == "toggle"]
+        self._switches = switches
+        self._switch_slots = np.array([world.slots[s.target].start for s in switches], np.intp)
+        self._switch_flags = np.array([world.flags[s.target] for s in switches], np.intp)
+        self.reset()
+
+    def reset(self) -> None:
+        """Resets the toggles to those that the scene declares."""
+        world, scene = self._world, self._world.scene
+        declared = [part.declared for part in world.owners.values()]
+
+        def per_joint(field: str) -> Bools:
+            shown = np.array([getattr(owner, field) for owner in declared], bool)
+            return shown[world.joints.owner] if declared else np.zeros(0, bool)
+
+        self.arrows = per_joint("show_arrows")
+        self.arrow_quantity = world.joints.arrow_quantity.copy()
+        self.billboards = per_joint("show_billboards")
+        self.clicked = np.zeros(len(self.arrows), bool)
+        self.details = np.zeros(len(self.arrows), bool)
+        with_owner = np.array([*(owner.show_axes for owner in declared), False], bool)
+        owner = world.frames.owner
+        self.axes = np.where(owner < 0, world.frames.shown, with_owner[owner])
+        self.frame_names = np.full(len(self.axes), scene.toggles.frame_names)
+        self.vectors = np.array([arrow.show for arrow in scene.arrows.values()], bool)
+        self.cards = np.zeros(len(self.vectors), bool)
+        self.doubles = np.array([part.double.visible for part in world.doubles.values()], bool)
+        self.legend = scene.toggles.legend
+        self.status = scene.toggles.status
+        self.flange_checks = scene.toggles.flange_checks
+        self._last = np.full(len(self._switches), np.nan)  # routed toggles keep their value
+
+    def snapshot(self) -> dict[str, Any]:
+        """Returns a copy of the toggles, for `restore`."""
+        state = {key: value for key, value in vars(self).items() if not key.startswith("_")}
+        return copy.deepcopy(state)
+
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Restores the toggles of a snapshot."""
+        vars(self).update(copy.deepcopy(snapshot))
+
+    def apply_inputs(self, data: mujoco.MjData) -> None:
+        """Applies the toggles that packets have set.
+
+        Only changes of an input act, so that a user can click in between. A value above 0.5 is
+        on; NaN is ignored.
+        """
+        userdata = data.userdata
+        if not userdata[self._switch_flags].any():
+            return
+        values = np.where(userdata[self._switch_flags] > 0, userdata[self._switch_slots], np.nan)
+        changed = (values != self._last) & np.isfinite(values)
+        for i in changed.nonzero()[0]:
+            self._switch(self._switches[i], float(values[i]))
+            self._last[i] = values[i]
+
+    def _switch(self, item: Input, value: float) -> None:
+        world, on = self._world, value > 0.5
+        if item.name == SCENE:
+            if item.key == "frame_names":
+                self.frame_names[:] = on
+            else:
+                setattr(self, item.key, on)
+        elif item.key == "visible":
+            self.doubles[list(world.doubles).index(item.name)] = on
+        elif item.key == "show":
+            self.vectors[world.arrows.names.index(item.name)] = on
+        elif item.name not in world.owners:
+            self.axes[world.frames.names.index(item.name)] = on
+        elif item.key == "show_axes":
+            self.axes[world.frames.owner == list(world.owners).index(item.name)] = on
+        elif item.key == "arrow_quantity":
+            if 0 <= round(value) < len(ARROW_QUANTITIES):
+                self.arrow_quantity[world.owners[item.name].joints] = round(value)
+        else:
+            feature = {"show_arrows": self.arrows, "show_billboards": self.billboards}[item.key]
+            feature[world.owners[item.name].joints] = on
+
+    def shown(self, data: mujoco.MjData) -> Shown:
+        """Returns the items to draw; doubles without data and frames not received have no pose."""
+        has = data.userdata[self._world.frames.has] > 0
+        frames = has | (self._world.frames.has < 0)
+        joints = np.ones(len(self.arrows), bool)
+        if len(self.doubles):
+            visible = np.array([*self.doubles, True])
+            frames &= visible[self._double_of_frame]
+            came = data.userdata[self._world.joints.has["joint_angles"]] > 0
+            joints = (came & visible[self._double_of_joint]) | (self._double_of_joint < 0)
+        # An arrow has a pose only if the frames that it acts at and is expressed in have one.
+        anywhere = np.append(frames, True)[self._world.arrows.frames].all(axis=1)
+        vectors = self.vectors & anywhere
+        return Shown(
+            joints=joints,
+            arrows=self.arrows & joints,
+            billboards=(self.billboards | self.details) & joints,
+            axes=self.axes & frames,
+            frame_names=self.frame_names & self.axes & frames,
+            vectors=vectors,
+            cards=self.cards & vectors,
+        )
+
+    def hidden_geoms(self) -> Bools | None:
+        """Returns the geoms of doubles that are switched off, (ngeom,) bool; None for none."""
+        if self.doubles.all():
+            return None
+        hidden = np.zeros(self._world.model.ngeom, bool)
+        for part, on in zip(self._world.doubles.values(), self.doubles, strict=True):
+            if not on:
+                hidden |= np.isin(self._world.model.geom_bodyid, part.bodies)
+        return hidden

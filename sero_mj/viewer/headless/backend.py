@@ -1,0 +1,167 @@
+"""Selects the OpenGL backend for rendering without a window.
+
+MuJoCo reads the backend from `MUJOCO_GL` when it is imported. No graphics driver is loaded before
+the first picture: Mesa's loads its own LLVM, which ends a process in which torch loads another one.
+"""
+
+from __future__ import annotations
+
+import importlib.abc
+import importlib.machinery
+import os
+import subprocess
+import sys
+import types
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from ...base.errors import RenderError
+
+BACKENDS = ("egl", "osmesa", "glfw")
+# Debian and Ubuntu packages for software rendering with each backend.
+PACKAGES = {
+    "egl": "libegl1 libgl1 libgl1-mesa-dri",
+    "osmesa": "libosmesa6",
+    "glfw": "libgl1 libgl1-mesa-dri, and a display (xvfb has one)",
+}
+# Folders in which drivers are registered with libglvnd's EGL.
+_EGL_DRIVERS = (Path("/etc/glvnd/egl_vendor.d"), Path("/usr/share/glvnd/egl_vendor.d"))
+
+
+def choose_backend() -> str | None:
+    """Sets `MUJOCO_GL` to a backend that should work here, unless the user has set it.
+
+    Returns:
+        the backend; None to keep MuJoCo's default (macOS, Windows).
+    """
+    backend = os.environ.get("MUJOCO_GL")
+    if "mujoco" in sys.modules or sys.platform != "linux":
+        return backend
+    os.environ["MUJOCO_GL"] = backend = backend or _headless_backend()
+    if backend.lower().strip() == "egl":
+        sys.meta_path.insert(0, _LazyEglFinder())
+    return backend
+
+
+class _LazyEgl(types.ModuleType):
+    """Placeholder of `mujoco.egl` until a context is created.
+
+    MuJoCo 4.0.0 imports that module with `mujoco` itself, and the module queries EGL's devices on
+    import, which loads the driver with Mesa 25 (Debian 13).
+    """
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):  # requested by the import system; the placeholder has none
+            raise AttributeError(name)
+        return _make_context if name == "GLContext" else getattr(_real_egl(), name)
+
+
+class _LazyEglFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Provides `_LazyEgl` for the first import of `mujoco.egl`."""
+
+    def find_spec(
+        self, fullname: str, path: object, target: object = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        if fullname != "mujoco.egl":
+            return None
+        sys.meta_path.remove(self)
+        return importlib.machinery.ModuleSpec(fullname, self)
+
+    def create_module(self, spec: importlib.machinery.ModuleSpec) -> types.ModuleType:
+        return _LazyEgl(spec.name)
+
+    def exec_module(self, module: types.ModuleType) -> None:
+        """Does nothing: the placeholder has no code."""
+
+
+def _real_egl() -> Any:
+    import mujoco
+
+    if isinstance(sys.modules.get("mujoco.egl"), _LazyEgl):
+        del sys.modules["mujoco.egl"], mujoco.egl
+    from mujoco import egl
+
+    return egl
+
+
+def _make_context(*size: int) -> Any:
+    """Creates a context of EGL, width and height in pixels; replaces `mujoco.GLContext`."""
+    return _real_egl().GLContext(*size)
+
+
+def adopt_backend() -> None:
+    """Changes MuJoCo's backend to one that needs no display, if there is none.
+
+    Call it before the first picture. A user who imports mujoco before sero_mj on a server gets
+    GLFW's backend, which cannot work there. A `MUJOCO_GL` set by the user is kept.
+
+    Once that backend has been tried, MuJoCo 4.0.0 would end the process (134) at the next picture,
+    whichever way it is made: then every picture raises a RenderError.
+    """
+    if os.environ.get("MUJOCO_GL") or has_display() or _headless_backend() != "egl":
+        return
+    from mujoco.rendering.classic import gl_context
+
+    # MuJoCo 4.0.0 has no public function for it; `Renderer` reads this name for every context.
+    if gl_context.GLContext is not _refuse_context:
+        gl_context.GLContext = _refuse_context if _has_glfw_failed() else _make_context
+
+
+def _has_glfw_failed() -> bool:
+    """Whether GLFW was asked for a window that it could not make; asking clears it."""
+    if "glfw" not in sys.modules:
+        return False
+    import glfw
+
+    return bool(glfw.get_error()[0] == glfw.NOT_INITIALIZED)
+
+
+def _refuse_context(*_: int) -> None:
+    raise RenderError(
+        "a mujoco.Renderer has failed in this process for want of a display, and MuJoCo would end "
+        "it now: import sero_mj before mujoco, or set MUJOCO_GL=egl"
+    )
+
+
+def has_display() -> bool:
+    """Whether there is a display to open a window on."""
+    if sys.platform != "linux":
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _headless_backend() -> str:
+    # The default if neither is installed: errors should refer to EGL.
+    return "osmesa" if not has_egl() and has_osmesa() else "egl"
+
+
+def has_egl() -> bool:
+    """Whether EGL, OpenGL and a driver are installed; `doctor` tests whether they work."""
+    libraries = _libraries()
+    # In addition to EGL, PyOpenGL loads GL functions from one of these two.
+    has_gl = "libOpenGL.so.0" in libraries or "libGL.so.1" in libraries
+    named = os.environ.get("__EGL_VENDOR_LIBRARY_FILENAMES")
+    has_driver = bool(named) or any(any(folder.glob("*.json")) for folder in _EGL_DRIVERS)
+    return "libEGL.so.1" in libraries and has_gl and has_driver
+
+
+def has_osmesa() -> bool:
+    """Whether the off-screen Mesa library is installed."""
+    return any(name.startswith("libOSMesa.so") for name in _libraries())
+
+
+@cache
+def _libraries() -> frozenset[str]:
+    """Returns the file names of the loader's shared libraries; empty if unavailable."""
+    try:
+        listing = subprocess.run(
+            ["ldconfig", "-p"],
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**os.environ, "PATH": f"{os.environ.get('PATH', '')}:/sbin:/usr/sbin"},
+        ).stdout
+    except OSError:
+        return frozenset()
+    return frozenset(line.split()[0] for line in listing.splitlines()[1:] if line.strip())

@@ -1,0 +1,264 @@
+"""Pictures and films on disk."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ...base.errors import RenderError, reason_of
+
+
+@dataclass(frozen=True)
+class FilmKind:
+    """Encoding of films with one file name extension.
+
+    Attributes:
+        codec: of FFmpeg.
+        options: of the codec; chosen to be fast compared to rendering.
+        has_palette: whether frames are limited to 256 colours.
+        fps: default frames per second.
+        most_fps: maximum frames per second that programs can show.
+    """
+
+    codec: str
+    options: Mapping[str, str]
+    has_palette: bool = False
+    fps: float = 30.0
+    most_fps: float = float("inf")
+
+
+_VP9 = {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "5", "row-mt": "1"}
+FILMS = {
+    ".mp4": FilmKind("libx264", {"crf": "18", "preset": "veryfast"}),
+    ".webm": FilmKind("libvpx-vp9", _VP9),
+    ".gif": FilmKind("gif", {}, has_palette=True, fps=20.0, most_fps=50.0),
+}
+PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+Pixels = NDArray[np.uint8]
+
+
+def check_writable(path: Path) -> None:
+    """Creates the file's folder and checks it, before anything is rendered.
+
+    Raises:
+        RenderError: the file cannot be written there.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RenderError(f"cannot write {path}: {error.strerror}") from error
+    if os.path.isdir(path) or not os.access(path.parent, os.W_OK):
+        raise RenderError(f"cannot write {path}: it is a folder, or its folder is read-only")
+
+
+def save_picture(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
+    """Writes a picture in the format of the file name extension.
+
+    Args:
+        path: the file; its folder is created if necessary.
+        pixels: (height, width, 3), uint8.
+        dpi: dots per inch that the file says; WebP cannot.
+
+    Raises:
+        RenderError: the file cannot be written, or the format is unknown.
+    """
+    check_writable(path)
+    resolution: dict[str, Any] = {} if dpi is None else {"dpi": (dpi, dpi)}
+    with _writing(path):
+        Image.fromarray(pixels).save(path, **resolution)
+
+
+@contextlib.contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Says which file could not be written, and not by which other one."""
+    try:
+        yield
+    except (OSError, ValueError) as error:
+        raise RenderError(f"cannot write {path}: {reason_of(error)}") from error
+
+
+def check_film(path: Path | str) -> Path:
+    """Returns the path of a film; raises RenderError if its extension is not that of a film."""
+    path = Path(path)
+    if path.suffix.lower() not in FILMS:
+        raise RenderError(f"{path}: expected a name that ends in {', '.join(FILMS)}")
+    return path
+
+
+def default_fps(path: Path | str) -> float:
+    """Returns the default frames per second of a film."""
+    return FILMS[check_film(path).suffix.lower()].fps
+
+
+class FilmWriter:
+    """Writes an H.264, VP9 or GIF film, as a context manager.
+
+    The film is written to a temporary file and renamed when it is complete, so that an incomplete
+    film never has the final name. After an interrupt (KeyboardInterrupt) the film so far is kept.
+
+    Attributes:
+        frames: number of frames added.
+
+    Args:
+        path: an .mp4, .webm or .gif file; its folder is created if necessary.
+        width: of the frames, pixels, at least 2; H.264 and VP9 subsample colours, so an odd last
+            column is dropped.
+        height: likewise.
+        fps: frames per second; at most 50 for a GIF.
+
+    Raises:
+        RenderError: the file cannot be written, has another extension, the size is too small, or
+            there are too many frames per second.
+    """
+
+    def __init__(self, path: Path, width: int, height: int, fps: float) -> None:
+        kind = FILMS[check_film(path).suffix.lower()]
+        self._path = path
+        self._part = path.with_name(f".{path.name}.part{path.suffix}")
+        odd = 1 if kind.has_palette else 2
+        self._width, self._height = width - width % odd, height - height % odd
+        if min(self._width, self._height) < 2:
+            raise RenderError(f"film size {width}x{height}: expected at least 2x2 pixels")
+        if fps > kind.most_fps:
+            raise RenderError(
+                f"{path}: found {fps:g} frames per second; expected at most {kind.most_fps:g}: "
+                "programs show a faster GIF slowly"
+            )
+        check_writable(path)
+        with _writing(path):
+            self._container = av.open(str(self._part), "w")
+        self.frames = 0
+        rate = Fraction(fps).limit_denominator(1001)
+        stream = self._container.add_stream(kind.codec, rate=rate, options=dict(kind.options))
+        assert isinstance(stream, av.VideoStream)
+        stream.width, stream.height = self._width, self._height
+        stream.pix_fmt = "pal8" if kind.has_palette else "yuv420p"
+        self._stream = stream
+        self._palettes = _Palettes(self._width, self._height, rate) if kind.has_palette else None
+
+    def add(self, pixels: Pixels) -> None:
+        """Appends a frame, (height, width, 3), uint8."""
+        frame = av.VideoFrame.from_ndarray(
+            np.ascontiguousarray(pixels[: self._height, : self._width]), format="rgb24"
+        )
+        self._encode(frame)
+        self.frames += 1
+
+    def _encode(self, frame: av.VideoFrame | None) -> None:
+        frames = [frame] if self._palettes is None else self._palettes.follow(frame)
+        with _writing(self._path):
+            for each in frames:
+                self._container.mux(self._stream.encode(each))
+            if frame is None and self._palettes is not None:
+                self._container.mux(self._stream.encode(None))
+
+    def __enter__(self) -> FilmWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        tb: TracebackType | None,
+    ) -> None:
+        keep = kind is None or (issubclass(kind, KeyboardInterrupt) and self.frames > 0)
+        if keep:
+            self._encode(None)
+        self._container.close()
+        if keep:
+            self._part.replace(self._path)
+        else:
+            with contextlib.suppress(OSError):  # it may never have been made
+                self._part.unlink()
+
+
+class _Palettes:
+    """Computes a palette of 256 colours for every frame of a GIF.
+
+    A common palette would require all frames before the first is written.
+
+    Args:
+        width: of the frames, pixels.
+        height: likewise.
+        rate: frames per second.
+    """
+
+    def __init__(self, width: int, height: int, rate: Fraction) -> None:
+        self._graph = graph = av.filter.Graph()
+        self._step = 1 / rate
+        self._count = 0
+        rgb = av.VideoFormat("rgb24", width, height)
+        begin = graph.add_buffer(width=width, height=height, format=rgb, time_base=self._step)
+        both = graph.add("split")
+        choose = graph.add("palettegen", "stats_mode=single")
+        use = graph.add("paletteuse", "new=1:dither=bayer:bayer_scale=5")
+        end = graph.add("buffersink")
+        begin.link_to(both)
+        both.link_to(choose, 0, 0)
+        both.link_to(use, 1, 0)
+        choose.link_to(use, 0, 1)
+        use.link_to(end)
+        graph.configure()
+
+    def follow(self, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:
+        """Adds a frame, or the end (None), and yields the frames that are ready."""
+        if frame is not None:
+            frame.pts, frame.time_base = self._count, self._step
+            self._count += 1
+        self._graph.push(frame)
+        with contextlib.suppress(av.error.BlockingIOError, av.error.EOFError):
+            while True:
+                found = self._graph.pull()
+                assert isinstance(found, av.VideoFrame)
+                yield found
+
+
+class Picture(np.ndarray):
+    """A picture (height, width, 3), uint8, top row first: an array with `save`.
+
+    A notebook displays it as the result of a cell. A slice that is not a picture is displayed as
+    numbers.
+    """
+
+    def save(self, path: Path | str) -> None:
+        """Writes the picture in the format of the file name extension: .png, .jpg, .webp.
+
+        Args:
+            path: the file; its folder is created if necessary.
+
+        Raises:
+            RenderError: the file cannot be written, the format is unknown, or this slice is not
+                a picture.
+        """
+        if not self._is_picture:
+            found = f"{' x '.join(map(str, self.shape))} numbers of type {self.dtype}"
+            raise RenderError(
+                f"cannot write {path}: found {found}; expected a picture, height x width x 3"
+            )
+        save_picture(Path(path), np.ascontiguousarray(self))
+
+    @property
+    def _is_picture(self) -> bool:
+        return (
+            self.ndim == 3 and self.shape[2] in (3, 4) and self.dtype == np.uint8 and self.size > 0
+        )
+
+    def _repr_png_(self) -> bytes | None:
+        """Returns the picture as PNG, for notebooks; None if it is not a picture."""
+        if not self._is_picture:
+            return None
+        file = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(self)).save(file, "png")
+        return file.getvalue()

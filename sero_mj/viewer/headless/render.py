@@ -1,0 +1,491 @@
+"""Renders pictures and films without a window, of a world or of a scene with its live sources.
+
+A film of a live robot must show real time, but software rendering may be slower than that. So a
+thread samples the state at exactly the film's rate, and frames are rendered from these samples at
+any speed.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal, Protocol, get_args
+
+import mujoco
+import numpy as np
+from PIL import Image
+
+from ...base.errors import RenderError
+from ...base.frames import Array
+from ...data.drive.mirror import Mirror, restore
+from ...robots.assemble.scene import Scene
+from ...robots.assemble.world_view import WorldView
+from ..added_surroundings import added_surroundings
+from ..camera import bounding_sphere, find_camera, needed_aspect, stand_back
+from ..decor.font import line_height
+from ..decor.picture_view import PictureView
+from ..decor.toggles import Toggles
+from ..session.interaction import Gesture
+from ..session.picking import TOUCH_TOLERANCE, Picked, Pixel
+from ..session.scene_decor import SceneDecor
+from ..session.view_state import apply_switches
+from ..stereo import EYE_DISTANCE, Stereo, anaglyph, check_stereo, each_eye, looked_at
+from ..typesetting import Typesetter, compose
+from .backend import adopt_backend
+from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
+from .textures import upload_textures, without_textures
+
+log = logging.getLogger(__name__)
+
+MAX_SIDE = 16384  # pixels; the limit of Mesa's software renderer
+# `draft` has neither shadows nor multisampling; `fine` is drawn larger and reduced, for print.
+Quality = Literal["draft", "normal", "fine"]
+QUALITIES: tuple[str, ...] = get_args(Quality)
+SUPERSAMPLING = 2  # a side, of `fine`
+PRINT_DPI = 300
+
+
+def check_size(what: str, width: int, height: int) -> None:
+    """Checks the size of a picture or window.
+
+    Args:
+        what: of what it is the size, for messages.
+        width: pixels.
+        height: pixels.
+
+    Raises:
+        RenderError: the size is out of range.
+    """
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise RenderError(f"{what} size {width}x{height}: expected 1 to {MAX_SIDE} a side")
+
+
+@contextmanager
+def offscreen_size(
+    model: mujoco.MjModel,
+    width: int,
+    height: int,
+    *,
+    samples: int | None = None,
+    is_draft: bool = False,
+) -> Iterator[None]:
+    """Sets the offscreen buffer of the OpenGL contexts that are created in this context.
+
+    MuJoCo reads it from the model. The model is restored afterwards, since it may be the user's.
+
+    Args:
+        model: changed temporarily.
+        width: pixels.
+        height: pixels.
+        samples: of every pixel; the model's when None.
+        is_draft: whether there are neither multisampling nor shadows.
+    """
+    size, quality = model.vis.global_, model.vis.quality
+    before = size.offwidth, size.offheight, quality.offsamples, quality.shadowsize
+    size.offwidth, size.offheight = width, height
+    if samples is not None:
+        quality.offsamples = samples
+    if is_draft:
+        quality.offsamples = quality.shadowsize = 0
+    try:
+        yield
+    finally:
+        size.offwidth, size.offheight, quality.offsamples, quality.shadowsize = before
+
+
+DEFAULT_SIZE = (1280, 800)
+
+
+class HeadlessRenderer:
+    """Renders a world into arrays.
+
+    Args:
+        world: what to render.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        camera: see `find_camera`.
+        quality: `draft` is quick where OpenGL is software, `fine` is for print.
+        stereo: `side-by-side` for a half of the picture for each eye, the left one on the left;
+            `anaglyph` for red-cyan glasses.
+        eye_distance: between the eyes, m.
+
+    Attributes:
+        world: the world.
+        decor: of the last frame.
+        camera: can be changed between frames.
+        size: width and height, pixels.
+
+    Raises:
+        RenderError: no OpenGL, the size or the eyes' distance is out of range, or there is no such
+            quality or stereo.
+        UnknownName: no camera of that name.
+    """
+
+    def __init__(
+        self,
+        world: WorldView,
+        width: int = DEFAULT_SIZE[0],
+        height: int = DEFAULT_SIZE[1],
+        camera: str | None = None,
+        quality: Quality = "normal",
+        stereo: Stereo | None = None,
+        eye_distance: float = EYE_DISTANCE,
+    ) -> None:
+        check_stereo(stereo, eye_distance)
+        if quality not in QUALITIES:
+            raise RenderError(f"found quality {quality!r}; expected {', '.join(QUALITIES)}")
+        self._scale = SUPERSAMPLING if quality == "fine" else 1
+        check_size("picture", width * self._scale, height * self._scale)
+        self.world = world
+        self.camera = find_camera(world, camera)
+        self._needed = needed_aspect(world, self.camera)
+        self.size = (width, height)
+        self._stereo, self._eye_distance = stereo, eye_distance
+        # What one eye sees.
+        self._half = (width // 2, height) if stereo == "side-by-side" else (width, height)
+        check_size("half of the picture", *self._half)
+        self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
+        self.decor = SceneDecor(world, with_text=False)
+        drawn, tall = self._half[0] * self._scale, height * self._scale
+        self._renderer = make_renderer(world, drawn, tall, is_draft=quality == "draft")
+        if quality == "draft":
+            self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        # A new renderer's OpenGL context is the current one.
+        self._surroundings = added_surroundings(world, self._renderer._mjr_context)
+        self._typesetter = Typesetter(line_height(world, *self._half))
+
+    @property
+    def toggles(self) -> Toggles:
+        """What is shown; can be set to the toggles of another host."""
+        return self.decor.toggles
+
+    @toggles.setter
+    def toggles(self, toggles: Toggles) -> None:
+        self.decor.toggles = toggles
+
+    def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
+        """Renders one frame.
+
+        Args:
+            data: the world's state, with frames up to date (`data.drive.place.follow`).
+            out: output array, (height, width, 3), uint8; None for a new one.
+
+        Returns:
+            picture (height, width, 3), uint8; a notebook displays it.
+        """
+        self.decor.draw(data, self._look(data), self._renderer.scene)
+        text = self._typesetter.place(self.decor.panels)
+        if self._stereo is None and self._scale == 1:
+            pixels: Pixels = self._renderer.render(out=out)
+            compose(pixels, text)
+            return pixels if out is not None else pixels.view(Picture)
+        pixels = np.zeros((*self.size[::-1], 3), np.uint8) if out is None else out
+        if self._stereo == "anaglyph":
+            pixels[:] = anaglyph(*self._eyes())
+            compose(pixels, text)  # it stands where both eyes see the same
+        elif self._stereo == "side-by-side":
+            width = self._half[0]
+            for k, half in enumerate(self._eyes()):
+                compose(half, text)
+                pixels[:, k * width : (k + 1) * width] = half
+        else:
+            pixels[:] = self._drawn()
+            compose(pixels, text)
+        return pixels if out is not None else pixels.view(Picture)
+
+    def _drawn(self) -> Pixels:
+        """The picture of the scene's camera; panels are set into it in its own size."""
+        drawn: Pixels = self._renderer.render()
+        if self._scale == 1:
+            return drawn
+        return np.array(Image.fromarray(drawn).reduce(self._scale))
+
+    def _eyes(self) -> list[Pixels]:
+        """The pictures of the left and the right eye."""
+        scene = self._renderer.scene
+        distance = looked_at(scene, self.camera, self._centre)
+        return [self._drawn() for _ in each_eye(scene, self._eye_distance, distance)]
+
+    def _look(self, data: mujoco.MjData) -> PictureView:
+        renderer = self._renderer
+        renderer.update_scene(data, self.camera)
+        stand_back(renderer.scene, self.camera, *self._half, self._needed)
+        if self._surroundings is not None:
+            self._surroundings.add(renderer.scene)
+        return PictureView.of_scene(renderer.scene, *self._half, self._typesetter.font)
+
+    def pick(
+        self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
+    ) -> Picked | None:
+        """Returns the item at a pixel, counted from the upper left corner; None for no item.
+
+        Args:
+            data: the world's state, with frames up to date.
+            x: to the right, 0 to width.
+            y: down, 0 to height.
+            tolerance: see `picking.pick`.
+        """
+        return self._lay_out(data).pick(data, self._pixel(x, y), tolerance)
+
+    def click(
+        self,
+        data: mujoco.MjData,
+        x: float,
+        y: float,
+        gesture: Gesture = "click",
+        tolerance: float = 0.0,
+    ) -> Picked | None:
+        """Clicks on a pixel, see `pick`, and returns the item there.
+
+        Args:
+            data: the world's state, with frames up to date.
+            x: to the right, 0 to width.
+            y: down, 0 to height.
+            gesture: a click, one with Shift held, or a double click.
+            tolerance: see `picking.pick`.
+        """
+        return self._lay_out(data).click(data, self._pixel(x, y), gesture, tolerance)
+
+    def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
+        """Moves the pointer to a pixel, see `pick`; the next frames name the item there."""
+        return self._lay_out(data).hover(data, self._pixel(x, y))
+
+    def _pixel(self, x: float, y: float) -> Pixel:
+        """The pixel of decor, between those of both eyes, at one of the picture."""
+        width = self._half[0]
+        is_right = self._stereo == "side-by-side" and x >= width
+        return self.decor.from_above(x - width if is_right else x, y)
+
+    def _lay_out(self, data: mujoco.MjData) -> SceneDecor:
+        self.decor.lay_out(data, self._look(data))
+        return self.decor
+
+    def close(self) -> None:
+        """Frees the OpenGL context."""
+        self._renderer.close()
+
+    def __enter__(self) -> HeadlessRenderer:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) -> Any:
+    """Returns MuJoCo's renderer with an OpenGL context for pictures of a size.
+
+    Args:
+        world: what to render.
+        width: pixels.
+        height: pixels.
+        is_draft: without multisampling and shadows.
+
+    Raises:
+        RenderError: there is no OpenGL, or no picture so large.
+    """
+    model = world.model
+    adopt_backend()
+    try:
+        with offscreen_size(model, width, height, is_draft=is_draft):
+            if not is_draft:
+                return mujoco.Renderer(model, height, width)
+            with without_textures(model) as textures:
+                renderer = mujoco.Renderer(model, height, width)
+        upload_textures(model, renderer._mjr_context, textures)
+        return renderer
+    except Exception as error:  # every GL backend raises errors of its own
+        raise RenderError(
+            f"no picture of {width}x{height} can be made: {error or type(error).__name__}; "
+            "`sero-mj doctor` lists what is missing"
+        ) from error
+
+
+NEXT_WITHIN = 0.5  # s in which a live source should send its next packet
+MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is probably a typing error
+# Pixel from the upper left corner, x and y; `click`, `shift`, `double` or `hover`; by touch.
+Click = tuple[float, float, str, bool]
+OnProgress = Callable[[int, int], None]
+
+
+def render_picture(
+    scene: Scene,
+    path: Path | str,
+    *,
+    size: tuple[int, int] = DEFAULT_SIZE,
+    camera: str | None = None,
+    wait: float = 2.0,
+    clicks: Sequence[Click] = (),
+    shown: Mapping[str, str] | None = None,
+    selected: str | None = None,
+    at: float = 0.0,
+    quality: Quality = "normal",
+    stereo: Stereo | None = None,
+    eye_distance: float = EYE_DISTANCE,
+) -> list[str]:
+    """Renders a picture of the current state of a scene.
+
+    Args:
+        scene: what to show.
+        path: the file; .png, or another format of Pillow.
+        size: width and height, pixels.
+        camera: see `find_camera`.
+        wait: maximum time to wait for the first packet of every source, s.
+        clicks: clicks to perform before rendering.
+        shown: what is switched on or off, see `apply_switches`.
+        selected: the joint that is lit, `lwr/A2`.
+        at: time of recordings and simulations, s after their start.
+        quality: see `HeadlessRenderer`; a fine picture says that it has 300 dots per inch.
+        stereo: see `HeadlessRenderer`.
+        eye_distance: likewise.
+
+    Returns:
+        names of the sources without data; their robots have the declared pose.
+
+    Raises:
+        SeroError: a problem of the scene, its sources, the camera or the file.
+    """
+    with Mirror(scene) as mirror:
+        check_writable(Path(path))
+        with HeadlessRenderer(
+            mirror.world, *size, camera, quality, stereo=stereo, eye_distance=eye_distance
+        ) as renderer:
+            silent = mirror.wait(wait)
+            mirror.wait_fresh(min(wait, NEXT_WITHIN), at)
+            apply_switches(mirror.world, renderer.toggles, shown or {}, selected)
+            perform_clicks(renderer, mirror.data, clicks)
+            dpi = PRINT_DPI if quality == "fine" else None
+            save_picture(Path(path), renderer.render(mirror.data), dpi)
+    return silent
+
+
+def render_film(
+    scene: Scene,
+    path: Path | str,
+    *,
+    duration: float = 5.0,
+    fps: float | None = None,
+    size: tuple[int, int] = DEFAULT_SIZE,
+    camera: str | None = None,
+    wait: float = 2.0,
+    clicks: Sequence[Click] = (),
+    shown: Mapping[str, str] | None = None,
+    selected: str | None = None,
+    quality: Quality = "normal",
+    stereo: Stereo | None = None,
+    eye_distance: float = EYE_DISTANCE,
+    on_progress: OnProgress | None = None,
+) -> list[str]:
+    """Renders a film of a scene, in real time when it has live sources.
+
+    Args:
+        scene: what to show.
+        path: the file; .mp4, .webm or .gif.
+        duration: of the film, s.
+        fps: frames per second; None for 30, or 20 for a GIF.
+        size: width and height, pixels.
+        camera: see `find_camera`.
+        wait: maximum time to wait for the first packet of every source, s.
+        clicks: clicks to perform before the first frame.
+        shown: what is switched on or off, see `apply_switches`.
+        selected: the joint that is lit, `lwr/A2`.
+        quality: see `HeadlessRenderer`.
+        stereo: likewise.
+        eye_distance: likewise.
+        on_progress: called with the number of rendered frames and of all frames.
+
+    Returns:
+        names of the sources without data.
+
+    Raises:
+        SeroError: a problem of the scene, its sources, the camera or the file.
+    """
+    fps = default_fps(path) if fps is None else fps
+    for what, value in (("duration", duration), ("fps", fps)):
+        if not 0 < value < float("inf"):
+            raise RenderError(f"{what} {value}: expected a number above 0")
+    count = max(round(duration * fps), 1)
+    if count > MAX_FRAMES:
+        raise RenderError(f"a film of {count} frames: expected at most {MAX_FRAMES}")
+    with Mirror(scene) as mirror:
+        world = mirror.world
+        data = world.make_data()
+        with (
+            FilmWriter(Path(path), *size, fps) as film,
+            HeadlessRenderer(
+                world, *size, camera, quality, stereo=stereo, eye_distance=eye_distance
+            ) as renderer,
+        ):
+            silent = mirror.wait(wait)
+            pixels = np.empty((size[1], size[0], 3), np.uint8)
+            for done, state in enumerate(_states(mirror, count, fps), start=1):
+                restore(world, data, state)
+                if done == 1:
+                    apply_switches(world, renderer.toggles, shown or {}, selected)
+                    perform_clicks(renderer, data, clicks)
+                film.add(renderer.render(data, out=pixels))
+                if on_progress is not None:
+                    on_progress(done, count)
+    return silent
+
+
+class TakesClicks(Protocol):
+    """A renderer that can be clicked on; see `HeadlessRenderer`."""
+
+    def click(
+        self, data: mujoco.MjData, x: float, y: float, gesture: Gesture, tolerance: float
+    ) -> Picked | None:
+        """Clicks on a pixel and returns the item there."""
+
+    def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
+        """Moves the pointer to a pixel and returns the item there."""
+
+
+def perform_clicks(renderer: TakesClicks, data: mujoco.MjData, clicks: Sequence[Click]) -> None:
+    """Clicks on pixels in their order, and logs what was there."""
+    for x, y, gesture, finger in clicks:
+        if gesture == "hover":
+            picked = renderer.hover(data, x, y)
+        else:
+            tolerance = TOUCH_TOLERANCE if finger else 0.0
+            picked = renderer.click(data, x, y, gesture, tolerance)  # type: ignore[arg-type]
+        what = "nothing there" if picked is None else f"{picked.kind} {picked.name}"
+        log.info("%s at %g,%g: %s", gesture, x, y, what)
+
+
+def _states(mirror: Mirror, count: int, fps: float) -> Iterator[Array]:
+    """Yields the state at the time of every frame, sampled on a thread if sources are live."""
+    if not mirror.is_live:
+        for k in range(count):
+            mirror.advance(k / fps)
+            yield mirror.state()
+        return
+    taken: queue.SimpleQueue[Array | BaseException] = queue.SimpleQueue()
+    stop = threading.Event()
+
+    def sample() -> None:
+        try:
+            start = time.monotonic()
+            for k in range(count):
+                if stop.wait(max(start + k / fps - time.monotonic(), 0.0)):
+                    return
+                mirror.advance(k / fps)
+                taken.put(mirror.state())
+        except BaseException as error:  # raised again on the caller's thread
+            taken.put(error)
+
+    sampler = threading.Thread(target=sample, name="film sampler", daemon=True)
+    sampler.start()
+    try:
+        for _ in range(count):
+            state = taken.get()
+            if isinstance(state, BaseException):
+                raise state
+            yield state
+    finally:
+        stop.set()
+        sampler.join()

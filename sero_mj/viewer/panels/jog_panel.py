@@ -1,0 +1,183 @@
+"""`JogPanel`: joint sliders of robots that are moved by hand, their poses to type and copy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
+
+from ...base.frames import Array, frame, inverse, rotation_from_rpy, rpy_from_rotation
+from ...robots.assemble.world_view import WorldView
+from ..decor.card_names import card_names
+from ..session.pose_text import as_command, as_python, as_toml
+from ..tools.jogging import Jogging
+from ..tools.joint_goal import JointGoal
+from .widgets import Widgets
+
+UNITS = ("deg", "rad")
+_MOST_SECTIONS, _MOST_OPEN = 3, 2  # number of robots with sections, and of those unfolded at first
+# Widths of columns, of the text's height, and of a name's character.
+_LEAST_NAME, _MOST_NAME, _NUMBER, _CHARACTER = 3.2, 8.0, 4.6, 0.56
+_POSE = (("x", 0), ("y", 1), ("z", 2), ("roll", 0), ("pitch", 1), ("yaw", 2))
+
+
+def build_each(
+    ui: Widgets, verb: str, names: Collection[str], build: Callable[[str], None]
+) -> None:
+    """Builds a section for every robot, or where they are many a tree in one section.
+
+    Args:
+        ui: takes them.
+        verb: what is done with the robots there.
+        names: of the robots.
+        build: what is in it.
+    """
+    are_many = len(names) > _MOST_SECTIONS
+    if are_many and not ui.header(f"{verb} {len(names)} robots"):
+        return
+    for index, name in enumerate(names):
+        ui.scope(f"{verb} {name}")
+        if not are_many and ui.header(f"{verb} {name}", is_open=index < _MOST_OPEN):
+            build(name)
+        elif are_many and ui.tree(name):
+            build(name)
+            ui.end_tree()
+        ui.end_scope()
+
+
+class JointSliders:
+    """Sliders and number fields of the joints of a robot, in a tree of its limbs if it branches.
+
+    Attributes:
+        unit: of angles, index in `UNITS`, the same for all robots.
+    """
+
+    def __init__(self) -> None:
+        self.unit = 0
+
+    def build(self, ui: Widgets, goal: JointGoal) -> None:
+        """Builds them; what is changed is a wish to the goal."""
+        limbs = goal.robot.limb_joints
+        if len(limbs) == 1:
+            self._joints(ui, goal, *limbs.values())
+            return
+        for limb, joints in limbs.items():
+            if ui.tree(f"{limb}##sliders"):
+                self._joints(ui, goal, joints)
+                ui.end_tree()
+
+    def _joints(self, ui: Widgets, goal: JointGoal, joints: Sequence[int]) -> None:
+        robot, angles = goal.robot, goal.angles
+        free = set(robot.coupled.independent.tolist())
+        names = card_names(robot.names, robot.name)  # without what all have in common
+        longest = max(len(names[joint]) for joint in joints)
+        name_width = min(max(_CHARACTER * longest, _LEAST_NAME), _MOST_NAME)
+        if not ui.table(f"##angles{joints[0]}", (name_width, 0, _NUMBER)):
+            return
+        for joint in joints:
+            name, turns = robot.names[joint], robot.types[joint] == "revolute"
+            factor, unit, decimals = 1.0, "m", 4
+            if turns:
+                factor, unit, decimals = ((180 / np.pi, "deg", 1), (1.0, "rad", 3))[self.unit]
+            low, high = goal.range_of(joint)
+            ui.row()
+            ui.cell()
+            ui.label(names[joint])
+            ui.cell()
+            ui.disable(is_off=joint not in free)
+            ui.width(0.0)
+            value = factor * float(angles[joint])
+            # Without a number, which the knob would cover; it is in the field.
+            moved, wanted = ui.slide(f"##{name}", value, factor * low, factor * high, "")
+            ui.tip(f"{name}: {factor * low:.4g} to {factor * high:.4g} {unit}")
+            ui.cell()
+            ui.width(0.0)
+            typed, number = ui.number(f"##{name} typed", value, f"%.{decimals}f")
+            ui.enable()
+            if moved or typed:
+                goal.set_joint(joint, (round(wanted, decimals) if moved else number) / factor)
+        ui.end_table()
+
+
+class FlangeFields:
+    """Number fields of the pose of a flange from its base, m and degrees."""
+
+    def build(self, ui: Widgets, goal: JointGoal, base: Array) -> Array | None:
+        """Builds them; returns T_world_flange (4, 4) where one was typed."""
+        T = inverse(base) @ goal.flange(base)
+        xyz, rpy = T[:3, 3].copy(), np.rad2deg(rpy_from_rotation(T[:3, :3]))
+        is_new = False
+        if not ui.table("##flange", (0, 0, 0)):
+            return None
+        for number, (label, index) in enumerate(_POSE):
+            values, unit = (xyz, "m") if number < 3 else (rpy, "deg")
+            if number % 3 == 0:
+                ui.row()
+            ui.cell()
+            ui.width(0.0)
+            shown = f"{label} %.3f" if number < 3 else f"{label} %.1f"
+            typed, value = ui.number(f"##{label}", float(values[index]), shown)
+            ui.tip(f"{label} of the flange from the base, {unit}: type a number, then Enter")
+            if typed:
+                values[index], is_new = value, True
+        ui.end_table()
+        return base @ frame(rotation_from_rpy(np.deg2rad(rpy)), xyz) if is_new else None
+
+
+class JogPanel:
+    """The panel of robots that are moved by hand.
+
+    Args:
+        world: that is shown.
+        jogging: moves them.
+    """
+
+    def __init__(self, world: WorldView, jogging: Jogging) -> None:
+        self._world, self._jogging = world, jogging
+        self._sliders, self._flange = JointSliders(), FlangeFields()
+        self._copied = ""
+
+    def build(self, ui: Widgets) -> None:
+        """Builds a section for every robot, of many a tree in one section."""
+        goals = self._jogging.goals
+        build_each(ui, "Move", goals, lambda name: self._robot(ui, name, goals[name]))
+
+    def _robot(self, ui: Widgets, name: str, goal: JointGoal) -> None:
+        self._sliders.build(ui, goal)
+        if ui.button("home"):
+            goal.set_all(goal.robot.home)
+        ui.tip("the declared pose")
+        ui.same_line()
+        ui.width(4.2)
+        changed, unit = ui.choose("##unit", self._sliders.unit, UNITS)
+        if changed:
+            self._sliders.unit = unit
+        if goal.trouble:
+            ui.text(goal.trouble, "bad")
+        if self._jogging.note:
+            ui.text(self._jogging.note, "quiet")
+        if ui.tree("flange"):
+            base = self._jogging.base(name)
+            pose = self._flange.build(ui, goal, base)
+            if pose is not None:
+                goal.hold_posture()
+                goal.move_flange(base, pose, at_once=True)
+            ui.end_tree()
+        if ui.tree("copy the pose"):
+            self._copy(ui, name, goal)
+            ui.end_tree()
+
+    def _copy(self, ui: Widgets, name: str, goal: JointGoal) -> None:
+        texts: dict[str, Callable[[], str]] = {
+            "TOML": lambda: as_toml(name, goal.angles),
+            "Python": lambda: as_python(name, goal.angles),
+            "command": lambda: as_command(self._world.scene, name, goal.angles),
+        }
+        for label, text in texts.items():
+            if ui.button(label):
+                self._copied = text()
+                ui.copy(self._copied)
+            ui.same_line()
+        ui.label("")
+        if self._copied:
+            ui.lines("##copied", self._copied, self._copied.count("\n") + 2)

@@ -1,0 +1,468 @@
+"""Finds where a camera is from points of the robot whose pixels are known (PnP, by OpenCV).
+
+A point is a frame of the scene, `lwr/flange`, or a joint, `lwr/A3`, whose point is the middle of
+its axis, with an offset along the frame's axes.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.declaration import numbers
+from ...base.errors import DeclarationError, Problem, UsageError, did_you_mean, reason_of
+from ...base.frames import Array, Bools, frame, inverse
+from ...base.paths import open_file
+from ...base.toml_file import key_lines, located, read_toml
+from ...robots.assemble.world_view import WorldView
+from .photo_camera import PhotoCamera, opencv
+
+_LEAST, _LEAST_WITH_FOCAL = 4, 6
+_FLAT = 1e-3  # of their extent; points nearer to a plane or line than this lie in it
+_AMBIGUOUS = 1.5  # times the least error; two cameras whose errors are nearer both fit
+_FEW_PIXELS = 3.0  # what a careful click is off at most
+_MOST_SUBSETS = 1000
+_POOR = 0.05  # of the picture's width that points are off, on average, where nothing fits
+_NO_CAMERA = (
+    "no camera sees the points so; expected the pose that the photo shows, and names that are not "
+    "mixed up"
+)
+_FOCAL = (0.3, 6.0)  # of the picture's larger side
+_SAME_POINT = 2e-3  # m
+_LINK = re.compile(r"link\d+")
+_COLUMNS = ("point", "x", "y")
+_OFFSETS = ("dx", "dy", "dz")
+
+
+@dataclass(frozen=True, eq=False)
+class ClickedPoint:
+    """A point of the robot in a photo.
+
+    Attributes:
+        name: of a frame or joint.
+        pixel: (2,), to the right and down from the centre of the upper left pixel.
+        offset: along the axes of the frame, (3,), m.
+        place: where it is written, for messages.
+    """
+
+    name: str
+    pixel: Array
+    offset: Array
+    place: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A camera that was found.
+
+    Attributes:
+        camera: the camera.
+        errors: how far each point is from where the camera sees it, (k, 2), pixels.
+        used: those that it was found from, (k,); the others are outliers.
+        position_error: standard error of its position, (3,), m.
+        focal_error: standard error of the focal length, pixels; 0 where that was given.
+    """
+
+    camera: PhotoCamera
+    errors: Array
+    used: Bools
+    position_error: Array
+    focal_error: float = 0.0
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the distances of the points that were used, pixels."""
+        return _rms(self.errors[self.used])
+
+
+def point_names(world: WorldView) -> list[str]:
+    """Names that points may have, frames first."""
+    return [*world.frames.names, *_joints(world)]
+
+
+def _joints(world: WorldView) -> dict[str, int]:
+    """The joints of robots by `robot/joint`, and their indices."""
+    found: dict[str, int] = {}
+    for name, part in world.owners.items():
+        if name in world.robots:
+            joints = range(part.joints.start, part.joints.stop)
+            found |= {f"{name}/{world.joints.names[k]}": k for k in joints}
+    return found
+
+
+def points_apart(world: WorldView, data: mujoco.MjData) -> list[str]:
+    """Names of points to click, robot by robot from its base to its flange.
+
+    Frames of links that are where a joint is are left out.
+
+    Args:
+        world: the compiled scene.
+        data: its state, with frames up to date.
+    """
+    ends = [name for name in world.frames.names if not _LINK.fullmatch(name.rpartition("/")[2])]
+    found: dict[str, Array] = {}
+    for name in [*ends, *_joints(world), *world.frames.names]:
+        point = point_of(world, data, name, np.zeros(3))
+        if all(np.linalg.norm(point - other) > _SAME_POINT for other in found.values()):
+            found[name] = point
+    joints, robots = _joints(world), list(world.owners)
+
+    def along(name: str) -> tuple[int, int]:
+        robot, _, point = name.partition("/")
+        return (
+            robots.index(robot) if robot in robots else len(robots),
+            1 if name in joints else 0 if point == "base" else 2,
+        )
+
+    return sorted(found, key=along)
+
+
+def write_points(path: Path, points: Sequence[ClickedPoint]) -> None:
+    """Writes points as a table that `read_points` reads.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    rows = [
+        f"{point.name},{point.pixel[0]:.2f},{point.pixel[1]:.2f},"
+        + ",".join(map(str, point.offset))
+        for point in points
+    ]
+    try:
+        path.write_text("\n".join([",".join((*_COLUMNS, *_OFFSETS)), *rows, ""]), "utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}") from error
+
+
+def full_name(world: WorldView, name: str) -> str:
+    """The name of a point, of which the robot may be left out where it is clear.
+
+    Raises:
+        ValueError: there is no such point, or several robots have one.
+    """
+    names = point_names(world)
+    if name in names:
+        return name
+    ends = [each for each in names if each.rpartition("/")[2] == name]
+    if len(ends) == 1:
+        return ends[0]
+    if ends:
+        raise ValueError(f"found '{name}'; expected one of {', '.join(ends)}")
+    short = [each.rpartition("/")[2] for each in names] if "/" not in name else []
+    raise ValueError(f"no frame or joint '{name}'{did_you_mean(name, short or names)}")
+
+
+def point_of(world: WorldView, data: mujoco.MjData, name: str, offset: Array) -> Array:
+    """Returns a point (3,) in the world, m.
+
+    Args:
+        world: the compiled scene.
+        data: its state, with frames up to date.
+        name: of `point_names`.
+        offset: along the frame's axes, (3,), m.
+    """
+    joints = _joints(world)
+    if name not in joints:
+        T = world.frame(data, name)
+    else:
+        state, site = world.state(data), world.joints.centre_site[joints[name]]
+        T = frame(state.site_xmat[site].reshape(3, 3), state.site_xpos[site])
+    return np.asarray(T[:3, :3] @ offset + T[:3, 3])
+
+
+def read_points(path: Path, world: WorldView, size: tuple[int, int]) -> list[ClickedPoint]:
+    """Reads points from a table or from TOML.
+
+    A .csv has columns `point,x,y` and, if wanted, `dx,dy,dz`; TOML has tables `[[points]]` with
+    `point`, `pixel = [x, y]` and `offset = [dx, dy, dz]`.
+
+    Args:
+        path: the file.
+        world: whose frames and joints are named.
+        size: width and height of the photo, pixels.
+
+    Raises:
+        DeclarationError: with everything that is wrong.
+    """
+    problems: list[Problem] = []
+    if path.suffix.lower() == ".toml":
+        rows = _toml_rows(path, problems)
+    elif path.suffix.lower() == ".csv":
+        rows = _csv_rows(path, problems)
+    else:
+        message = "expected a file of points that ends in .csv or .toml"
+        raise DeclarationError([Problem("", message, str(path))])
+    points = []
+    for row in rows:
+        key, line = row["key"], row["line"]
+        try:
+            name = full_name(world, row["point"])
+            pixel, offset = numbers(row["pixel"]).ravel(), numbers(row["offset"]).ravel()
+            if pixel.size != 2 or offset.size != 3:
+                raise ValueError("expected pixel = [x, y], and offset = [dx, dy, dz] in m")
+            if (pixel < -0.5).any() or (pixel > np.array(size) - 0.5).any():
+                at = ", ".join(f"{value:g}" for value in pixel)
+                raise ValueError(f"pixel {at} is outside of the photo, {size[0]}x{size[1]}")
+        except ValueError as error:
+            problems.append(Problem(key, str(error), str(path), line))
+            continue
+        points.append(ClickedPoint(name, pixel, offset, f"{path}:{line}"))
+    if problems:
+        raise DeclarationError(problems)
+    return points
+
+
+def _toml_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
+    table, lines = read_toml(path), key_lines(path)
+    known = ("point", "pixel", "offset")
+    found = table.get("points")
+    if not isinstance(found, list) or not all(isinstance(row, dict) for row in found):
+        message = 'is required: tables [[points]] with point = "lwr/flange" and pixel = [x, y]'
+        raise DeclarationError([Problem("points", message, str(path))])
+    rows = []
+    for index, row in enumerate(found):
+        key = f"points.{index}"
+        wrong = [Problem(f"{key}.{name}", f"unknown key{did_you_mean(name, known)}")
+                 for name in row if name not in known]  # fmt: skip
+        wrong += [Problem(f"{key}.{name}", "is required") for name in known[:2] if name not in row]
+        if not wrong and not isinstance(row["point"], str):
+            wrong = [Problem(f"{key}.point", f"found {row['point']!r}; expected a name")]
+        problems += [located(problem, path, lines) for problem in wrong]
+        if not wrong:
+            rows.append({"offset": [0, 0, 0], **row, "key": key, "line": lines.get(key)})
+    return rows
+
+
+def _csv_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
+    try:
+        with open_file(path) as file:
+            text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
+            reader = csv.DictReader(text, skipinitialspace=True)
+            header = [name.strip() for name in reader.fieldnames or []]
+            reader.fieldnames = header
+            lines = [(reader.line_num, row) for row in reader]
+    except FileNotFoundError:
+        raise DeclarationError([Problem("", "no such file", str(path))]) from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        message = f"cannot be read: {reason_of(error)}"
+        raise DeclarationError([Problem("", message, str(path))]) from error
+    if not set(_COLUMNS) <= set(header) <= {*_COLUMNS, *_OFFSETS}:
+        message = f"found columns {', '.join(header)}; expected point,x,y and perhaps dx,dy,dz"
+        raise DeclarationError([Problem("", message, str(path), 1)])
+    rows = []
+    for line, row in lines:
+        try:
+            pixel = [float(row[name]) for name in ("x", "y")]
+            offset = [float(row.get(name) or 0.0) for name in _OFFSETS]
+        except (TypeError, ValueError):
+            found = ",".join(str(value) for value in row.values() if value is not None)
+            message = f"found '{found}'; expected a name and pixels"
+            problems.append(Problem("", message, str(path), line))
+            continue
+        rows.append({"point": str(row["point"]).strip(), "pixel": pixel, "offset": offset,
+                     "key": "", "line": line})  # fmt: skip
+    return rows
+
+
+def calibrate(
+    names: Sequence[str], points: Array, pixels: Array, camera: PhotoCamera, *, find_focal: bool
+) -> Calibration:
+    """Finds where a camera is.
+
+    Args:
+        names: of the points, for messages.
+        points: in the world, (k, 3), m.
+        pixels: (k, 2), as OpenCV counts them.
+        camera: with what is known of its lens; its place is not used.
+        find_focal: whether its focal length is to be found as well, the same for x and y.
+
+    Raises:
+        UsageError: there are too few points, they lie on a line, or in a plane so that two cameras
+            see them in the same way, or none sees them so.
+    """
+    least = _LEAST_WITH_FOCAL if find_focal else _LEAST
+    if len(points) < least:
+        what = "where the camera is and its focal length" if find_focal else "where the camera is"
+        more = "; --camera-file with its intrinsics needs 4" if find_focal else ""
+        raise UsageError(f"found {len(points)} points; {what} needs {least} or more{more}")
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] < _FLAT * spread[0]:
+        raise UsageError(
+            "the points lie on a line, about which the camera could turn; expected points beside it"
+        )
+    is_flat = bool(spread[2] < _FLAT * spread[0])
+    if is_flat and find_focal:
+        raise UsageError(
+            "the points lie in a plane, which does not say how far away it is without the focal "
+            "length; expected a point outside of it, or --camera-file with the camera's intrinsics"
+        )
+    used = np.ones(len(points), bool)
+    solver = _Solver(camera, find_focal=find_focal)
+    if len(points) > least + 1:
+        used = solver.without_outliers(points, pixels, least)
+    found = solver.solve(points[used], pixels[used])
+    if is_flat:
+        _check_ambiguity(found, points[used], pixels[used])
+    if not _rms(found.project(points[used])[0] - pixels[used]) < _POOR * found.width:
+        raise UsageError(_NO_CAMERA)
+    projected, depth = found.project(points)
+    for name, ahead in zip(names, depth, strict=True):
+        if ahead <= 0:
+            raise UsageError(
+                f"{name} would be behind the camera; expected points that the photo shows, with "
+                "their names not mixed up"
+            )
+    errors = projected - pixels
+    position_error, focal_error = solver.standard_errors(found, points[used], errors[used])
+    return Calibration(found, errors, used, position_error, focal_error)
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+
+def _check_ambiguity(found: PhotoCamera, points: Array, pixels: Array) -> None:
+    """Raises UsageError where another camera sees points of a plane in nearly the same way."""
+    cv2 = opencv()
+    rays = found.undistort(pixels)[:, None]
+    _, turns, shifts, _ = cv2.solvePnPGeneric(
+        points, rays, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
+    )
+    fits = sorted(
+        _rms(_placed(found, turn, shift).project(points)[0] - pixels)
+        for turn, shift in zip(turns, shifts, strict=True)
+    )
+    best = max(_rms(found.project(points)[0] - pixels), 0.5)
+    if len(fits) > 1 and fits[1] < _AMBIGUOUS * best:
+        raise UsageError(
+            f"the points lie in a plane, and two cameras see them so, {fits[0]:.1f} and "
+            f"{fits[1]:.1f} pixels off; expected a point outside of the plane, the flange say"
+        )
+
+
+def _placed(camera: PhotoCamera, turn: Array, shift: Array) -> PhotoCamera:
+    """The camera at what OpenCV calls rvec and tvec."""
+    rotation = opencv().Rodrigues(np.asarray(turn, float))[0]
+    T_camera_world = frame(rotation, np.asarray(shift, float).ravel())
+    return replace(camera, T_world_camera=inverse(T_camera_world))
+
+
+class _Solver:
+    """Finds one camera from points without outliers."""
+
+    def __init__(self, camera: PhotoCamera, *, find_focal: bool) -> None:
+        self._camera = camera
+        self._find_focal = find_focal
+
+    def solve(self, points: Array, pixels: Array) -> PhotoCamera:
+        """Returns the camera that sees points (k, 3) at pixels (k, 2) best."""
+        if not self._find_focal:
+            return self._pose(self._camera, points, pixels)
+        low, high = np.log(np.array(_FOCAL) * max(self._camera.width, self._camera.height))
+        grid = np.linspace(low, high, 25)
+        best = int(np.argmin([self._misfit(value, points, pixels) for value in grid]))
+        low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+        golden = (np.sqrt(5.0) - 1.0) / 2.0
+        while high - low > 1e-6:
+            a, b = high - golden * (high - low), low + golden * (high - low)
+            if self._misfit(a, points, pixels) < self._misfit(b, points, pixels):
+                high = b
+            else:
+                low = a
+        return self._pose(self._of_focal((low + high) / 2), points, pixels)
+
+    def _of_focal(self, log_focal: float) -> PhotoCamera:
+        matrix = self._camera.matrix.copy()
+        matrix[0, 0] = matrix[1, 1] = np.exp(log_focal)
+        return replace(self._camera, matrix=matrix)
+
+    def _misfit(self, log_focal: float, points: Array, pixels: Array) -> float:
+        found = self._pose(self._of_focal(log_focal), points, pixels)
+        return _rms(found.project(points)[0] - pixels)
+
+    @staticmethod
+    def _pose(camera: PhotoCamera, points: Array, pixels: Array) -> PhotoCamera:
+        cv2 = opencv()
+        # Without distortion, in pixels of the same size.
+        K = camera.matrix
+        plain = camera.undistort(pixels) * (K[0, 0], K[1, 1])
+        diagonal = np.diag([K[0, 0], K[1, 1], 1.0])
+        try:
+            done, turn, shift = cv2.solvePnP(
+                points, plain[:, None], diagonal, None, flags=cv2.SOLVEPNP_SQPNP
+            )
+            if done:
+                turn, shift = cv2.solvePnPRefineLM(
+                    points, plain[:, None], diagonal, None, turn, shift
+                )
+        except cv2.error:  # pixels that are all the same, say
+            done = False
+        if not done or not np.isfinite([turn, shift]).all():
+            raise UsageError(_NO_CAMERA)
+        return _placed(camera, turn, shift)
+
+    def without_outliers(self, points: Array, pixels: Array, least: int) -> Bools:
+        """Returns which points agree, (k,): least median of squares over subsets of them.
+
+        Source: Rousseeuw and Leroy, Robust Regression and Outlier Detection, 1987.
+        """
+        count = len(points)
+        subsets = list(itertools.combinations(range(count), least))
+        if len(subsets) > _MOST_SUBSETS:
+            rng = np.random.default_rng(0)
+            subsets = [subsets[k] for k in rng.choice(len(subsets), _MOST_SUBSETS, replace=False)]
+        if self._find_focal:  # each of these takes longer
+            subsets = subsets[:: max(len(subsets) // 30, 1)]
+        best, distances = np.inf, np.zeros(count)
+        for subset in map(list, subsets):
+            spread = np.linalg.svd(points[subset] - points[subset].mean(axis=0), compute_uv=False)
+            if spread[1] < 0.02 * spread[0]:
+                continue
+            try:
+                found = self.solve(points[subset], pixels[subset])
+            except UsageError:
+                continue
+            projected, depth = found.project(points)
+            off = np.where(depth > 0, np.linalg.norm(projected - pixels, axis=1), np.inf)
+            median = float(np.sort(off)[(count + least) // 2])
+            if median < best:
+                best, distances = median, off
+        limit = max(2.5 * 1.4826 * (1 + 5 / max(count - least, 1)) * best, _FEW_PIXELS)
+        used = distances <= limit if np.isfinite(best) else np.ones(count, bool)
+        if used.sum() < least:
+            return np.ones(count, bool)
+        # Once more, by the camera of all that agree: a subset's own is less exact.
+        found = self.solve(points[used], pixels[used])
+        off = np.linalg.norm(found.project(points)[0] - pixels, axis=1)
+        return np.asarray(off <= max(limit, 3.0 * _rms((off[used])[:, None])))
+
+    def standard_errors(
+        self, found: PhotoCamera, points: Array, errors: Array
+    ) -> tuple[Array, float]:
+        """Of the position (3,), m, and of the focal length, pixels, by linear regression."""
+
+        def moved(step: Array) -> Array:
+            turn = opencv().Rodrigues(step[:3])[0]
+            T = found.T_world_camera @ frame(turn)
+            T[:3, 3] += step[3:6]
+            matrix = found.matrix.copy()
+            matrix[[0, 1], [0, 1]] += step[6]
+            return replace(found, T_world_camera=T, matrix=matrix).project(points)[0].ravel()
+
+        count = 7 if self._find_focal else 6
+        steps = np.eye(7)[:count] * np.array([1e-5] * 6 + [1e-2])
+        J = np.stack([(moved(s) - moved(-s)) / (2 * s.sum()) for s in steps], axis=1)
+        free = max(J.shape[0] - count, 1)
+        variance = max(float((errors**2).sum()) / free, 0.25**2)  # clicks are a quarter pixel off
+        covariance = np.linalg.pinv(J.T @ J) * variance
+        deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        return deviation[3:6], float(deviation[6]) if self._find_focal else 0.0

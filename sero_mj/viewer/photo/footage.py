@@ -1,0 +1,172 @@
+"""Photos and videos of real robots, read from files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from ...base.errors import RenderError, reason_of
+from ...base.paths import open_file
+
+Pixels = NDArray[np.uint8]
+PHOTOS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+_MOST_PIXELS = 16384**2
+_SAME = 1e-4  # s
+_FPS = 30.0  # where a video does not say
+
+
+def is_photo(path: Path) -> bool:
+    """Whether a file's name is that of a photo, and not that of a video."""
+    return path.suffix.lower() in PHOTOS
+
+
+def read_photo(path: Path) -> Pixels:
+    """Reads a photo, (height, width, 3), upright as OpenCV reads it.
+
+    Raises:
+        RenderError: it cannot be read.
+    """
+    try:
+        with open_file(path) as file, Image.open(file) as picture:
+            if picture.width * picture.height > _MOST_PIXELS:
+                raise RenderError(f"{path}: {picture.width}x{picture.height} is too large a photo")
+            return np.array(ImageOps.exif_transpose(picture).convert("RGB"))
+    except FileNotFoundError:
+        raise RenderError(f"{path}: no such file") from None
+    except UnidentifiedImageError:
+        raise RenderError(f"{path}: is no photo that can be read ({', '.join(PHOTOS)})") from None
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise RenderError(f"{path}: cannot be read: {reason_of(error)}") from error
+
+
+class Video:
+    """A video, read from its beginning; a context manager.
+
+    Args:
+        path: the file.
+
+    Attributes:
+        path: the file.
+        size: width and height of its frames as they are to be seen, pixels.
+        fps: frames per second, on average.
+        duration: s; 0 where the file does not say.
+
+    Raises:
+        RenderError: it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            open_file(path).close()
+            self._container = av.open(str(path))
+        except FileNotFoundError:
+            raise RenderError(f"{path}: no such file") from None
+        except (av.FFmpegError, OSError, ValueError) as error:
+            reason = reason_of(error)
+            raise RenderError(f"{path}: is no video that can be read: {reason}") from error
+        if not self._container.streams.video:
+            self._container.close()
+            raise RenderError(f"{path}: has no video in it; expected a file with pictures")
+        self._stream = self._container.streams.video[0]
+        self._stream.thread_type = "AUTO"
+        self.fps = float(self._stream.average_rate or self._stream.guessed_rate or _FPS)
+        length = self._container.duration
+        self.duration = 0.0 if length is None else length / 1e6
+        self._first: float | None = None  # time of the first frame, as the file counts
+        try:
+            first = next(self.frames())[1]
+        except (StopIteration, RenderError):
+            self._container.close()
+            raise RenderError(f"{path}: not one frame of it can be read") from None
+        self.size = (first.shape[1], first.shape[0])
+
+    def frames(self, begin: float = 0.0) -> Iterator[tuple[float, Pixels]]:
+        """Yields frames: their times since the first one, s, and pixels.
+
+        What is damaged ends it, with all frames before.
+
+        Args:
+            begin: time up to which frames may be left out, s.
+
+        Raises:
+            RenderError: there is nothing to be read.
+        """
+        stream = self._stream
+        step = 1.0 / self.fps
+        time, is_any = -step, False
+        try:
+            if begin > 0.0 and self._first is not None:
+                self._container.seek(round((self._first + begin) * 1e6))
+            else:
+                self._container.seek(0)
+            for frame in self._container.decode(stream):
+                found = float(Fraction(frame.pts or 0) * (stream.time_base or 0))
+                self._first = found if self._first is None else self._first
+                # Without good times frames are counted.
+                since = found - self._first
+                time = since if since > time else time + step
+                is_any = True
+                yield time, upright(frame)
+        except (av.FFmpegError, OSError, ValueError) as error:
+            if not is_any:
+                raise RenderError(f"{self.path}: cannot be read: {reason_of(error)}") from error
+
+    def close(self) -> None:
+        """Closes the file."""
+        self._container.close()
+
+    def __enter__(self) -> Video:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def read_frame(path: Path, time: float) -> Pixels:
+    """Reads the frame of a video that is seen at a time, s since the first one.
+
+    Raises:
+        RenderError: the video cannot be read, or has no such frame.
+    """
+    with Video(path) as video:
+        found, last = None, 0.0
+        for at, pixels in video.frames(time):
+            if at > time + _SAME:
+                break
+            found, last = pixels, at
+        if found is None or time > last + 1.5 / video.fps:
+            end = f" to {video.duration:.2f}" if video.duration else " on"
+            raise RenderError(f"{path}: has no frame at {time:.2f} s; its frames are from 0{end} s")
+        return found
+
+
+def at_rate(video: Video, fps: float, duration: float | None) -> Iterator[tuple[float, Pixels]]:
+    """Yields frames at a rate, each with its own time: those of phones vary."""
+    shown = 0
+    last: tuple[float, Pixels] | None = None
+    for frame in video.frames():
+        if last is not None:
+            while shown / fps < frame[0] - 0.5 / fps and (
+                duration is None or shown / fps < duration
+            ):
+                yield last
+                shown += 1
+        last = frame
+        if duration is not None and shown / fps >= duration:
+            return
+    if last is not None and (duration is None or shown / fps < duration):
+        yield last
+
+
+def upright(frame: av.VideoFrame) -> Pixels:
+    """Returns the pixels of a frame as it is to be seen: phones write how they were held."""
+    pixels = frame.to_ndarray(format="rgb24")
+    turns = round(getattr(frame, "rotation", 0) / 90) % 4
+    return np.ascontiguousarray(np.rot90(pixels, turns))

@@ -1,0 +1,286 @@
+"""The time that a live viewer shows: real for what is live, the user's for all the rest."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+
+import numpy as np
+
+from ...data.drive.mirror import LiveWorld
+from ..tools.live_history import LiveHistory
+from ..tools.torque_history import SPAN
+
+SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
+_STEP = 1.0 / 60.0  # s, of a recording that has no time step
+_PIECE = 0.05  # s that are simulated at once, and
+# s of real time after which a frame is shown, so that the window stays alive; where the rest of a
+# frame takes longer, that long, which makes half as many frames at worst.
+_PATIENCE = 0.03
+_FINE = 0.004  # s between moments, so that no spike of 5 ms is missed at real time,
+_MOST_MOMENTS = 20  # of which a frame has at most so many
+_FLOWS = 0.5  # s; what goes on by more has jumped
+_PAST_MOMENTS = 120  # in which what plots show before a jump's end is gone through
+_SMOOTHING = 0.1  # of the speed that is shown, for every frame
+_LONGEST_FRAME = 0.5  # s; what stood still for longer (a laptop asleep) does not jump
+
+
+class Clock:
+    """Says which moment a mirror shows, frame by frame.
+
+    Live sources have the real time. They can be held still, and what they showed in the last minute
+    can be seen again while they go on; what comes in the meantime is not missed.
+
+    Args:
+        mirror: is driven; must be open.
+
+    Attributes:
+        is_live: whether a source follows the real time.
+        is_past: whether it is live, and shows what has passed.
+        is_playing: whether there is a source, which has a speed; else the user sets all inputs.
+        is_paused: whether it stands still.
+        speed: shown s per real s.
+        time: shown, s since the start.
+        begin: of the time line, s.
+        end: of the time line, s; None where a source has no end. Of what is live, or simulated
+            without an end, the newest moment.
+        step_size: of a single step, s.
+        on_moment: called whenever the mirror has moved on; with it, recordings and simulations go
+            on in steps that are as fine at a low frame rate, so that a plot misses little. One that
+            is set later hears first of what was before, as after a jump.
+        real_speed: what came of `speed` in the last frames; a simulation may be slower.
+    """
+
+    def __init__(self, mirror: LiveWorld) -> None:
+        self._mirror = mirror
+        self.is_live = mirror.is_live
+        self.is_playing = bool(mirror.sources)
+        self.is_paused = False
+        self.speed = 1.0
+        self.real_speed = 1.0
+        self.on_moment: Callable[[], None] | None = None
+        self.time = self.begin = 0.0
+        self.is_past = self._goes_on_from_there = False
+        has_history = self.is_live and mirror.has_states
+        self._history = LiveHistory(mirror) if has_history else None
+        sources = mirror.sources.values()
+        ends = [source.end for source in sources if source.end is not None]
+        is_endless = self.is_live or len(ends) < len(sources)
+        self.end = None if is_endless else max(ends, default=None)
+        # Where a simulation has no end, its time line moves.
+        self._growing = [] if self.is_live else [s for s in sources if s.newest is not None]
+        self._move_line()
+        steps = [source.step for source in sources if source.step is not None]
+        self.step_size = min(steps, default=_STEP)
+        self._shown: float | None = None  # what the mirror stands at
+        self._is_heard = True  # whether somebody heard of that
+        self._simulated = 0.0  # as far as it is simulated
+        self._simulates = bool(steps)
+        self._passed = self._simulating = 0.0  # s for the last frame, and for simulating in it
+
+    @property
+    def is_at_end(self) -> bool:
+        """Whether it has come to the end of the time line."""
+        return self._has_end and self.end is not None and self.time >= self.end
+
+    @property
+    def _has_end(self) -> bool:
+        """Whether time stops there."""
+        return not (self.is_live or self._growing)
+
+    def _move_line(self) -> None:
+        """Brings the ends of a time line that moves up to date."""
+        if self._growing:
+            self.begin = max(source.begin for source in self._growing)
+            self.end = max(source.newest or 0.0 for source in self._growing)
+
+    @property
+    def can_go_back(self) -> bool:
+        """Whether what has passed can be shown."""
+        return not self.is_live or self._history is not None
+
+    def advance(self, passed: float) -> bool:
+        """Goes on by so many real s and brings the mirror there.
+
+        Returns:
+            whether anything may look different.
+        """
+        if self.is_live:
+            return self._follow(passed)
+        if self.is_paused or self.is_at_end:
+            self.real_speed = self.speed
+            return self._show()
+        before = self.time
+        self._passed = min(passed, _LONGEST_FRAME)
+        self.time += self.speed * self._passed
+        if self._has_end and self.end is not None and self.time >= self.end:
+            self.time, before = self.end, self.end - self.speed * passed  # no fault of its speed
+        changed = self._show()
+        self._move_line()
+        passed = max(passed, 1e-6)
+        self.real_speed += _SMOOTHING * ((self.time - before) / passed - self.real_speed)
+        return changed
+
+    def _follow(self, passed: float) -> bool:
+        """Brings a live mirror up to date, and shows it or what has passed."""
+        history = self._history
+        if history is None:
+            if not self.is_paused:
+                self._mirror.advance()
+            return not self.is_paused
+        if self.is_past:
+            history.put_back()
+        elif self.is_paused and self.end:
+            history.keep()  # what was shown last, where it stands still
+        self._mirror.advance()
+        if self.on_moment is not None:
+            self.on_moment()
+        history.add()
+        self.begin, self.end = history.begin, history.end
+        if self.is_past and not self.is_paused:
+            self.time += self.speed * min(passed, _LONGEST_FRAME)
+            self.is_past = self.time < self.end
+        elif self.is_paused and not self.is_past:
+            self.is_past = True  # at the moment that was shown last
+        if not self.is_past:
+            self.time, self.speed = self.end, 1.0
+            return True
+        self.time = max(self.time, self.begin)
+        history.show(self.time)
+        return True
+
+    def go_live(self) -> str:
+        """Shows what is live, or the end of the time line; returns what to tell the user."""
+        if not self.is_live:
+            if self.end is None:
+                return "no end"
+            self.seek(self.end)
+            if self._has_end:
+                return "at the end"
+            self.is_paused = False
+            return "goes on from now"
+        self.is_past = self.is_paused = self._goes_on_from_there = False
+        if self._history is not None:
+            self._history.put_back()
+        return "live"
+
+    def _show(self) -> bool:
+        jumps = not self._is_heard and self.on_moment is not None
+        if self.time == self._shown and self._mirror.sources and not jumps:
+            return False
+        goal = self.time
+        if self._simulates and goal > self._simulated:
+            goal = self._simulate(goal)
+        for moment in self._moments(goal, jumps=jumps):
+            self._mirror.advance(moment)
+            if self.on_moment is not None:
+                self.on_moment()
+        self._shown, self._is_heard = goal, self.on_moment is not None
+        return True
+
+    def _moments(self, goal: float, *, jumps: bool) -> list[float]:
+        """What is shown until then: more than a frame's end where somebody listens."""
+        if self.on_moment is None:
+            return [goal]
+        passed = goal - (goal if self._shown is None else self._shown)
+        if jumps or passed < 0 or passed > _FLOWS:  # plots show what was before it
+            begin = max(goal - SPAN, 0.0)
+            return np.linspace(begin, goal, _PAST_MOMENTS).tolist() if goal else [goal]
+        if not passed:
+            return [goal]
+        count = min(max(round(passed / _FINE), 1), _MOST_MOMENTS)
+        return [goal - passed * k / count for k in range(count - 1, -1, -1)]
+
+    def _simulate(self, goal: float) -> float:
+        """Simulates until then, or for as long as a frame may take; returns how far it came."""
+        begin = clock.monotonic()
+        patience = max(_PATIENCE, self._passed - self._simulating)
+        while self._simulated < goal and clock.monotonic() - begin < patience:
+            self._simulated = min(self._simulated + _PIECE, goal)
+            for source in self._mirror.sources.values():
+                source.advance_to(self._simulated)
+        self._simulating = clock.monotonic() - begin
+        if not self.is_paused:
+            self.time = self._simulated
+        return self._simulated
+
+    def pause(self) -> str:
+        """Stands still, or goes on; returns what to tell the user."""
+        if self.is_at_end:
+            self.seek(0.0)
+            self.is_paused = False
+            return "from the start"
+        self.is_paused = not self.is_paused
+        if self.is_live and not self.is_paused and not self._goes_on_from_there:
+            return self.go_live()
+        return "paused" if self.is_paused else "goes on"
+
+    def step(self, count: int = 1) -> str:
+        """Stands still, some steps further on (or back); returns what to tell the user."""
+        self.is_paused = True
+        if self.is_live and self._history is None:
+            self._mirror.advance()
+            return "paused; shows the latest packet"
+        if self.is_live:
+            wanted = self.time + count * self.step_size
+            if count > 0 and wanted >= (self.end or 0.0):
+                self.go_live()
+                self._follow(0.0)
+                self.is_paused = True
+                return "paused; shows the latest packet"
+            self.seek(wanted)
+            return f"{time_text((self.end or 0.0) - self.time)} ago"
+        self.seek(self.time + count * self.step_size)
+        return f"at {self.time:.3f} s"
+
+    def faster(self, times: int) -> str:
+        """Changes the speed by so many places of `SPEEDS`; returns what to tell the user."""
+        if self.is_live and not self.is_past:
+            return "live: the speed is the robot's"
+        nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - self.speed))
+        self.speed = self.real_speed = SPEEDS[min(max(nearest + times, 0), len(SPEEDS) - 1)]
+        return f"speed {self.speed:g}"
+
+    def reset(self) -> str:
+        """Goes back to the start; returns what to tell the user."""
+        if self.is_live:
+            is_paused = self.is_paused
+            self.go_live()
+            self._mirror.reset()
+            # At once, also where it stands still: the declared pose never came from the robot.
+            self._follow(0.0)
+            self.is_paused = is_paused
+            return "reset to the declared pose, then the latest packets"
+        self.seek(0.0)
+        return "back to the start"
+
+    def seek(self, time: float) -> None:
+        """Goes to a time, s, within the time line, from where it goes on.
+
+        Of what is live the newest moment is no past; without effect where nothing of it is kept.
+        """
+        if self.is_live and (self._history is None or self.end is None):
+            return
+        end = float("inf") if self.end is None else self.end
+        self.time = min(max(time, self.begin), end)
+        if self.is_live:
+            self.is_past = self._goes_on_from_there = self.time < end
+            if not self.is_past:
+                self.go_live()
+
+    def go_to_start(self) -> None:
+        """Goes on at the start of what has begun anew."""
+        self.time = self._simulated = 0.0
+        self._shown, self.is_paused = None, False
+        self._move_line()
+
+
+def time_text(time: float) -> str:
+    """A time as people write it: `3.42 s`, or `12:03.4` from a minute on."""
+    if time < 60:
+        return f"{time:.2f} s"
+    minutes, seconds = divmod(time, 60)
+    if minutes < 60:
+        return f"{minutes:.0f}:{seconds:04.1f}"
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours:.0f}:{minutes:02.0f}:{seconds:02.0f}"

@@ -1,0 +1,77 @@
+"""Views as their user left them: one file for every scene, in the user's state folder."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from platformdirs import user_state_path
+
+from ...base.errors import UsageError
+from ...robots.assemble.scene import Scene
+from .view_state import ViewState
+
+log = logging.getLogger(__name__)
+
+_MOST_BYTES = 100_000
+
+
+def file_of(scene: Scene) -> Path:
+    """Returns where the view of a scene is kept: by its file or name, and by who is in it."""
+    name = scene.name if scene.file is None else str(scene.file.resolve())
+    name = "\n".join([name, *scene.robots, *scene.doubles])
+    digest = hashlib.sha256(name.encode()).hexdigest()[:16]
+    stem = "".join(c if c.isalnum() else "_" for c in Path(scene.argument).stem)[:40]
+    return state_folder() / "views" / f"{stem}-{digest}.json"
+
+
+def state_folder() -> Path:
+    """Returns the user's folder for what is kept from one start to the next."""
+    return user_state_path("sero-mj", appauthor=False)
+
+
+def write_state(path: Path, data: bytes) -> None:
+    """Writes a file of that folder, whole or not at all; says in the log where it cannot."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(f".{os.getpid()}")
+        part.write_bytes(data)
+        part.replace(path)
+    except OSError as error:
+        log.info("not kept: %s: %s", path, error)
+
+
+def keep_view(scene: Scene, state: ViewState, layout: Mapping[str, bool]) -> None:
+    """Keeps a view for the next time; says in the log where it cannot.
+
+    Args:
+        scene: that was shown.
+        state: what its user has set; the time is not kept.
+        layout: which parts of the window or page were shown.
+    """
+    text = json.dumps({"view": state._replace(time=None).to_text(), "layout": dict(layout)})
+    write_state(file_of(scene), text.encode())
+
+
+def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool]] | None:
+    """Returns a view that was kept, and the layout; None for none.
+
+    Raises:
+        UsageError: the file is damaged.
+    """
+    path = file_of(scene)
+    try:
+        with path.open("rb") as file:
+            text = file.read(_MOST_BYTES)
+    except OSError:
+        return None
+    try:
+        found = json.loads(text)
+        layout = {str(name): bool(on) for name, on in found["layout"].items()}
+        return ViewState.from_text(found["view"]), layout
+    except (ValueError, KeyError, TypeError, AttributeError, UsageError) as error:
+        raise UsageError(f"{path}: found no view ({error}); --fresh makes a new one") from None

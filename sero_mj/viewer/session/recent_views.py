@@ -1,0 +1,92 @@
+"""What was viewed lately, with pictures of how it was left, in the user's state folder."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+from PIL import Image
+
+from ...base import paths
+from ..headless.film import Pixels
+from .kept_views import state_folder, write_state
+
+MOST = 8
+PICTURE_SIZE = (480, 300)  # pixels
+
+
+class RecentView(NamedTuple):
+    """What was viewed.
+
+    Attributes:
+        scene: the name of what is shipped, or the absolute path of a file.
+        replay: the absolute path of the recording that was played; empty for none.
+    """
+
+    scene: str
+    replay: str = ""
+
+    @property
+    def picture(self) -> Path:
+        """The file of its last picture, if one was kept."""
+        digest = hashlib.sha256("\n".join(self).encode()).hexdigest()[:16]
+        return state_folder() / "recent" / f"{digest}.jpg"
+
+    @property
+    def is_shipped(self) -> bool:
+        """Whether the scene is shipped with sero-mj."""
+        return paths.shipped_file(self.scene) is not None
+
+    @property
+    def is_there(self) -> bool:
+        """Whether its files still are."""
+        files = [Path(name) for name in self if name]
+        return all(file.exists() for file in (files[1:] if self.is_shipped else files))
+
+
+def recent_views() -> list[RecentView]:
+    """Returns what was viewed lately and is still there, the latest first."""
+    return [view for view in _read() if view.is_there]
+
+
+def remember_view(view: RecentView, pixels: Pixels | None) -> None:
+    """Remembers a view as the latest.
+
+    Args:
+        view: what was viewed.
+        pixels: its picture, (height, width, 3), uint8; None to keep the one that there is.
+    """
+    before = [each for each in _read() if each != view]
+    kept = [view, *before[: MOST - 1]]
+    if pixels is not None:
+        stream = io.BytesIO()
+        cut_to(Image.fromarray(pixels), PICTURE_SIZE).save(stream, "JPEG", quality=88)
+        write_state(view.picture, stream.getvalue())
+    write_state(_file(), json.dumps([each._asdict() for each in kept]).encode())
+    for each in before[MOST - 1 :]:
+        each.picture.unlink(missing_ok=True)
+
+
+def cut_to(image: Image.Image, size: tuple[int, int]) -> Image.Image:
+    """Returns the middle of a picture in another size, pixels."""
+    scale = max(size[0] / image.width, size[1] / image.height)
+    wide, high = size[0] / scale, size[1] / scale
+    left, top = (image.width - wide) / 2, (image.height - high) / 2
+    return image.resize(size, Image.Resampling.LANCZOS, (left, top, left + wide, top + high))
+
+
+def _file() -> Path:
+    return state_folder() / "recent.json"
+
+
+def _read() -> list[RecentView]:
+    """What is remembered; nothing where the file is damaged, which the next view mends."""
+    try:
+        found = json.loads(_file().read_bytes())
+        views = [RecentView(str(each["scene"]), str(each["replay"])) for each in found]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+    return [view for view in views if "\0" not in view.scene + view.replay][:MOST]

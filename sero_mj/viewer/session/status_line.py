@@ -1,0 +1,88 @@
+"""The status line of live hosts: sources, time, frame rate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Literal
+
+from ...data.receive.report import report
+from ...data.receive.source import Source
+from ..decor.status import SHOWN_FOR
+from .clock import Clock, time_text
+
+Mood = Literal["good", "quiet", "bad", "plain"]
+Piece = tuple[str, Mood]
+
+_SEEN_LOSS = 0.0005  # fraction of lost packets below which their number is shown
+_SLOW = 0.85  # fraction of the selected speed below which the actual speed is shown
+
+
+def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
+    """Returns a short description of a source, and its mood.
+
+    Args:
+        found: as returned by `report`.
+        is_live: whether the source follows real time.
+    """
+    name = found["source"]
+    if not is_live:
+        return str(found["about"]), "plain"
+    if found["age"] is None:
+        malformed = f", {found['malformed']} not applied" if found["malformed"] else ""
+        return f"{name}: no data yet{malformed}", "bad" if malformed else "quiet"
+    fault_age = found["fault_age"]
+    is_faulty = fault_age is not None and fault_age < SHOWN_FOR
+    if not found["receiving"]:
+        what = "nothing usable" if is_faulty else "quiet"
+        return f"{name}: {what} for {found['age']:.1f} s{_loss(found)}", "bad"
+    text = f"{name}: {found['rate']:.0f}/s, {1e3 * found['age']:.0f} ms old{_loss(found)}"
+    return text, "bad" if is_faulty else "good"
+
+
+def _loss(found: dict[str, Any]) -> str:
+    lost = found["lost"] + found["dropped"]
+    text = ""
+    if lost:
+        share = lost / max(found["received"] + lost, 1)
+        text = f", {lost} lost" if share < _SEEN_LOSS else f", {100 * share:.1f} % lost"
+    return text + (f", {found['malformed']} not applied" if found["malformed"] else "")
+
+
+def clock_text(clock: Clock) -> Piece:
+    """Returns the displayed time and its speed."""
+    if clock.is_live:
+        ago = (clock.end or 0.0) - clock.time
+        when = f"{time_text(ago)} ago" if clock.is_past else ""
+        if clock.is_paused:
+            return f"PAUSED  {when}".rstrip(), "bad"
+        return (
+            (f"NOT LIVE  {when}  x{clock.speed:g}", "quiet") if clock.is_past else ("live", "plain")
+        )
+    if not clock.is_playing:
+        text = time_text(clock.time)
+        return (f"{text}  PAUSED", "bad") if clock.is_paused else (text, "plain")
+    end = f" / {time_text(clock.end)}" if clock.end is not None else ""
+    text = f"{time_text(clock.time)}{end}  x{clock.speed:g}"
+    if clock.real_speed < _SLOW * clock.speed:
+        text += f" (only {clock.real_speed:.2g})"
+    if clock.is_at_end:
+        return f"{text}  end", "quiet"
+    return (f"{text}  PAUSED", "bad") if clock.is_paused else (text, "plain")
+
+
+def status_pieces(sources: Iterable[Source], clock: Clock, frame_rate: float) -> list[Piece]:
+    """Returns all parts of the status line, the most important first.
+
+    Args:
+        sources: of the mirror.
+        clock: of the mirror.
+        frame_rate: of the window, frames/s.
+    """
+    pieces = [clock_text(clock)]
+    for source in sources:
+        if source.error is not None:
+            pieces.append((f"{source.name}: {source.error}", "bad"))
+        else:
+            pieces.append(source_text(report(source), is_live=source.is_live))
+    pieces.append((f"{frame_rate:.0f} frames/s", "plain"))
+    return pieces

@@ -1,0 +1,215 @@
+"""What a user has set of a view: camera, switches, selection; as text for commands and links."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from ...base.errors import SeroError, UnknownName, UsageError, did_you_mean
+from ...robots.assemble.robot_parts import ARROW_QUANTITIES
+from ...robots.assemble.world_view import WorldView
+from ..camera import find_camera
+from ..decor.toggles import Toggles
+from ..tools.torque_history import joint_name
+
+# Fields of `Toggles` that are switches.
+SWITCH_NAMES = (
+    "arrows", "arrow_quantity", "billboards", "details", "axes", "frame_names", "vectors", "cards",
+    "doubles", "legend", "status", "flange_checks",
+)  # fmt: skip
+# Also taken, but set by nobody: whether torques are those of the model, which the legend tells.
+MODELLED = "modelled"
+_DECIMALS = 4  # of degrees and m
+_MOST_CHARACTERS = 20_000  # of a state as text
+_CAMERA = ("type", "fixedcamid", "trackbodyid", "azimuth", "elevation", "distance")
+_SWITCHES = (*SWITCH_NAMES, "clicked")
+
+
+class ViewState(NamedTuple):
+    """What a user has set of a view.
+
+    Attributes:
+        camera: as `find_camera` takes it; empty for the scene's own view.
+        switches: that are not as the scene declares, as `apply_switches` takes them.
+        joint: that is selected, `lwr/A2`; empty for none.
+        time: that is shown, s; None where it goes on by itself.
+    """
+
+    camera: str = ""
+    switches: Mapping[str, str] = {}
+    joint: str = ""
+    time: float | None = None
+
+    def to_text(self) -> str:
+        """As JSON in one line, without what is as declared."""
+        found = {
+            name: value for name, value in self._asdict().items() if value not in ("", {}, None)
+        }
+        return json.dumps(found, separators=(",", ":"))
+
+    @classmethod
+    def from_text(cls, text: str) -> ViewState:
+        """From JSON.
+
+        Raises:
+            UsageError: it is no such text.
+        """
+        try:
+            found = json.loads(text[: _MOST_CHARACTERS + 1])
+            state = cls(**found)
+            switches = {str(key): str(value) for key, value in state.switches.items()}
+            time = None if state.time is None else float(state.time)
+        except (ValueError, TypeError, AttributeError) as error:
+            raise UsageError(f"found no state of a view in {text[:60]!r}: {error}") from None
+        return cls(str(state.camera), switches, str(state.joint), time)
+
+
+def rounded_camera(camera: mujoco.MjvCamera) -> None:
+    """Rounds a free camera's numbers to those of its text; nobody sees that."""
+    camera.azimuth = round(camera.azimuth, _DECIMALS)
+    camera.elevation = round(camera.elevation, _DECIMALS)
+    camera.distance = max(round(camera.distance, _DECIMALS), 10.0**-_DECIMALS)
+    camera.lookat = np.round(camera.lookat, _DECIMALS) + 0.0
+
+
+def camera_text(world: WorldView, camera: mujoco.MjvCamera) -> str:
+    """Returns a camera as `find_camera` takes it: its name, or six numbers."""
+    if int(camera.type) == int(mujoco.mjtCamera.mjCAMERA_FIXED):
+        return str(world.model.camera(camera.fixedcamid).name)
+    numbers = (camera.azimuth, camera.elevation, camera.distance, *camera.lookat)
+    return ",".join(f"{round(float(number), _DECIMALS) + 0.0:.10g}" for number in numbers)
+
+
+def switches_text(world: WorldView, toggles: Toggles) -> dict[str, str]:
+    """Returns the switches that are not as declared: a digit for each item, or one for all."""
+    declared = Toggles(world)
+    found = {}
+    for name in SWITCH_NAMES:
+        now = np.atleast_1d(getattr(toggles, name)).astype(int)
+        if np.array_equal(now, np.atleast_1d(getattr(declared, name)).astype(int)):
+            continue
+        digits = now[:1] if len(now) and (now == now[0]).all() else now
+        found[name] = "".join(map(str, digits.tolist()))
+    return found
+
+
+def apply_switches(
+    world: WorldView, toggles: Toggles, given: Mapping[str, str], selected: str | None = None
+) -> None:
+    """Sets switches.
+
+    Args:
+        world: the compiled scene.
+        toggles: changed in place.
+        given: by name, see `SWITCH_NAMES`: a digit for each item (joint, frame, ...), or one for
+            all; 1 is on, and `arrow_quantity` counts the quantities from 0.
+        selected: the joint to be lit, `lwr/A2`; as it is when None.
+
+    Raises:
+        UsageError: no such switch, other digits, or not as many as there are items.
+        UnknownName: no such joint.
+    """
+    if selected is not None:
+        toggles.selected = _find_joint(world, selected)
+    for name, digits in given.items():
+        if name not in (*SWITCH_NAMES, MODELLED):
+            raise UsageError(f"no switch '{name}'{did_you_mean(name, SWITCH_NAMES)}")
+        most = len(ARROW_QUANTITIES) - 1 if name == "arrow_quantity" else 1
+        if not digits or any(digit not in "0123456789"[: most + 1] for digit in digits):
+            raise UsageError(f"{name}: found '{digits}'; expected digits from 0 to {most}")
+        now = getattr(toggles, name)
+        if isinstance(now, bool):
+            setattr(toggles, name, digits == "1")
+            continue
+        if len(digits) not in (1, len(now)):
+            found = f"{name}: found {len(digits)} digits"
+            raise UsageError(f"{found}; expected one, or {len(now)}: one for each")
+        now[:] = [int(digit) for digit in digits] if len(digits) == len(now) else int(digits)
+
+
+def _find_joint(world: WorldView, name: str) -> int:
+    names = [joint_name(world, i) for i in range(len(world.joints.names))]
+    if name not in names:
+        raise UnknownName("joint", name, names)
+    return names.index(name)
+
+
+def apply_state(
+    world: WorldView, toggles: Toggles, state: ViewState
+) -> tuple[mujoco.MjvCamera | None, int | None, list[str]]:
+    """Applies a state to the switches of a world, as far as it fits.
+
+    Args:
+        world: the compiled scene, which may have changed since.
+        toggles: changed in place.
+        state: what was set.
+
+    Returns:
+        its camera, None for the scene's view; the selected joint; and what does not fit.
+    """
+    wrong: list[str] = []
+    camera = None
+    toggles.reset()
+    for name, digits in state.switches.items():
+        try:
+            apply_switches(world, toggles, {name: digits})
+        except SeroError as error:
+            wrong.append(str(error))
+    if state.camera:
+        try:
+            camera = find_camera(world, state.camera)
+        except SeroError as error:
+            wrong.append(str(error))
+    toggles.selected = None
+    if state.joint:
+        try:
+            toggles.selected = _find_joint(world, state.joint)
+        except SeroError as error:
+            wrong.append(str(error))
+    return camera, toggles.selected, wrong
+
+
+class Seen(NamedTuple):
+    """What a user can take back of a view, to the last bit; equal ones look the same.
+
+    Attributes:
+        camera: type, ids of camera and body, azimuth, elevation and distance.
+        lookat: (3,), m; None where the camera goes along with something.
+        switches: of `SWITCH_NAMES`, then which billboards were clicked on, as bytes.
+        selected: joint.
+        poses: names of the robots that are moved by hand, and their joint angles as bytes.
+    """
+
+    camera: tuple[float, ...]
+    lookat: tuple[float, ...] | None
+    switches: tuple[bytes, ...]
+    selected: int | None
+    poses: tuple[tuple[str, bytes], ...] = ()
+
+    @classmethod
+    def of(cls, camera: mujoco.MjvCamera, toggles: Toggles, *, follows: bool) -> Seen:
+        """What a camera and toggles are now; `follows` says whether it goes along."""
+        return cls(
+            tuple(getattr(camera, name) for name in _CAMERA),
+            None if follows else tuple(camera.lookat.tolist()),
+            tuple(np.asarray(getattr(toggles, name)).tobytes() for name in _SWITCHES),
+            toggles.selected,
+        )
+
+    def show(self, camera: mujoco.MjvCamera, toggles: Toggles) -> None:
+        """Makes a camera and toggles like that."""
+        for name, value in zip(_CAMERA, self.camera, strict=True):
+            setattr(camera, name, value)
+        if self.lookat is not None:
+            camera.lookat = self.lookat
+        for name, kept in zip(_SWITCHES, self.switches, strict=True):
+            now = getattr(toggles, name)
+            if isinstance(now, bool):
+                setattr(toggles, name, kept != b"\0")
+            else:
+                now[:] = np.frombuffer(kept, now.dtype)
+        toggles.selected = self.selected

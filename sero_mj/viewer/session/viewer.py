@@ -1,0 +1,328 @@
+"""`view`: shows a scene in a window or on a web page, beside the user's own loop."""
+
+from __future__ import annotations
+
+import atexit
+import copy
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+from urllib.parse import urlsplit
+
+import mujoco
+
+from ...base.errors import RenderError, UsageError, did_you_mean
+from ...data.drive.mirror import LiveWorld, Mirror
+from ...load import load_scene
+from ...robots.assemble.robot import SerialRobot
+from ...robots.assemble.scene import Scene
+from ...robots.assemble.surroundings import Look
+from ...robots.assemble.world_view import WorldView
+from ...robots.external.model_world import ModelWorld
+from ..headless.backend import has_display
+from ..headless.film import Picture
+from ..headless.render import DEFAULT_SIZE
+from ..overlay import Overlay
+from ..tools.robot_inputs import RobotInputs
+from .live import OnClick
+from .viewer_memory import OverlayMemory, SceneMemory, ViewerMemory
+from .viewer_process import ViewerProcess
+
+if TYPE_CHECKING:
+    from ..web.host import WebHost
+
+_shown: list[Viewer] = []  # those that are open, also where nobody holds them (in a notebook)
+
+
+class Viewer:
+    """A window or web page in a process of its own, which the user's loop feeds.
+
+    It is drawn by itself, whether or not the loop goes on, until it is closed, by its user or by
+    `close`, or this process ends. Can be used as a context manager.
+
+    Attributes:
+        world: the compiled scene.
+        urls: all addresses of the page, including those for other machines; empty for a window.
+        url: of the page for browsers on this machine; None for a window.
+    """
+
+    def __init__(
+        self, world: WorldView, process: ViewerProcess, memory: ViewerMemory, urls: list[str]
+    ) -> None:
+        self.world = world
+        self.urls = urls
+        self.url: str | None = urls[0] if urls else None
+        self._process, self._memory = process, memory
+        self._on_click: OnClick | None = None
+        _shown.append(self)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is shown: its user has not closed it, and its process lives."""
+        return self._process.is_open
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The state of the world at the last `sync`; of an overlay the user's own data.
+
+        It has what was set, and what the scene's sources have brought. Change it with `set` and
+        `robot` only. Once it is asked for, every `sync` brings it up to date, which takes some
+        50 us for every picture.
+        """
+        if not self._memory.is_read:
+            self._memory.is_read = True
+            self._memory.sync()
+        return self._memory.data
+
+    @property
+    def pictures(self) -> int:
+        """How many pictures have been shown."""
+        return self._memory.pictures
+
+    def set(self, target: str, values: Any) -> None:
+        """Sets an input, as a route does; the next picture shows it.
+
+        Args:
+            target: `lwr.joint_angles`, `lwr.torques`, `goal.joint_angles`, `push.vector`,
+                `lwr.show_axes`, `toggles.legend`, ...; or of a group, `justin.joint_angles`
+            values: of the input's shape, SI units; of a group those of all joints, or of the
+                independent ones, in the order of its robots.
+
+        Raises:
+            UnknownName: no such input; lists the existing ones.
+            ValueError: the values do not fit the input.
+        """
+        self._memory.set(target, values)
+
+    def robot(self, name: str) -> RobotInputs:
+        """Returns the inputs of a robot or double as attributes: `robot("lwr").torques = ...`.
+
+        Those of a group are all of its robots' in their order: `robot("justin").torques = ...`.
+
+        Raises:
+            UnknownName: no robot, double or group of that name; suggests the nearest one.
+        """
+        return RobotInputs(self, name)
+
+    def sync(self) -> bool:
+        """Hands on the state of an overlay's model, takes over what is shown, and handles clicks.
+
+        It waits for nothing (1 us for a scene, some 30 us for an overlay), so it can be called in
+        every cycle of a fast loop, and raises nothing because of the viewer. A viewer that is only
+        to show what is `set` needs no call.
+
+        Returns:
+            whether it is still open.
+        """
+        self._memory.sync()
+        clicks = self._process.clicks
+        while clicks:
+            picked, gesture = clicks.popleft()
+            if self._on_click is not None:
+                self._on_click(picked, gesture)
+        return self.is_open
+
+    def on_click(self, callback: OnClick) -> None:
+        """Registers `callback(picked, gesture)`, called by `sync` for every click until then.
+
+        Args:
+            callback: takes the clicked item, None for the sky and the floor, and the gesture.
+
+        Raises:
+            UsageError: it is not callable.
+        """
+        if not callable(callback):
+            found = type(callback).__name__
+            raise UsageError(f"on_click: found {found}; expected callback(picked, gesture)")
+        self._on_click = callback
+
+    def picture(self) -> Picture:
+        """Returns a picture of what was set until now, without status line and messages.
+
+        Returns:
+            (height, width, 3), uint8.
+
+        Raises:
+            RenderError: it is closed, or no picture can be made.
+        """
+        self._memory.sync()
+        picture: Picture = self._process.picture().view(Picture)
+        return picture
+
+    def close(self) -> None:
+        """Closes window or page, and the scene's sources. Without it that is done at exit."""
+        if self in _shown:
+            _shown.remove(self)
+        self._process.close()
+
+    def _repr_html_(self) -> str:
+        """Returns the page as an HTML frame, for notebooks; a text for a window."""
+        if self.url is None:
+            return f"<p>{self.world.scene.name} is in a window on the screen.</p>"
+        frame = 'width="100%" height="600" allow="cross-origin-isolated" style="border:0"'
+        return (
+            f'<p><a href="{self.url}" target="_blank">{self.url}</a></p>'
+            f'<iframe src="{self.url}" {frame}></iframe>'
+        )
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+@atexit.register
+def _close_all() -> None:
+    for viewer in list(_shown):
+        viewer.close()
+
+
+def view(
+    scene: Scene | Overlay | Path | str,
+    *,
+    web: bool | None = None,
+    camera: str | None = None,
+    look: Look | None = None,
+    size: tuple[int, int] | None = None,
+    full_screen: bool = False,
+    host: str | None = None,
+    port: int | None = None,
+    token: bool = False,
+) -> Viewer:
+    """Opens a window or a web page on a scene, in a process of its own, and returns.
+
+    The scene's sources are mirrored, if it has any; the caller can set all inputs:
+
+        with sero_mj.view("lwr_udp") as viewer:
+            while viewer.sync():
+                viewer.robot("lwr").torques = my_torques()
+                time.sleep(0.001)
+
+    It stays open without any further call, in a notebook for example. Opened again (by a cell that
+    is run again, say), it replaces the window or page that this process has on a scene of this name
+    with robots of these names; the page keeps its port.
+
+    Args:
+        scene: a scene; a TOML file or the name of a shipped scene, scenario or robot; or an
+            `overlay`, whose data the caller steps; its model is shown as it is now.
+        web: True for a page, whose address is printed; None for a page only if there is no
+            display for a window.
+        camera: see `find_camera`.
+        look: `light` or `dark`, overrides the scene's; not for an overlay.
+        size: of the window, in screen coordinates; None for 1280 x 800.
+        full_screen: whether the window covers the screen.
+        host: address that the page is served at; None for this machine only.
+        port: of the page; None for the first free one from 8080 on.
+        token: whether the page's address contains a secret token; for other machines it always
+            does.
+
+    Raises:
+        UsageError: arguments that contradict each other, or have another type.
+        SeroError: a problem of the scene, its sources or the camera, no display for a window, or
+            no such address for a page.
+    """
+    of_page = {"host": host, "port": port, "token": token or None}
+    of_window = {"size": size, "full_screen": full_screen or None}
+    if web is None:
+        web = not has_display()
+    for name, value in (of_window if web else of_page).items():
+        if value is not None:
+            what = "a window, and this is a page" if web else "a page, and this is a window"
+            raise UsageError(f"{name}: found {value!r}; it is for {what}: use web={not web}")
+    shown = _to_show(scene, look)
+    options: dict[str, Any] = {"web": web, "camera": camera}
+    if web:
+        options |= {name: value for name, value in of_page.items() if value is not None}
+    else:
+        options |= {"size": size or DEFAULT_SIZE, "full_screen": full_screen}
+    process = ViewerProcess(is_window=not web)
+    try:
+        viewer = _open(shown, process, options)
+    except BaseException:
+        process.close(at_once=True)
+        raise
+    if web:
+        print(f"{viewer.world.scene.name} is at {' and '.join(viewer.urls)}", flush=True)
+    return viewer
+
+
+def _open(shown: Scene | ModelWorld, process: ViewerProcess, options: dict[str, Any]) -> Viewer:
+    """Opens a viewer in a process, which compiles the scene as well, at the same time."""
+    memory: ViewerMemory
+    if isinstance(shown, Scene):
+        process.describe(shown)
+        mirror = Mirror(shown)  # raises what is wrong with sources and routes, too
+        world: WorldView = mirror.world
+        memory = SceneMemory(world, mirror.data)
+    else:
+        process.describe((shown.model, shown.options))
+        world, memory = shown, OverlayMemory(shown)
+    try:
+        memory.sync()
+        _replace(world.scene, options)
+        urls = process.open(str(memory.arrays.path), options)
+    finally:
+        memory.arrays.remove_name()
+    return Viewer(world, process, memory, urls)
+
+
+def _replace(scene: Scene, options: dict[str, Any]) -> None:
+    """Closes the viewer that is opened again; a page gets its port, and so do its browsers."""
+    for viewer in list(_shown):
+        other = viewer.world.scene
+        is_same = other.name == scene.name and [*other.robots] == [*scene.robots]
+        if viewer.is_open and not (is_same and (viewer.url is not None) == options["web"]):
+            continue
+        if viewer.is_open:
+            print(f"{other.name} is opened again; its viewer before is closed", flush=True)
+        if viewer.is_open and viewer.url is not None:
+            options["last_port"] = urlsplit(viewer.url).port
+        viewer.close()
+
+
+def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
+    """Serves a web page of a mirror.
+
+    Args:
+        mirror: must be open.
+        options: see `WebHost`.
+
+    Raises:
+        RenderError: the page cannot be served there, or this MuJoCo does not include Studio.
+        UnknownName: no camera of that name.
+    """
+    try:
+        from ..web.host import WebHost
+    except ImportError as error:
+        raise no_studio(error) from error
+    return WebHost(mirror, **options)
+
+
+def no_studio(error: ImportError) -> RenderError:
+    """Returns what to say where a part of a web page cannot be imported."""
+    return RenderError(  # Studio is not built for every platform
+        f"no web page: this MuJoCo does not include Studio's web viewer ({error}); "
+        "`sero-mj view SCENE --window` needs none"
+    )
+
+
+def _to_show(scene: Scene | Overlay | Path | str, look: Look | None) -> Scene | ModelWorld:
+    """Returns a scene with a look, without changing the user's, or the world of an overlay."""
+    if look is not None and look not in get_args(Look):
+        raise UsageError(f"look: found {look!r}{did_you_mean(str(look), get_args(Look))}")
+    if isinstance(scene, Overlay):
+        if look is not None:
+            raise UsageError(f"look: found '{look}'; an overlay has the look of its model")
+        return scene.world
+    if isinstance(scene, str | Path):
+        scene = load_scene(scene, by_hand=True)
+    elif not isinstance(scene, Scene):
+        hint = "; Scene(robots=[...]) holds robots" if isinstance(scene, SerialRobot) else ""
+        raise UsageError(
+            f"scene: found {type(scene).__name__}; expected a Scene, an overlay, a file, or the "
+            f"name of a scene, scenario or robot{hint}"
+        )
+    if look is not None:
+        scene = copy.copy(scene)
+        scene.view = scene.view.model_copy(update={"look": look})
+    return scene

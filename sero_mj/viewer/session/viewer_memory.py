@@ -1,0 +1,283 @@
+"""What a viewer and the process that shows it hand to each other many times a second.
+
+Inputs, and the state of an overlay, go to the process that shows; what it shows comes back. All of
+it lies in memory that both have mapped, so that neither ever waits for the other.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+import tempfile
+import threading
+import zlib
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Protocol
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array
+from ...data.drive.place import follow
+from ...robots.assemble.inputs import to_array
+from ...robots.assemble.world_view import WorldView
+from ...robots.external.model_world import ModelWorld
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # MuJoCo takes ten times as long for the enum
+_MEMORY = Path("/dev/shm")  # files there are never written to a disk; Linux only
+_HEADER = 2  # of an array: its number, and a checksum
+_MOST = 2**32  # checksums are smaller
+_pack = struct.Struct("dd").pack
+
+
+class SharedArrays:
+    """Arrays in memory that two processes share; each is written by one, and read by the other.
+
+    An array comes with the number of times it was written and a checksum over both. An array that
+    is being written does not match its checksum and is left for the next time; so no lock is
+    needed that a process could die with, and no processor's order of writing matters.
+
+    Args:
+        lengths: of the arrays.
+        path: of the memory that another process has made; None to make it. The process that
+            takes it up removes its name, so nothing is left behind however the two end.
+
+    Attributes:
+        path: of the memory.
+        written: how often this process has written each array, (K,).
+        numbers: how often each array had been written when it was last read, (K,).
+    """
+
+    def __init__(self, lengths: Sequence[int], path: Path | None = None) -> None:
+        stops = np.cumsum([_HEADER + length for length in lengths])
+        self._stops: list[int] = stops.tolist()
+        self._starts: list[int] = [0, *self._stops[:-1]]
+        self._spans = [
+            slice(8 * start, 8 * stop)
+            for start, stop in zip(self._starts, self._stops, strict=True)
+        ]
+        self.written = [0] * len(lengths)
+        self.numbers = np.zeros(len(lengths))
+        self._lock = threading.Lock()  # of the threads that write
+        if path is None:
+            folder = _MEMORY if os.access(_MEMORY, os.W_OK) else None
+            file, name = tempfile.mkstemp(prefix="sero-mj-", dir=folder)
+            os.truncate(file, 8 * self._stops[-1])
+            self.path = Path(name)
+            memory = mmap.mmap(file, 0)
+            os.close(file)
+        else:
+            self.path = path
+            with path.open("r+b") as opened:
+                memory = mmap.mmap(opened.fileno(), 0)
+            self.remove_name()
+        self._memory, self._cells = memory, np.frombuffer(memory)
+        self._heads = np.array(self._starts)
+
+    def remove_name(self) -> None:
+        """Removes the name of the memory, which stays for as long as a process has it."""
+        with suppress(OSError):  # on Windows while it is in use
+            self.path.unlink()
+
+    def write(self, index: int, values: Array) -> None:
+        """Writes an array of float64, of its length and any shape."""
+        contents = values.tobytes()
+        with self._lock:
+            self.written[index] = number = self.written[index] + 1
+            header = _pack(number, zlib.crc32(contents, number % _MOST))
+            self._memory[self._spans[index]] = header + contents
+
+    def number(self, index: int) -> int:
+        """How often an array has been written until now, by either process."""
+        return int(self._cells[self._starts[index]])
+
+    def changed(self) -> list[int]:
+        """Returns the arrays that were written since they were last read."""
+        return np.flatnonzero(self._cells[self._heads] != self.numbers).tolist()
+
+    def read(self, index: int) -> Array | None:
+        """Returns a copy of an array; None if it is not new, or is being written."""
+        start, stop = self._starts[index], self._stops[index]
+        if self._cells[start] == self.numbers[index]:
+            return None
+        cells = self._cells[start:stop].copy()
+        values = cells[_HEADER:]
+        if zlib.crc32(values.data, int(cells[0]) % _MOST) != cells[1]:
+            return None
+        self.numbers[index] = cells[0]
+        return values
+
+
+class ViewerMemory(Protocol):
+    """What a viewer and the process that shows it share.
+
+    The viewer calls `set` and `sync`, the process that shows calls `apply` and `show`.
+
+    Attributes:
+        data: the state of the world.
+        is_read: whether `sync` has to take over what is shown into `data`.
+        arrays: where it lies.
+    """
+
+    data: mujoco.MjData
+    is_read: bool
+    arrays: SharedArrays
+
+    @property
+    def pictures(self) -> int:
+        """How many pictures have been shown."""
+
+    def set(self, target: str, values: Any) -> None:
+        """Sets an input of the viewer's world and hands it on; raises as `set_input` does."""
+
+    def sync(self) -> None:
+        """Hands on what the viewer's data has, and takes over what was shown."""
+
+    def apply(self) -> None:
+        """Takes over what was handed on since the last time."""
+
+    def show(self) -> None:
+        """Says that a picture was shown, and what of."""
+
+
+class SceneMemory:
+    """The inputs of a scene, and what is shown of it.
+
+    Every input is an array of its own, so that only what the user sets is handed on: all others
+    are for the scene's sources. What these do comes back, except to inputs that the user has set
+    since.
+
+    Args:
+        world: the compiled scene; the two processes have equal ones.
+        data: its state.
+        path: see `SharedArrays`.
+    """
+
+    def __init__(self, world: WorldView, data: mujoco.MjData, path: Path | None = None) -> None:
+        self._world, self.data, self.is_read = world, data, False
+        self._inputs = list(world.inputs.values())
+        self._index = {item.target: index for index, item in enumerate(self._inputs)}
+        self._fields = (data.qpos, data.mocap_pos, data.mocap_quat, data.userdata)
+        # What is shown: the time, these fields, and which of the user's inputs are in them.
+        ends = np.cumsum([1, *(field.size for field in self._fields)]).tolist()
+        self._parts = list(map(slice, ends, ends[1:]))
+        self._flat = [field.reshape(-1) for field in self._fields]  # views
+        self._numbers = slice(ends[-1], ends[-1] + len(self._inputs))
+        lengths = [*(item.count for item in self._inputs), self._numbers.stop]
+        self.arrays = SharedArrays(lengths, path)
+        self._setter = self._inputs_of_numbers()
+
+    def _inputs_of_numbers(self) -> Any:
+        """Returns the input that sets each number of the fields, -1 for none."""
+        world, setter = self._world, [np.full(field.shape, -1) for field in self._fields]
+        qpos, mocap_pos, mocap_quat, userdata = setter
+        for index, item in enumerate(self._inputs):
+            if item.kind == "pose":
+                row = world.placed.get(item.name, slice(0))
+                mocap_pos[row] = mocap_quat[row] = index
+            elif item.kind == "angles" and item.name in world.robots:
+                qpos[world.robots[item.name].qpos] = index
+            else:
+                userdata[world.slots[item.target]] = index
+            userdata[world.flags[item.target]] = index
+        return np.concatenate([[-1], *(each.ravel() for each in setter)])
+
+    @property
+    def pictures(self) -> int:
+        """See `ViewerMemory`."""
+        return self.arrays.number(-1)
+
+    def set(self, target: str, values: Any) -> None:
+        """See `ViewerMemory`."""
+        shares = self._world.shares(target, values)
+        for each, share in shares.items():
+            self._world.set_input(self.data, each, share)
+        for each, share in shares.items():
+            self.arrays.write(self._index[each], to_array(self._world.inputs[each], share))
+
+    def sync(self) -> None:
+        """See `ViewerMemory`."""
+        shown = self.arrays.read(len(self._inputs)) if self.is_read else None
+        if shown is None:
+            return
+        # The last is for what no input sets.
+        is_shown = np.append(shown[self._numbers] == self.arrays.written[:-1], True)
+        where = is_shown[self._setter]
+        self.data.time = shown[0]
+        for flat, part in zip(self._flat, self._parts, strict=True):
+            np.copyto(flat, shown[part], where=where[part])
+        follow(self._world.model, self.data)
+
+    def apply(self) -> None:
+        """See `ViewerMemory`."""
+        for index in self.arrays.changed():
+            if index < len(self._inputs) and (values := self.arrays.read(index)) is not None:
+                item = self._inputs[index]
+                self._world.set_input(self.data, item.target, values.reshape(item.shape))
+
+    def show(self) -> None:
+        """See `ViewerMemory`."""
+        numbers = self.arrays.numbers[: len(self._inputs)]
+        shown = np.concatenate([[self.data.time], *self._flat, numbers])
+        self.arrays.write(len(self._inputs), shown)
+
+
+class OverlayMemory:
+    """The state of a user's model, and the inputs of its overlay.
+
+    Args:
+        world: of the overlay; that of the viewer has the user's data.
+        path: see `SharedArrays`.
+    """
+
+    def __init__(self, world: ModelWorld, path: Path | None = None) -> None:
+        self._world, self.data, self.is_read = world, world.data, False
+        size, nv = mujoco.mj_stateSize(world.model, _STATE), world.model.nv
+        # The state, and what decor shows of it that cannot be computed from it.
+        self._values = np.empty(size + 2 * nv)
+        self._state, *self._parts = np.split(self._values, [size, size + nv])  # views
+        self._fields = (self.data.qfrc_actuator, self.data.qacc)
+        self._changes = -1  # of the inputs that were handed on last
+        self.arrays = SharedArrays([size + 2 * nv, len(world.input_state()), 0], path)
+
+    @property
+    def pictures(self) -> int:
+        """See `ViewerMemory`."""
+        return self.arrays.number(-1)
+
+    def set(self, target: str, values: Any) -> None:
+        """See `ViewerMemory`."""
+        self._world.set_input(self.data, target, values)
+        self.sync()
+
+    def sync(self) -> None:
+        """See `ViewerMemory`."""
+        world = self._world
+        mujoco.mj_getState(world.model, self.data, self._state, _STATE)
+        for part, field in zip(self._parts, self._fields, strict=True):
+            part[:] = field
+        self.arrays.write(0, self._values)
+        if self._changes != world.changes:
+            self._changes = world.changes
+            self.arrays.write(1, world.input_state())
+
+    def apply(self) -> None:
+        """See `ViewerMemory`."""
+        world, data = self._world, self.data
+        if (inputs := self.arrays.read(1)) is not None:
+            world.set_input_state(inputs)
+        if (values := self.arrays.read(0)) is not None:
+            self._values[:] = values
+            mujoco.mj_setState(world.model, data, self._state, _STATE)
+            follow(world.model, data)
+            mujoco.mj_flex(world.model, data)
+            mujoco.mj_tendon(world.model, data)
+            for part, field in zip(self._parts, self._fields, strict=True):
+                field[:] = part
+
+    def show(self) -> None:
+        """See `ViewerMemory`."""
+        self.arrays.write(2, np.empty(0))

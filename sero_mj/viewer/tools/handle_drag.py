@@ -1,0 +1,90 @@
+"""Dragging a frame by its handles: what a move of the pointer makes of its pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...base.frames import Array
+from ..decor.handles import CUBE, ring_radius
+from ..decor.picture_view import PictureView
+from ..session.picking import Pixel
+from .pulling import target_of
+
+_EDGE_ON = 0.2  # of a ring's axis along the line of sight; below it the ring is seen from the side
+_HEAD_ON = 0.05  # of 1 - the same for an arrow; below it the arrow points at the camera
+
+
+def dragged(pose: Array, handle: int, view: PictureView, begin: Pixel, now: Pixel) -> Array:
+    """Returns the pose of a frame whose handle the pointer has dragged.
+
+    An arrow moves it by what the point of its axis nearest to the line of sight moves; a ring turns
+    it by the angle about its centre, in its plane, or where that is seen from the side by the way
+    along its edge; the cube moves it in the plane of the picture.
+
+    Args:
+        pose: T_world_frame (4, 4) when the drag began, m.
+        handle: see `viewer.decor.handles.HANDLE_NAMES`.
+        view: of the picture.
+        begin: pixel at which the drag began.
+        now: pixel where the pointer is.
+    """
+    found = pose.copy()
+    origin = pose[:3, 3]
+    if handle == CUBE:
+        there, then = (_in_picture(view, origin, pixel) for pixel in (now, begin))
+        found[:3, 3] += there - then
+    elif handle < 3:
+        axis = pose[:3, handle]
+        found[:3, 3] += (_along(view, origin, axis, now) - _along(view, origin, axis, begin)) * axis
+    else:
+        axis = pose[:3, handle - 3]
+        angle = _about(view, origin, axis, begin, now)
+        found[:3, :3] = _rotation(axis, angle) @ pose[:3, :3]
+    return found
+
+
+def _ray(view: PictureView, pixel: Pixel) -> Array:
+    """Unit vector (3,) of the line of sight through a pixel."""
+    ray = view.at(np.array(pixel, float), 1.0) - view.position
+    return np.asarray(ray / np.linalg.norm(ray))
+
+
+def _in_picture(view: PictureView, origin: Array, pixel: Pixel) -> Array:
+    ray = view.at(np.array(pixel, float), 1.0)
+    return target_of(view.position, view.forward, origin, ray)
+
+
+def _along(view: PictureView, origin: Array, axis: Array, pixel: Pixel) -> float:
+    """Where on the line of an axis it is nearest to the line of sight, m from the origin."""
+    ray = _ray(view, pixel)
+    across = float(ray @ axis)
+    apart = 1.0 - across**2
+    if apart < _HEAD_ON:
+        return 0.0
+    way = view.position - origin
+    return float((way @ axis - across * (way @ ray)) / apart)
+
+
+def _about(view: PictureView, origin: Array, axis: Array, begin: Pixel, now: Pixel) -> float:
+    """By which angle about an axis the pointer has moved, rad."""
+    sight = (origin - view.position) / np.linalg.norm(origin - view.position)
+    if abs(float(sight @ axis)) < _EDGE_ON:
+        # The nearer side of the ring goes along this line of the picture.
+        along = np.cross(axis, -sight)
+        moved = _in_picture(view, origin, now) - _in_picture(view, origin, begin)
+        return float(moved @ along) / ring_radius(origin, view)
+    arms = []
+    for pixel in (begin, now):
+        ray = _ray(view, pixel)
+        slope = float(ray @ axis)
+        depth = float((origin - view.position) @ axis) / (slope if abs(slope) > 1e-6 else 1e-6)
+        arms.append(view.position + depth * ray - origin)
+    first, last = arms
+    return float(np.arctan2(axis @ np.cross(first, last), first @ last))
+
+
+def _rotation(axis: Array, angle: float) -> Array:
+    """Rotation (3, 3) by an angle about a unit vector (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)

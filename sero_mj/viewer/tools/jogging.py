@@ -1,0 +1,222 @@
+"""`Jogging`: moves robots by hand that nothing else moves, and shows what their joints then hold.
+
+By sliders, typed poses and dragged links. Shown angles go to the wanted ones smoothly. Where no
+torques are received either, those that hold the robot against gravity are shown, by its model.
+"""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+
+from ...base.errors import SeroError
+from ...base.frames import Array
+from ...data.drive.mirror import LiveWorld
+from ...robots.assemble.robot import SerialRobot
+from ...simulate.control.gravity_torques import GravityTorques
+from ..decor.toggles import Handles, Toggles
+from ..session.picking import Pixel
+from ..session.scene_decor import SceneDecor
+from .joint_goal import JointGoal
+from .pulling import target_of
+
+_TIME = 0.04  # s, in which 63 % of the way is made
+_SPEED = {"revolute": 4.0, "prismatic": 1.0}  # at most, rad/s and m/s
+
+
+class Jogging:
+    """The robots of a mirror that are moved by hand.
+
+    Args:
+        mirror: what is shown.
+        toggles: of it; says whose torques are the model's.
+
+    Attributes:
+        goals: where the robots are wanted, by name; empty where all have data.
+        is_on: whether a link is dragged.
+        note: why no gravity torque is shown; empty where it is.
+    """
+
+    def __init__(self, mirror: LiveWorld, toggles: Toggles) -> None:
+        self._mirror, self._toggles = mirror, toggles
+        world, data = mirror.world, mirror.data
+        routed = {route.to.target for route in mirror.routes}
+        self.goals = {
+            name: JointGoal(part.robot, data.qpos[part.qpos])
+            for name, part in world.robots.items()
+            if f"{name}.joint_angles" in world.inputs and f"{name}.joint_angles" not in routed
+        }
+        self._written = {name: self._shown(name) for name in self.goals}
+        self._fastest = {
+            name: np.array([_SPEED[kind] for kind in goal.robot.types])
+            for name, goal in self.goals.items()
+        }
+        # Whose torques are shown, and what was written of them: others may set them, too.
+        self._modelled: dict[str, Array | None] = {
+            name: None
+            for name in self.goals
+            if f"{name}.torques" not in routed and not self._has_torques(name)
+        }
+        self._gravity: GravityTorques | None = None
+        self._compiling: threading.Thread | None = None
+        self._weighed: Array = np.zeros(0)  # the angles of the torques that are shown
+        self.note = ""
+        self._dragged: tuple[str, int, Array] | None = None  # robot, link, point in its frame
+        self._at: Pixel = (0.0, 0.0)
+
+    @property
+    def torques(self) -> dict[str, Array]:
+        """Torques of the model that are shown, (n,), Nm or N, by robot."""
+        return {name: each for name, each in self._modelled.items() if each is not None}
+
+    def _shown(self, name: str) -> Array:
+        return np.array(self._mirror.data.qpos[self._mirror.world.robots[name].qpos])
+
+    def _has_torques(self, name: str) -> bool:
+        return bool(self._mirror.data.userdata[self._mirror.world.flags[f"{name}.torques"]] > 0)
+
+    @property
+    def is_on(self) -> bool:
+        """Whether a link is dragged."""
+        return self._dragged is not None
+
+    def base(self, name: str) -> Array:
+        """T_world_base (4, 4) of a robot as it is shown."""
+        world = self._mirror.world
+        return world.frame(self._mirror.data, world.robots[name].base_name)
+
+    def advance(self, passed: float) -> None:
+        """Moves what is shown towards what is wanted, for so many s; before the mirror does."""
+        data, world = self._mirror.data, self._mirror.world
+        for name, goal in self.goals.items():
+            shown = self._shown(name)
+            if not np.array_equal(shown, self._written[name]):
+                goal.follow(shown)  # a program has set them, or a reset
+            wanted = goal.angles
+            if not np.array_equal(shown, wanted):
+                shown = approached(shown, wanted, passed, self._fastest[name])
+                world.set_input(data, f"{name}.joint_angles", shown)
+            self._written[name] = shown
+        self._weigh()
+
+    def _weigh(self) -> None:
+        """Shows the torques against gravity, once somebody looks at torques."""
+        world, data, toggles = self._mirror.world, self._mirror.data, self._toggles
+        for name, written in [*self._modelled.items()]:
+            there = data.userdata[world.slots[f"{name}.torques"]]
+            if not self._has_torques(name):
+                self._modelled[name] = None  # a reset has taken them away
+            elif written is None or not np.array_equal(there, written, equal_nan=True):
+                del self._modelled[name]  # a program has set others
+                toggles.modelled[world.robots[name].joints] = False
+        rows = [world.robots[name].joints for name in self._modelled]
+        is_seen = any(toggles.arrows[r].any() or toggles.billboards[r].any() for r in rows)
+        if self._gravity is None:
+            if is_seen and not self.note:
+                self._compile()
+            return
+        is_new = any(each is None for each in self._modelled.values())
+        if not is_new and np.array_equal(data.qpos, self._weighed):
+            return
+        self._weighed = data.qpos.copy()
+        angles = {name: data.qpos[part.qpos] for name, part in world.robots.items()}
+        torques = self._gravity.of(angles)
+        for name in self._modelled:
+            world.set_input(data, f"{name}.torques", torques[name])
+            self._modelled[name] = np.array(data.userdata[world.slots[f"{name}.torques"]])
+            toggles.modelled[world.robots[name].joints] = True
+
+    def _compile(self) -> None:
+        """Compiles the model in the background: of a robot with many meshes it takes a second."""
+        if self._compiling is not None:
+            return
+        robots = {name: part.robot for name, part in self._mirror.world.robots.items()}
+
+        def make() -> None:
+            try:
+                self._gravity = GravityTorques(robots)
+            except SeroError as error:
+                self.note = f"no gravity torque: {error}"
+
+        self._compiling = threading.Thread(target=make, name="gravity", daemon=True)
+        self._compiling.start()
+
+    def begin(self, decor: SceneDecor, at: Pixel) -> tuple[str, bool] | None:
+        """Grabs the link at a pixel of the picture, see `Pulling.begin`."""
+        found = self._found(decor, at)
+        if found is None:
+            return None
+        name, link, frame_name, point = found
+        world, data = self._mirror.world, self._mirror.data
+        body = world.robots[name].bodies[link]
+        rotation = data.xmat[body].reshape(3, 3)
+        self._dragged = (name, link, rotation.T @ (point - data.xpos[body]))
+        self._at = at
+        self.goals[name].hold_posture()
+        return f"moves {frame_name}", False
+
+    def announce(self, decor: SceneDecor, at: Pixel) -> tuple[str, bool] | None:
+        """Says what a drag from there would move."""
+        found = self._found(decor, at)
+        return None if found is None else (f"drag to move {found[2]}", False)
+
+    def _found(self, decor: SceneDecor, at: Pixel) -> tuple[str, int, str, Array] | None:
+        """Returns robot, link, frame and point at a pixel; None where nothing is moved by hand."""
+        found = decor.link_at(self._mirror.data, at)
+        if found is None:
+            return None
+        frame_name, point = found
+        name, _, label = frame_name.partition("/")
+        if name not in self.goals:
+            return None
+        return name, link_number(self.goals[name].robot, label), frame_name, point
+
+    def move(self, at: Pixel) -> None:
+        """Moves the pointer."""
+        self._at = at
+
+    def update(self, decor: SceneDecor) -> str:
+        """Moves the dragged link to the pointer; returns why it cannot, or nothing."""
+        view = decor.view
+        if self._dragged is None or view is None:
+            return ""
+        name, link, point = self._dragged
+        goal, data = self.goals[name], self._mirror.data
+        body = self._mirror.world.robots[name].bodies[link]
+        there = data.xpos[body] + data.xmat[body].reshape(3, 3) @ point
+        ray = view.at(np.array(self._at, float), 1.0)
+        wanted = target_of(view.position, view.forward, there, ray)
+        goal.move_point(self.base(name), link, point, wanted)
+        self._toggles.handles = None if goal.mark is None else Handles(mark=goal.mark)
+        return goal.trouble
+
+    def end(self) -> None:
+        """Lets go."""
+        if self._dragged is not None:
+            self.goals[self._dragged[0]].let_go()
+            self._dragged = None
+            self._toggles.handles = None
+
+
+def approached(shown: Array, wanted: Array, passed: float, fastest: Array) -> Array:
+    """Returns angles that go to the wanted ones smoothly, and are then equal to them.
+
+    Args:
+        shown: (n,), rad or m.
+        wanted: (n,).
+        passed: time since then, s.
+        fastest: (n,), per second.
+    """
+    way = wanted - shown
+    step = np.clip(way * (1.0 - np.exp(-passed / _TIME)), -fastest * passed, fastest * passed)
+    return np.asarray(np.where(np.abs(way) < 1e-5, wanted, shown + step))
+
+
+def link_number(robot: SerialRobot, label: str) -> int:
+    """Returns the index of the link that a frame of a robot is on: `base`, `link3`, `flange`."""
+    if label == "base":
+        return 0
+    if label == "flange":
+        return robot.flange_link
+    return int(label.removeprefix("link"))

@@ -1,0 +1,178 @@
+"""`Moments`: what happened when: moments that the user marked, faults that were found."""
+
+from __future__ import annotations
+
+from collections import deque
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...base.errors import SeroError
+from ...base.frames import Array, Bools
+from ...data.drive.mirror import LiveWorld
+from ...data.receive.source import QUIET_AFTER
+from ...robots.assemble.inputs import SOURCE_FIELDS
+from ...simulate.runs.monitor import Monitor
+from ...simulate.runs.run_recording import read_run
+from ..decor.quantities import joint_values
+from ..session.clock import Clock, time_text
+from .torque_history import joint_name
+
+_MOST = 1000  # of each kind
+_APART = 0.5  # s between two of the same kind at a joint, below which they are one
+_SAME = 1e-3  # s
+_AGE = SOURCE_FIELDS.index("age")
+# What counters of a source mean when they grow.
+_LOSSES = {"lost": "lost", "dropped": "dropped", "malformed": "not applied"}
+_COLUMNS = [SOURCE_FIELDS.index(name) for name in _LOSSES]
+
+
+class Moment(NamedTuple):
+    """Something that happened.
+
+    Attributes:
+        time: on the clock, s.
+        text: what.
+        is_mark: whether the user marked it; else it was found.
+    """
+
+    time: float
+    text: str
+    is_mark: bool
+
+
+class Moments:
+    """Marks of the user, and faults: of simulations and recordings what a monitor finds in them.
+
+    What is live is watched as it comes: joints beyond their limits of torque or angle, torque
+    errors above the monitor's share of the limit, sources that fall silent, packets that are lost
+    or not applied.
+
+    Args:
+        mirror: what is shown.
+        clock: of it.
+    """
+
+    def __init__(self, mirror: LiveWorld, clock: Clock) -> None:
+        self._mirror, self._clock = mirror, clock
+        self._marks: list[float] = []
+        self._watched: deque[Moment] = deque(maxlen=_MOST)
+        self._of_recordings: list[Moment] | None = None
+        world = mirror.world
+        joints = world.joints
+        self._names = [joint_name(world, i) for i in range(len(joints.names))]
+        self._share = Monitor().torque_error
+        self._low, self._high = np.full((2, len(joints.names)), np.nan)
+        for owner in world.owners.values():
+            limits = owner.robot.position_limits
+            if limits is not None:
+                self._low[owner.joints], self._high[owner.joints] = limits.T
+        self._was: Bools = np.zeros((3, len(joints.names)), bool)
+        self._last: Array = np.full((3, len(joints.names)), -np.inf)  # when each was found, s
+        self._silent: set[str] = set()
+        # By source: how many packets were lost and so on, and when that was seen last, s.
+        self._counts: dict[str, tuple[Array, Array]] = {}
+
+    def mark(self) -> str:
+        """Marks what is shown; returns what to tell the user."""
+        self._marks.append(self._clock.time)
+        return f"marked {time_text(self._clock.time)}: e and w go from mark to mark"
+
+    def watch(self) -> None:
+        """Looks for faults in the live state that the data has now."""
+        world, data = self._mirror.world, self._mirror.data
+        for name in self._mirror.sources:
+            slot = data.userdata[world.slots[f"sources.{name}"]]
+            self._watch_counts(name, slot[_COLUMNS], data.time)
+            last = slot[_AGE]
+            if last > QUIET_AFTER and name not in self._silent:
+                self._silent.add(name)
+                self._found(f"{name} is silent", data.time - last)
+            elif 0 <= last <= QUIET_AFTER:
+                self._silent.discard(name)
+        values, limit = joint_values(world, data), world.joints.torque_limit
+        torque, error, angle = (values[k] for k in ("torques", "torque_error", "joint_angles"))
+        with np.errstate(invalid="ignore"):
+            bad = np.array([np.abs(torque) > limit, np.abs(error) > self._share * limit,
+                            (angle < self._low) | (angle > self._high)])  # fmt: skip
+        new = bad & ~self._was & (data.time > self._last + _APART)
+        self._was = bad
+        self._last[bad] = data.time
+        if not new.any():
+            return
+        kinds = ("torque {} Nm, above its limit", "torque error {} Nm",
+                 "angle {} beyond its limit")  # fmt: skip
+        for kind, joint in np.argwhere(new):
+            value = (torque, error, angle)[kind][joint]
+            text = kinds[kind].format(f"{value:.3g}")
+            if kind == 2:
+                limit = (self._low if value < self._low[joint] else self._high)[joint]
+                text += f" of {limit:.3g} {'rad' if world.joints.revolute[joint] else 'm'}"
+            self._found(f"{self._names[joint]}: {text}", data.time)
+
+    def _watch_counts(self, name: str, counts: Array, time: float) -> None:
+        """Finds where packets begin to be lost, dropped, or not applied."""
+        never = np.full(len(counts), -np.inf)
+        before, seen = self._counts.get(name, (np.zeros_like(counts), never))
+        grown = counts > before
+        for what, more in zip(_LOSSES.values(), grown & (time > seen + _APART), strict=True):
+            if more:
+                self._found(f"{name}: packets {what}", time)
+        self._counts[name] = counts, np.where(grown, time, seen)
+
+    def _found(self, text: str, time: float) -> None:
+        self._watched.append(Moment(float(time), text, is_mark=False))
+
+    def all(self) -> list[Moment]:
+        """All on the time line, in their order."""
+        found = [Moment(time, "mark", is_mark=True) for time in self._marks]
+        found += self._watched
+        for source in self._mirror.sources.values():
+            findings = getattr(getattr(source, "run", None), "findings", None)
+            found += [] if findings is None else map(_moment_of, findings())
+        found += self._of_recordings or ()
+        return sorted(moment for moment in found if moment.time >= self._clock.begin)
+
+    def ticks(self) -> list[tuple[float, bool]]:
+        """Times, s, of what is known without a search, and whether each is a mark."""
+        found = [(time, True) for time in self._marks]
+        found += [(moment.time, False) for moment in (*self._watched, *(self._of_recordings or ()))]
+        return [each for each in found if each[0] >= self._clock.begin]
+
+    def go(self, places: int) -> str:
+        """Goes to the next moment, or with -1 to the one before; returns what to tell the user."""
+        clock = self._clock
+        if self._of_recordings is None:
+            self._of_recordings = self._search()
+        there = [moment for moment in self.all()
+                 if (moment.time - clock.time) * places > _SAME]  # fmt: skip
+        if not clock.can_go_back or not there:
+            return "nothing was found or marked " + ("after this" if places > 0 else "before this")
+        moment = there[0] if places > 0 else there[-1]
+        clock.is_paused = True
+        clock.seek(moment.time)
+        return f"{time_text(moment.time)}: {moment.text}"
+
+    def _search(self) -> list[Moment]:
+        """What a monitor finds in the recordings that are played; nothing in what is no run."""
+        found: list[Moment] = []
+        for source in self._mirror.sources.values():
+            file: Any = getattr(source, "file", None)
+            if not isinstance(file, Path) or source.end is None:
+                continue
+            try:
+                log = read_run(file, scene=self._mirror.world.scene)
+            except SeroError:
+                continue
+            start = float(getattr(source, "start", None) or 0.0)
+            speed = float(getattr(source, "speed", 1.0))
+            for finding in Monitor().find(log)[:_MOST]:
+                moment = _moment_of(finding)
+                found.append(moment._replace(time=(moment.time - start) / speed))
+        return found
+
+
+def _moment_of(finding: Any) -> Moment:
+    text = str(finding).partition("  ")[2].replace("  ", " ")
+    return Moment(finding.time, text, is_mark=False)

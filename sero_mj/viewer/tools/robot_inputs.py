@@ -1,0 +1,113 @@
+"""`RobotInputs`: the inputs of one robot or double as attributes, for viewers and overlays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...base.errors import UnknownName
+from ...base.frames import Array
+from ...robots.assemble.world_view import WorldView
+from ..decor.quantities import joint_values
+
+
+class HasInputs(Protocol):
+    """A viewer or an overlay."""
+
+    @property
+    def world(self) -> WorldView:
+        """Its robots and inputs."""
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """The state of the world."""
+
+    def set(self, target: str, values: Any) -> None:
+        """Sets an input by its full name."""
+
+
+class JointInput:
+    """An attribute with one value per joint, (n,), SI units; NaN means no data.
+
+    An overlay also takes a mapping from joint names to numbers and, except for joint angles, a
+    vector of its whole model, (nv,).
+    """
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        """Stores the name of the attribute, which is that of the input."""
+        self._key = name
+
+    def __get__(self, robot: RobotInputs, owner: type) -> Array:
+        """Returns a copy of the current values."""
+        world = robot._of.world
+        values = joint_values(world, robot._of.data)[self._key]
+        members = world.scene.members(robot._name) or [robot._name]
+        return np.concatenate([values[world.owners[name].joints] for name in members])
+
+    def __set__(self, robot: RobotInputs, values: ArrayLike | Mapping[str, float]) -> None:
+        """Sets all values."""
+        robot.set(self._key, values)
+
+
+class RobotInputs:
+    """The inputs of one robot or double, or of all robots of a group one after the other.
+
+    Additional inputs that a robot declares (`inputs = ["temperatures"]`), frames and toggles are
+    set by `set`, or as attributes too.
+
+    Args:
+        of: what has the robot.
+        name: of the robot, double or group.
+
+    Attributes:
+        joint_angles: (n,), rad or m; those of an overlay's robot are read-only.
+        torques: measured, (n,), Nm or N.
+        commanded_torques: (n,), Nm or N.
+        joint_accelerations: (n,), rad/s2 or m/s2.
+        billboard_values: (n,).
+
+    Raises:
+        UnknownName: no robot or double of that name; suggests the nearest one.
+    """
+
+    __slots__ = ("_name", "_of")
+
+    joint_angles = JointInput()
+    torques = JointInput()
+    commanded_torques = JointInput()
+    joint_accelerations = JointInput()
+    billboard_values = JointInput()
+
+    def __init__(self, of: HasInputs, name: str) -> None:
+        scene = of.world.scene
+        known = [*of.world.owners, *scene.groups, *scene.double_groups]
+        if name not in known:
+            raise UnknownName("robot", name, known)
+        object.__setattr__(self, "_of", of)
+        object.__setattr__(self, "_name", name)
+
+    if TYPE_CHECKING:
+        _of: HasInputs
+        _name: str
+    else:
+
+        def __setattr__(self, key: str, values: Any) -> None:
+            """Sets an input; so a mistyped attribute is an error that suggests the nearest one."""
+            self.set(key, values)
+
+    def set(self, key: str, values: Any) -> None:
+        """Sets an input by name.
+
+        Args:
+            key: `torques`, `temperatures`, `base_frame`, `show_axes`, ...
+            values: of the input's shape, SI units.
+
+        Raises:
+            UnknownName: no such input; suggests the nearest one.
+            ValueError: the values do not fit the input.
+        """
+        self._of.set(f"{self._name}.{key}", values)

@@ -1,0 +1,211 @@
+"""`Steering`: the targets of robots that are simulated without an end, dragged while they run.
+
+A target is shown by the robot's double: its flange is dragged by handles, its links with Ctrl, its
+joints by sliders. The robot follows with the compliance of its controller.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...base.frames import Array
+from ...data.drive.mirror import LiveWorld
+from ...simulate.live_control import CONTROL_NAMES, CONTROLS, Control, LiveRobot
+from ..decor.toggles import Handles, Toggles
+from ..session.clock import Clock
+from ..session.picking import Pixel
+from ..session.scene_decor import SceneDecor
+from .handle_drag import dragged
+from .jogging import link_number
+from .joint_goal import JointGoal
+from .pulling import target_of
+
+_PAST = 0.1  # s behind the newest moment, from which on the past is shown
+_NEAR = 5.0  # pixels by which a handle may be missed
+
+
+class Steering:
+    """The targets of the robots of a mirror.
+
+    Args:
+        mirror: what is shown.
+        clock: of it.
+        toggles: of it; shows the handles.
+
+    Attributes:
+        robots: whose controllers and targets are changed, by name; empty where none is.
+        goals: where their targets are wanted, by name.
+        selected: name of the robot whose target has handles.
+        has_handles: whether handles are shown.
+        is_on: whether a target is dragged.
+    """
+
+    def __init__(self, mirror: LiveWorld, clock: Clock, toggles: Toggles) -> None:
+        self._mirror, self._clock, self._toggles = mirror, clock, toggles
+        found = [each for each in mirror.sources.values() if getattr(each, "live", None)]
+        self.source: Any = found[0] if found else None
+        self.robots: dict[str, LiveRobot] = {}
+        self.goals: dict[str, JointGoal] = {}
+        self._find_robots()
+        self.selected = next(iter(self.robots), "")
+        self.has_handles = bool(self.robots)
+        self.is_on = False
+        self._lit = -1
+        self._at: Pixel = (0.0, 0.0)
+        # What is dragged: a handle with pose and pixel at first, or a point of a link.
+        self._handle: tuple[int, Array, Pixel] | None = None
+        self._point: tuple[str, int, Array] | None = None
+        # Doubles by whose links a target is dragged, and their robots.
+        world = mirror.world
+        self._doubles = {
+            name: part.double.of
+            for name, part in world.doubles.items()
+            if part.double.path is None and part.double.of in self.robots
+        }
+
+    def _find_robots(self) -> None:
+        live = None if self.source is None else self.source.live
+        self.robots = {} if live is None else live.robots
+        self.goals = {name: JointGoal(each.robot, each.goal) for name, each in self.robots.items()}
+
+    @property
+    def own_goals(self) -> dict[str, JointGoal]:
+        """Those that do not follow their robots, by name."""
+        return {name: each for name, each in self.goals.items()
+                if self.robots[name].control != "gravity"}  # fmt: skip
+
+    @property
+    def is_past(self) -> bool:
+        """Whether a moment of the past is shown."""
+        return self.source is not None and self._clock.time < self.source.newest - _PAST
+
+    @property
+    def error(self) -> str:
+        """Why the simulation has stopped; empty while it goes on."""
+        return "" if self.source is None or self.source.error is None else f"{self.source.error}"
+
+    def start_again(self) -> str:
+        """Begins anew after an error; returns what to tell the user."""
+        self.source.start_again()
+        self._find_robots()
+        self._clock.go_to_start()
+        return "from the declared pose"
+
+    def choose(self, robot: str, control: Control) -> str:
+        """Changes the controller of a robot; returns what to tell the user."""
+        self.selected = robot
+        why = self.robots[robot].choose(control)
+        self.goals[robot].follow(self.robots[robot].goal)
+        return why or f"{robot}: {CONTROL_NAMES[CONTROLS.index(control)]}"
+
+    def base(self, robot: str) -> Array:
+        """T_world_base (4, 4) of a robot as it is shown."""
+        world = self._mirror.world
+        return world.frame(self._mirror.data, world.robots[robot].base_name)
+
+    def advance(self) -> None:
+        """Hands the wished targets on, and shows the handles; before the mirror moves."""
+        if not self.robots:
+            return
+        for name, robot in self.robots.items():
+            goal = self.goals[name]
+            if robot.control == "gravity":
+                goal.follow(robot.goal)
+            elif not np.array_equal(goal.angles, robot.goal):
+                robot.goal = goal.angles
+        goal = self.goals[self.selected]
+        is_shown = self.robots[self.selected].control != "gravity" and not self.is_past
+        if not is_shown:
+            self._toggles.handles = None
+            return
+        pose = goal.flange(self.base(self.selected)) if self.has_handles else None
+        if pose is None and goal.mark is None:
+            self._toggles.handles = None
+        else:
+            lit = self._handle[0] if self._handle is not None else self._lit
+            self._toggles.handles = Handles(pose, lit, goal.mark)
+
+    def hover(self, decor: SceneDecor, at: Pixel | None) -> bool:
+        """Lights the handle under the pointer; returns whether there is one."""
+        found = None if at is None else decor.handle_at(at, _NEAR)
+        self._lit = -1 if found is None else found
+        return found is not None
+
+    def begin_handle(self, decor: SceneDecor, at: Pixel) -> tuple[str, bool] | None:
+        """Grabs the handle at a pixel, see `Pulling.begin`; None where there is none."""
+        handles = self._toggles.handles
+        handle = None if handles is None else decor.handle_at(at, _NEAR)
+        if handle is None or handles is None or handles.pose is None:
+            return None
+        self._handle, self._at, self.is_on = (handle, handles.pose, at), at, True
+        self.goals[self.selected].hold_posture()
+        return "", False
+
+    def begin(self, decor: SceneDecor, at: Pixel) -> tuple[str, bool] | None:
+        """Grabs the link of a target's double at a pixel, see `Pulling.begin`."""
+        found = self._found(decor, at)
+        if found is None:
+            return None
+        robot, link, label = found
+        point = decor.point_at(self._mirror.data, at)
+        if point is None:
+            return None
+        frames = self._frames(robot)
+        R, p = frames[link, :3, :3], frames[link, :3, 3]
+        self._point = (robot, link, R.T @ (point - p))
+        self._at, self.is_on, self.selected = at, True, robot
+        self.goals[robot].hold_posture()
+        return f"moves {label}", False
+
+    def announce(self, decor: SceneDecor, at: Pixel) -> tuple[str, bool] | None:
+        """Says what a drag from there would move."""
+        found = self._found(decor, at)
+        return None if found is None else (f"drag to move {found[2]}", False)
+
+    def _found(self, decor: SceneDecor, at: Pixel) -> tuple[str, int, str] | None:
+        picked = decor.pick(self._mirror.data, at) if self._doubles else None
+        if picked is None or picked.kind != "double" or picked.owner not in self._doubles:
+            return None
+        robot = self._doubles[picked.owner]
+        label = picked.name.partition("/")[2]
+        return robot, link_number(self.goals[robot].robot, label), picked.name
+
+    def _frames(self, robot: str) -> Array:
+        """Frames of base and links of a target, (n + 1, 4, 4), m."""
+        goal = self.goals[robot]
+        return goal.robot.kinematics.frames(goal.angles, self.base(robot))
+
+    def move(self, at: Pixel) -> None:
+        """Moves the pointer."""
+        self._at = at
+
+    def update(self, decor: SceneDecor) -> str:
+        """Moves the target to the pointer; returns why it cannot be, or nothing."""
+        view = decor.view
+        if view is None or not self.is_on:
+            return ""
+        if self.is_past:
+            return "the past cannot be changed: End goes on from now"
+        if self._handle is not None:
+            handle, pose, begin = self._handle
+            goal, base = self.goals[self.selected], self.base(self.selected)
+            goal.move_flange(base, dragged(pose, handle, view, begin, self._at))
+            return goal.trouble
+        if self._point is not None:
+            robot, link, point = self._point
+            goal, base = self.goals[robot], self.base(robot)
+            T = self._frames(robot)[link]
+            there = T[:3, :3] @ point + T[:3, 3]
+            ray = view.at(np.array(self._at, float), 1.0)
+            goal.move_point(base, link, point, target_of(view.position, view.forward, there, ray))
+            return goal.trouble
+        return ""
+
+    def end(self) -> None:
+        """Lets go."""
+        for goal in self.goals.values():
+            goal.let_go()
+        self._handle = self._point = None
+        self.is_on = False

@@ -1,0 +1,558 @@
+"""`Window`: shows a mirror in a window, with mouse and keys."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array
+from ...data.drive.mirror import LiveWorld
+from ...robots.assemble.world_view import WorldView
+from ..added_surroundings import added_surroundings
+from ..camera import Navigator, bounding_sphere, stand_back, standing_back
+from ..decor.pen import CAPACITY
+from ..decor.picture_view import PictureView
+from ..decor.toggles import Toggles
+from ..headless.film import Pixels
+from ..headless.render import DEFAULT_SIZE
+from ..session.clock import time_text
+from ..session.input import Clicked, Event, Mouse, Moved
+from ..session.interaction import Row, help_columns, pages
+from ..session.live import LiveHost
+from ..session.picking import Pixel
+from ..session.scene_decor import SceneDecor
+from ..session.status_line import Piece, status_pieces
+from ..stereo import EYE_DISTANCE, Stereo, check_stereo, each_eye, looked_at
+from ..typesetting import Typesetter
+from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
+from .glfw_window import GlWindow
+from .hud import Hud, TimeLine, arrange
+from .plots import Plot, TorquePlot
+
+if TYPE_CHECKING:
+    from .panel_layer import PanelLayer
+
+_HINT = "H help"
+_RESTS = 0.3  # s after which a view that does not move rests, where its user does nothing
+_SAME_VIEW = 1e-6  # m, and of the unit vector of its direction
+_MORE = 1000  # additional capacity for geoms that MuJoCo adds to those of the model
+
+
+class Viewport(SceneDecor):
+    """The picture of a world in a rectangle of a window.
+
+    Args:
+        world: the compiled scene.
+        toggles: what is shown.
+        context: of the window, current.
+        stereo: see `Window`.
+        eye_distance: likewise.
+
+    Attributes:
+        rect: of the last picture in the window.
+        needed: see `camera.needed_aspect`.
+    """
+
+    def __init__(
+        self,
+        world: WorldView,
+        toggles: Toggles,
+        context: mujoco.MjrContext,
+        stereo: Stereo | None = None,
+        eye_distance: float = EYE_DISTANCE,
+    ) -> None:
+        super().__init__(world, toggles, with_text=False)
+        self._stereo, self._eye_distance = stereo, eye_distance
+        self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
+        self._distance = 1.0  # m, of what the camera looks at
+        self.needed = 0.0
+        self._surroundings = added_surroundings(world, context)
+        self.rect = mujoco.MjrRect(0, 0, 1, 1)
+        self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
+        self._option = mujoco.MjvOption()
+        self._typesetter: Typesetter | None = None
+
+    @property
+    def pieces(self) -> list[Piece]:
+        """What it adds to the status line."""
+        return []
+
+    def update(
+        self,
+        data: mujoco.MjData,
+        camera: mujoco.MjvCamera,
+        rect: mujoco.MjrRect,
+        typesetter: Typesetter,
+        covered: float = 0.0,
+    ) -> None:
+        """Lays out scene and decor.
+
+        Args:
+            data: the world's state, with frames up to date.
+            camera: of the picture.
+            rect: of the picture in the window.
+            typesetter: of its panels.
+            covered: width of what covers its left edge, pixels; numbers stay beside it.
+        """
+        scene, everything = self._scene, mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(
+            self.world.model, data, self._option, None, camera, everything, scene
+        )
+        if self._surroundings is not None:
+            self._surroundings.add(scene)
+        self.rect, self._typesetter = rect, typesetter
+        stand_back(scene, camera, self._width, rect.height, self.needed)
+        if self._stereo is not None:
+            self._distance = looked_at(scene, camera, self._centre)
+        inset = (min(covered, 0.6 * self._width), 0.0, 0.0, 0.0)
+        view = PictureView.of_scene(scene, self._width, rect.height, typesetter.font, inset)
+        self.draw(data, view, scene)
+
+    @property
+    def _width(self) -> int:
+        """Of what one eye sees, pixels."""
+        return int(self.rect.width) // (2 if self._stereo == "side-by-side" else 1)
+
+    def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
+        """Renders the picture in a window, in stereo for one eye after the other.
+
+        Args:
+            gl: the window.
+            quickly: whether without multisampling and shadows; not in stereo.
+        """
+        rect, scene = self.rect, self._scene
+        lefts = [int(rect.left)]
+        if self._stereo is None and quickly:
+            gl.render_quickly(rect, scene)
+        elif self._stereo is None:
+            mujoco.mjr_render(rect, scene, gl.context)
+        elif self._stereo == "anaglyph":
+            # MuJoCo sets all colours where something is reflected, so no mask holds meanwhile.
+            for eye, _ in enumerate(each_eye(scene, self._eye_distance, self._distance)):
+                mujoco.mjr_render(rect, scene, gl.context)
+                if eye == 0:
+                    left = gl.read(rect)
+            gl.blender.draw_red(np.ascontiguousarray(left[::-1]), rect.left, rect.bottom)
+        else:
+            lefts = [int(rect.left), int(rect.left) + self._width]
+            for eye, _ in enumerate(each_eye(scene, self._eye_distance, self._distance)):
+                half = mujoco.MjrRect(lefts[eye], rect.bottom, self._width, rect.height)
+                mujoco.mjr_render(half, scene, gl.context)
+        if self._typesetter is not None:
+            panels = self._typesetter.place(self.panels)
+            for start in lefts:
+                gl.blender.draw(panels, start, rect.bottom)
+
+    def to_picture(self, x: float, y: float) -> Pixel | None:
+        """Converts a pixel of the window to one of the picture; None outside of it."""
+        x, y = x - self.rect.left, y - self.rect.bottom
+        if not (0 <= x < self.rect.width and 0 <= y < self.rect.height):
+            return None
+        return x % self._width, y
+
+
+class Pace:
+    """Says when frames are to be drawn quickly: while the user acts, on a slow machine.
+
+    Attributes:
+        slow: s from which on a frame of full quality is slow.
+    """
+
+    def __init__(self) -> None:
+        self.slow = 0.04
+        self._time = 0.0  # of a frame of full quality, s
+        self._view: tuple[float, ...] = ()
+        self._moved = float("-inf")  # when the view did, or the user did anything
+
+    def took(self, seconds: float) -> None:
+        """Notes what a frame of full quality took, s; one late frame does not make a difference."""
+        self._time += 0.15 * (seconds - self._time)
+
+    def act(self, now: float) -> None:
+        """Notes that the user does something, s: what comes of it is to be seen at once."""
+        self._moved = now
+
+    def is_quick(self, view: tuple[float, ...], now: float) -> bool:
+        """Whether the frame of a view, where the camera is and looks, is to be drawn quickly."""
+        if self._view and not np.allclose(view, self._view, rtol=0.0, atol=_SAME_VIEW):
+            self._moved = now
+        self._view = view
+        return self._time > self.slow and now - self._moved < _RESTS
+
+
+class Window(LiveHost):
+    """Shows a mirror in a window.
+
+    It never waits for a packet: every frame shows the latest one.
+
+    Args:
+        mirror: must be open; is driven by the window's clock.
+        size: of the window, in screen coordinates.
+        camera: see `find_camera`.
+        full_screen: whether it covers the screen.
+        folder: where screenshots and films go; the current one when None.
+        stereo: `side-by-side` for a half of the picture for each eye, or `anaglyph` for red-cyan
+            glasses.
+        eye_distance: between the eyes, m.
+        make_viewport: makes another viewport of world, toggles and OpenGL context.
+
+    Attributes:
+        navigator: moves the camera.
+        gamepad: moves it as well, and presses keys.
+        is_quick: whether the last frame was drawn without multisampling and shadows, since the
+            view moves, or the user acts, and the machine is slow.
+
+    Raises:
+        RenderError: there is no display, no OpenGL, or no such stereo.
+        UnknownName: no camera of that name.
+    """
+
+    decor: Viewport
+
+    def __init__(
+        self,
+        mirror: LiveWorld,
+        *,
+        size: tuple[int, int] = DEFAULT_SIZE,
+        camera: str | None = None,
+        full_screen: bool = False,
+        folder: Path | None = None,
+        stereo: Stereo | None = None,
+        eye_distance: float = EYE_DISTANCE,
+        make_viewport: Callable[[WorldView, Toggles, mujoco.MjrContext], Viewport] | None = None,
+    ) -> None:
+        check_stereo(stereo, eye_distance)
+        super().__init__(mirror, folder)
+        world = self.world
+        self.navigator = Navigator(world, camera)
+        self.help_page = 0
+        title = f"{world.scene.name} - sero-mj"
+        self.gl = GlWindow(world, size, title, full_screen=full_screen)
+        made = (world, self.toggles, self.gl.context)
+        make = make_viewport or partial(Viewport, stereo=stereo, eye_distance=eye_distance)
+        self.decor = make(*made)
+        self.decor.needed = self.navigator.needed
+        self._hud = Hud(self.gl)
+        self._panel: PanelLayer | None = None  # until it is opened for the first time
+        self._mouse = Mouse()
+        self._actions |= {
+            "full_screen": self.gl.toggle_full_screen,
+            "help": self.next_help_page,
+            "panel": self.toggle_panel,
+        }
+        self._plot = TorquePlot(world)
+        self.gamepad = Gamepad(self, self._turn)
+        self._help = help_columns()
+        self._help.append([("Gamepad", ""), *PAD_STICKS.items(),
+                           *((name, words) for name, (_, words) in PAD_KEYS.items())])  # fmt: skip
+        self._line: TimeLine | None = None
+        self._is_scrubbing = False
+        self._pace, self.is_quick = Pace(), False
+        self._last = self._end = time.monotonic()  # start and end of the last frame
+        self._interval = 1.0 / self.gl.refresh_rate  # s, averaged over the last frames
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the user has not closed the window."""
+        return not self.gl.is_closing
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the screen is ready for the next frame.
+
+        If rendering is slow, half of the time is left to the caller.
+        """
+        took = self._end - self._last
+        if not self.is_open:
+            return False
+        return time.monotonic() - self._end >= max(1.0 / self.gl.refresh_rate - 1e-3 - took, took)
+
+    def frame(self, *, wait: bool = True) -> bool:
+        """Shows one frame, see `LiveHost.frame`."""
+        begin = time.monotonic()
+        passed, self._last = begin - self._last, begin
+        self._interval += 0.1 * (passed - self._interval)
+        if self.gl.is_closing:
+            return False
+        width, height = self.gl.size
+        if not (width and height):  # minimized
+            self.gl.wait(0.1)
+            return True
+        for event in self.gl.events():
+            if event.kind != "move" or self._mouse.is_down:
+                self._pace.act(begin)
+            self._take(event, height)
+        self.gamepad.update()
+        if not self.clock.is_live:
+            self.clock.on_moment = self._sample if self.has_plot else None
+        self._advance(lambda: self.clock.advance(passed))
+        self.navigator.advance(self.data)
+        hud = self._hud
+        bottom = hud.bar_height if self.shows_status else 0
+        bottom += hud.line_height if self._has_line else 0
+        size = (width, height)
+        rect, plots = arrange(size, hud.font.height, bottom, has_plot=self.has_plot)
+        typesetter = self.gl.typesetter_of(rect.width, rect.height)
+        panel = self._panel if self.has_panel else None
+        # Pictures and films are as without it.
+        is_kept = self.wants_picture or self.capture.is_filming
+        covered = 0.0 if is_kept else self._covered
+        self.decor.update(self.data, self.navigator.camera, rect, typesetter, covered)
+        is_pointing = not (self._mouse.is_down or self.shows_help or self._is_over_panel)
+        self.point(self._pointer() if is_pointing else None)
+        self.hover_handle(self._pointer() if is_pointing else None)
+        if panel is not None:
+            panel.build(bottom, self.build_panel)
+        filled = self._plot.fill(self.history, self.joint, plots[0].width) if self.has_plot else []
+        frame_rate = 1.0 / max(self._interval, 1e-6)
+        pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
+        pieces[1:1] = self.decor.pieces
+        ends = self.clock.begin, float(self.clock.end or 0.0)
+        self._line = hud.time_line(width, *ends) if self._has_line else None
+        drawn = time.monotonic()
+        self.work = drawn - begin
+        view = self.decor.view
+        assert view is not None  # it has just been updated
+        is_quick = self._pace.is_quick((*view.position, *view.forward), drawn)
+        self.is_quick = is_quick and not is_kept
+        # A narrow window has only one.
+        self._draw(list(zip(plots, filled, strict=False)), pieces, size)
+        self.gl.swap()
+        self._end = time.monotonic()
+        if not self.is_quick:
+            self._pace.took(self._end - drawn)
+        # Limits the frame rate where swapping does not wait for the screen's refresh.
+        if wait:
+            self.gl.wait(1.0 / self.gl.refresh_rate - 1e-3 - (self._end - begin))
+        return not self.gl.is_closing
+
+    @property
+    def _covered(self) -> float:
+        """Width of what the panel, or its handle, covers at the left edge, pixels."""
+        left, _, handle, _ = self._hud.panel_handle(self.gl.size[1])
+        panel = self._panel if self.has_panel else None
+        return max(left + handle, panel.covered if panel is not None else 0.0)
+
+    @property
+    def _has_line(self) -> bool:
+        return self.shows_status and bool(self.clock.end)
+
+    def _draw(
+        self,
+        plots: list[tuple[mujoco.MjrRect, Plot]],
+        pieces: list[Piece],
+        size: tuple[int, int],
+    ) -> None:
+        width, height = size
+        hud, picture, now = self._hud, self.decor.rect, time.monotonic()
+        self.decor.render(self.gl, quickly=self.is_quick)
+        for rect, plot in plots:
+            plot.draw(hud, rect, self.gl.context)
+        self._take_pictures(now, lambda: self.gl.read(self.decor.rect))
+        if self.capture.is_filming:
+            hud.filming(f"filming {time_text(self.capture.seconds)}", picture.width, height)
+        if self._line is not None:
+            hud.draw_time_line(self._line, self.clock.time, width, self.moments.ticks())
+        if self.shows_status:
+            hud.status(pieces, _HINT, width)
+        if self.notice.is_shown:
+            covered = self._panel.covered if self._panel is not None else 0.0
+            hud.message(self.notice.text, picture, covered=covered, is_bad=self.notice.is_bad)
+        if self.has_panel and self._panel is not None:
+            self._panel.draw()
+        else:
+            hud.draw_panel_handle(height, is_lit=self._is_on_handle(self._mouse.position))
+        if self.shows_help:
+            found = self.help_pages(size)
+            hud.help(found[min(self.help_page, len(found) - 1)], width, height)
+
+    @property
+    def picture_size(self) -> tuple[int, int]:
+        """See `LiveHost`: that of the picture in the window."""
+        return int(self.decor.rect.width), int(self.decor.rect.height)
+
+    def picture(self) -> Pixels:
+        """Renders the last frame again, without what lies over it, (height, width, 3)."""
+        rect = self.decor.rect
+        typesetter = self.gl.typesetter_of(rect.width, rect.height)
+        self.decor.update(self.data, self.navigator.camera, rect, typesetter)
+        self.decor.render(self.gl)
+        return self.gl.read(rect)
+
+    def help_pages(self, size: tuple[int, int]) -> list[list[list[Row]]]:
+        """Returns the help in pages of columns that fit a window of that size."""
+        return pages(self._help, self._hud.help_room(size))
+
+    @property
+    def has_panel(self) -> bool:
+        """Whether the panel is shown."""
+        return self._panel is not None and self._panel.is_open
+
+    def toggle_panel(self) -> None:
+        """Shows or hides the panel."""
+        if self._panel is None:
+            # What draws it is only loaded where it is wanted.
+            try:
+                from .panel_layer import PanelLayer
+            except ImportError as error:  # of a library of the system, say
+                self.say(f"no panel: {error}", is_bad=True)
+                return
+            self._panel = PanelLayer(self.gl, self.world.scene.name)
+        else:
+            self._panel.is_open = not self._panel.is_open
+
+    @property
+    def _is_over_panel(self) -> bool:
+        at = self._mouse.position
+        return self._panel is not None and at is not None and self._panel.is_over(*at)
+
+    def _is_on_handle(self, at: Pixel | None) -> bool:
+        left, bottom, width, height = self._hud.panel_handle(self.gl.size[1])
+        return at is not None and (
+            left <= at[0] < left + width and bottom <= at[1] < bottom + height
+        )
+
+    def next_help_page(self) -> None:
+        """Shows the help, shows its next page, or hides it after the last page."""
+        self.help_page = self.help_page + 1 if self.shows_help else 0
+        self.shows_help = self.help_page < len(self.help_pages(self.gl.size))
+
+    def _pointer(self) -> Pixel | None:
+        at = self._mouse.position
+        return None if at is None else self.decor.to_picture(*at)
+
+    def _take(self, event: Event, height: int) -> None:
+        """Handles an event."""
+        if event.kind == "drop":
+            self.open_file(Path(event.key))
+            return
+        if self._panel is not None and self._panel.take(event):
+            if event.kind == "move":
+                self._mouse.position = (event.x, event.y)
+            return
+        if event.kind == "key":
+            self._press(event)
+            return
+        if event.kind == "press" and not self.has_panel and self._is_on_handle((event.x, event.y)):
+            self.toggle_panel()
+            return
+        line = self._line
+        if event.kind == "press" and line is not None and line.hits(event.x, event.y):
+            self._is_scrubbing = True
+        if self._is_scrubbing and line is not None:
+            self._is_scrubbing = event.kind != "release"
+            self.clock.seek(line.time_at(event.x))
+            self._mouse.position = (event.x, event.y)
+            return
+        found = self._mouse.take(event)
+        if not self._mouse.is_down:
+            self.let_go()
+        if isinstance(found, Moved):
+            self._move(found, height)
+        elif isinstance(found, Clicked):
+            self._click(found)
+
+    def _move(self, moved: Moved, height: int) -> None:
+        view = self.decor.view
+        places = (moved.pulls_from, moved.pressed)
+        begin, pressed = (None if at is None else self.decor.to_picture(*at) for at in places)
+        if view is None or self.drag(moved, self._pointer(), begin, pressed):
+            return
+        if self.decor.fixed:
+            self.say(self.decor.fixed)
+            return
+        is_zoom = moved.how == "zoom"
+        down = moved.down if is_zoom else moved.down / height
+        self._turn(moved.how, moved.right / height, down)
+
+    def _turn(self, how: str, right: float, down: float) -> None:
+        """Turns, pans or zooms the view, by heights of the picture or notches of the wheel."""
+        view, navigator = self.decor.view, self.navigator
+        if view is None or self.decor.fixed:
+            return
+        navigator.free(view.position, view.forward)
+        if how == "zoom":
+            navigator.zoom(down)
+        elif how == "pan":
+            back = standing_back(view.width, view.height, navigator.needed)
+            depth = navigator.camera.distance * back
+            navigator.pan(right, down, view.tan_half_fovy, depth)
+        else:
+            navigator.orbit(right, down)
+
+    def _click(self, clicked: Clicked) -> None:
+        at = self.decor.to_picture(clicked.x, clicked.y)
+        if self.shows_help:
+            self.shows_help = False
+        elif at is not None:
+            self.click(replace(clicked, x=at[0], y=at[1]))
+
+    def _press(self, event: Event) -> None:
+        if event.key != "escape":
+            self.press(event.key, is_repeat=event.is_repeat)
+        elif self.shows_help:
+            self.shows_help = False
+        elif self.gl.is_full_screen:
+            self.gl.toggle_full_screen()
+
+    @property
+    def layout(self) -> dict[str, bool]:
+        """See `LiveHost`."""
+        return {**super().layout, "panel": self.has_panel}
+
+    def show_layout(self, layout: Mapping[str, bool]) -> None:
+        """See `LiveHost`."""
+        super().show_layout(layout)
+        if layout.get("panel", False) != self.has_panel:
+            self.toggle_panel()
+
+    @property
+    def view_camera(self) -> mujoco.MjvCamera:
+        """See `LiveHost`."""
+        return self.navigator.camera
+
+    @property
+    def is_following(self) -> bool:
+        """See `LiveHost`."""
+        return self.navigator.following is not None
+
+    def to_clipboard(self, text: str) -> None:
+        """See `LiveHost`."""
+        self.gl.set_clipboard(text)
+
+    def choose_camera(self, number: int) -> str:
+        """Selects a camera by number, 1 for the first, 0 for the initial view."""
+        return self.decor.fixed or self.navigator.choose(number)
+
+    def follow(self, frame: str | None) -> str:
+        """Starts following a frame with the camera, or stops; returns a message for the user."""
+        return self.decor.fixed or self.navigator.follow(self.data, frame)
+
+    def centre(self, point: Array) -> None:
+        """Makes a point (3,), m, the camera's look-at point."""
+        view = self.decor.view
+        assert view is not None  # there is a picture of the point
+        if self.decor.fixed:
+            self.say(self.decor.fixed)
+            return
+        self.navigator.free(view.position, view.forward)
+        self.navigator.camera.lookat = point
+
+    def request_close(self) -> None:
+        """Lets the next frame be the last."""
+        self.gl.request_close()
+
+    def close(self) -> None:
+        """Closes the window after pictures and films are written."""
+        self.keeping.close()
+        self.capture.close()
+        if self._panel is not None:
+            self._panel.close()
+        self.gl.close()

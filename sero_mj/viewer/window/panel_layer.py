@@ -1,0 +1,200 @@
+"""Widgets in a window, with their share of mouse and keys; `PanelLayer` is a panel of them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import glfw
+from imgui_bundle import ImVec2, imgui
+
+from ..panels.widgets import Widgets
+from ..session.input import Event
+from .bundle_widgets import BundleWidgets, set_style
+from .glfw_window import GlWindow
+
+# Fits the OpenGL 2.1 that MuJoCo needs, and all later ones.
+_GLSL = "#version 120"
+_TEXT = 0.84  # height of its text, of that of the window's own
+_WIDTH = 21.5  # of the text's height
+_TALLEST = 0.97  # of the window's height
+_FLAGS = (
+    imgui.WindowFlags_.no_move
+    | imgui.WindowFlags_.no_resize
+    | imgui.WindowFlags_.no_collapse
+    | imgui.WindowFlags_.no_saved_settings
+    | imgui.WindowFlags_.no_nav
+)
+_KEYS = {
+    glfw.KEY_TAB: imgui.Key.tab,
+    glfw.KEY_BACKSPACE: imgui.Key.backspace,
+    glfw.KEY_DELETE: imgui.Key.delete,
+    glfw.KEY_ENTER: imgui.Key.enter,
+    glfw.KEY_KP_ENTER: imgui.Key.keypad_enter,
+    glfw.KEY_ESCAPE: imgui.Key.escape,
+    glfw.KEY_LEFT: imgui.Key.left_arrow,
+    glfw.KEY_RIGHT: imgui.Key.right_arrow,
+    glfw.KEY_HOME: imgui.Key.home,
+    glfw.KEY_END: imgui.Key.end,
+    glfw.KEY_A: imgui.Key.a,
+    glfw.KEY_C: imgui.Key.c,
+    glfw.KEY_V: imgui.Key.v,
+    glfw.KEY_X: imgui.Key.x,
+    glfw.KEY_Z: imgui.Key.z,
+}
+_MODIFIERS = {
+    glfw.MOD_CONTROL: imgui.Key.mod_ctrl,
+    glfw.MOD_SHIFT: imgui.Key.mod_shift,
+    glfw.MOD_SUPER: imgui.Key.mod_super,
+}
+
+
+class ImguiLayer:
+    """Dear ImGui in the window's own OpenGL context, which is left as it was found.
+
+    Args:
+        gl: the window.
+
+    Attributes:
+        is_open: whether it is shown.
+        text_height: of its widgets, pixels.
+        widgets: that it is made of.
+    """
+
+    def __init__(self, gl: GlWindow) -> None:
+        self._gl = gl
+        self.is_open = True
+        self.text_height = round(_TEXT * gl.typesetter.font.height)
+        self._context = imgui.create_context()
+        io = imgui.get_io()
+        io.set_ini_filename("")
+        io.config_flags |= imgui.ConfigFlags_.no_mouse_cursor_change
+        set_style(self.text_height)
+        imgui.backends.opengl3_init(_GLSL)
+        platform = imgui.get_platform_io()
+        platform.platform_get_clipboard_text_fn = lambda _: gl.clipboard
+        platform.platform_set_clipboard_text_fn = lambda _, text: gl.set_clipboard(text)
+        gl.on_key, gl.on_character = self._key, io.add_input_character
+        self.widgets: Widgets = BundleWidgets()
+        self._rect = (0.0, 0.0, 0.0, 0.0)  # left, top, width, height
+        self._at = (-1.0, -1.0)  # of the pointer, pixels from the upper left corner
+        self._is_held = False  # whether the button was pressed over it
+        self._is_open_above = False  # a list to choose from, say
+        self._last = time.monotonic()
+
+    @property
+    def takes_keys(self) -> bool:
+        """Whether a text is being typed, so that keys are no actions."""
+        return self.is_open and bool(imgui.get_io().want_text_input)
+
+    def take(self, event: Event) -> bool:
+        """Takes an event; returns whether it is its own, and nobody else's."""
+        if not self.is_open:
+            return False
+        if event.kind == "key":
+            return self.takes_keys
+        io = imgui.get_io()
+        if event.kind == "scroll":
+            is_over = self._is_over(*self._at)
+            if is_over:
+                io.add_mouse_wheel_event(event.x, event.y)
+            return is_over
+        self._at = x, y = event.x, self._gl.size[1] - event.y
+        io.add_mouse_pos_event(x, y)
+        if event.kind == "move":
+            return self._is_held
+        is_press = event.kind == "press"
+        if is_press and not self._is_over(x, y):
+            imgui.set_window_focus(None)  # who was typing has ended
+            return False
+        was_held, self._is_held = self._is_held, is_press
+        if is_press or was_held:
+            io.add_mouse_button_event(event.button, is_press)
+        return is_press or was_held
+
+    def is_over(self, x: float, y: float) -> bool:
+        """Whether a pixel of the window, y up, is its own."""
+        return self.is_open and self._is_over(x, self._gl.size[1] - y)
+
+    def _is_over(self, x: float, y: float) -> bool:
+        left, top, width, height = self._rect
+        return self._is_open_above or (left <= x < left + width and top <= y < top + height)
+
+    def _key(self, key: int, action: int, mods: int) -> None:
+        if not self.is_open:
+            return
+        io = imgui.get_io()
+        for modifier, name in _MODIFIERS.items():
+            io.add_key_event(name, bool(mods & modifier))
+        if key in _KEYS:
+            io.add_key_event(_KEYS[key], action != glfw.RELEASE)
+
+    def frame(self, build: Callable[[], None]) -> None:
+        """Builds the widgets of a frame, which `draw` draws.
+
+        Args:
+            build: builds a window of Dear ImGui, the last one that it ends.
+        """
+        width, height = self._gl.size
+        now = time.monotonic()
+        io = imgui.get_io()
+        io.display_size = ImVec2(width, height)
+        io.delta_time, self._last = max(now - self._last, 1e-4), now
+        imgui.backends.opengl3_new_frame()
+        imgui.new_frame()
+        build()
+        self._is_open_above = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
+        imgui.render()
+
+    def draw(self) -> None:
+        """Draws what was built over what is in the window."""
+        imgui.backends.opengl3_render_draw_data(imgui.get_draw_data())
+
+    def close(self) -> None:
+        """Frees it, while the window's context is current."""
+        self._gl.on_key = self._gl.on_character = None
+        imgui.backends.opengl3_shutdown()
+        imgui.destroy_context(self._context)
+
+
+class PanelLayer(ImguiLayer):
+    """A panel of widgets at the left edge of a window's picture.
+
+    Args:
+        gl: the window.
+        title: of the panel.
+    """
+
+    def __init__(self, gl: GlWindow, title: str) -> None:
+        super().__init__(gl)
+        self._title = title
+
+    @property
+    def covered(self) -> float:
+        """Width of the window that the panel covers at the left edge, pixels."""
+        return self._rect[0] + self._rect[2] if self.is_open else 0.0
+
+    def build(self, bottom: float, panel: Callable[[Widgets], None]) -> None:
+        """Builds the panel of a frame.
+
+        Args:
+            bottom: height of what is below the picture, pixels.
+            panel: builds its widgets.
+        """
+        self.frame(lambda: self._build(bottom, panel))
+
+    def _build(self, bottom: float, panel: Callable[[Widgets], None]) -> None:
+        width, height = self._gl.size
+        margin = round(0.4 * self.text_height)
+        room = _TALLEST * (height - bottom) - margin
+        wide = round(min(_WIDTH * self.text_height, 0.6 * width))
+        imgui.set_next_window_pos(ImVec2(margin, margin))
+        imgui.set_next_window_size(ImVec2(wide, 0.0))  # as high as what is in it, up to
+        imgui.set_next_window_size_constraints(ImVec2(wide, 0.0), ImVec2(wide, max(room, 100.0)))
+        shown, is_open = imgui.begin(f"{self._title}###panel", True, _FLAGS)
+        if shown:
+            panel(self.widgets)
+        place, size = imgui.get_window_pos(), imgui.get_window_size()
+        self._rect = (place.x, place.y, size.x, size.y)
+        imgui.end()
+        self.is_open = bool(is_open)
