@@ -440,16 +440,16 @@ def test_a_loop_of_ones_own_moves_the_robot(display: str, tmp_path: Path) -> Non
 
 
 # Panels, pixels that they change, and the largest difference from headless pictures' way.
-_BLENDED = """(lambda np, setting, placed, full, bare: [
+_BLENDED = """(lambda np, setting, full, placed, bare: [
     len(placed),
     int((bare != full).any(axis=2).sum()),
     setting.compose(bare, placed) or int(np.abs(full.astype(int) - bare).max()),
 ])(
     __import__("numpy"),
     __import__("sero_mj.viewer.typesetting", fromlist=[""]),
-    w.decor._typesetter.place(w.decor.panels),
     w.picture(),
-    [w.decor.panels.clear(), w.picture()][1],
+    w.decor._typesetter.place(w.decor.panels),
+    [w.decor.panels.clear(), w.decor.render(w.gl), w.gl.read(w.decor.rect)][2],
 )"""
 
 

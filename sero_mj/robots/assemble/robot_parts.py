@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, Self, get_args
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
@@ -13,9 +13,6 @@ from ...base.errors import DeclarationError, Problem, did_you_mean, nearest
 from ...base.frames import Array, frame_from
 from .dh import COLUMNS, Column
 from .surroundings import MeshFile, Object, check_shape_size
-
-if TYPE_CHECKING:
-    from .robot import SerialRobot
 
 ArrowQuantity = Literal["torques", "torque_error", "joint_accelerations", "singularity"]
 ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
@@ -73,9 +70,13 @@ class Posed(Declaration):
             self.__dict__["joint_angles_deg"] = None
         return self
 
-    def check_degrees(self, robots: Iterable[SerialRobot]) -> list[Problem]:
-        """Returns what is wrong with a pose in degrees for these robots: prismatic joints."""
-        sliding = [robot.name for robot in robots if "prismatic" in robot.types]
+    def check_degrees(self, types: Mapping[str, Sequence[str]]) -> list[Problem]:
+        """Returns what is wrong with a pose in degrees: prismatic joints.
+
+        Args:
+            types: of the joints of the robots that it is for, by robot.
+        """
+        sliding = [name for name, of_joints in types.items() if "prismatic" in of_joints]
         if "joint_angles_deg" not in self.model_fields_set or not sliding:
             return []
         message = f"is for revolute joints only, and {sliding[0]} has others; use joint_angles"

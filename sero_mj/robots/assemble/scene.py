@@ -227,7 +227,9 @@ class Scene:
         """Gives the robots of a group their shares of what is declared of it per joint."""
         robots = [self.robots[name] for name in self.membership.members[group.name]]
         place = f"groups.{group.name}"
-        self._group_problems += [each.inside(place) for each in group.check_degrees(robots)]
+        self._group_problems += [
+            each.inside(place) for each in group.check_degrees({r.name: r.types for r in robots})
+        ]
         for key in SHARED:
             value = getattr(group, key)
             if value is None:
@@ -440,7 +442,7 @@ class Scene:
                 near = did_you_mean(double.of, known)
                 problems.append(Problem(f"doubles.{name}.of", f"no robot '{double.of}'{near}"))
             elif double.of in self.robots:
-                found = double.check_degrees([self.robots[double.of]])
+                found = double.check_degrees({double.of: self.robots[double.of].types})
                 problems += [each.inside(f"doubles.{of_group.get(name, name)}") for each in found]
                 coupled = self.robots[double.of].coupled
                 for key in ("joint_angles", "path", *VALUE_INPUTS):
