@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
 ROOT = Path(__file__).resolve().parent.parent
 # Before every program: `answer()` answers what was asked by then.
@@ -40,6 +40,7 @@ class Driver:
         arguments: its first argument, as JSON.
         folder: where it runs.
         environment: of the process.
+        errors: where its standard error goes; to that of the tests when None.
     """
 
     goodbye = ""  # an expression that closes what it shows
@@ -51,12 +52,14 @@ class Driver:
         arguments: Any,
         folder: Path,
         environment: Mapping[str, str] = os.environ,
+        errors: IO[str] | None = None,
     ) -> None:
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
         self.process = subprocess.Popen(
             [sys.executable, "-c", _PRELUDE + program, json.dumps(arguments)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            stderr=errors,
             text=True,
             cwd=folder,
             env={**environment, "PYTHONPATH": str(ROOT)},

@@ -461,6 +461,21 @@ def test_the_window_blends_panels_as_headless_pictures_do(window: Driven) -> Non
     assert difference <= 2
 
 
+_JAGGED = """(lambda np, mujoco, rect, smooth: (lambda raw: [
+    mujoco.mjr_readPixels(raw, None, rect, w.gl.context) or w.gl.context.windowSamples,
+    int((np.abs(raw[::-1].astype(int) - smooth).max(axis=2) > 8).sum()),
+])(np.empty((rect.height, rect.width, 3), np.uint8)))(
+    __import__("numpy"), __import__("mujoco"), w.decor.rect, w.picture(),
+)"""
+
+
+def test_pictures_of_a_window_are_as_smooth_as_the_window(window: Driven) -> None:
+    """Reading its buffer of several samples a pixel directly would take one of them."""
+    samples, differ = window.ask(" ".join(_JAGGED.split()))
+    assert samples >= 4
+    assert differ > 100  # along the edges
+
+
 def test_on_a_slow_machine_a_moving_view_is_drawn_quickly_and_comes_back(window: Driven) -> None:
     picture = "w.picture()[::4, ::4].astype(int)"
     before = np.array(window.ask(picture))

@@ -9,7 +9,7 @@ import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from driver import Driver
@@ -141,6 +141,7 @@ class Served(Driver):
         settings: tuple[str, ...] = (),
         replay: str = "",
         control: str = "",
+        errors: IO[str] | None = None,
         **options: Any,
     ) -> None:
         environment = {
@@ -148,9 +149,8 @@ class Served(Driver):
             "HOME": str(folder),  # Studio keeps its settings there
             "MUJOCO_GL": "egl",
         }
-        super().__init__(
-            _PROGRAM, [scene, list(settings), replay, options, control], folder, environment
-        )
+        arguments = [scene, list(settings), replay, options, control]
+        super().__init__(_PROGRAM, arguments, folder, environment, errors)
         self.url: str = self.ask("w.url")
 
     def joint(self, index: int) -> tuple[float, float]:

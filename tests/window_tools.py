@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from driver import ROOT, Driver
 
@@ -73,14 +73,15 @@ print("closed", flush=True)
 
 
 @contextmanager
-def screen() -> Iterator[str]:
-    """A screen without a monitor; yields its DISPLAY."""
+def screen(size: tuple[int, int] = (1000, 700)) -> Iterator[str]:
+    """A screen of so many pixels without a monitor; yields its DISPLAY."""
     read, write = os.pipe()
     server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1000x700x24", "-nolisten", "tcp"],
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", f"{size[0]}x{size[1]}x24",
+         "-nolisten", "tcp"],
         pass_fds=[write],
         stderr=subprocess.DEVNULL,
-    )
+    )  # fmt: skip
     os.close(write)
     try:
         with os.fdopen(read) as number:
@@ -104,13 +105,14 @@ class Driven(Driver):
         settings: tuple[str, ...] = (),
         replay: str = "",
         control: str = "",
+        errors: IO[str] | None = None,
         **options: Any,
     ) -> None:
         self._environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
         self._environment.pop("WAYLAND_DISPLAY", None)
         self._pressed = 0.0  # when a button was, at last
         arguments = [scene, list(settings), list(SIZE), options, replay, control]
-        super().__init__(_DRIVER, arguments, folder, self._environment)
+        super().__init__(_DRIVER, arguments, folder, self._environment, errors)
 
     def tool(self, *arguments: object) -> None:
         """Moves, clicks and types: `xdotool` with these arguments.

@@ -1,0 +1,279 @@
+"""Random events for windows and pages: what nobody would try on purpose, and as it was, by a seed.
+
+`Monkey` decides what is done, and is the same for both; a hand does it.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from sero_mj.viewer.session.interaction import HOST_KEYS, KEYS, MORE_KEYS
+
+SHIFT, CONTROL = "shift", "control"
+_EVERY = [*KEYS, *HOST_KEYS, *MORE_KEYS]
+_CHARACTERS = [key for key in _EVERY if len(key) == 1]
+_NAMED = [*(key for key in _EVERY if len(key) > 1 and "+" not in key), "up", "down", "enter",
+          "delete", "escape"]  # fmt: skip
+_LETTERS = "zyca"  # with Control
+_MODS: Sequence[frozenset[str]] = [frozenset(), frozenset(), frozenset(), frozenset([SHIFT]),
+                                   frozenset([CONTROL]), frozenset([SHIFT, CONTROL])]  # fmt: skip
+_NONE = _MODS[0]
+_SIZES = [(1, 1), (2, 1), (1, 2), (2, 2), (3, 300), (400, 2), (40, 30), (120, 90), (200, 300),
+          (400, 200), (400, 300), (400, 300), (400, 300)]  # fmt: skip
+_TEXTS = ["0", "-1.5", "1e9", "nan", "1e999", "-", "0,1,2", "x" * 30, "é😀", "9" * 20]
+
+Event = tuple[Any, ...]  # the name of what a hand does, and how
+
+
+class Monkey:
+    """Events without an end.
+
+    Args:
+        seed: of them.
+
+    Attributes:
+        size: of the window or page, pixels.
+        places: of widgets by their labels: left, top, right, bottom.
+        last: the last events, for who looks for a fault.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+        self.size: tuple[int, int] = (1, 1)
+        self.places: Mapping[str, Sequence[float]] = {}
+        self.last: deque[Event] = deque(maxlen=40)
+        self._acts = {
+            self._character: 25, self._name: 12, self._shortcut: 6, self._move: 20,
+            self._click: 16, self._double_click: 6, self._drag: 10, self._wheel: 8,
+            self._widget: 16, self._field: 5, self._resize: 8,
+        }  # fmt: skip
+
+    def events(self) -> Iterator[Event | None]:
+        """Yields events, and None where what follows is for the next frame."""
+        acts, weights = list(self._acts), list(self._acts.values())
+        while True:
+            for event in self._random.choices(acts, weights)[0]():
+                if event is not None:
+                    self.last.append(event)
+                yield event
+
+    def _character(self) -> Iterator[Event | None]:
+        yield "character", self._random.choice(_CHARACTERS)
+
+    def _name(self) -> Iterator[Event | None]:
+        yield "key", self._random.choice(_NAMED), _NONE
+
+    def _shortcut(self) -> Iterator[Event | None]:
+        mods = self._random.choice(([CONTROL], [SHIFT, CONTROL]))
+        yield "key", self._random.choice(_LETTERS), frozenset(mods)
+
+    def _place(self) -> tuple[float, float]:
+        beyond = self._random.choice((1.0, 1.0, 1.0, 1.1))
+        width, height = self.size
+        return self._random.uniform(0, beyond * width), self._random.uniform(0, beyond * height)
+
+    def _move(self) -> Iterator[Event | None]:
+        yield "move", *self._place()
+
+    def _click(self) -> Iterator[Event | None]:
+        button, mods = self._random.randrange(3), self._random.choice(_MODS)
+        yield from self._click_at(self._place(), button, mods)
+
+    def _click_at(
+        self, at: tuple[float, float], button: int = 0, mods: frozenset[str] = _NONE
+    ) -> Iterator[Event | None]:
+        yield "move", *at
+        yield "button", *at, button, True, mods
+        yield None
+        yield "button", *at, button, False, mods
+
+    def _double_click(self) -> Iterator[Event | None]:
+        at, button = self._place(), self._random.randrange(3)
+        yield "move", *at
+        for is_down in (True, False, True, False):
+            yield "button", *at, button, is_down, _NONE
+
+    def _drag(self) -> Iterator[Event | None]:
+        at, button, mods = self._place(), self._random.randrange(3), self._random.choice(_MODS)
+        yield "move", *at
+        yield "button", *at, button, True, mods
+        for _ in range(self._random.randint(1, 4)):
+            at = self._place()
+            yield "move", *at
+            yield None
+        if self._random.random() < 0.9:  # else it is let go of where nobody sees it
+            yield "button", *at, button, False, mods
+
+    def _wheel(self) -> Iterator[Event | None]:
+        yield "wheel", self._random.choice((1, 1, -1, -1, 30, -30))
+
+    def _widget(self) -> Iterator[Event | None]:
+        if self.places:
+            left, top, right, bottom = self.places[self._random.choice(sorted(self.places))]
+            at = self._random.uniform(left, right), self._random.uniform(top, bottom)
+            yield from self._click_at(at)
+
+    def _field(self) -> Iterator[Event | None]:
+        """Types into a field, or a slider by Control and click."""
+        if self.places:
+            left, top, right, bottom = self.places[self._random.choice(sorted(self.places))]
+            at = (left + right) / 2, (top + bottom) / 2
+            yield from self._click_at(at, 0, self._random.choice((_NONE, frozenset([CONTROL]))))
+            yield None
+            yield "text", self._random.choice(_TEXTS)
+            yield None
+            yield "key", self._random.choice(("enter", "tab", "escape")), _NONE
+
+    def _resize(self) -> Iterator[Event | None]:
+        yield "resize", *self._random.choice(_SIZES)
+
+
+class WindowHand:
+    """Works a window from within its process, by what GLFW calls.
+
+    Args:
+        window: a `Window`.
+        places: of the widgets of its panel; see `Monkey`.
+        seed: of what is done.
+    """
+
+    def __init__(self, window: Any, places: Mapping[str, Sequence[float]], seed: int) -> None:
+        import glfw
+
+        from sero_mj.viewer.window.glfw_window import _NAMED_KEYS
+
+        self._glfw, self._window, self._gl = glfw, window, window.gl
+        self._codes = {name: code for code, name in _NAMED_KEYS.items()}
+        self._mods = {SHIFT: glfw.MOD_SHIFT, CONTROL: glfw.MOD_CONTROL}
+        self.monkey = Monkey(seed)
+        self.monkey.places = places
+        self._events = self.monkey.events()
+
+    def run(self, count: int) -> int:
+        """Does so many events, up to eight before each frame.
+
+        Returns:
+            how many frames there were; -1 where the window is closed.
+        """
+        frames = done = 0
+        while done < count:
+            for _ in range(8):
+                self.monkey.size = self._gl.size
+                event = next(self._events)
+                if event is None:
+                    break
+                name, *how = event
+                getattr(self, f"_{name}")(*how)
+                done += 1
+            if not self._window.frame(wait=False):
+                return -1
+            frames += 1
+        return frames
+
+    def _sum(self, mods: frozenset[str]) -> int:
+        return sum(self._mods[each] for each in mods)
+
+    def _character(self, character: str) -> None:
+        self._gl._on_char(None, ord(character))
+
+    def _text(self, text: str) -> None:
+        for character in text:
+            self._character(character)
+
+    def _key(self, name: str, mods: frozenset[str]) -> None:
+        code = self._codes.get(name) or ord(name.upper())
+        for action in (self._glfw.PRESS, self._glfw.REPEAT, self._glfw.RELEASE):
+            self._gl._on_key(None, code, 0, action, self._sum(mods))
+
+    def _move(self, x: float, y: float) -> None:
+        self._gl._on_move(None, x, y)
+
+    def _button(self, x: float, y: float, button: int, is_down: bool, mods: frozenset[str]) -> None:
+        self._gl._on_move(None, x, y)
+        self._gl._on_button(None, button, int(is_down), self._sum(mods))
+
+    def _wheel(self, turns: int) -> None:
+        self._gl._on_scroll(None, 0, turns)
+
+    def _resize(self, width: int, height: int) -> None:
+        self._glfw.set_window_size(self._gl._window, width, height)
+
+
+class PageHand:
+    """Works a page in a browser: presses, sizes and texts are the browser's own.
+
+    To others it would answer with its next frame, a twentieth of a second later each, so keys and
+    motions come from within the page, several at once.
+
+    Args:
+        page: Playwright's.
+    """
+
+    def __init__(self, page: Any) -> None:
+        self._page = page
+        self._line = page.context.new_cdp_session(page)
+        self._waiting: list[tuple[str, str, dict[str, Any]]] = []  # class, kind and what it has
+
+    def do(self, event: Event) -> None:
+        """Does one event, or keeps it for the next one that is the browser's own."""
+        name, *how = event
+        if name in ("button", "resize", "text"):
+            self.flush()
+        getattr(self, f"_{name}")(*how)
+
+    def flush(self) -> None:
+        """Does what was kept."""
+        waiting, self._waiting = self._waiting, []
+        if waiting:
+            self._page.evaluate(_DISPATCH, waiting)
+
+    def _character(self, character: str) -> None:
+        self._key(character, frozenset([SHIFT] if character in "+?_" else []))
+
+    def _key(self, name: str, mods: frozenset[str]) -> None:
+        code = _CODES.get(name) or (f"Key{name.upper()}" if name.isalpha() else f"Digit{name}")
+        if len(name) > 1:
+            code = f"Arrow{name.title()}" if name in _ARROWS else name.title()
+        how = {"key": code if len(name) > 1 else name, "code": code, **_held(mods)}
+        self._waiting += [("KeyboardEvent", kind, how) for kind in ("keydown", "keyup")]
+
+    def _move(self, x: float, y: float) -> None:
+        self._waiting.append(("MouseEvent", "mousemove", {"clientX": x, "clientY": y}))
+
+    def _wheel(self, turns: int) -> None:
+        self._waiting.append(("WheelEvent", "wheel", {"deltaY": -100 * turns}))
+
+    def _button(self, x: float, y: float, button: int, is_down: bool, mods: frozenset[str]) -> None:
+        self._line.send(
+            "Input.dispatchMouseEvent",
+            {
+                "type": "mousePressed" if is_down else "mouseReleased", "x": x, "y": y,
+                "button": ("left", "right", "middle")[button], "clickCount": 1,
+                "modifiers": 8 * (SHIFT in mods) + 2 * (CONTROL in mods),
+            },
+        )  # fmt: skip
+
+    def _text(self, text: str) -> None:
+        self._page.keyboard.type(text)
+
+    def _resize(self, width: int, height: int) -> None:
+        self._page.set_viewport_size({"width": width, "height": height})
+
+
+def _held(mods: frozenset[str]) -> dict[str, bool]:
+    return {"shiftKey": SHIFT in mods, "ctrlKey": CONTROL in mods}
+
+
+_ARROWS = ("left", "right", "up", "down")
+_CODES = {" ": "Space", ".": "Period", ",": "Comma", "-": "Minus", "_": "Minus", "=": "Equal",
+          "+": "Equal", "[": "BracketLeft", "]": "BracketRight", "?": "Slash"}  # fmt: skip
+_DISPATCH = """(waiting) => {
+    const canvas = document.querySelector("canvas");
+    for (const [kind, name, how] of waiting) {
+        const event = new window[kind](name, { ...how, bubbles: true, cancelable: true });
+        canvas.dispatchEvent(event);
+    }
+}"""

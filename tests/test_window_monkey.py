@@ -1,0 +1,59 @@
+"""A window that 2,000 random events do not end, of which some come from the screen."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from window_tools import MISSING, Driven, screen
+
+pytestmark = [
+    pytest.mark.gl,
+    pytest.mark.timeout(200),
+    pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
+]
+_TESTS = str(Path(__file__).parent)
+EVENTS, AT_ONCE = 2000, 50
+
+
+@pytest.fixture(scope="module")
+def display() -> Iterator[str]:
+    with screen((400, 300)) as name:  # all of it is drawn in full screen
+        yield name
+
+
+def test_random_events_do_not_end_a_window(display: str, tmp_path: Path) -> None:
+    """One of a pixel with a plot died of a division by zero."""
+    errors = tmp_path / "errors.txt"
+    folder = tmp_path / "window"
+    folder.mkdir()
+    with errors.open("w") as stream, Driven(
+        display, folder, "lwr_double", control="joint", errors=stream
+    ) as window:  # fmt: skip
+        window.ask(f"sys.path.append({_TESTS!r})")
+        window.ask("globals().update(hand=__import__('monkeys').WindowHand(w, places, seed=1))")
+        window.ask("setattr(w, '_draw', draw)")  # every frame
+        window.ask("w.toggle_plot() or w.toggle_panel()")
+        places = random.Random(1)
+        for _ in range(EVENTS // AT_ONCE):
+            assert window.ask(f"hand.run({AT_ONCE})") > 0, window.ask("[*hand.monkey.last]")
+            if places.random() < 0.5:
+                from_screen(window, places)
+        window.tool("search", "--name", "lwr", "windowsize", 320, 240)
+        window.until("w.gl.size == (320, 240)")
+        shown = window.ask("(w.picture().max(axis=(0, 1)) > 100).tolist()")
+        assert shown == [True] * 3
+    assert window.process.returncode == 0
+    assert errors.read_text() == ""
+
+
+def from_screen(window: Driven, places: random.Random) -> None:
+    """What the window manager and a mouse do, and in one go."""
+    size = places.choice([(1, 1), (2, 2), (300, 200)])
+    x, y = places.randrange(300), places.randrange(200)
+    window.tool(
+        "search", "--name", "lwr", "windowsize", *size,
+        "mousemove", x, y, "click", 1, "key", places.choice(["p", "Tab", "h", "F2", "F3", "r"]),
+    )  # fmt: skip
