@@ -208,7 +208,7 @@ class Sensors:
                 own[(self._k - 1 - age) % len(own), row] = past[(one._k - 1 - age) % len(past)]
         self._noise[:, row], self._has_drawn[row] = one._noise, one._drawn
         self._first[row] = self._k - one._k
-        self._together = int(self._first[row]) if np.ptp(self._first) == 0 else None
+        self._find_together()
         self._drawn = bool(self._has_drawn[self._has_noise].all())
         self._offset(row)
 
@@ -335,14 +335,15 @@ class Sensors:
             if self._delays[..., row, :].any()
         ]
 
-        self.is_perfect = not (
-            self._scaled
-            or self._shifted
-            or self._grids
-            or self._faulty
-            or self._late
-            or self._differentiated is not None
-        )
+        is_off = self._dead | self._frozen | (self._delays != 0)
+        for key, right in (("gain", 1.0), ("bias", 0.0), ("noise", 0.0), ("resolution", 0.0)):
+            is_off |= errors[key] != right
+        if self._differentiated is not None:
+            is_off[...] = True
+        # Perfect sensors by themselves are not asked to `measure`: among rows it does not count.
+        self._idle = ~is_off.reshape(len(self._rngs), -1).any(axis=1)
+        self._has_idle = bool(self._rows) and bool(self._idle.any())
+        self.is_perfect = bool(self._idle.all())
 
     def _offset(self, row: int) -> None:
         """Noise and bias of a row together for a block of steps: one addition in every step."""
@@ -364,6 +365,10 @@ class Sensors:
         if self._noisy and not (self._drawn and rows.all()):
             self._draw(rows)
         return np.asarray(self._offsets[rows, self._places[0][:, 0]])
+
+    def _find_together(self) -> None:
+        first = int(self._first[0])
+        self._together = first if (self._first == first).all() else None
 
     def _draw(self, k: Ints) -> None:
         """Draws the noise of a block of steps, of rows that are at its beginning or need it now.
@@ -411,6 +416,9 @@ class Sensors:
             past[self._k % len(past)] = values
             values[:] = past[((self._k - late) % len(past), *self._places)]
         self._k += 1
+        if self._has_idle:
+            self._first += self._idle
+            self._find_together()
         return measured
 
     def _differentiate(self, joints: Bools, offsets: Array | None) -> None:
