@@ -14,7 +14,7 @@ from sero_mj.base.errors import DeclarationError, SimulationError
 from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.simulate.control.compiler import Compiler
 from sero_mj.simulate.control.model_rows import ModelRows
-from sero_mj.simulate.scenario import Run
+from sero_mj.simulate.scenario import Run, build_entry
 from sero_mj.study.learning.environment import Environment
 from sero_mj.study.learning.gymnasium_vector import GymnasiumVector, make_gymnasium_vector
 from sero_mj.study.learning.make import RobotSettings
@@ -201,10 +201,19 @@ def test_runs_that_need_more_than_steps_are_stepped_alone(
 def test_drives_are_those_of_one_environment_where_many_begin_at_other_times(
     changes: dict[str, Any], sensors: dict[str, Any]
 ) -> None:
-    settings = RobotSettings(time_limit=0.1, action="impedance", stiffness=200.0, sensors=sensors)
+    play_with_restart(
+        RobotSettings(time_limit=0.1, action="impedance", stiffness=200.0, sensors=sensors), changes
+    )
+
+
+def play_with_restart(
+    settings: RobotSettings, changes: dict[str, Any], faults: dict[str, Any] | None = None
+) -> None:
+    """Compares three environments together with three alone; one begins anew by itself."""
     task, robot = Reach(), SerialRobot.from_model("lwr")
     scenario = settings.make_scenario(robot, task)
     scenario.run = Run.model_validate({**scenario.run.model_dump(), **changes})
+    scenario.faults = faults or {}
 
     def environment() -> Environment:
         return Environment(scenario, "lwr", task, settings, random_start=True)
@@ -224,6 +233,21 @@ def test_drives_are_those_of_one_environment_where_many_begin_at_other_times(
         found = many.step(actions)[0]
         steps = [each.step(action) for each, action in zip(alone, actions, strict=True)]
         expected = [step.observation for step in steps]
+
+
+FAULTS = {
+    "frozen": {"kind": "frozen_sensor", "signal": "torques", "begin": 0.03, "end": 0.07},
+    "offset": {"kind": "encoder_offset", "offset": 0.01, "joints": ["A2"], "begin": 0.02},
+    "loud": {"kind": "sensor", "signal": "velocities", "noise": 0.01, "begin": 0.03, "end": 0.08},
+    "late": {"kind": "sensor", "signal": "angles", "delay_ms": 3, "begin": 0.05, "end": 0.09},
+    "weak": {"kind": "controller", "gain": 0.5, "joints": ["A4"], "begin": 0.04, "end": 0.08},
+}
+
+
+@pytest.mark.parametrize("sensors", [{}, SENSORS])
+def test_faults_begin_and_end_in_every_episode_by_itself(sensors: dict[str, Any]) -> None:
+    settings = RobotSettings(time_limit=0.12, action="impedance", sensors=sensors)
+    play_with_restart(settings, {}, {name: build_entry("faults", FAULTS[name]) for name in FAULTS})
 
 
 def test_gravity_masses_and_inverse_dynamics_of_many_are_those_of_each() -> None:

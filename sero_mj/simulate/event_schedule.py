@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 
 import numpy as np
 
 from ..base.frames import Array
-from .disturbances import Fault, Force, Payload
+from .disturbances import Force, Payload
+from .due_actions import DueActions
 from .external_loads import Push
+from .fault_schedule import FaultSchedule
 from .plant import Plant
 from .runs.run_log import event_of
 from .scenario import Scenario
@@ -35,9 +35,8 @@ class EventSchedule:
     gains: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        model = self.plant.model
         self.gains = np.ones(self.plant.n)
-        self._due: list[tuple[int, Callable[[], None]]] = []
+        self._due = DueActions(self.scenario.run.timestep)
         self._varying: list[tuple[Push, Array]] = []  # with force and torque at every step
         self._carried: dict[str, tuple[str, Array]] = {}  # object to robot and T_flange_object
         self._objects: dict[str, Array] = {}  # T_world_object of objects that are picked up
@@ -50,23 +49,11 @@ class EventSchedule:
                 self._plan_force(disturbance, times)
             elif isinstance(disturbance, Payload):
                 self._plan_payload(disturbance)
-        self._active: list[Fault] = []
-        self._friction = {
-            name: (model.dof_damping[part.dofs].copy(), model.dof_frictionloss[part.dofs].copy())
-            for name, part in self.plant.world.robots.items()
-        }
-        for fault in self.scenario.faults.values():
-            self._at(fault.begin, partial(self._begin_fault, fault))
-            if fault.end is not None:
-                self._at(fault.end, partial(self._end_fault, fault))
-        self._due.sort(key=lambda entry: entry[0])
-        self._next = 0
+        FaultSchedule(self.scenario, self.plant, self._due, self.gains)
 
     def before(self, k: int) -> None:
         """Applies what is due at row k, before the step that leads on from it."""
-        while self._next < len(self._due) and self._due[self._next][0] <= k:
-            self._due[self._next][1]()
-            self._next += 1
+        self._due.act(k)
         for push, forces in self._varying:
             push.force[:], push.torque[:] = forces[k]
 
@@ -104,9 +91,6 @@ class EventSchedule:
         for name, frame in self._objects.items():
             rows[:, columns[event_of(name, "frame")]] = frame.ravel()
 
-    def _at(self, time: float, action: Callable[[], None]) -> None:
-        self._due.append((max(round(time / self._timestep), 0), action))
-
     def _plan_force(self, force: Force, times: Array) -> None:
         def begin() -> None:
             push = self.plant.push(
@@ -115,14 +99,13 @@ class EventSchedule:
             if force.profile != "step" or force.samples is not None:
                 self._varying.append((push, force.at_times(times)))
             if force.end is not None and force.profile != "ramp":
-                self._due.append((round(force.end / self._timestep), lambda: end(push)))
-                self._due.sort(key=lambda entry: entry[0])
+                self._due.add(force.end, lambda: end(push))
 
         def end(push: Push) -> None:
             self._varying = [entry for entry in self._varying if entry[0] is not push]
             self.plant.release(push)
 
-        self._at(force.begin, begin)
+        self._due.add(force.begin, begin)
 
     def _plan_payload(self, payload: Payload) -> None:
         name = payload.object
@@ -147,32 +130,6 @@ class EventSchedule:
                 k = round(payload.end / self._timestep) if payload.end else self.steps
                 self._log[k:, self._columns[event_of(name, "frame")]] = self._objects[name].ravel()
 
-        self._at(payload.begin, pick_up)
+        self._due.add(payload.begin, pick_up)
         if payload.end is not None:
-            self._at(payload.end, put_down)
-
-    def _begin_fault(self, fault: Fault) -> None:
-        self._active.append(fault)
-        self._apply(fault)
-
-    def _apply(self, fault: Fault) -> None:
-        fault.apply(self.plant, fault.rows(self.scenario.scene.robots), self.gains)
-
-    def _end_fault(self, fault: Fault) -> None:
-        """Ends a fault; others of the same part go on, in the order in which they began."""
-        self._active = [other for other in self._active if other is not fault]
-        others = [other for other in self._active if other.part == fault.part]
-
-        def apply_others() -> None:
-            for other in others:
-                self._apply(other)
-
-        if fault.part == "sensors":
-            self.plant.sensors.end_faults(apply_others)
-            return
-        if fault.part == "drives":
-            self.gains[:] = 1.0
-        else:
-            for name, (viscous, coulomb) in self._friction.items():
-                self.plant.set_friction(name, viscous, coulomb)
-        apply_others()
+            self._due.add(payload.end, put_down)

@@ -10,7 +10,8 @@ differences through a first-order low pass of bandwidth w, exact for what is con
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -108,7 +109,6 @@ class Sensors:
         # Noise alone, and all in all.
         self._noise, self._offsets = np.zeros((2, _BLOCK, *self._rows, 3, n))
         self._offset_rows = tuple(self._offsets)
-        self._drawn = False
         self._grid_steps = np.zeros((*self._rows, n))
         # Of every joint in a ring of late values.
         self._places: tuple[Ints, ...] = (np.arange(n),)
@@ -131,17 +131,23 @@ class Sensors:
         self._k = 0  # readings until now
         self._first = np.zeros(rows or 1, np.intp)  # where the noise of every row begins
         self._together: int | None = 0  # the same where it is one for all
+        self._has_noise, self._has_drawn = np.zeros((2, rows or 1), bool)
+        shape = (*self._rows, 3, n)
+        self._errors = {key: np.zeros(shape) for key in _ERRORS}
+        self._held: Array = np.zeros(shape)
+        self._dead, self._frozen = np.zeros((2, *shape), bool)
+        self._delays = np.zeros(shape, np.intp)
+        self._of: Any = ...  # the rows that are changed
+        self._changed: set[int] = set()
         self.repair()
         if rows is None:
             self.reset(self.measured)
 
     def repair(self) -> None:
         """Ends all faults and changes: every sensor is as it was declared."""
-        shape = (*self._rows, 3, self.n)
-        self._errors = {key: np.zeros(shape) for key in _ERRORS}
-        self._dead = np.zeros(shape, bool)
-        self._frozen = np.zeros(shape, bool)
-        self._held = np.zeros(shape)
+        of = self._of
+        self._dead[of] = self._frozen[of] = False
+        self._held[of] = 0.0
         for row, (signal, declared) in enumerate(zip(SIGNALS, self._declared, strict=True)):
             for key in _ERRORS:
                 value = getattr(declared, key)
@@ -149,10 +155,20 @@ class Sensors:
                     raise ValueError(
                         f"{signal}.{key}: found {len(value)} numbers; expected 1 or {self.n}"
                     )
-                self._errors[key][..., row, :] = value
-        self._delays = np.zeros(shape, np.intp)
+                self._errors[key][of][..., row, :] = value
+        self._delays[of] = 0
         for signal, declared in zip(SIGNALS, self._declared, strict=True):
             self.delay(signal, declared.delay)
+
+    @contextmanager
+    def only(self, row: int) -> Iterator[None]:
+        """Lets what is changed in its context concern one of the rows alone."""
+        self._of = row
+        self._changed.add(row)
+        try:
+            yield
+        finally:
+            self._of = ...
 
     def reset(self, actual: Array) -> None:
         """Begins anew: the noise from its seed, and delays as if all had stood still before.
@@ -161,7 +177,7 @@ class Sensors:
             actual: (3, n), the true values now.
         """
         self._rngs = [np.random.default_rng(self.seed)]
-        self._drawn = False
+        self._has_drawn[:] = self._drawn = False
         self._k = 0
         self._speeds[:] = 0.0
         self._has_read = False
@@ -169,13 +185,17 @@ class Sensors:
             self.measure(actual)
 
     def reset_row(self, row: int, actual: Array, seed: int) -> None:
-        """Begins one of the rows anew, as sensors by themselves would.
+        """Begins one of the rows anew, without faults, as sensors by themselves would.
 
         Args:
             row: from 0.
             actual: (3, n), the true values now.
             seed: of its noise.
         """
+        if row in self._changed:
+            with self.only(row):
+                self.repair()
+            self._changed.remove(row)
         one = self._one
         one.seed = seed
         one.reset(actual)
@@ -186,9 +206,10 @@ class Sensors:
             own = self._past[signal]
             for age in range(len(past)):
                 own[(self._k - 1 - age) % len(own), row] = past[(one._k - 1 - age) % len(past)]
-        self._noise[:, row], self._drawn = one._noise, one._drawn
+        self._noise[:, row], self._has_drawn[row] = one._noise, one._drawn
         self._first[row] = self._k - one._k
-        self._together = int(self._first[row]) if np.ptp(self._first) == 0 else None
+        self._find_together()
+        self._drawn = bool(self._has_drawn[self._has_noise].all())
         self._offset(row)
 
     def change(
@@ -211,7 +232,8 @@ class Sensors:
                 raise UnknownName("sensor error", key, _ERRORS)
             if key in ("noise", "resolution") and not value >= 0:
                 raise ValueError(f"{signal}.{key}: found {value:g}; expected 0 or more")
-            self._errors[key][..., row, slice(None) if joints is None else joints] = value
+            chosen = slice(None) if joints is None else joints
+            self._errors[key][self._of][..., row, chosen] = value
         self._plan()
 
     def delay(
@@ -233,19 +255,24 @@ class Sensors:
         row = _row(signal)
         if steps < 0:
             raise ValueError(f"{signal}: found a delay of {steps} steps; expected 0 or more")
-        delays = self._delays[..., row, :].copy()
+        delays = self._delays[self._of][..., row, :].copy()
         delays[..., slice(None) if joints is None else joints] = steps
         self._delay(row, delays)
         self._plan()
 
     def _delay(self, row: int, delays: Ints) -> None:
         """Sets the delays of a signal's joints, (n,)."""
-        was_late = self._delays[..., row, :].any()
-        self._delays[..., row, :] = delays
-        old, past = self._past[row], np.empty((int(delays.max()) + 1, *self._rows, self.n))
-        past[:] = self.measured[..., row, :]
-        for age in range(min(len(old), len(past)) if was_late else 0):
+        of = self._of
+        was_late = self._delays[of][..., row, :].any()
+        has_late = self._delays[..., row, :].any()
+        self._delays[of][..., row, :] = delays
+        longest = int(self._delays[..., row, :].max())
+        old, past = self._past[row], np.empty((longest + 1, *self._rows, self.n))
+        past[:] = now = self.measured[..., row, :]
+        for age in range(min(len(old), len(past)) if has_late else 0):
             past[(self._k - 1 - age) % len(past)] = old[(self._k - 1 - age) % len(old)]
+        if has_late and not was_late:
+            past[:, of] = now[of]
         self._past[row] = past
 
     def end_faults(self, reapply: Callable[[], None]) -> None:
@@ -254,11 +281,13 @@ class Sensors:
         Args:
             reapply: makes these once more; for them it is as if nothing had been.
         """
-        held, delays, past = self._held, self._delays, list(self._past)
+        of = self._of
+        held, delays, past = self._held[of].copy(), self._delays[of].copy(), list(self._past)
         self.repair()
         reapply()
-        self._held[:] = held
-        wanted, self._delays, self._past = self._delays, delays, past
+        self._held[of] = held
+        wanted = self._delays[of].copy()
+        self._delays[of], self._past = delays, past
         for row in range(len(SIGNALS)):
             if (wanted[..., row, :] != delays[..., row, :]).any():
                 self._delay(row, wanted[..., row, :])
@@ -266,14 +295,15 @@ class Sensors:
 
     def kill(self, signal: Signal, joint: int) -> None:
         """A sensor that reads zero."""
-        self._dead[..., _row(signal), joint] = True
+        self._dead[self._of][..., _row(signal), joint] = True
         self._plan()
 
     def freeze(self, signal: Signal, joint: int) -> None:
         """A sensor that goes on reading what it has read last."""
         row = _row(signal)
-        self._frozen[..., row, joint] = True
-        self._held[..., row, joint] = self.measured[..., row, joint]
+        of = self._of
+        self._frozen[of][..., row, joint] = True
+        self._held[of][..., row, joint] = self.measured[of][..., row, joint]
         self._plan()
 
     def _plan(self) -> None:
@@ -283,7 +313,9 @@ class Sensors:
         self._scaled = bool((self._gain != 1).any())
         self._noisy = bool((errors["noise"] != 0).any())
         self._shifted = self._noisy or bool((errors["bias"] != 0).any())
-        for row in range(len(self._rngs)):
+        self._has_noise[:] = (errors["noise"] != 0).reshape(len(self._rngs), -1).any(axis=1)
+        self._drawn = bool(self._has_drawn[self._has_noise].all())
+        for row in range(len(self._rngs)) if self._of is ... else (self._of,):
             self._offset(row)
         coarse = errors["resolution"] > 0
         # Values, their resolution, and for which of them; None for all.
@@ -303,14 +335,15 @@ class Sensors:
             if self._delays[..., row, :].any()
         ]
 
-        self.is_perfect = not (
-            self._scaled
-            or self._shifted
-            or self._grids
-            or self._faulty
-            or self._late
-            or self._differentiated is not None
-        )
+        is_off = self._dead | self._frozen | (self._delays != 0)
+        for key, right in (("gain", 1.0), ("bias", 0.0), ("noise", 0.0), ("resolution", 0.0)):
+            is_off |= errors[key] != right
+        if self._differentiated is not None:
+            is_off[...] = True
+        # Perfect sensors by themselves are not asked to `measure`: among rows it does not count.
+        self._idle = ~is_off.reshape(len(self._rngs), -1).any(axis=1)
+        self._has_idle = bool(self._rows) and bool(self._idle.any())
+        self.is_perfect = bool(self._idle.all())
 
     def _offset(self, row: int) -> None:
         """Noise and bias of a row together for a block of steps: one addition in every step."""
@@ -325,19 +358,28 @@ class Sensors:
         if self._together is not None:
             k = (self._k - self._together) % _BLOCK
             if self._noisy and (k == 0 or not self._drawn):
-                self._draw(range(len(self._rngs)))
+                self._draw(np.full(len(self._rngs), k))
             together: Array = self._offset_rows[k]
             return together
         rows = (self._k - self._first) % _BLOCK
-        if self._noisy and not rows.all():
-            self._draw(np.flatnonzero(rows == 0).tolist())
+        if self._noisy and not (self._drawn and rows.all()):
+            self._draw(rows)
         return np.asarray(self._offsets[rows, self._places[0][:, 0]])
 
-    def _draw(self, rows: Sequence[int]) -> None:
-        """Draws the noise of a block of steps of some rows."""
+    def _find_together(self) -> None:
+        first = int(self._first[0])
+        self._together = first if (self._first == first).all() else None
+
+    def _draw(self, k: Ints) -> None:
+        """Draws the noise of a block of steps, of rows that are at its beginning or need it now.
+
+        Args:
+            k: (m,), where in their blocks the rows are.
+        """
         noise = self._noise.reshape(_BLOCK, -1, 3, self.n)
-        for row in rows:
+        for row in np.flatnonzero(self._has_noise & ((k == 0) | ~self._has_drawn)).tolist():
             noise[:, row] = self._rngs[row].standard_normal((_BLOCK, 3, self.n))
+            self._has_drawn[row] = True
             self._offset(row)
         self._drawn = True
 
@@ -374,6 +416,9 @@ class Sensors:
             past[self._k % len(past)] = values
             values[:] = past[((self._k - late) % len(past), *self._places)]
         self._k += 1
+        if self._has_idle:
+            self._first += self._idle
+            self._find_together()
         return measured
 
     def _differentiate(self, joints: Bools, offsets: Array | None) -> None:

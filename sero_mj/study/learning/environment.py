@@ -317,7 +317,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         if self.scenario.disturbances or self.scenario.faults:  # these change the model
             self.simulation = Simulation(self.scenario, seed, self._compiler)
             self._robot.simulation = self.simulation
-        else:
+        if self._random_start or not (self.scenario.disturbances or self.scenario.faults):
             angles = {name: robot.home for name, robot in self.simulation.robots.items()}
             angles[self._robot.name] = start
             self.simulation.restart(np.concatenate(list(angles.values())), seed)

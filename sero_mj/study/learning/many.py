@@ -22,6 +22,8 @@ from ...simulate.control.joint_control import JointImpedanceController
 from ...simulate.control.model_rows import ModelRows
 from ...simulate.control.torque_loop import HangingLinks
 from ...simulate.drives import Drives
+from ...simulate.due_actions import DueActions
+from ...simulate.fault_schedule import FaultSchedule
 from ...simulate.plant_rows import PlantRows
 from ...simulate.rows import ManyRows
 from ...simulate.runs.run_log import MEASURED
@@ -166,7 +168,7 @@ class ManyEnvironments:
             np.concatenate([getattr(lane.plant, key)[:, 0] for lane in self.lanes])
             for key in ("actual", "measured")
         )
-        if self.environment.plant.sensors.is_perfect:
+        if all(lane.plant.sensors.is_perfect for lane in self.lanes):
             measured = angles
         return ManyStates(angles, measured, self._flanges_at)
 
@@ -212,7 +214,9 @@ class Lane:
         self._drives = None
         if environment.simulation.drives is not None:
             self._drives = Drives(plant, environment.simulation.robots, scenario.run)
-        self._is_plain = self._drives is None and plant.sensors.is_perfect
+        self._gains: Array = np.ones((m, plant.n))  # of faulty drives
+        self._faults = [DueActions(scenario.run.timestep) for _ in range(m)]
+        self._k = np.zeros(m, np.intp)  # steps since the beginning of the episode
         self.action = environment.settings.make_action(environment.robot, scenario.run.timestep)
         robot, drives = environment.robot, self._drives
         simulation = environment.simulation
@@ -248,6 +252,9 @@ class Lane:
     def place(self, k: int) -> None:
         """Puts robot k where that of the environment is."""
         self.plant.place(k, self._environment.plant)
+        self._k[k], self._gains[k] = 0, 1.0
+        self._faults[k] = due = DueActions(self._environment.scenario.run.timestep)
+        FaultSchedule(self._environment.scenario, self.plant, due, self._gains[k])
 
     def begin(self, which: Bools) -> None:
         """Begins an episode of some of the robots, which have been placed, (m,)."""
@@ -281,9 +288,12 @@ class Lane:
         action.take(actions)
         self._worlds.begin(which)
         substeps = self._environment.substeps
+        is_plain = self._drives is None and plant.sensors.is_perfect
+        is_plain &= not self._environment.scenario.faults
         for k in range(substeps):
-            # Drives and late sensors ask for the torques of every step.
-            plant.joints.reads_torques = k == substeps - 1 or not self._is_plain
+            self._begin_faults(which)
+            # Drives, late sensors and faults ask for the torques of every step.
+            plant.joints.reads_torques = k == substeps - 1 or not is_plain
             action.advance()
             if plant.joints.elastic:
                 sensed.motor_angles[...] = plant.motor_angles
@@ -294,8 +304,16 @@ class Lane:
             np.minimum(np.maximum(asked, self._low, out=commanded), self._high, out=commanded)
             if self._has_pushes:
                 self._push()
-            move(commanded)
+            move(commanded * self._gains)
         return self._worlds.unstable.copy()
+
+    def _begin_faults(self, which: Bools) -> None:
+        """Lets faults begin and end that are due now in some of the robots."""
+        if self._environment.scenario.faults:
+            for row in np.flatnonzero(which).tolist():
+                with self.plant.sensors.only(row):
+                    self._faults[row].act(int(self._k[row]))
+        self._k += which
 
     def _begin_pushes(self, forces: Array) -> None:
         """Lets forces at the flanges, (m, 3), act in the next control step."""
@@ -319,8 +337,10 @@ def _task_of_many(environment: Environment, m: int) -> ManyEpisodes:
     reason = None
     if len(simulation.robots) > 1 or simulation.whole_body is not None:
         reason = "found robots that carry others, or whose base moves; expected one robot"
-    elif scenario.disturbances or scenario.faults or task is None:
+    elif scenario.disturbances or task is None:
         reason = "found a scenario; expected a robot with a task"
+    elif any(fault.part == "friction" for fault in scenario.faults.values()):
+        reason = "found a fault of friction; expected faults of sensors and drives"
     elif scenario.run.runaway_speed:
         reason = "found run.runaway_speed; expected 0, for none"
     if reason is not None or task is None:

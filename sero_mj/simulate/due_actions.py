@@ -1,0 +1,29 @@
+"""`DueActions`: what is to be done at steps of a run, in their order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+
+class DueActions:
+    """Actions by the step at which they are due; of one step in the order in which they came.
+
+    Args:
+        timestep: s.
+    """
+
+    def __init__(self, timestep: float) -> None:
+        self._timestep = timestep
+        self._due: list[tuple[int, Callable[[], None]]] = []
+        self._next = 0
+
+    def add(self, time: float, action: Callable[[], None]) -> None:
+        """Plans an action for a time, s."""
+        self._due.append((max(round(time / self._timestep), 0), action))
+        self._due.sort(key=lambda entry: entry[0])
+
+    def act(self, k: int) -> None:
+        """Does what is due at row k, before the step that leads on from it."""
+        while self._next < len(self._due) and self._due[self._next][0] <= k:
+            self._due[self._next][1]()
+            self._next += 1
