@@ -90,10 +90,11 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
 
     Raises:
         UnknownName: no such robot; names the nearest.
-        DeclarationError: everything that is wrong in the file, at once.
-        UsageError: `overrides` names another robot, or it is a group of robots.
+        DeclarationError: everything that is wrong in the file and in `overrides`, at once.
+        UsageError: it is a group of robots.
     """
-    fields = {}
+    fields: dict[str, Any] = {}
+    wrong: list[Problem] = []
     try:
         path = paths.find_model(name)
     except UnknownName:
@@ -106,11 +107,20 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
         given, _, field = key.partition(".")
         if given != robot:
             near = did_you_mean(given, [robot])
-            raise UsageError(f"--set {key}: no robot '{given}'{near}")
-        if field in ("model", "name"):
-            raise UsageError(f"--set {key}: which robot it is cannot be set")
-        fields[field] = value
-    return SerialRobot.from_model(name, **fields)
+            wrong.append(Problem(key, f"no robot '{given}'{near}"))
+        elif field in ("model", "name"):
+            wrong.append(Problem(key, "which robot it is cannot be set"))
+        else:
+            fields[field] = value
+    try:
+        found = SerialRobot.from_model(name, **fields)
+    except NoJoints:
+        raise
+    except DeclarationError as error:
+        raise DeclarationError([*wrong, *error.problems]) from None
+    if wrong:
+        raise DeclarationError(wrong)
+    return found
 
 
 def _refuse_group(name: str) -> None:

@@ -274,3 +274,18 @@ def test_lists_of_other_sizes_than_robots_of_a_group_have_are_told_once() -> Non
         load_scene("justin", {"justin.torque_limits": [1, 2, 3]})
     (problem,) = caught.value.problems
     assert problem.message.startswith("found 3 entries; expected 2, one per row of dh_params (")
+
+
+@pytest.mark.parametrize(
+    ("settings", "keys"),
+    [
+        ({"lwr.joint_angle": 3, "lwrr.torques": 1}, {"lwr.joint_angle", "lwrr.torques"}),
+        ({"a.b": 1, "c.d": 2, "lwr.model": "lwr"}, {"a.b", "c.d", "lwr.model"}),
+    ],
+)
+def test_every_wrong_setting_of_a_robot_alone_is_told(
+    settings: dict[str, object], keys: set[str]
+) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        load_scene("lwr", settings)
+    assert {problem.key for problem in caught.value.problems} == keys
