@@ -279,7 +279,7 @@ def test_lists_of_other_sizes_than_robots_of_a_group_have_are_told_once() -> Non
 @pytest.mark.parametrize(
     ("settings", "keys"),
     [
-        ({"lwr.joint_angle": 3, "lwrr.torques": 1}, {"lwr.joint_angle", "lwrr.torques"}),
+        ({"lwr.joint_angle": 3, "lwrr.torques": 1}, {"joint_angle", "lwrr.torques"}),
         ({"a.b": 1, "c.d": 2, "lwr.model": "lwr"}, {"a.b", "c.d", "lwr.model"}),
     ],
 )
