@@ -84,13 +84,14 @@ def with_doubles(rounds: int) -> list[Row]:
         pixels = iter(rng.uniform((0, 0), SIZE, (100_000, 2)))
         (laid_out,) = alternate([lambda: decor.draw(data, toggles, view)], rounds * 20)
         (picked,) = alternate(
-            [lambda: pick(world, data, decor.pen, view, tuple(next(pixels)))], rounds * 40
+            [lambda: pick(world, data, decor.buffer, view, tuple(next(pixels)))], rounds * 40
         )
         (placed,) = alternate([lambda: placer.place(data)], rounds * 20)
     name = "51 joints and doubles"
     return [
         (f"layout, {name}", f"{laid_out * 1e3:.2f} ms", "", "", "under 2 ms"),
-        (f"geoms, {name}", f"{decor.pen.count}", f"left out {decor.pen.dropped}", "", "to 1024"),
+        (f"geoms, {name}", f"{decor.buffer.count}", f"left out {decor.buffer.dropped}", "",
+         "to 1024"),
         (f"frame 1280x800, {name}", f"{full * 1e3:.1f} ms", f"bare {bare * 1e3:.1f} ms",
          f"{full / bare:.2f}", "at most 1.5"),
         (f"pick, {name}", f"{picked * 1e3:.2f} ms", "", "", "under 2 ms"),
@@ -118,7 +119,7 @@ def layout(rounds: int) -> list[Row]:
         )
         goal = f"under {goals[n]} ms" if n in goals else ""
         rows.append(
-            (f"layout, {n} joints, {decor.pen.count} geoms", f"{draw * 1e3:.3f} ms",
+            (f"layout, {n} joints, {decor.buffer.count} geoms", f"{draw * 1e3:.3f} ms",
              f"mj_kinematics {kinematics * 1e3:.3f} ms", f"{draw / kinematics:.1f}", goal)
         )  # fmt: skip
     return rows

@@ -15,7 +15,7 @@ from .data.drive.wiring import wire
 from .robots.assemble.robot import SerialRobot
 from .robots.assemble.scene import Scene
 from .robots.assemble.scene_file import read_scene_file
-from .robots.importers.described import NoJoints
+from .robots.importers.imported_tables import NoJoints
 from .robots.importers.robot_file import is_urdf
 from .simulate.sections import is_scenario
 

@@ -11,7 +11,7 @@ from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.pen import Kind, Pen
+from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.decor.toggles import Toggles
 
@@ -54,8 +54,8 @@ def drawn(world: World, view: PictureView | None = None, **shown: bool) -> Any:
     toggles = toggles_of(world)
     for name, value in shown.items():
         getattr(toggles, name)[:] = value
-    pen = Decor(world).draw(data, toggles, view or view_at())
-    return pen.rows[: pen.count]
+    buffer = Decor(world).draw(data, toggles, view or view_at())
+    return buffer.rows[: buffer.count]
 
 
 def of_kind(rows: Any, kind: Any) -> Any:
@@ -94,12 +94,12 @@ def rigid(rotation: Any, position: Any) -> Any:
     return T
 
 
-def belonging(pen: Pen, kind: Kind, item: int | None = None) -> Any:
+def belonging(buffer: GeomBuffer, kind: Kind, item: int | None = None) -> Any:
     """The rows that belong to something of one kind, or to one such thing."""
-    these = pen.kinds[: pen.count] == kind
+    these = buffer.kinds[: buffer.count] == kind
     if item is not None:
-        these &= pen.items[: pen.count] == item
-    return pen.rows[: pen.count][these]
+        these &= buffer.items[: buffer.count] == item
+    return buffer.rows[: buffer.count][these]
 
 
 def rectangle(view: PictureView, row: Any) -> tuple[Any, Any]:

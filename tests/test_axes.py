@@ -17,7 +17,7 @@ from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.axes import AXIS_RGB, ranks
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.session.picking import pick
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
@@ -77,9 +77,9 @@ def draw(world: World, data=None, *, view=None, toggles=None):
     return Decor(world).draw(data, toggles or toggles_of(world), view or view_at())
 
 
-def sizes(pen, item: int) -> tuple[float, float]:
+def sizes(buffer, item: int) -> tuple[float, float]:
     """Length and half the width of a frame's bars, which are all alike."""
-    bars = belonging(pen, Kind.AXES, item)
+    bars = belonging(buffer, Kind.AXES, item)
     assert len(bars) == 3
     assert np.ptp(bars["size"], axis=0).max() == 0
     assert bars["size"][0, 0] == bars["size"][0, 1]
@@ -87,8 +87,8 @@ def sizes(pen, item: int) -> tuple[float, float]:
 
 
 def test_frames_at_one_place_are_nested_the_later_ones_shorter_and_thicker() -> None:
-    pen = draw(frames_world(*[at(f"f{k}") for k in range(6)]))
-    lengths, widths = zip(*(sizes(pen, k) for k in range(6)), strict=True)
+    buffer = draw(frames_world(*[at(f"f{k}") for k in range(6)]))
+    lengths, widths = zip(*(sizes(buffer, k) for k in range(6)), strict=True)
     assert lengths[0] == pytest.approx(0.2, rel=1e-6)
     assert widths[0] == pytest.approx(0.0044, rel=1e-5)
     # Tips stick out of the later ones, and those out of the sides, by millimetres.
@@ -100,9 +100,9 @@ def test_frames_at_one_place_are_nested_the_later_ones_shorter_and_thicker() -> 
 def test_frames_apart_have_their_full_length_and_so_has_one_whose_fellow_is_hidden() -> None:
     world = frames_world(at("a"), at("b", position=(0, 0.021, 0.6)), at("c", axes_size=0.1))
     toggles = toggles_of(world)
-    pen = draw(world, toggles=toggles)
-    assert sizes(pen, 0)[0] == sizes(pen, 1)[0] == pytest.approx(0.2)
-    assert sizes(pen, 2)[0] == pytest.approx(0.1 / 1.45)
+    buffer = draw(world, toggles=toggles)
+    assert sizes(buffer, 0)[0] == sizes(buffer, 1)[0] == pytest.approx(0.2)
+    assert sizes(buffer, 2)[0] == pytest.approx(0.1 / 1.45)
     toggles.axes[0] = False
     assert sizes(draw(world, toggles=toggles), 2) == pytest.approx((0.1, 0.0022), rel=1e-5)
 
@@ -111,9 +111,9 @@ def test_frames_apart_have_their_full_length_and_so_has_one_whose_fellow_is_hidd
     ("distance", "shared"), [(0.0, 1), (0.003, 1), (0.012, 0.5), (0.019, 0.0625), (0.021, 0)]
 )
 def test_between_one_place_and_two_the_sizes_change_gradually(distance, shared) -> None:
-    pen = draw(frames_world(at("a"), at("b", position=(distance, 0, 0.6))))
-    assert sizes(pen, 1)[0] == pytest.approx(0.2 / (1 + 0.45 * shared), rel=1e-3)
-    assert sizes(pen, 1)[1] == pytest.approx(0.0044 * (1 + 0.35 * shared), rel=1e-3)
+    buffer = draw(frames_world(at("a"), at("b", position=(distance, 0, 0.6))))
+    assert sizes(buffer, 1)[0] == pytest.approx(0.2 / (1 + 0.45 * shared), rel=1e-3)
+    assert sizes(buffer, 1)[1] == pytest.approx(0.0044 * (1 + 0.35 * shared), rel=1e-3)
 
 
 @settings(max_examples=examples(200))
@@ -150,17 +150,17 @@ def tips_picked(world: World, rotations, eye) -> list[int]:
     """At how many of its three tips every frame is picked, on the side towards the eye."""
     view = look(eye, [0, 0, 0.6])
     data = world.make_data()
-    pen = draw(world, data, view=view)
+    buffer = draw(world, data, view=view)
     counts = []
     for k, R in enumerate(rotations):
-        length, half_width = sizes(pen, k)
+        length, half_width = sizes(buffer, k)
         names = []
         for axis in range(3):
             tip = np.array([0, 0, 0.6]) + 0.985 * length * R[:, axis]
             sides = [sign * R[:, a] for a in range(3) if a != axis for sign in (1, -1)]
             towards = max(sides, key=lambda n: n @ (np.array(eye) - tip))
             (x, y), _ = view.project(tip + half_width * towards)
-            hit = pick(world, data, pen, view, (float(x), float(y)))
+            hit = pick(world, data, buffer, view, (float(x), float(y)))
             assert hit is not None and hit.kind == "axes"
             names.append(hit.name)
         counts.append(names.count(f"f{k}"))
@@ -199,10 +199,10 @@ def test_a_received_frame_is_nowhere_until_it_comes_and_again_after_nan() -> Non
     assert draw(world, data).count == 0
     T = rigid(turned([3, -1, 1], 1.2), [0.05, 0.0, 0.15])
     world.set_input(data, "target.frame", T)
-    pen = draw(world, data)
-    assert pen.count == 3
+    buffer = draw(world, data)
+    assert buffer.count == 3
     own = robot.dh.frames(POSE, robot.base_frame)[-1] @ robot.flange_frame
-    check_bars(belonging(pen, Kind.AXES, world.frames.names.index("target")), own @ T, 0.2, 0.5)
+    check_bars(belonging(buffer, Kind.AXES, world.frames.names.index("target")), own @ T, 0.2, 0.5)
     world.set_input(data, "lwr.joint_angles", -POSE)  # it goes along
     moved = robot.dh.frames(-POSE, robot.base_frame)[-1] @ robot.flange_frame
     index = world.frames.names.index("target")
@@ -213,9 +213,9 @@ def test_a_received_frame_is_nowhere_until_it_comes_and_again_after_nan() -> Non
     for k in (0, 7, 11):
         data.userdata[world.slots["target.frame"]] = T.ravel()
         data.userdata[world.slots["target.frame"]][k] = np.nan
-        pen = draw(world, data)
+        buffer = draw(world, data)
         assert data.mocap_pos[world.placed["target"], 2] == -1000
-        rows = pen.rows[: pen.count]
+        rows = buffer.rows[: buffer.count]
         assert (rows["pos"][:, 2] > -10).sum() == 3  # those of the other frame
         assert np.isfinite(rows["pos"]).all() and np.isfinite(rows["mat"]).all()
     world.set_input(data, "target.frame", T)
@@ -238,8 +238,8 @@ def test_a_frames_axes_are_switched_by_the_scene_a_user_and_a_packet() -> None:
     data, toggles = world.make_data(), toggles_of(world)
 
     def shown() -> list[int]:
-        pen = draw(world, data, toggles=toggles)
-        return sorted(set(pen.items[: pen.count].tolist()))
+        buffer = draw(world, data, toggles=toggles)
+        return sorted(set(buffer.items[: buffer.count].tolist()))
 
     assert shown() == [1]
     toggles.axes[:] = (True, False)

@@ -18,7 +18,7 @@ from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.card_names import card_names, shortened, titles
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.decor.quantities import joint_values
 from sero_mj.viewer.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
@@ -110,8 +110,8 @@ def test_text_is_inside_its_panel_and_panels_clear_of_each_other(
     view = view_at(azimuth, distance, *size)
     toggles = Toggles(world)
     toggles.status = False  # its panel has several lines
-    pen = Decor(world).draw(data, toggles, view)
-    rows = pen.rows[: pen.count]
+    buffer = Decor(world).draw(data, toggles, view)
+    rows = buffer.rows[: buffer.count]
     panels = [rectangle(view, row) for row in of_kind(rows, GEOM.mjGEOM_BOX)]
     texts = text_boxes(view, rows)
     assert len(panels) == len(texts)
@@ -171,8 +171,8 @@ def test_toggles_choose_which_joints_have_billboards(billboard_world) -> None:
     toggles = Toggles(billboard_world)
     toggles.billboards[:] = False
     toggles.billboards[5] = True
-    pen = Decor(billboard_world).draw(billboard_world.make_data(), toggles, view_at())
-    assert labels(pen.rows[: pen.count]) == ["A5   -38.0 Nm"]
+    buffer = Decor(billboard_world).draw(billboard_world.make_data(), toggles, view_at())
+    assert labels(buffer.rows[: buffer.count]) == ["A5   -38.0 Nm"]
 
 
 def test_lines_are_labelled_where_there_are_several() -> None:
@@ -193,24 +193,24 @@ def test_huge_values_are_written_with_an_exponent() -> None:
     world = world_of(torques=np.full(7, 1.0), show_billboards=True)
     data = world.make_data()
     data.userdata[world.slots["lwr.torques"]][:2] = (-1.5e300, 123456.0)
-    pen = Decor(world).draw(data, Toggles(world), view_at())
-    assert {"A1  -1.500e+300 Nm", "A2  123456.0 Nm"} < {*labels(pen.rows[: pen.count])}
+    buffer = Decor(world).draw(data, Toggles(world), view_at())
+    assert {"A1  -1.500e+300 Nm", "A2  123456.0 Nm"} < {*labels(buffer.rows[: buffer.count])}
 
 
 def test_the_legend_says_what_arrows_show_which_way_is_positive_and_full_width() -> None:
     world = world_of(torques=np.full(7, 10.0), show_arrows=True)
     toggles = Toggles(world)
     decor, data = Decor(world), world.make_data()
-    pen = decor.draw(data, toggles, view_at())
+    buffer = decor.draw(data, toggles, view_at())
     legend = [
         "round arrows: joint torque",
         "orange: + about z, blue: -",
         "     10 %     50 %     torque limit",
     ]
-    assert labels(pen.rows[: pen.count]) == legend
+    assert labels(buffer.rows[: buffer.count]) == legend
     toggles.arrow_quantity[3:] = 1  # switched live
-    pen = decor.draw(data, toggles, view_at())
-    found = labels(pen.rows[: pen.count])
+    buffer = decor.draw(data, toggles, view_at())
+    found = labels(buffer.rows[: buffer.count])
     assert found[:3] == legend
     assert found[3] == "round arrows: torque error, commanded - measured"
     toggles.arrows[:] = False
@@ -281,7 +281,9 @@ def test_a_title_says_a_name_once() -> None:
 def test_the_legend_leaves_small_pictures_alone() -> None:
     world = world_of(torques=np.full(7, 10.0), show_arrows=True)
     decor, toggles, data = Decor(world), Toggles(world), world.make_data()
-    assert labels(decor.draw(data, toggles, view_at(width=640, height=480)).rows[: decor.pen.count])
+    assert labels(
+        decor.draw(data, toggles, view_at(width=640, height=480)).rows[: decor.buffer.count]
+    )
     small = decor.draw(data, toggles, view_at(width=320, height=200))
     assert labels(small.rows[: small.count]) == []
 
@@ -296,8 +298,8 @@ def warm_world(*others: SerialRobot, doubles=(), **fields) -> World:
 
 
 def said(world: World, data=None) -> list[str]:
-    pen = Decor(world).draw(data or world.make_data(), Toggles(world), view_at(distance=4))
-    return labels(pen.rows[: pen.count])
+    buffer = Decor(world).draw(data or world.make_data(), Toggles(world), view_at(distance=4))
+    return labels(buffer.rows[: buffer.count])
 
 
 def test_a_robots_own_input_is_on_its_billboards() -> None:
@@ -374,10 +376,10 @@ def test_panels_stand_on_the_side_of_their_robot(joints: int) -> None:
     decor, data, toggles = Decor(world), world.make_data(), toggles_of(world)
     for azimuth, first_is_left in ((0.0, True), (np.pi, False), (0.0, True)):
         view = view_at(azimuth=azimuth, distance=3.0)
-        pen = decor.draw(data, toggles, view)
-        panels = np.flatnonzero(pen.kinds[: pen.count] == Kind.BILLBOARD)
-        across = view.project(pen.rows["pos"][panels])[0][:, 0]
-        is_of_first = pen.items[panels] < robots[0].n
+        buffer = decor.draw(data, toggles, view)
+        panels = np.flatnonzero(buffer.kinds[: buffer.count] == Kind.BILLBOARD)
+        across = view.project(buffer.rows["pos"][panels])[0][:, 0]
+        is_of_first = buffer.items[panels] < robots[0].n
         assert ((across < view.width / 2) == (is_of_first == first_is_left)).all()
 
 
@@ -537,8 +539,9 @@ def test_cards_of_joints_without_data_are_not_called_the_most_loaded() -> None:
     view = replace(view_at(0.5, 2.0, 480, 360), font=Typesetter(18).font)
 
     def note() -> str:
-        pen = decor.draw(data, toggles, view)
-        (found,) = [text for text in labels(pen.rows[: pen.count]) if text.startswith("cards: ")]
+        buffer = decor.draw(data, toggles, view)
+        told = labels(buffer.rows[: buffer.count])
+        (found,) = [text for text in told if text.startswith("cards: ")]
         return found
 
     assert note().endswith(" of 27 joints")
@@ -568,8 +571,8 @@ def test_torques_of_the_model_are_called_so() -> None:
     world = world_of(torques=np.arange(7.0), show_billboards=True)
     toggles = toggles_of(world)
     toggles.modelled[:] = True
-    pen = Decor(world).draw(world.make_data(), toggles, view_at())
-    assert labels(pen.rows[: pen.count])[2] == "E1  model     2.0 Nm"
+    buffer = Decor(world).draw(world.make_data(), toggles, view_at())
+    assert labels(buffer.rows[: buffer.count])[2] == "E1  model     2.0 Nm"
 
 
 @pytest.mark.parametrize("lines", [1, 2, 3])

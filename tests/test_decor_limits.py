@@ -13,7 +13,7 @@ from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.flange_check import OFF_RGBA
-from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.decor.smart_arrows import frames_along
 
 JUSTIN = [3, 7, 7, 12, 12, 2, 8]
@@ -100,8 +100,8 @@ def test_51_joints_find_room_for_their_numbers(lines, own):
         doubles.append(
             Double(name=f"d{i}", of=f"r{i}", joint_angles=q + 0.5, torques=np.full(n, 9.0), **own)
         )
-    pen = draw(Scene(robots=robots, doubles=doubles), view=view_at(0.0, 12, 3840, 2160))
-    assert pen.dropped == 0
+    buffer = draw(Scene(robots=robots, doubles=doubles), view=view_at(0.0, 12, 3840, 2160))
+    assert buffer.dropped == 0
 
 
 def test_precise_numbers_of_all_51_joints_find_room():
@@ -122,8 +122,8 @@ def test_precise_numbers_of_all_51_joints_find_room():
     def details(t):
         t.details[:] = True
 
-    pen = draw(Scene(robots=robots), toggle=details, view=view_at(0.0, 12, 3840, 2160))
-    assert pen.dropped == 0
+    buffer = draw(Scene(robots=robots), toggle=details, view=view_at(0.0, 12, 3840, 2160))
+    assert buffer.dropped == 0
 
 
 def test_the_scale_is_stated_beside_two_quantities():
@@ -136,8 +136,8 @@ def test_the_scale_is_stated_beside_two_quantities():
         scene = Scene(
             robots=[lwr(torques=np.ones(7), show_arrows=True)], arrows=arrows, floor=False
         )
-        pen = draw(scene, toggle=two, view=view_at(0.7, 2.5, *size))
-        assert any("contact" in text for text in labels(pen.rows[: pen.count])), size
+        buffer = draw(scene, toggle=two, view=view_at(0.7, 2.5, *size))
+        assert any("contact" in text for text in labels(buffer.rows[: buffer.count])), size
 
 
 def test_a_hidden_double_does_not_say_that_it_is_stale():
@@ -151,8 +151,8 @@ def test_a_hidden_double_does_not_say_that_it_is_stale():
         sources={"udp": {"kind": "udp", "port": 1, "structure": "7F"}},
         routes={"g.joint_angles": "udp.values0"},
     )
-    pen = draw(scene, never)
-    said = labels(pen.rows[: pen.count])
+    buffer = draw(scene, never)
+    said = labels(buffer.rows[: buffer.count])
     assert said[0] == "nothing yet on UDP 127.0.0.1:1"
     assert not any(text.startswith("g:") for text in said)
 
@@ -167,8 +167,8 @@ def test_an_absurd_vector_is_no_data(value):
         t.cards[:] = True
 
     arrows = [SmartArrow(name="a", at="lwr/flange")]
-    pen = draw(Scene(robots=[lwr()], arrows=arrows, floor=False), absurd, card)
-    (panel,) = belonging(pen, Kind.CARD)
+    buffer = draw(Scene(robots=[lwr()], arrows=arrows, floor=False), absurd, card)
+    (panel,) = belonging(buffer, Kind.CARD)
     low, high = rectangle(view_at(), panel)
     assert high[0] - low[0] < 400
 
@@ -180,8 +180,8 @@ def test_a_flange_that_is_off_and_out_of_the_picture_is_told_in_the_corner():
         world.set_input(data, "lwr.flange_check", T)
 
     view = view_at()
-    pen = draw(Scene(robots=[lwr()], floor=False), off, view=view)
-    rows = pen.rows[: pen.count]
+    buffer = draw(Scene(robots=[lwr()], floor=False), off, view=view)
+    rows = buffer.rows[: buffer.count]
     (label,) = labels(rows)
     assert label == "lwr flange is off 50000.00 mm    0.00 deg"
     panel = rows[np.isclose(rows["rgba"], OFF_RGBA).all(axis=1)]

@@ -43,8 +43,8 @@ def test_a_gauge_stands_at_every_joint_that_has_a_temperature(
 ) -> None:
     data, decor = world.make_data(), Decor(world)
     world.set_input(data, "lwr.temperatures", [20.0, 40.0, 79.0, np.nan, 0.0, 80.0, 500.0])
-    pen = decor.draw(data, Toggles(world), view_at())
-    boxes = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_BOX)
+    buffer = decor.draw(data, Toggles(world), view_at())
+    boxes = of_kind(buffer.rows[: buffer.count], GEOM.mjGEOM_BOX)
     assert len(boxes) == 6 * 12
     filled = (boxes["rgba"][:, 3] == 1.0).reshape(6, 12).sum(axis=1)
     assert filled.tolist() == [3, 6, 12, 0, 12, 12]

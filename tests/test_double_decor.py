@@ -22,8 +22,8 @@ from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.axes import AXIS_RGB
 from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.geom_buffer import CAPACITY, GeomBuffer, Kind
 from sero_mj.viewer.decor.panels import PANEL_RGBA
-from sero_mj.viewer.decor.pen import CAPACITY, Kind, Pen
 from sero_mj.viewer.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
 from sero_mj.viewer.decor.scene_writer import SceneWriter
 from sero_mj.viewer.decor.singularity import jacobian
@@ -48,7 +48,7 @@ def goal(**fields) -> Double:
 
 def draw(
     world: World, data=None, *, toggles=None, view=None, time: float = 0.0, capacity=CAPACITY
-) -> Pen:
+) -> GeomBuffer:
     data = world.make_data() if data is None else data
     Placer(world).place(data)
     data.time = time
@@ -57,12 +57,12 @@ def draw(
 
 
 def said(world: World) -> list[str]:
-    pen = draw(world)
-    return labels(pen.rows[: pen.count])
+    buffer = draw(world)
+    return labels(buffer.rows[: buffer.count])
 
 
-def arrows_of(pen: Pen, joints) -> list[np.ndarray]:
-    return [of_kind(belonging(pen, Kind.ARROW, joint), GEOM.mjGEOM_BOX) for joint in joints]
+def arrows_of(buffer: GeomBuffer, joints) -> list[np.ndarray]:
+    return [of_kind(belonging(buffer, Kind.ARROW, joint), GEOM.mjGEOM_BOX) for joint in joints]
 
 
 @pytest.mark.parametrize("target", [TARGET, POSE])  # also where its robot hides its links
@@ -70,10 +70,10 @@ def test_arrows_stand_at_the_joints_of_the_target(target: np.ndarray) -> None:
     world = world_with(goal(joint_angles=target, torques=TORQUES, show_arrows=True))
     robot = world.scene.robots["lwr"]
     frames = robot.dh.frames(target, BASE)
-    pen = draw(world)
-    assert set(pen.kinds[: pen.count]) == {Kind.ARROW}
+    buffer = draw(world)
+    assert set(buffer.kinds[: buffer.count]) == {Kind.ARROW}
     limit = robot.torque_limits
-    for joint, boxes in enumerate(arrows_of(pen, range(7, 14))):
+    for joint, boxes in enumerate(arrows_of(buffer, range(7, 14))):
         frame = frames[joint + 1]
         out = boxes["pos"] - (frame[:3, 3] + frame[:3, :3] @ robot.offsets[joint])
         assert np.abs(out @ frame[:3, 2]).max() < 1e-6
@@ -114,9 +114,9 @@ def test_a_standard_table_has_its_arrows_about_the_axes_before_the_links() -> No
     )
     q = np.array([0.4, -0.8, 1.1])
     double = Double(name="goal", of="arm", joint_angles=q, torques=[3, -4, 5], show_arrows=True)
-    pen = draw(World(Scene(robots=[robot], doubles=[double], floor=False)))
+    buffer = draw(World(Scene(robots=[robot], doubles=[double], floor=False)))
     frames = robot.dh.frames(q, BASE)
-    for joint, boxes in enumerate(arrows_of(pen, range(3, 6))):
+    for joint, boxes in enumerate(arrows_of(buffer, range(3, 6))):
         centre = frames[joint] @ [0, 0, robot.dh.d[joint], 1]  # where the housing is
         out = boxes["pos"] - centre[:3]
         assert len(boxes) > 9
@@ -130,8 +130,8 @@ def test_a_sliding_joint_of_a_double_has_a_straight_arrow() -> None:
         joint_types=["prismatic"], arrow_radius=0.2,
     )  # fmt: skip
     double = Double(name="goal", of="arm", joint_angles=[0.5], torques=[-4], show_arrows=True)
-    pen = draw(World(Scene(robots=[robot], doubles=[double], floor=False)))
-    (row,) = belonging(pen, Kind.ARROW, 1)
+    buffer = draw(World(Scene(robots=[robot], doubles=[double], floor=False)))
+    (row,) = belonging(buffer, Kind.ARROW, 1)
     frame = robot.dh.frames([0.5])[1]
     assert row["mat"][:, 2] == pytest.approx(-frame[:3, 2], abs=1e-6)
     middle = row["pos"] + row["mat"][:, 2] * (row["size"][2] / 4)
@@ -147,11 +147,11 @@ def test_billboards_say_whose_joint_it_is_on_a_tinted_panel() -> None:
         show_billboards=True,
     )
     view = view_at(distance=3)
-    pen = draw(world, view=view)
-    rows = pen.rows[: pen.count]
+    buffer = draw(world, view=view)
+    rows = buffer.rows[: buffer.count]
     names = world.scene.robots["lwr"].names
     for joint in range(14):
-        (panel,) = belonging(pen, Kind.BILLBOARD, joint)
+        (panel,) = belonging(buffer, Kind.BILLBOARD, joint)
         name, torque = names[joint % 7], TORQUES[joint % 7]
         if joint < 7:
             text, colour = f"{name}  {2 * torque:6.1f} Nm", np.array(PANEL_RGBA)
@@ -194,11 +194,11 @@ def test_axes_stand_at_its_links_and_flange() -> None:
     robot = world.scene.robots["lwr"]
     frames = robot.dh.frames(TARGET, BASE)
     frames = np.concatenate([frames[1:], frames[-1:] @ robot.flange_frame])
-    pen = draw(world)
+    buffer = draw(world)
     names = [*(f"goal/link{i + 1}" for i in range(7)), "goal/flange"]
-    assert pen.count == 3 * len(names)
+    assert buffer.count == 3 * len(names)
     for name, frame in zip(names, frames, strict=True):
-        bars = belonging(pen, Kind.AXES, world.frames.names.index(name))
+        bars = belonging(buffer, Kind.AXES, world.frames.names.index(name))
         for axis in range(3):
             start = bars[axis]["pos"] - bars[axis]["mat"][:, 2] * bars[axis]["size"][2]
             assert start == pytest.approx(frame[:3, 3], abs=1e-6)
@@ -214,8 +214,8 @@ def test_without_a_target_nothing_is_there() -> None:
     data = world.make_data()
     assert draw(world, data).count == 0
     world.set_input(data, "goal.joint_angles", TARGET)
-    pen = draw(world, data)
-    assert set(pen.kinds[: pen.count]) >= {Kind.ARROW, Kind.BILLBOARD, Kind.AXES}
+    buffer = draw(world, data)
+    assert set(buffer.kinds[: buffer.count]) >= {Kind.ARROW, Kind.BILLBOARD, Kind.AXES}
     world.reset(data)
     assert draw(world, data).count == 0
 
@@ -223,16 +223,16 @@ def test_without_a_target_nothing_is_there() -> None:
 def test_where_it_coincides_with_its_robot_its_links_are_hidden_and_its_decor_is_not() -> None:
     world = world_with(goal(joint_angles=POSE, **EVERYTHING))
     data = world.make_data()
-    pen = draw(world, data)
+    buffer = draw(world, data)
     assert (data.xpos[world.doubles["goal"].bodies, 2] == -1000).all()
     flange = BASE @ world.scene.robots["lwr"].fwd_kin_base_to_flange(POSE)
     assert world.frame(data, "goal/flange") == pytest.approx(flange, abs=1e-9)
-    assert len(belonging(pen, Kind.BILLBOARD)) == 7
-    assert len(belonging(pen, Kind.AXES)) == 3 * 8
-    assert {int(i) for i in pen.items[: pen.count][pen.kinds[: pen.count] == 1]} == set(
+    assert len(belonging(buffer, Kind.BILLBOARD)) == 7
+    assert len(belonging(buffer, Kind.AXES)) == 3 * 8
+    assert {int(i) for i in buffer.items[: buffer.count][buffer.kinds[: buffer.count] == 1]} == set(
         range(7, 14)
     )
-    assert (pen.rows[: pen.count]["pos"][:, 2] > -2).all()
+    assert (buffer.rows[: buffer.count]["pos"][:, 2] > -2).all()
 
 
 def test_links_fade_in_as_they_leave_those_of_the_robot() -> None:
@@ -241,12 +241,12 @@ def test_links_fade_in_as_they_leave_those_of_the_robot() -> None:
     model, last = world.model, world.doubles["goal"].bodies[0, -1]  # turned about its own axis
     for degrees in np.arange(0.25, 4.0, 0.1):
         world.set_input(data, "goal.joint_angles", [*POSE[:6], POSE[6] + np.deg2rad(degrees)])
-        pen = draw(world, data)
+        buffer = draw(world, data)
         scene = mujoco.MjvScene(model, maxgeom=model.ngeom + CAPACITY)
         everything, camera = mujoco.mjtCatBit.mjCAT_ALL, mujoco.MjvCamera()
         mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, everything, scene)
         count = scene.ngeom
-        SceneWriter(scene).add(pen)
+        SceneWriter(scene).add(buffer)
         geoms = [geom for geom in scene.geoms[:count] if geom.objid >= 0]
         opacity = {geom.objid: geom.rgba[3] for geom in geoms if geom.pos[2] > -2}
         of_link = [opacity[i] for i in opacity if model.geom_bodyid[i] == last]
@@ -273,30 +273,30 @@ def test_a_double_that_is_switched_off_is_gone_with_all_it_has() -> None:
     assert draw(world, toggles=toggles).hidden is None
     toggles.doubles[:] = (False, True)
     toggles.details[9] = toggles.axes[:] = toggles.frame_names[:] = True
-    pen = draw(world, toggles=toggles)
-    assert pen.hidden is not None
-    assert pen.hidden.tolist() == geoms_of("goal")
+    buffer = draw(world, toggles=toggles)
+    assert buffer.hidden is not None
+    assert buffer.hidden.tolist() == geoms_of("goal")
     assert sum(geoms_of("goal")) == 24
-    assert not any("goal" in text for text in labels(pen.rows[: pen.count]))
+    assert not any("goal" in text for text in labels(buffer.rows[: buffer.count]))
     # The robot's axes with their names.
-    assert set(pen.kinds[: pen.count]) == {Kind.NONE, Kind.AXES, Kind.NAME}
+    assert set(buffer.kinds[: buffer.count]) == {Kind.NONE, Kind.AXES, Kind.NAME}
     toggles.doubles[:] = (True, False)
-    pen = draw(world, toggles=toggles)
-    assert pen.hidden is not None
-    assert pen.hidden.tolist() == geoms_of("drive")
-    assert len(belonging(pen, Kind.BILLBOARD)) == 7
+    buffer = draw(world, toggles=toggles)
+    assert buffer.hidden is not None
+    assert buffer.hidden.tolist() == geoms_of("drive")
+    assert len(belonging(buffer, Kind.BILLBOARD)) == 7
     toggles.doubles[:] = False
-    pen = draw(world, toggles=toggles)
-    assert pen.hidden is not None
-    assert pen.hidden.tolist() == (model.geom_group == DOUBLE_GROUP).tolist()
+    buffer = draw(world, toggles=toggles)
+    assert buffer.hidden is not None
+    assert buffer.hidden.tolist() == (model.geom_group == DOUBLE_GROUP).tolist()
 
 
 def test_a_packet_switches_a_double_and_a_scene_declares_it() -> None:
     world = world_with(goal(visible=False, **EVERYTHING))
     data, toggles = world.make_data(), toggles_of(world)
     for on in (False, True):  # first as declared
-        pen = draw(world, data, toggles=toggles)
-        assert ((pen.count > 0), (pen.hidden is None)) == (on, on)
+        buffer = draw(world, data, toggles=toggles)
+        assert ((buffer.count > 0), (buffer.hidden is None)) == (on, on)
         world.set_input(data, "goal.visible", 1.0)
 
 
@@ -370,9 +370,9 @@ def test_51_joints_with_everything_and_a_double_each_find_room() -> None:
     toggles = toggles_of(world)
     toggles.legend = True
     view = view_at(azimuth=0.0, distance=12, width=3840, height=2160)
-    pen = draw(world, toggles=toggles, view=view, capacity=1024)  # a page's
-    assert pen.dropped == 0
-    assert len(set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW])) == 51
-    assert len(belonging(pen, Kind.BILLBOARD)) == 51
-    assert len(belonging(pen, Kind.AXES)) == 3 * (51 + 2 * 7)
-    assert len(labels(pen.rows[: pen.count])) == 51 + 3
+    buffer = draw(world, toggles=toggles, view=view, capacity=1024)  # a page's
+    assert buffer.dropped == 0
+    assert len(set(buffer.items[: buffer.count][buffer.kinds[: buffer.count] == Kind.ARROW])) == 51
+    assert len(belonging(buffer, Kind.BILLBOARD)) == 51
+    assert len(belonging(buffer, Kind.AXES)) == 3 * (51 + 2 * 7)
+    assert len(labels(buffer.rows[: buffer.count])) == 51 + 3

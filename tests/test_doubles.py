@@ -215,11 +215,11 @@ def test_a_double_is_picked_by_its_name() -> None:
     world = world_with(Double(name="target", of="lwr", joint_angles=TARGET), base_frame={})
     data, view = posed(world), view_at()
     toggles = toggles_of(world)
-    pen = Decor(world).draw(data, toggles, view)
+    buffer = Decor(world).draw(data, toggles, view)
     (bodies,) = world.doubles["target"].bodies
     geom = int((world.model.geom_bodyid == bodies[4]).nonzero()[0][0])
     (x, y), _ = view.project(data.geom_xpos[geom])
-    found = pick(world, data, pen, view, (float(x), float(y)))
+    found = pick(world, data, buffer, view, (float(x), float(y)))
     assert found is not None
     assert (found.kind, found.owner) == ("double", "target")
     assert world.joints.names[found.index - 7] == robot_joint(found.name)

@@ -108,7 +108,7 @@ def test_mass_matrix_is_newtons_and_eulers_and_that_of_the_motors(world):
         np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-9)
 
 
-def test_mujoco_has_mended_nothing(world):
+def test_mujoco_has_repaired_nothing(world):
     (part,) = world.robots.values()
     (dynamics,) = world.dynamics.values()
     assert not re.search("balanceinertia|boundmass=.[^0]", world._spec.to_xml())
@@ -452,11 +452,11 @@ def test_mending_says_what_it_changed_and_the_robot_can_be_simulated() -> None:
     told = str(caught.value)
     assert "dynamics.inertias: link 1: found principal moments 1, 1, 3 kg m2" in told
     assert "dynamics.inertias: link 2: found principal moments 0, 0, 0 kg m2" in told
-    assert told.count('mend = "balance" changes it to a similar one') == 2
+    assert told.count('inertia_repair = "balance" changes it to a similar one') == 2
     robot = SerialRobot(
-        dh_convention="craig", dh_params=rows, dynamics={**table, "mend": "balance"}
+        dh_convention="craig", dh_params=rows, dynamics={**table, "inertia_repair": "balance"}
     )
-    assert robot.dynamics.mended == [
+    assert robot.dynamics.repaired == [
         "link 1: principal moments 1, 1, 3 are now 1.5, 1.5, 3 kg m2",
         "link 2: principal moments 0, 0, 0 are now 5e-06, 5e-06, 5e-06 kg m2",
     ]

@@ -25,7 +25,7 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.axes import AXIS_RGB
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.flange_check import OFF_RGBA, flange_difference
-from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.geom_buffer import Kind
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 BASE = rigid(turned([1, 2, 3], 0.4), [0.1, -0.2, 0.1])
@@ -69,8 +69,8 @@ def displaced(world: World, name: str, mm: float, deg: float, seed: int = 0) -> 
 
 def draw(world: World, data, view=None, toggles=None):
     Placer(world).place(data)
-    pen = Decor(world).draw(data, toggles or toggles_of(world), view or view_at(distance=3))
-    return pen, pen.rows[: pen.count]
+    buffer = Decor(world).draw(data, toggles or toggles_of(world), view or view_at(distance=3))
+    return buffer, buffer.rows[: buffer.count]
 
 
 def bars_and_line(rows):
@@ -139,9 +139,9 @@ def test_above_either_tolerance_it_is_red_beside_the_flange_else_in_the_corner(
 ) -> None:
     data, view = world.make_data(), view_at(distance=3)
     world.set_input(data, "lwr.flange_check", displaced(world, "lwr", mm, deg))
-    pen, rows = draw(world, data, view)
+    buffer, rows = draw(world, data, view)
     numbers = f"{mm:7.2f} mm  {deg:6.2f} deg"
-    checks = belonging(pen, Kind.CHECK)
+    checks = belonging(buffer, Kind.CHECK)
     _, line = bars_and_line(rows)
     if off:
         assert labels(rows) == on_card("lwr", mm, deg)
@@ -171,8 +171,8 @@ def test_tolerances_are_the_robots_own() -> None:
     data = world.make_data()
     for mm, deg, off in ((19.9, 4.9, False), (20.1, 0, True), (0, 5.1, True)):
         world.set_input(data, "lwr.flange_check", displaced(world, "lwr", mm, deg))
-        pen, _ = draw(world, data)
-        assert len(belonging(pen, Kind.CHECK)) == off
+        buffer, _ = draw(world, data)
+        assert len(belonging(buffer, Kind.CHECK)) == off
 
 
 def test_several_robots_each_have_their_own_and_one_without_has_none() -> None:
@@ -183,9 +183,10 @@ def test_several_robots_each_have_their_own_and_one_without_has_none() -> None:
     world.set_input(data, "second.flange_check", displaced(world, "second", 0.25, 0.12))
     world.set_input(data, "fourth.flange_check", displaced(world, "fourth", 0, 33))
     world.set_input(data, "fifth.flange_check", displaced(world, "fifth", 0.75, 0))
-    pen, rows = draw(world, data, view)
-    first, fourth = belonging(pen, Kind.CHECK)
-    assert sorted(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.CHECK]) == [0, 3]
+    buffer, rows = draw(world, data, view)
+    first, fourth = belonging(buffer, Kind.CHECK)
+    kinds = buffer.kinds[: buffer.count]
+    assert sorted(buffer.items[: buffer.count][kinds == Kind.CHECK]) == [0, 3]
     assert texts_in(view, rows, first) == on_card("first", 40, 0)
     assert texts_in(view, rows, fourth) == on_card("fourth", 0, 33)
     # Those that agree share one panel.

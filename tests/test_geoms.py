@@ -1,4 +1,4 @@
-"""The struct view of `MjvScene`, the pen, and the slow path that needs no layout."""
+"""The struct view of `MjvScene`, the buffer, and the slow path that needs no layout."""
 
 import logging
 
@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from sero_mj.viewer.decor import scene_writer
-from sero_mj.viewer.decor.pen import GEOM, Pen
+from sero_mj.viewer.decor.geom_buffer import GEOM, GeomBuffer
 from sero_mj.viewer.decor.scene_writer import SceneWriter, set_geom, struct_view
 
 
@@ -14,14 +14,14 @@ def a_scene(maxgeom: int = 50) -> mujoco.MjvScene:
     return mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), maxgeom)
 
 
-def a_full_pen(count: int = 7) -> Pen:
+def a_full_pen(count: int = 7) -> GeomBuffer:
     rng = np.random.default_rng(0)
-    pen = Pen(capacity=20)
-    rows = pen.take(count, int(mujoco.mjtGeom.mjGEOM_BOX))
+    buffer = GeomBuffer(capacity=20)
+    rows = buffer.take(count, int(mujoco.mjtGeom.mjGEOM_BOX))
     for name in ("size", "pos", "mat", "rgba"):
         rows[name] = rng.uniform(0, 1, rows[name].shape)
     rows["label"] = [f"label {i}".encode() for i in range(count)]
-    return pen
+    return buffer
 
 
 def fields_of(geom: mujoco.MjvGeom) -> dict[str, object]:
@@ -76,13 +76,13 @@ def test_struct_view_refuses_memory_that_is_laid_out_otherwise(monkeypatch, capl
 
 
 def test_slow_and_fast_path_put_the_same_geoms_into_a_scene() -> None:
-    pen = a_full_pen()
+    buffer = a_full_pen()
     fast, slow = a_scene(), a_scene()
     fast_host, slow_host = SceneWriter(fast), SceneWriter(slow)
     assert fast_host._view is not None
     slow_host._view = None
     for host in (fast_host, slow_host):
-        assert host.add(pen) == 0
+        assert host.add(buffer) == 0
     assert fast.ngeom == slow.ngeom == 7
     for a, b in zip(fast.geoms[:7], slow.geoms[:7], strict=True):
         assert fields_of(a) == fields_of(b)
@@ -100,20 +100,20 @@ def test_a_host_appends_behind_what_is_there_and_says_what_found_no_room() -> No
 
 
 def test_a_pen_gives_all_or_nothing_and_counts_what_is_left_out() -> None:
-    pen = Pen(capacity=10)
-    assert len(pen.take(8, 6)) == 8
-    assert len(pen.take(3, 6)) == 0
-    assert (pen.count, pen.dropped) == (8, 3)
-    assert len(pen.take(2, 6)) == 2
-    pen.clear()
-    assert (pen.count, pen.dropped) == (0, 0)
+    buffer = GeomBuffer(capacity=10)
+    assert len(buffer.take(8, 6)) == 8
+    assert len(buffer.take(3, 6)) == 0
+    assert (buffer.count, buffer.dropped) == (8, 3)
+    assert len(buffer.take(2, 6)) == 2
+    buffer.clear()
+    assert (buffer.count, buffer.dropped) == (0, 0)
 
 
 def test_a_pen_forgets_the_label_of_the_frame_before() -> None:
-    pen = Pen(capacity=20)
-    pen.take(7, int(mujoco.mjtGeom.mjGEOM_LABEL))["label"] = b"old"
-    pen.clear()
-    assert (pen.take(7, int(mujoco.mjtGeom.mjGEOM_BOX))["label"] == b"").all()
+    buffer = GeomBuffer(capacity=20)
+    buffer.take(7, int(mujoco.mjtGeom.mjGEOM_LABEL))["label"] = b"old"
+    buffer.clear()
+    assert (buffer.take(7, int(mujoco.mjtGeom.mjGEOM_BOX))["label"] == b"").all()
 
 
 def test_decor_is_marked_as_such_and_throws_no_shadow() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from sero_mj import World
 from sero_mj.load import load_scene
-from sero_mj.viewer.decor.pen import GREY
+from sero_mj.viewer.decor.geom_buffer import GREY
 from sero_mj.viewer.web.studio_decor import Greying, greyed
 
 

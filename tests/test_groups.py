@@ -588,8 +588,8 @@ def test_a_group_without_data_says_so_once_with_its_doubles_below() -> None:
         for name in scene.sources:
             set_source(data, world, name, received=5, age=ages.get(name, 0.1), size=72)
         Placer(world).place(data)
-        pen = Decor(world).draw(data, toggles_of(world), view_at(distance=4))
-        return sorted(text for text in labels(pen.rows[: pen.count]) if "data" in text)
+        buffer = Decor(world).draw(data, toggles_of(world), view_at(distance=4))
+        return sorted(text for text in labels(buffer.rows[: buffer.count]) if "data" in text)
 
     assert written(udp=-1, other=2.0) == ["goal: no data for 2.0 s", "justin: no data yet"]
     assert written(udp=-1) == ["justin: no data yet"]

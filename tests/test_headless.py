@@ -16,8 +16,8 @@ from sero_mj.robots.assemble.scene import Camera, Scene, View
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.camera import bounding_sphere, find_camera, needed_aspect, stand_back
 from sero_mj.viewer.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, line_height
+from sero_mj.viewer.decor.geom_buffer import ARROW_SIZE_OF_LENGTH
 from sero_mj.viewer.decor.panels import PADDING
-from sero_mj.viewer.decor.pen import ARROW_SIZE_OF_LENGTH
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.headless import render
 from sero_mj.viewer.headless.render import QUALITIES, HeadlessRenderer, render_picture
@@ -88,8 +88,8 @@ def test_billboard_text_is_white_on_its_dark_panel(renderer, world) -> None:
         pixels = renderer.render(data)
     finally:
         renderer.toggles.arrows[:], renderer.toggles.billboards[:] = True, False
-    pen = renderer.decor.pen
-    rows = pen.rows[: pen.count]
+    buffer = renderer.decor.buffer
+    rows = buffer.rows[: buffer.count]
     assert (rows["type"] == int(mujoco.mjtGeom.mjGEOM_LABEL)).sum() == 7
     font = renderer.decor.view.font
     (panels,) = [panels for panels in renderer.decor.panels if panels.has_values]

@@ -16,7 +16,7 @@ from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.headless.render import HeadlessRenderer
 from sero_mj.viewer.session.interaction import KEYS, click
 from sero_mj.viewer.session.picking import Picked, pick, ray_boxes, ray_triangles
@@ -42,14 +42,14 @@ def label_at(renderer: HeadlessRenderer, data, pixels) -> dict[tuple[int, int], 
     """Oracle: renders every geom in a flat colour of its own and reads the colours back."""
     inner = renderer._renderer
     renderer.render(data)
-    scene, pen = inner.scene, renderer.decor.pen
-    first = scene.ngeom - pen.count
+    scene, buffer = inner.scene, renderer.decor.buffer
+    first = scene.ngeom - buffer.count
     owners: list[tuple[str, int]] = [("", -1)]
     for i in range(scene.ngeom):
         geom = scene.geoms[i]
         if i >= first:
-            kind = Kind(int(pen.kinds[i - first]))
-            owner = (kind.name, int(pen.items[i - first])) if kind else ("", -1)
+            kind = Kind(int(buffer.kinds[i - first]))
+            owner = (kind.name, int(buffer.items[i - first])) if kind else ("", -1)
         elif geom.objtype == int(mujoco.mjtObj.mjOBJ_GEOM):
             owner = ("geom", int(geom.objid))
         else:
@@ -59,7 +59,7 @@ def label_at(renderer: HeadlessRenderer, data, pixels) -> dict[tuple[int, int], 
         owners.append(owner)
     # Leaders lie between eye and robot and cannot be clicked; the oracle must not see them.
     for i in range(first, scene.ngeom):
-        if scene.geoms[i].type == mujoco.mjtGeom.mjGEOM_TRIANGLE and not pen.kinds[i - first]:
+        if scene.geoms[i].type == mujoco.mjtGeom.mjGEOM_TRIANGLE and not buffer.kinds[i - first]:
             scene.geoms[i].segid = -1
     flags = scene.flags.copy()
     scene.flags[mujoco.mjtRndFlag.mjRND_SEGMENT] = 1
@@ -203,14 +203,15 @@ def test_a_finger_hits_what_is_near_and_a_mouse_does_not(world) -> None:
     data, view = world.make_data(), view_at()
     toggles = toggles_of(world)
     toggles.billboards[:] = toggles.arrows[:] = False
-    pen = scene_of_frame(world, toggles, view, data)
+    buffer = scene_of_frame(world, toggles, view, data)
     frame = world.frames.names.index("lwr/base")
-    bars = (pen.items[: pen.count] == frame).nonzero()[0]
-    tip = pen.rows[bars[0]]["pos"] + pen.rows[bars[0]]["mat"][:, 2] * pen.rows[bars[0]]["size"][2]
+    bars = (buffer.items[: buffer.count] == frame).nonzero()[0]
+    bar = buffer.rows[bars[0]]
+    tip = bar["pos"] + bar["mat"][:, 2] * bar["size"][2]
     (x, y), _ = view.project(tip.astype(float))
     beside = (x + 8.0 * np.sign(x - view.width / 2), y)
-    assert pick(world, data, pen, view, beside) is None
-    found = pick(world, data, pen, view, beside, tolerance=12.0)
+    assert pick(world, data, buffer, view, beside) is None
+    found = pick(world, data, buffer, view, beside, tolerance=12.0)
     assert found is not None
     assert found.kind == "axes"
 
@@ -254,16 +255,16 @@ def test_a_click_on_an_arrow_brings_up_its_precise_numbers() -> None:
     toggles = toggles_of(world)
     data, view = world.make_data(), view_at()
     decor = Decor(world)
-    pen = decor.draw(data, toggles, view)
-    boxes = (pen.kinds[: pen.count] == Kind.ARROW).nonzero()[0]
-    depth = (pen.rows["pos"][boxes] - view.position) @ view.forward
+    buffer = decor.draw(data, toggles, view)
+    boxes = (buffer.kinds[: buffer.count] == Kind.ARROW).nonzero()[0]
+    depth = (buffer.rows["pos"][boxes] - view.position) @ view.forward
     front = boxes[np.argmin(depth)]
-    (x, y), _ = view.project(pen.rows["pos"][front].astype(float))
-    found = pick(world, data, pen, view, (float(x), float(y)))
+    (x, y), _ = view.project(buffer.rows["pos"][front].astype(float))
+    found = pick(world, data, buffer, view, (float(x), float(y)))
     assert found is not None
     assert (found.kind, found.name, found.index) == ("arrow", "lwr/E1", 2)
     click(world, toggles, found)
-    rows = decor.draw(data, toggles, view).rows[: decor.pen.count]
+    rows = decor.draw(data, toggles, view).rows[: decor.buffer.count]
     labels = [row["label"].decode() for row in of_kind(rows, mujoco.mjtGeom.mjGEOM_LABEL)]
     assert labels == [
         "E1  cmd    28.0 Nm",
@@ -280,8 +281,8 @@ def test_a_joint_without_limit_says_so_in_its_details() -> None:
     world = World(Scene(robots=[robot], floor=False))
     toggles = toggles_of(world)
     toggles.details[0] = True
-    pen = Decor(world).draw(world.make_data(), toggles, view_at(distance=20))
-    rows = of_kind(pen.rows[: pen.count], mujoco.mjtGeom.mjGEOM_LABEL)
+    buffer = Decor(world).draw(world.make_data(), toggles, view_at(distance=20))
+    rows = of_kind(buffer.rows[: buffer.count], mujoco.mjtGeom.mjGEOM_LABEL)
     labels = [row["label"].decode() for row in rows]
     assert labels[0] == "J1  cmd  no data"
     assert labels[3] == "    limit  none"
@@ -292,8 +293,8 @@ def test_a_click_on_axes_shows_their_name_and_another_hides_it(world) -> None:
     toggles.billboards[:] = toggles.arrows[:] = False
     frame = world.frames.names.index("lwr/link6")
     click(world, toggles, picked(world, "axes", frame))
-    pen = Decor(world).draw(world.make_data(), toggles, view_at())
-    rows = of_kind(pen.rows[: pen.count], mujoco.mjtGeom.mjGEOM_LABEL)
+    buffer = Decor(world).draw(world.make_data(), toggles, view_at())
+    rows = of_kind(buffer.rows[: buffer.count], mujoco.mjtGeom.mjGEOM_LABEL)
     assert [row["label"] for row in rows] == [b"lwr/link6"]
     click(world, toggles, picked(world, "name", frame))
     assert not toggles.frame_names.any()
@@ -305,8 +306,8 @@ def test_names_of_frames_at_one_place_stand_under_each_other(world) -> None:
     for name in ("lwr/link5", "lwr/link6", "lwr/link7"):  # the wrist
         toggles.frame_names[world.frames.names.index(name)] = True
     view = view_at()
-    pen = Decor(world).draw(world.make_data(), toggles, view)
-    named = pen.rows[: pen.count][pen.kinds[: pen.count] == Kind.NAME]
+    buffer = Decor(world).draw(world.make_data(), toggles, view)
+    named = buffer.rows[: buffer.count][buffer.kinds[: buffer.count] == Kind.NAME]
     _, heights = view.project(named["pos"].astype(float))[0].T
     assert (np.diff(np.sort(heights)) > view.font.height).all()
 

@@ -250,7 +250,7 @@ def test_limits_hold_and_say_which_joints_they_hold() -> None:
     sensed, target, out = Sensed(2), Target(2), np.zeros(2)
     control.torques(sensed, target, out)
     assert (out.tolist(), control.saturated.tolist()) == ([100.0, -29.0], [True, False])
-    assert control.asked.tolist() == [120.0, -29.0]
+    assert control.requested.tolist() == [120.0, -29.0]
     fixed.wanted[:] = 100.0, -31.0
     control.torques(sensed, target, out)
     assert (out.tolist(), control.saturated.tolist()) == ([100.0, -30.0], [False, True])

@@ -190,10 +190,18 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
         ("robots.assemble.dh", "from ... import HeadlessRenderer", "imports viewer.headless"),
         ("data.receive.source", "from ..drive.place import follow", "imports data.drive.place"),
         ("data.send.play", "from ..drive._units import UNITS", "imports data.drive._units"),
-        ("data.drive.place", "from ...viewer.decor.pen import Pen", "imports viewer.decor.pen"),
-        ("data.drive.place", "if TYPE_CHECKING:\n    from ...viewer.decor import pen", "decor.pen"),
+        (
+            "data.drive.place",
+            "from ...viewer.decor.geom_buffer import GeomBuffer",
+            "imports viewer.decor.geom_buffer",
+        ),
+        (
+            "data.drive.place",
+            "if TYPE_CHECKING:\n    from ...viewer.decor import geom_buffer",
+            "decor.geom_buffer",
+        ),
         ("data.drive.place", "def f():\n    from ...viewer import camera", "imports viewer.camera"),
-        ("viewer.decor.pen", "from ..camera import list_cameras", "imports viewer.camera"),
+        ("viewer.decor.geom_buffer", "from ..camera import list_cameras", "imports viewer.camera"),
         ("viewer.camera", "from ..cli import main", "imports cli"),
         ("study.figure", "from .learning.make import make_environment", "imports study.learning"),
         ("base.errors", "from ..robots.assemble import dh", "imports robots.assemble.dh"),
@@ -207,10 +215,18 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
         ),
         ("base.errors", "from . import paths", "circle: base.errors > base.paths > base.errors"),
         ("data.drive.place", "from . import place", "circle: data.drive.place > data.drive.place"),
-        ("data.drive.place", "import_module('sero_mj.viewer.decor.pen')", "hides what it imports"),
+        (
+            "data.drive.place",
+            "import_module('sero_mj.viewer.decor.geom_buffer')",
+            "hides what it imports",
+        ),
         ("data.drive.place", "importlib.import_module(name)", "hides what it imports"),
         ("data.drive.place", "import sero_mj", "hides what it imports"),
-        ("data.drive.place", "__import__('sero_mj.viewer.decor.pen')", "hides what it imports"),
+        (
+            "data.drive.place",
+            "__import__('sero_mj.viewer.decor.geom_buffer')",
+            "hides what it imports",
+        ),
     ],
 )
 def test_the_rule_catches_what_breaks_it(module: str, line: str, found: str) -> None:

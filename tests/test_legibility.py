@@ -21,7 +21,7 @@ from PIL import Image
 
 from sero_mj.data.drive.place import follow
 from sero_mj.robots.assemble.world import World
-from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.headless.render import HeadlessRenderer
 
 POSES = examples(44)  # and as many cameras
@@ -48,15 +48,15 @@ class Panel:
 def panels_in(renderer: HeadlessRenderer, data: mujoco.MjData, place: str) -> list[Panel]:
     """Renders a picture and cuts out its billboards."""
     picture = renderer.render(data)
-    view, pen, joints = renderer.decor.view, renderer.decor.pen, renderer.world.joints
+    view, geoms, joints = renderer.decor.view, renderer.decor.buffer, renderer.world.joints
     assert view is not None
     anchors, depth = view.project(data.site_xpos[joints.centre_site])
-    shown = (pen.kinds[: pen.count] == Kind.BILLBOARD).nonzero()[0]
+    shown = (geoms.kinds[: geoms.count] == Kind.BILLBOARD).nonzero()[0]
     # Every joint that is in the picture has its billboard, and the others have none.
-    assert sorted(pen.items[shown]) == view.sees(anchors, depth).nonzero()[0].tolist()
+    assert sorted(geoms.items[shown]) == view.sees(anchors, depth).nonzero()[0].tolist()
     torques = data.userdata[renderer.world.slots["lwr.torques"]]
     found, taken = [], np.zeros(picture.shape[:2], bool)
-    for row, joint in zip(pen.rows[shown], pen.items[shown], strict=True):
+    for row, joint in zip(geoms.rows[shown], geoms.items[shown], strict=True):
         (x, y), far = view.project(row["pos"].astype(float))
         half = row["size"][:2] / view.pixel_size(float(far))
         left, right = round(float(x - half[0])), round(float(x + half[0]))

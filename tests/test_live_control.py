@@ -360,9 +360,9 @@ def test_a_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     handles = played.toggles.handles
     assert handles is not None and handles.pose is not None
     start = handles.pose.copy()
-    rows = played.decor.pen.rows[: played.decor.pen.count]
-    kinds = played.decor.pen.kinds[: played.decor.pen.count]
-    items = played.decor.pen.items[: played.decor.pen.count]
+    rows = played.decor.buffer.rows[: played.decor.buffer.count]
+    kinds = played.decor.buffer.kinds[: played.decor.buffer.count]
+    items = played.decor.buffer.items[: played.decor.buffer.count]
     (arrow,) = np.flatnonzero((kinds == 8) & (items == 0))
     tip = rows["pos"][arrow] + 0.08 * rows["mat"][arrow][:, 2]
     at = tuple(view.project(tip.astype(float))[0].tolist())

@@ -14,14 +14,14 @@ import sero_mj
 from sero_mj.base.errors import UnknownName, UsageError
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.pen import Kind, Pen
+from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.decor.toggles import Toggles
 
 EVERYWHERE = look((2.0, -2.0, 1.5), (0.0, 0.0, 0.4))
 
 
-def drawn(overlay: Any, view: PictureView = EVERYWHERE) -> Pen:
+def drawn(overlay: Any, view: PictureView = EVERYWHERE) -> GeomBuffer:
     """What decor draws of an overlay."""
     return Decor(overlay.world).draw(overlay.data, overlay.toggles, view)
 
@@ -40,10 +40,10 @@ def everything_of(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[bytes, by
 def test_arrows_stand_at_the_joints_and_turn_about_their_axes() -> None:
     model, data = arm(turn=0.4, lift=-0.7, elbow=1.1, grip=0.03)
     overlay = sero_mj.overlay(model, data)
-    pen = drawn(overlay)
+    geoms = drawn(overlay)
     radius = overlay.world.joints.arrow_radius
     for item, name in enumerate(("turn", "lift", "elbow")):
-        boxes = of_kind(belonging(pen, Kind.ARROW, item), GEOM.mjGEOM_BOX)
+        boxes = of_kind(belonging(geoms, Kind.ARROW, item), GEOM.mjGEOM_BOX)
         joint = data.joint(name)
         out = boxes["pos"] - joint.xanchor
         assert np.linalg.norm(out, axis=1) == pytest.approx(radius[item], rel=1e-5)
@@ -62,9 +62,9 @@ def test_widths_and_colours_follow_what_the_drives_put_out() -> None:
     torque = np.array([data.joint(name).qfrc_actuator[0] for name in overlay.robots["arm"]])
     # ctrl -1.5, gear 10; 9 at gear 2; 0.05 at gear 100; no gear
     assert torque == pytest.approx([-15.0, 18.0, 5.0, 0.4])
-    radius, pen = overlay.world.joints.arrow_radius, drawn(overlay)
+    radius, geoms = overlay.world.joints.arrow_radius, drawn(overlay)
     for item, limit in enumerate((20.0, 60.0, 15.0)):
-        tail = belonging(pen, Kind.ARROW, item)[0]
+        tail = belonging(geoms, Kind.ARROW, item)[0]
         expected = radius[item] * np.sqrt(abs(torque[item]) / limit)
         assert 2 * tail["size"][2] == pytest.approx(expected, rel=1e-5)
         assert (tail["rgba"][0] > tail["rgba"][2]) == (torque[item] > 0)  # orange, or blue
@@ -90,12 +90,12 @@ def test_the_arrow_of_a_slide_goes_along_with_its_link() -> None:
 
 
 def test_an_arrow_turns_at_constant_speed_whatever_its_joint_does() -> None:
-    """Seen from the parent, the tail is where time alone has brought it."""
+    """MeasuredBodies from the parent, the tail is where time alone has brought it."""
     tails = []
     for elbow in (0.0, 0.5, 2.0):
         model, data = arm(lift=0.3, elbow=elbow)
-        pen = drawn(sero_mj.overlay(model, data))
-        tail = belonging(pen, Kind.ARROW, 2)["pos"][0] - data.joint("elbow").xanchor
+        geoms = drawn(sero_mj.overlay(model, data))
+        tail = belonging(geoms, Kind.ARROW, 2)["pos"][0] - data.joint("elbow").xanchor
         tails.append(tail @ data.body("upper").xmat.reshape(3, 3))
     assert tails[1] == pytest.approx(tails[0], abs=1e-6)
     assert tails[2] == pytest.approx(tails[0], abs=1e-6)
@@ -135,7 +135,7 @@ def test_an_overlay_on_our_own_model_draws_what_its_scene_draws(quantity: str) -
     ours = drawn(overlay)
     assert ours.dropped == theirs.dropped == 0
     for item in range(7):
-        mine, scene = (belonging(pen, Kind.ARROW, item) for pen in (ours, theirs))
+        mine, scene = (belonging(geoms, Kind.ARROW, item) for geoms in (ours, theirs))
         assert len(mine) == len(scene) > 0
         for field in ("type", "pos", "mat", "size", "rgba"):
             assert mine[field] == pytest.approx(scene[field], abs=1e-5), (item, field)
@@ -162,9 +162,9 @@ def test_every_robot_of_a_model_has_its_own_joints() -> None:
     overlay = sero_mj.overlay(model, data)
     assert list(overlay.robots) == ["jaco0", "jaco1"]
     overlay.set("jaco1.torques", {"joint_2": 20.0})
-    pen = drawn(overlay)
-    assert set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW]) == {9 + 1}
-    boxes = of_kind(belonging(pen, Kind.ARROW, 10), GEOM.mjGEOM_BOX)
+    geoms = drawn(overlay)
+    assert set(geoms.items[: geoms.count][geoms.kinds[: geoms.count] == Kind.ARROW]) == {9 + 1}
+    boxes = of_kind(belonging(geoms, Kind.ARROW, 10), GEOM.mjGEOM_BOX)
     at = boxes["pos"].astype(float)
     distance = np.linalg.norm(at - data.joint("jaco1/joint_2").xanchor, axis=1)
     assert distance == pytest.approx(overlay.world.joints.arrow_radius[10], rel=1e-5)
@@ -174,7 +174,7 @@ def test_what_is_set_is_shown_until_it_is_cleared() -> None:
     model, data = arm()
     overlay = sero_mj.overlay(model, data)
     overlay.set("arm.torques", {"lift": -20.0})
-    items = lambda pen: set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW])  # noqa: E731
+    items = lambda geoms: set(geoms.items[: geoms.count][geoms.kinds[: geoms.count] == Kind.ARROW])  # noqa: E731
     assert items(drawn(overlay)) == {1}
     overlay.clear("arm.torques")
     assert items(drawn(overlay)) == {0, 1, 2, 3}
@@ -209,8 +209,8 @@ def test_values_that_are_no_numbers_are_counted_and_not_shown(caplog: Any) -> No
     double = sero_mj.Double(name="goal", of="arm", joint_angles=np.array([0.5, 0, 0, 0]))
     overlay = sero_mj.overlay(model, data, doubles=[double])
     overlay.set("arm.torques", [np.nan, 18.0, np.inf, 0.3])
-    pen = drawn(overlay)
-    assert set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW]) == {1, 3}
+    geoms = drawn(overlay)
+    assert set(geoms.items[: geoms.count][geoms.kinds[: geoms.count] == Kind.ARROW]) == {1, 3}
     assert overlay.not_finite == 2
     assert "arm.torques: NaN" in caplog.text
     kept = overlay.frame("goal/fore")
@@ -218,8 +218,8 @@ def test_values_that_are_no_numbers_are_counted_and_not_shown(caplog: Any) -> No
     assert overlay.frame("goal/fore") == pytest.approx(kept)  # its last good pose
     assert overlay.not_finite == 3
     data.xpos[:], data.xmat[:], data.xanchor[:], data.xaxis[:] = [np.nan] * 4
-    pen = drawn(overlay)
-    assert np.isfinite(pen.rows["pos"][: pen.count]).all()
+    geoms = drawn(overlay)
+    assert np.isfinite(geoms.rows["pos"][: geoms.count]).all()
 
 
 def test_axes_stand_at_bodies_and_at_wanted_sites() -> None:
@@ -229,13 +229,13 @@ def test_axes_stand_at_bodies_and_at_wanted_sites() -> None:
         "arm/base", "arm/upper", "arm/fore", "arm/gripper", "tip", "cube",
     ]  # fmt: skip
     overlay.set("arm.show_axes", 1)
-    pen = drawn(overlay)
+    geoms = drawn(overlay)
     expected = [(data.body(name).xpos, data.body(name).xmat) for name in ("arm", "upper", "fore")]
     expected += [(data.body("gripper").xpos, data.body("gripper").xmat)]
     expected += [(data.site("tip").xpos, data.site("tip").xmat)]
     expected += [(data.body("cube").xpos, data.body("cube").xmat)]
     for item, (position, rotation) in enumerate(expected):
-        bars = belonging(pen, Kind.AXES, item)
+        bars = belonging(geoms, Kind.AXES, item)
         assert len(bars) == 3
         for axis, bar in enumerate(bars):
             direction = rotation.reshape(3, 3)[:, axis]
@@ -250,10 +250,10 @@ def test_smart_arrows_stand_at_its_frames_and_at_points() -> None:
         sero_mj.SmartArrow(name="push", at="arm/fore", expressed_in="world", vector=[0, 0, 30.0]),
         sero_mj.SmartArrow(name="there", at=[0.5, 0.1, 0.9], vector=[20.0, 0, 0]),
     ]
-    pen = drawn(sero_mj.overlay(model, data, arrows=arrows))
-    assert belonging(pen, Kind.VECTOR, 0)["pos"][0] == pytest.approx(data.body("fore").xpos)
-    assert belonging(pen, Kind.VECTOR, 0)["mat"][0][:, 2] == pytest.approx([0, 0, 1], abs=1e-6)
-    assert belonging(pen, Kind.VECTOR, 1)["pos"][0] == pytest.approx([0.5, 0.1, 0.9])
+    geoms = drawn(sero_mj.overlay(model, data, arrows=arrows))
+    assert belonging(geoms, Kind.VECTOR, 0)["pos"][0] == pytest.approx(data.body("fore").xpos)
+    assert belonging(geoms, Kind.VECTOR, 0)["mat"][0][:, 2] == pytest.approx([0, 0, 1], abs=1e-6)
+    assert belonging(geoms, Kind.VECTOR, 1)["pos"][0] == pytest.approx([0.5, 0.1, 0.9])
 
 
 def test_singularity_is_shown_of_the_serial_part() -> None:
@@ -277,9 +277,9 @@ def test_a_joint_without_torque_limit_is_as_wide_as_others_at_the_singularity() 
     joints = overlay.world.joints
     assert np.isinf(joints.torque_limit).all() and np.isfinite(joints.acceleration_limit).all()
     overlay.set("arm.joint_accelerations", joints.acceleration_limit / 4)
-    pen = drawn(overlay)
+    geoms = drawn(overlay)
     for item in range(3):  # half the radius at a quarter of the limit
-        width = 2 * belonging(pen, Kind.ARROW, item)[0]["size"][2]
+        width = 2 * belonging(geoms, Kind.ARROW, item)[0]["size"][2]
         assert width == pytest.approx(joints.arrow_radius[item] / 2, rel=1e-5)
 
 
@@ -371,9 +371,9 @@ def test_models_of_others_have_arrows_that_move(name: str) -> None:
     data.ctrl[:] = 0.7
     for _ in range(3):
         mujoco.mj_step(model, data)
-    pen = drawn(overlay)
+    geoms = drawn(overlay)
     driven = np.abs(data.qfrc_actuator[overlay.world.robots[next(iter(overlay.robots))].dofs]) > 0
-    arrows = np.unique(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW])
+    arrows = np.unique(geoms.items[: geoms.count][geoms.kinds[: geoms.count] == Kind.ARROW])
     assert len(arrows) and driven[arrows].all()
 
 
@@ -410,5 +410,5 @@ def test_the_legend_says_how_wide_an_arrow_without_limit_gets() -> None:
     joints = overlay.world.joints
     joints.torque_limit[:] = np.inf
     assert np.isfinite(joints.arrow_load).any()
-    pen = drawn(overlay)
-    assert "width grows up to 1.5 times gravity's load" in labels(pen.rows[: pen.count])
+    geoms = drawn(overlay)
+    assert "width grows up to 1.5 times gravity's load" in labels(geoms.rows[: geoms.count])

@@ -79,8 +79,8 @@ def test_legs_meet_in_the_compiled_scene_as_it_is_declared(name):
     gap = moved[:3, 3] - scene.robots[leg].fwd_kin_base_to_flange()[:3, 3]
     assert off.pop(leg) == pytest.approx(np.linalg.norm(gap), abs=1e-6)
     assert np.linalg.norm(gap) > 0.005 and all(other < 1e-6 for other in off.values())
-    pen = Decor(world).draw(data, toggles_of(world), view_at(distance=4))
-    assert f"{leg} flange is off" in labels(pen.rows[: pen.count])
+    buffer = Decor(world).draw(data, toggles_of(world), view_at(distance=4))
+    assert f"{leg} flange is off" in labels(buffer.rows[: buffer.count])
 
 
 def test_inverse_kinematics_in_closed_form_is_what_newton_finds(sender):

@@ -14,7 +14,7 @@ from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.shapes import housing_radii
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.pen import CAPACITY, MAX_GEOMS, Kind
+from sero_mj.viewer.decor.geom_buffer import CAPACITY, MAX_GEOMS, Kind
 from sero_mj.viewer.decor.ribbons import ribbon_shape
 from sero_mj.viewer.decor.round_arrows import (
     NEGATIVE_RGBA,
@@ -34,9 +34,10 @@ def ribbons(world: World, data=None, toggles=None, part=GEOM.mjGEOM_BOX):
     data = world.make_data() if data is None else data
     toggles = toggles or toggles_of(world)
     toggles.status = False  # its panel is a box as well
-    pen = decor.draw(data, toggles, view_at())
-    rows = of_kind(pen.rows[: pen.count], part)
-    arrows = len(set(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW].tolist()))
+    buffer = decor.draw(data, toggles, view_at())
+    rows = of_kind(buffer.rows[: buffer.count], part)
+    is_arrow = buffer.kinds[: buffer.count] == Kind.ARROW
+    arrows = len(set(buffer.items[: buffer.count][is_arrow].tolist()))
     return rows.reshape(arrows, -1 if arrows else 1)
 
 
@@ -271,9 +272,9 @@ def test_arrows_of_51_joints_stay_within_their_budget() -> None:
     world = World(Scene(robots=[robot], floor=False))
     for capacity, most in ((MAX_GEOMS, MAX_GEOMS), (CAPACITY, 2 * MAX_GEOMS)):
         decor = Decor(world, capacity)
-        pen = decor.draw(world.make_data(), toggles_of(world), view_at(distance=12))
-        assert pen.dropped == 0
-        assert 0.8 * most < pen.count <= most
+        buffer = decor.draw(world.make_data(), toggles_of(world), view_at(distance=12))
+        assert buffer.dropped == 0
+        assert 0.8 * most < buffer.count <= most
 
 
 def test_below_the_dead_band_there_is_no_arrow_and_it_grows_from_there() -> None:
@@ -408,16 +409,17 @@ def test_a_torque_that_cannot_be_is_said_where_no_arrow_shows_it() -> None:
         (np.nan, []),
     ):
         data.userdata[slot][2] = value
-        pen = Decor(world).draw(data, toggles_of(world), view_at())
-        assert [text for text in labels(pen.rows[: pen.count]) if "times the limit" in text] == said
+        buffer = Decor(world).draw(data, toggles_of(world), view_at())
+        shown = labels(buffer.rows[: buffer.count])
+        assert [text for text in shown if "times the limit" in text] == said
 
 
 def test_the_z_axis_is_drawn_at_joints_that_were_clicked_on() -> None:
     world = world_of(torques=np.full(7, 20.0), show_arrows=True, joint_angles=POSE)
     data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
-    assert "z" not in labels(decor.draw(data, toggles, view_at()).rows[: decor.pen.count])
+    assert "z" not in labels(decor.draw(data, toggles, view_at()).rows[: decor.buffer.count])
     toggles.details[3] = True
-    rows = decor.draw(data, toggles, view_at()).rows[: decor.pen.count]
+    rows = decor.draw(data, toggles, view_at()).rows[: decor.buffer.count]
     axis = of_kind(rows, GEOM.mjGEOM_ARROW)
     site = world.joints.centre_site[3]
     assert axis["pos"][0] == pytest.approx(data.site_xpos[site], abs=1e-6)

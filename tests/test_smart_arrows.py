@@ -16,7 +16,7 @@ from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.pen import Kind, Pen
+from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
 from sero_mj.viewer.decor.round_arrows import ARROW_GEOMS
 from sero_mj.viewer.decor.smart_arrows import frames_along
 
@@ -55,7 +55,7 @@ def frame_by_hand(world: World, name: str) -> np.ndarray:
     return frames[0 if label == "base" else int(label.removeprefix("link"))]
 
 
-def draw(world: World, data=None, *, toggles=None, time: float = 0.0) -> Pen:
+def draw(world: World, data=None, *, toggles=None, time: float = 0.0) -> GeomBuffer:
     if data is None:
         data = world.make_data()
     Placer(world).place(data)
@@ -81,8 +81,8 @@ def test_an_arrow_whose_head_would_be_inside_a_link_ends_at_its_point() -> None:
 
     def drawn(*vector: float) -> Any:
         world.set_input(data, "push.vector", vector)
-        pen = decor.draw(data, toggles, view_at())
-        (row,) = belonging(pen, Kind.VECTOR, 0)
+        buffer = decor.draw(data, toggles, view_at())
+        (row,) = belonging(buffer, Kind.VECTOR, 0)
         assert row["mat"][:, 2] @ world.frame(data, "lwr/flange")[:3, :3] == pytest.approx(
             np.array(vector) / np.linalg.norm(vector), abs=1e-6
         )
@@ -116,9 +116,9 @@ def test_an_arrow_stands_at_its_frame_and_points_where_its_components_say(
 ) -> None:
     arrow = SmartArrow(name="push", kind=kind, at=at, expressed_in=expressed_in, vector=VECTOR)
     world = world_with(arrow)
-    pen = draw(world)
-    rows = belonging(pen, Kind.VECTOR, 0)
-    assert len(rows) == pen.count == (1 if kind == "force" else ARROW_GEOMS)
+    buffer = draw(world)
+    rows = belonging(buffer, Kind.VECTOR, 0)
+    assert len(rows) == buffer.count == (1 if kind == "force" else ARROW_GEOMS)
     start = np.array(at) if isinstance(at, list) else frame_by_hand(world, at)[:3, 3]
     default = "world" if isinstance(at, list) else at
     direction = frame_by_hand(world, expressed_in or default)[:3, :3] @ VECTOR / 13.0
@@ -219,9 +219,9 @@ def test_without_data_or_with_nan_nothing_is_drawn_and_the_others_go_on(kind: st
     data = world.make_data()
 
     def items() -> set[int]:
-        pen = draw(world, data)
-        assert (pen.kinds[: pen.count] == Kind.VECTOR).all()
-        return set(pen.items[: pen.count].tolist())
+        buffer = draw(world, data)
+        assert (buffer.kinds[: buffer.count] == Kind.VECTOR).all()
+        return set(buffer.items[: buffer.count].tolist())
 
     assert items() == {1}
     world.set_input(data, "first.vector", VECTOR)
@@ -277,14 +277,15 @@ def test_force_and_torque_of_any_direction_are_drawn_by_the_right_hand_rule(
     both.set_input(data, "turn.vector", size * unit)
     frame = frame_by_hand(both, "lwr/link6")
     axis = frame[:3, :3] @ unit
-    pen = draw(both, data, time=time)
-    (straight,) = belonging(pen, Kind.VECTOR, 0)
+    buffer = draw(both, data, time=time)
+    (straight,) = belonging(buffer, Kind.VECTOR, 0)
     assert distance_of_ends(straight, frame[:3, 3]) == pytest.approx(0, abs=1e-6)
     assert straight["mat"][:, 2] == pytest.approx(axis, abs=1e-6)
     assert straight["size"][2] / 2 == pytest.approx(min(0.1 * size, 0.5), rel=1e-5)
     first, later = (
-        of_kind(belonging(pen, Kind.VECTOR, 1), GEOM.mjGEOM_BOX)["pos"].astype(float) - frame[:3, 3]
-        for pen in (pen, draw(both, data, time=time + 0.1))
+        of_kind(belonging(buffer, Kind.VECTOR, 1), GEOM.mjGEOM_BOX)["pos"].astype(float)
+        - frame[:3, 3]
+        for buffer in (buffer, draw(both, data, time=time + 0.1))
     )
     for out, then in zip(first, later, strict=True):
         assert np.linalg.norm(out) == pytest.approx(0.2, abs=1e-6)
@@ -304,8 +305,8 @@ def test_what_is_switched_off_is_not_drawn_and_a_packet_switches_it() -> None:
     data, toggles = world.make_data(), toggles_of(world)
     assert draw(world, data, toggles=toggles).count == 1
     toggles.vectors[:] = (False, True)
-    pen = draw(world, data, toggles=toggles)
-    assert (pen.count, set(pen.items[: pen.count])) == (ARROW_GEOMS, {1})
+    buffer = draw(world, data, toggles=toggles)
+    assert (buffer.count, set(buffer.items[: buffer.count])) == (ARROW_GEOMS, {1})
     toggles.vectors[:] = False
     assert draw(world, data, toggles=toggles).count == 0
     world.set_input(data, "second.show", 1.0)
@@ -319,8 +320,8 @@ def test_a_round_arrow_has_no_more_geoms_than_its_host_grants() -> None:
     decor = Decor(world, 1024, 34)  # a page's
     data = world.make_data()
     Placer(world).place(data)
-    pen = decor.draw(data, toggles_of(world), view_at())
-    assert len(belonging(pen, Kind.VECTOR)) == 34
+    buffer = decor.draw(data, toggles_of(world), view_at())
+    assert len(belonging(buffer, Kind.VECTOR)) == 34
 
 
 def test_an_arrow_follows_the_robot() -> None:
@@ -345,13 +346,13 @@ def test_many_arrows_of_both_shapes_keep_their_own_items() -> None:
         )
         for k, kind in enumerate(kinds)
     ]
-    pen = draw(world_with(*arrows))
+    buffer = draw(world_with(*arrows))
     for k, arrow in enumerate(arrows):
-        rows = belonging(pen, Kind.VECTOR, k)
+        rows = belonging(buffer, Kind.VECTOR, k)
         assert len(rows) == (ARROW_GEOMS if arrow.is_round else 1)
         size = 2 * rows["size"][0, 2] if arrow.is_round else rows["size"][0, 2] / 2
         assert size == pytest.approx(0.02 * (k + 1), rel=1e-5)
         centre = rows["pos"].mean(axis=0)
         assert centre[0] == pytest.approx(0.1 * k, abs=0.05)
         assert rows["rgba"] == pytest.approx(np.tile(arrow.color, (len(rows), 1)))
-    assert len(of_kind(pen.rows[: pen.count], GEOM.mjGEOM_ARROW)) == 3
+    assert len(of_kind(buffer.rows[: buffer.count], GEOM.mjGEOM_ARROW)) == 3

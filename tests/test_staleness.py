@@ -15,7 +15,7 @@ from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.axes import AXIS_RGB
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.pen import GREY, Kind
+from sero_mj.viewer.decor.geom_buffer import GREY, Kind
 from sero_mj.viewer.decor.scene_writer import SceneWriter
 from sero_mj.viewer.headless.render import HeadlessRenderer
 
@@ -59,10 +59,10 @@ def with_age(world: World, age: float, **more: float) -> mujoco.MjData:
 def test_a_robot_says_how_old_its_data_is(age: float, text: str | None) -> None:
     world = two_arms()
     decor = Decor(world)
-    pen = decor.draw(with_age(world, age), toggles_of(world), view_at(distance=5))
-    rows = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_LABEL)
+    buffer = decor.draw(with_age(world, age), toggles_of(world), view_at(distance=5))
+    rows = of_kind(buffer.rows[: buffer.count], GEOM.mjGEOM_LABEL)
     assert [row["label"].decode() for row in rows] == ([text] if text else [])
-    assert (pen.grey is None) == (text is None)
+    assert (buffer.grey is None) == (text is None)
 
 
 def test_a_robot_without_fresh_data_has_no_numbers_of_its_flange_check() -> None:
@@ -72,8 +72,8 @@ def test_a_robot_without_fresh_data_has_no_numbers_of_its_flange_check() -> None
         data = with_age(world, age)
         own = world.fwd_kin_base_to_flange(data, "left")
         world.set_input(data, "left.flange_check", own)
-        pen = Decor(world).draw(data, toggles_of(world), view_at(distance=5))
-        rows = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_LABEL)
+        buffer = Decor(world).draw(data, toggles_of(world), view_at(distance=5))
+        rows = of_kind(buffer.rows[: buffer.count], GEOM.mjGEOM_LABEL)
         found = [label for label in rows["label"].tolist() if b"flange" in label]
         assert found == [text]
 
@@ -82,19 +82,19 @@ def test_bad_packets_are_no_silence() -> None:
     world = two_arms()
     data = with_age(world, 1.2, fault_age=0.01)
     decor = Decor(world)
-    pen = decor.draw(data, toggles_of(world), view_at(distance=5))
-    rows = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_LABEL)
+    buffer = decor.draw(data, toggles_of(world), view_at(distance=5))
+    rows = of_kind(buffer.rows[: buffer.count], GEOM.mjGEOM_LABEL)
     assert b"left: no good data for 1.2 s" in rows["label"].tolist()
 
 
 def test_the_robot_with_its_tool_is_grey_and_the_other_is_not() -> None:
     world = two_arms()
-    pen = Decor(world).draw(with_age(world, -1), toggles_of(world), view_at(distance=5))
-    assert pen.grey is not None
+    buffer = Decor(world).draw(with_age(world, -1), toggles_of(world), view_at(distance=5))
+    assert buffer.grey is not None
     of_left = [
         world.model.body(int(body)).name.startswith("left/") for body in world.model.geom_bodyid
     ]
-    assert pen.grey.tolist() == of_left
+    assert buffer.grey.tolist() == of_left
     assert sum(of_left) == 25
 
 
@@ -114,10 +114,10 @@ def test_arrows_and_billboards_of_the_robot_are_grey_and_the_other_s_are_not() -
         data = with_age(world, age)
         for name in ("left", "right"):
             world.set_input(data, f"{name}.torques", [20.0, -30.0, 9.0, -9.0, 5.0, 5.0, -5.0])
-        pen = decor.draw(data, toggles, view)
+        buffer = decor.draw(data, toggles, view)
         for kind in (Kind.ARROW, Kind.BILLBOARD):
             for joint in range(14):
-                colours[age, kind, joint] = belonging(pen, kind, joint)["rgba"][0].copy()
+                colours[age, kind, joint] = belonging(buffer, kind, joint)["rgba"][0].copy()
     for kind in (Kind.ARROW, Kind.BILLBOARD):
         for joint in range(14):
             fresh, stale = colours[0.1, kind, joint], colours[3.0, kind, joint]
@@ -134,16 +134,16 @@ def test_what_a_label_in_front_covers_is_not_written() -> None:
     decor, toggles, view = Decor(world), toggles_of(world), view_at(distance=5)
     toggles.billboards[:] = True
     data = with_age(world, 0.1)
-    pen = decor.draw(data, toggles, view)
-    written = labels(pen.rows[: pen.count])
-    low, high = rectangle(view, belonging(pen, Kind.BILLBOARD, 3)[0])
+    buffer = decor.draw(data, toggles, view)
+    written = labels(buffer.rows[: buffer.count])
+    low, high = rectangle(view, belonging(buffer, Kind.BILLBOARD, 3)[0])
     toggles.hover = ("left/link4 " * 8, ((low + high) / 2).tolist())  # too wide for any corner
-    pen = decor.draw(data, toggles, view)
-    now = labels(pen.rows[: pen.count])
+    buffer = decor.draw(data, toggles, view)
+    now = labels(buffer.rows[: buffer.count])
     assert "left/link4 " * 8 in now
     assert 1 <= len(written) + 1 - len(now) <= 4
-    front = view.project(pen.rows["pos"][: pen.count][-1].astype(float))[1]
-    boxes = of_kind(pen.rows[: pen.count], GEOM.mjGEOM_BOX)
+    front = view.project(buffer.rows["pos"][: buffer.count][-1].astype(float))[1]
+    boxes = of_kind(buffer.rows[: buffer.count], GEOM.mjGEOM_BOX)
     depths = view.project(boxes["pos"].astype(float))[1]
     assert depths.min() < front or (depths < 1.4 * view.near).sum() == 1
 
@@ -156,17 +156,17 @@ def test_a_host_greys_what_it_is_told_and_nothing_else(fast: bool) -> None:
     host = SceneWriter(scene)
     if not fast:
         host._view = None
-    pen = Decor(world).draw(data, toggles_of(world), view_at(distance=5))
+    buffer = Decor(world).draw(data, toggles_of(world), view_at(distance=5))
     everything = mujoco.mjtCatBit.mjCAT_ALL.value
     mujoco.mjv_updateScene(
         world.model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene
     )
     model_geoms = scene.ngeom
-    host.add(pen)
+    host.add(buffer)
     assert model_geoms == 49
     for geom in scene.geoms[:model_geoms]:
         declared = world.model.geom_rgba[geom.objid]
-        if pen.grey is not None and pen.grey[geom.objid]:
+        if buffer.grey is not None and buffer.grey[geom.objid]:
             expected = 0.2 * declared[:3] + 0.8 * np.array(GREY)
             assert geom.rgba[:3] == pytest.approx(expected, abs=1e-5)
             assert geom.rgba[3] == pytest.approx(declared[3])
@@ -238,7 +238,7 @@ def fed_world(**routes: str) -> World:
 
 
 def drawn_with(world: World, **ages: float):
-    """The pen with these ages of sources; the others are fresh."""
+    """The buffer with these ages of sources; the others are fresh."""
     data = world.make_data()
     for name in world.scene.sources:
         set_source(data, world, name, received=5, age=ages.get(name, 0.1), size=216)
@@ -246,8 +246,8 @@ def drawn_with(world: World, **ages: float):
     return Decor(world).draw(data, toggles_of(world), view_at(distance=4))
 
 
-def written(pen) -> list[str]:
-    return labels(pen.rows[: pen.count])
+def written(buffer) -> list[str]:
+    return labels(buffer.rows[: buffer.count])
 
 
 def geoms_of(world: World, start: str) -> list[bool]:
@@ -256,14 +256,14 @@ def geoms_of(world: World, start: str) -> list[bool]:
 
 def test_a_stale_double_is_grey_alone_and_says_so_at_its_robots_base() -> None:
     world = fed_world(lwr__joint_angles="arm.values0", goal__joint_angles="goal_in.values0")
-    pen = drawn_with(world, goal_in=1.4)
-    assert written(pen) == ["goal: no data for 1.4 s"]
-    assert pen.grey is not None
-    assert pen.grey.tolist() == geoms_of(world, "double-goal-")
-    pen = drawn_with(world, arm=-1)
-    assert written(pen) == ["lwr: no data yet"]
-    assert pen.grey is not None
-    assert pen.grey.tolist() == geoms_of(world, "lwr/")
+    buffer = drawn_with(world, goal_in=1.4)
+    assert written(buffer) == ["goal: no data for 1.4 s"]
+    assert buffer.grey is not None
+    assert buffer.grey.tolist() == geoms_of(world, "double-goal-")
+    buffer = drawn_with(world, arm=-1)
+    assert written(buffer) == ["lwr: no data yet"]
+    assert buffer.grey is not None
+    assert buffer.grey.tolist() == geoms_of(world, "lwr/")
 
 
 def test_a_robot_and_its_double_have_their_lines_under_each_other() -> None:
@@ -273,12 +273,12 @@ def test_a_robot_and_its_double_have_their_lines_under_each_other() -> None:
         other__torques="sensor.values0",
     )
     view = view_at(distance=4)
-    pen = drawn_with(world, arm=3.0, goal_in=-1)
-    rows = pen.rows[: pen.count]
-    assert written(pen) == ["lwr: no data for 3.0 s", "goal: no data yet"]
+    buffer = drawn_with(world, arm=3.0, goal_in=-1)
+    rows = buffer.rows[: buffer.count]
+    assert written(buffer) == ["lwr: no data for 3.0 s", "goal: no data yet"]
     panels = of_kind(rows, GEOM.mjGEOM_BOX)
     (panel,) = panels[panels["emission"] == 1]
-    assert texts_in(view, rows, panel) == written(pen)
+    assert texts_in(view, rows, panel) == written(buffer)
     starts, _ = view.project(of_kind(rows, GEOM.mjGEOM_LABEL)["pos"].astype(float))
     assert starts[0, 0] == pytest.approx(starts[1, 0], abs=0.5)
     assert starts[0, 1] - starts[1, 1] == pytest.approx(view.font.height, abs=0.5)
@@ -287,9 +287,9 @@ def test_a_robot_and_its_double_have_their_lines_under_each_other() -> None:
     low, high = rectangle(view, panel)
     assert low[0] < base[0] < high[0]
     assert high[1] < base[1]
-    assert pen.grey is not None
+    assert buffer.grey is not None
     both = np.array(geoms_of(world, "lwr/")) | geoms_of(world, "double-goal-")
-    assert pen.grey.tolist() == both.tolist()
+    assert buffer.grey.tolist() == both.tolist()
 
 
 def test_a_stale_arrow_is_grey_and_the_others_are_not() -> None:
@@ -298,10 +298,10 @@ def test_a_stale_arrow_is_grey_and_the_others_are_not() -> None:
     )
     declared = world.arrows.rgba
     for age in (0.1, 0.6, -1.0):
-        pen = drawn_with(world, sensor=age)
-        assert pen.grey is None and written(pen) == []
+        buffer = drawn_with(world, sensor=age)
+        assert buffer.grey is None and written(buffer) == []
         for k, name in enumerate(("push", "long", "turn", "wide", "fixed")):
-            rows = belonging(pen, Kind.VECTOR, k)
+            rows = belonging(buffer, Kind.VECTOR, k)
             rgba = rows[rows["type"] != GEOM.mjGEOM_TRIANGLE]["rgba"]
             stale = age != 0.1 and name != "fixed"
             colour = np.array([*GREY, 1.0]) if stale else declared[k].copy()
@@ -314,10 +314,10 @@ def test_a_stale_arrow_is_grey_and_the_others_are_not() -> None:
 def test_a_stale_frame_is_grey_and_the_others_are_not() -> None:
     world = fed_world(seen__frame="tracker.matrices0")
     for age in (0.1, 0.6, -1.0):
-        pen = drawn_with(world, tracker=age)
-        assert pen.grey is None and written(pen) == []
+        buffer = drawn_with(world, tracker=age)
+        assert buffer.grey is None and written(buffer) == []
         for name in ("seen", "still"):
-            bars = belonging(pen, Kind.AXES, world.frames.names.index(name))
+            bars = belonging(buffer, Kind.AXES, world.frames.names.index(name))
             grey = 0.75 if age != 0.1 and name == "seen" else 0.0
             expected = (1 - grey) * AXIS_RGB + grey * np.array(GREY)
             assert bars["rgba"][:, :3] == pytest.approx(expected, rel=1e-5)
@@ -334,11 +334,11 @@ def test_what_only_switches_is_no_data() -> None:
         toggles__legend="keys.values1",
     )
     for age in (-1.0, 99.0):
-        pen = drawn_with(world, keys=age)
-        assert pen.grey is None and written(pen) == []
-        rgba = belonging(pen, Kind.VECTOR, 0)["rgba"][0]
+        buffer = drawn_with(world, keys=age)
+        assert buffer.grey is None and written(buffer) == []
+        rgba = belonging(buffer, Kind.VECTOR, 0)["rgba"][0]
         assert rgba == pytest.approx(world.arrows.rgba[0])
-        bars = belonging(pen, Kind.AXES, world.frames.names.index("seen"))
+        bars = belonging(buffer, Kind.AXES, world.frames.names.index("seen"))
         assert bars["rgba"][:, :3] == pytest.approx(AXIS_RGB)
 
 
@@ -363,7 +363,7 @@ def test_the_oldest_of_several_sources_counts_a_received_flange_among_them() -> 
 
 def test_what_follows_a_frame_has_no_age() -> None:
     world = fed_world(other__base_frame="lwr/flange", lwr__joint_angles="arm.values0")
-    pen = drawn_with(world, arm=5.0)
-    assert written(pen) == ["lwr: no data for 5.0 s"]
-    assert pen.grey is not None
-    assert not pen.grey[np.array(geoms_of(world, "other/"))].any()
+    buffer = drawn_with(world, arm=5.0)
+    assert written(buffer) == ["lwr: no data for 5.0 s"]
+    assert buffer.grey is not None
+    assert not buffer.grey[np.array(geoms_of(world, "other/"))].any()

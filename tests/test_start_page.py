@@ -24,7 +24,7 @@ from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.load import load_scene
 from sero_mj.viewer.session import recent_views as recent
 from sero_mj.viewer.session.recent_views import MOST, RecentView, recent_views, remember_view
-from sero_mj.viewer.session.start_page import Awaited, Listening, sections
+from sero_mj.viewer.session.start_page import ExpectedPackets, PortMonitor, sections
 
 ARM = """
 [robots.two]
@@ -113,7 +113,7 @@ def test_only_the_latest_are_remembered_and_damage_is_forgotten(state: Path) -> 
 
 
 @contextmanager
-def hearing(tmp_path: Path, *sizes: int) -> Iterator[tuple[Listening, socket.socket, int]]:
+def hearing(tmp_path: Path, *sizes: int) -> Iterator[tuple[PortMonitor, socket.socket, int]]:
     """Who listens for scenes with packets of these sizes at one port, and who sends to it."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
@@ -125,10 +125,10 @@ def hearing(tmp_path: Path, *sizes: int) -> Iterator[tuple[Listening, socket.soc
         views.append(RecentView(str(file)))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.connect(("127.0.0.1", port))
-        yield Listening(views), sender, port
+        yield PortMonitor(views), sender, port
 
 
-def until(listening: Listening, text: str) -> Awaited:
+def until(listening: PortMonitor, text: str) -> ExpectedPackets:
     """What is awaited, once its text has this in it."""
     end = time.monotonic() + 10.0
     while time.monotonic() < end:
@@ -170,7 +170,7 @@ def test_scenes_that_are_wrong_are_not_listened_for(tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.toml"
     for text in ("[", "sources = 3", "[sources]\na = 1", '[sources.a]\nkind = "udp"\nport = -1\n'):
         wrong.write_text(text)
-        with Listening([RecentView(str(wrong)), RecentView("none.toml")]) as listening:
+        with PortMonitor([RecentView(str(wrong)), RecentView("none.toml")]) as listening:
             assert listening.awaited() == []
 
 

@@ -23,8 +23,8 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.cards import move_below
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.font import line_height
+from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.decor.panels import Panels
-from sero_mj.viewer.decor.pen import Kind
 from sero_mj.viewer.decor.status import FAULT_RGBA, Status
 from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.typesetting import Typesetter
@@ -43,8 +43,8 @@ def test_what_is_awaited_is_said_until_something_comes() -> None:
     decor, data, toggles = Decor(world), world.make_data(), Toggles(world)
 
     def said() -> list[str]:
-        pen = decor.draw(data, toggles, view_at())
-        return [text for text in labels(pen.rows[: pen.count]) if "lwr: no data" not in text]
+        buffer = decor.draw(data, toggles, view_at())
+        return [text for text in labels(buffer.rows[: buffer.count]) if "lwr: no data" not in text]
 
     set_source(data, world, "udp", received=0, size=112, age=-1)
     assert said() == [
@@ -70,7 +70,8 @@ def test_nothing_is_awaited_from_files(tmp_path: Path) -> None:
     world = World(scene)
     data = world.make_data()
     assert (
-        labels((pen := Decor(world).draw(data, Toggles(world), view_at())).rows[: pen.count]) == []
+        labels((buffer := Decor(world).draw(data, Toggles(world), view_at())).rows[: buffer.count])
+        == []
     )
 
 
@@ -129,8 +130,8 @@ def test_faults_of_a_source_stand_in_the_corner(counts: dict[str, float], said: 
     data = world.make_data()
     set_source(data, world, "udp", **{"age": 0.1, "size": 56, **counts})
     view = view_at()
-    pen = Decor(world).draw(data, Toggles(world), view)
-    rows = pen.rows[: pen.count]
+    buffer = Decor(world).draw(data, Toggles(world), view)
+    rows = buffer.rows[: buffer.count]
     assert labels(rows) == said
     for row in of_kind(rows, GEOM.mjGEOM_BOX):
         low, high = rectangle(view, row)
@@ -161,9 +162,9 @@ def test_faults_cover_no_billboard(
     set_source(data, world, "udp", **counts)
     font = Typesetter(line_height(world, *size)).font
     view = replace(view_at(azimuth, distance, *size), font=font)
-    pen = Decor(world).draw(data, Toggles(world), view)
-    rows = pen.rows[: pen.count]
-    panels = [rectangle(view, row) for row in belonging(pen, Kind.BILLBOARD)]
+    buffer = Decor(world).draw(data, Toggles(world), view)
+    rows = buffer.rows[: buffer.count]
+    panels = [rectangle(view, row) for row in belonging(buffer, Kind.BILLBOARD)]
     boxes = of_kind(rows, GEOM.mjGEOM_BOX)
     faults = [row for row in boxes if tuple(row["rgba"]) == pytest.approx(FAULT_RGBA)]
     assert len(panels) >= 5 and len(faults) == 1

@@ -16,7 +16,7 @@ from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.robots.assemble.scene import Scene, SceneToggles
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.headless.render import HeadlessRenderer
 from sero_mj.viewer.session.interaction import (
@@ -250,11 +250,11 @@ def test_hovering_writes_a_name_inside_the_picture(world) -> None:
     data = placed(world)
     for x, y in itertools.product((0.0, view.width), (0.0, view.height)):
         hover(toggles, picked("link"), (x, y))
-        pen = decor.draw(data, toggles, view)
-        rows = pen.rows[: pen.count]
+        buffer = decor.draw(data, toggles, view)
+        rows = buffer.rows[: buffer.count]
         (label,) = rows[rows["label"] != b""]
         assert label["label"] == b"lwr/x"
-        panel = rows[pen.kinds[: pen.count] == Kind.NONE]
+        panel = rows[buffer.kinds[: buffer.count] == Kind.NONE]
         panel = panel[panel["type"] == int(mujoco.mjtGeom.mjGEOM_BOX)][-1]
         (centre, depth) = view.project(panel["pos"].astype(float))
         half = panel["size"][:2] / view.pixel_size(float(depth))
@@ -295,25 +295,25 @@ def test_a_double_that_is_off_is_neither_rendered_nor_picked(world) -> None:
 def test_a_tolerance_takes_no_click_from_what_is_exactly_there(world) -> None:
     data, toggles, view = placed(world), toggles_of(world), view_at()
     toggles.arrows[:] = toggles.billboards[:] = toggles.axes[:] = True
-    pen = Decor(world).draw(data, toggles, view)
+    buffer = Decor(world).draw(data, toggles, view)
     rng = np.random.default_rng(3)
     for pixel in rng.uniform((0, 0), (view.width, view.height), (400, 2)):
-        exact = pick(world, data, pen, view, tuple(pixel))
+        exact = pick(world, data, buffer, view, tuple(pixel))
         if exact is not None and exact.kind not in ("link", "double", "object"):
-            assert pick(world, data, pen, view, tuple(pixel), 12.0) == exact
+            assert pick(world, data, buffer, view, tuple(pixel), 12.0) == exact
 
 
 def test_the_name_under_the_pointer_stands_where_it_covers_no_number(world) -> None:
     toggles, view, decor = toggles_of(world), view_at(), Decor(world)
     data = placed(world)
     toggles.billboards[:] = True
-    pen = decor.draw(data, toggles, view)
-    written = set(labels(pen.rows[: pen.count]))
+    buffer = decor.draw(data, toggles, view)
+    written = set(labels(buffer.rows[: buffer.count]))
     for joint in range(7):
-        low, high = rectangle(view, belonging(pen, Kind.BILLBOARD, joint)[0])
+        low, high = rectangle(view, belonging(buffer, Kind.BILLBOARD, joint)[0])
         for at in ((low[0] - 4, high[1] + 4), (high[0] + 4, low[1] - 4)):
             toggles.hover = ("lwr/link", at)
             there = decor.draw(data, toggles, view)
             assert set(labels(there.rows[: there.count])) == written | {"lwr/link"}
             toggles.hover = None
-            pen = decor.draw(data, toggles, view)
+            buffer = decor.draw(data, toggles, view)

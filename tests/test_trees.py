@@ -21,7 +21,7 @@ from sero_mj.simulate.control.robot_model import RobotModel
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.pen import MAX_GEOMS, Kind
+from sero_mj.viewer.decor.geom_buffer import MAX_GEOMS, Kind
 from sero_mj.viewer.decor.singularity import jacobian, towards_singularity
 
 G = np.array([0.0, 0.0, -9.81])
@@ -272,8 +272,8 @@ def test_doubles_of_a_tree_have_arrows_and_stand_where_their_angles_say() -> Non
     np.testing.assert_allclose(
         data.mocap_pos[world.doubles["goal"].frames], frames[1:, :3, 3], atol=1e-9
     )
-    pen = Decor(world).draw(data, toggles_of(world), view_at(distance=4.0))
-    arrows = pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW]
+    buffer = Decor(world).draw(data, toggles_of(world), view_at(distance=4.0))
+    arrows = buffer.items[: buffer.count][buffer.kinds[: buffer.count] == Kind.ARROW]
     assert set(arrows.tolist()) == set(range(2 * robot.n))
 
 
@@ -317,8 +317,8 @@ def test_arrows_of_128_joints_fit_into_what_a_page_can_show() -> None:
     data = world.make_data()
     world.set_input(data, "tree.torques", np.full(128, 50.0))
     Placer(world).place(data)
-    pen = Decor(world, capacity=MAX_GEOMS).draw(data, toggles_of(world), view_at(distance=6.0))
-    assert not pen.dropped
-    assert pen.count <= MAX_GEOMS
-    arrows = pen.items[: pen.count][pen.kinds[: pen.count] == Kind.ARROW]
+    buffer = Decor(world, capacity=MAX_GEOMS).draw(data, toggles_of(world), view_at(distance=6.0))
+    assert not buffer.dropped
+    assert buffer.count <= MAX_GEOMS
+    arrows = buffer.items[: buffer.count][buffer.kinds[: buffer.count] == Kind.ARROW]
     assert set(arrows.tolist()) == set(range(128))

@@ -18,7 +18,7 @@ from sero_mj import DhTable, World, load_scene
 from sero_mj.base.errors import DeclarationError
 from sero_mj.base.frames import Array, frame, rotation_about, rotation_from_rpy
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
-from sero_mj.robots.importers.described import Described
+from sero_mj.robots.importers.imported_tables import ImportedTables
 from sero_mj.robots.importers.urdf import UrdfFile, read_urdf
 
 # A gripper on an arm: axes along and across, a fixed sensor with a mass, a mimic finger, odd names,
@@ -81,7 +81,7 @@ def write(folder: Path, text: str, name: str = "robot.urdf") -> Path:
     return path
 
 
-def described(tmp_path: Path, text: str, **more: Any) -> Described:
+def described(tmp_path: Path, text: str, **more: Any) -> ImportedTables:
     return read_urdf(write(tmp_path, text), **more)
 
 

@@ -20,14 +20,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from source_slots import set_source
 
-from sero_mj.base.frames import nice
+from sero_mj.base.frames import round_down_1_2_5
 from sero_mj.data.drive.place import Placer
 from sero_mj.robots.assemble.cartesian import SmartArrow
 from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.pen import Kind
+from sero_mj.viewer.decor.geom_buffer import Kind
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
 VECTOR = [3.0, -4.0, 12.0]  # 13 long
@@ -49,9 +49,9 @@ def draw(world: World, data=None, *, view=None, cards=True, vectors=None, legend
     return Decor(world).draw(data, toggles, view or view_at())
 
 
-def card_texts(pen, item: int = 0, view=None) -> list[str]:
-    (panel,) = belonging(pen, Kind.CARD, item)
-    return texts_in(view or view_at(), pen.rows[: pen.count], panel)
+def card_texts(buffer, item: int = 0, view=None) -> list[str]:
+    (panel,) = belonging(buffer, Kind.CARD, item)
+    return texts_in(view or view_at(), buffer.rows[: buffer.count], panel)
 
 
 @pytest.mark.parametrize(
@@ -110,9 +110,9 @@ def card_texts(pen, item: int = 0, view=None) -> list[str]:
     ],
 )
 def test_a_card_says_name_kind_components_size_unit_and_frame(fields, text) -> None:
-    pen = draw(world_with(SmartArrow(name="push", vector=VECTOR, **fields)))
-    assert card_texts(pen) == text
-    assert labels(pen.rows[: pen.count]) == text
+    buffer = draw(world_with(SmartArrow(name="push", vector=VECTOR, **fields)))
+    assert card_texts(buffer) == text
+    assert labels(buffer.rows[: buffer.count]) == text
 
 
 def test_components_are_those_received_and_not_those_in_the_world() -> None:
@@ -144,8 +144,9 @@ def test_a_card_is_there_only_when_wanted_and_its_arrow_is_shown() -> None:
     world = world_with(*arrows)
 
     def cards(**shown) -> list[int]:
-        pen = draw(world, **shown)
-        return sorted(pen.items[: pen.count][pen.kinds[: pen.count] == Kind.CARD].tolist())
+        buffer = draw(world, **shown)
+        is_card = buffer.kinds[: buffer.count] == Kind.CARD
+        return sorted(buffer.items[: buffer.count][is_card].tolist())
 
     assert cards() == [0, 1, 2]
     assert cards(cards=False) == []
@@ -162,9 +163,9 @@ def test_an_arrow_out_of_the_picture_has_no_card() -> None:
         SmartArrow(name="behind", at=[9.0, 0.0, 0.6], vector=VECTOR),
     )
     view = look([2.5, 0.0, 0.6], [0, 0, 0.6])
-    pen = draw(world, view=view)
-    assert len(belonging(pen, Kind.CARD)) == 1
-    assert card_texts(pen, 0, view)[0] == "here: force"
+    buffer = draw(world, view=view)
+    assert len(belonging(buffer, Kind.CARD)) == 1
+    assert card_texts(buffer, 0, view)[0] == "here: force"
 
 
 def test_cards_stand_clear_of_each_other_and_point_at_their_arrows() -> None:
@@ -173,17 +174,17 @@ def test_cards_stand_clear_of_each_other_and_point_at_their_arrows() -> None:
     world = world_with(*arrows)
     for size in ((1280, 800), (1920, 1080)):
         view = view_at(0.4, 2.5, *size)
-        pen = draw(world, view=view)
-        rows = pen.rows[: pen.count]
+        buffer = draw(world, view=view)
+        rows = buffer.rows[: buffer.count]
         leaders = of_kind(rows, GEOM.mjGEOM_TRIANGLE)
-        panels = [rectangle(view, row) for row in belonging(pen, Kind.CARD)]
+        panels = [rectangle(view, row) for row in belonging(buffer, Kind.CARD)]
         assert len(panels) == len(leaders) == 5
         frames = world.robots["lwr"].kinematics.frames(POSE)
         flange = (frames[-1] @ world.scene.robots["lwr"].flange_frame)[:3, 3]
         points = [flange, frames[0][:3, 3], frames[4][:3, 3], np.array([0.1, 0.2, 0.3]), flange]
         for k, (low, high) in enumerate(panels):
             assert (low >= -0.5).all() and (high <= np.array(size) + 0.5).all()
-            assert card_texts(pen, k, view)[0] == f"v{k}: force"
+            assert card_texts(buffer, k, view)[0] == f"v{k}: force"
             tip = leaders[k]["pos"] + leaders[k]["mat"][:, 1] * leaders[k]["size"][1].astype(float)
             assert view.project(tip)[0] == pytest.approx(view.project(points[k])[0], abs=4.0)
             for other_low, other_high in panels[:k]:
@@ -202,13 +203,13 @@ def test_a_card_says_how_old_its_data_is(age: float, said: list[str]) -> None:
     )
     data = world.make_data()
     set_source(data, world, "udp", received=5, age=age, size=24)
-    pen = draw(world, data)
-    assert card_texts(pen)[6:] == said
-    assert len(card_texts(pen, 1)) == 6
+    buffer = draw(world, data)
+    assert card_texts(buffer)[6:] == said
+    assert len(card_texts(buffer, 1)) == 6
 
 
-def scales(pen) -> list[str]:
-    return labels(pen.rows[: pen.count])
+def scales(buffer) -> list[str]:
+    return labels(buffer.rows[: buffer.count])
 
 
 @pytest.mark.parametrize(
@@ -224,10 +225,11 @@ def scales(pen) -> list[str]:
 )
 def test_the_legend_states_the_scale(fields, said: str) -> None:
     world = world_with(SmartArrow(name="v", at="lwr/flange", vector=VECTOR, **fields))
-    pen = draw(world, cards=False, legend=True)
-    assert scales(pen) == [said]
+    buffer = draw(world, cards=False, legend=True)
+    assert scales(buffer) == [said]
     view = view_at()
-    (panel,) = [row for row in pen.rows[: pen.count] if row["emission"] == 1 and row["type"] == 6]
+    rows = buffer.rows[: buffer.count]
+    (panel,) = [row for row in rows if row["emission"] == 1 and row["type"] == 6]
     low, high = rectangle(view, panel)
     assert (low >= 0).all() and high[0] < view.width / 2 and high[1] < view.height / 4
     assert scales(draw(world, cards=False, legend=False)) == []
@@ -308,13 +310,15 @@ def test_what_the_legend_states_is_what_is_drawn(scale: float, turns: bool) -> N
 def test_nice_is_the_largest_round_number_that_is_not_above(value: float) -> None:
     steps = np.array([step * 10.0**k for k in range(-11, 11) for step in (1, 2, 5)])
     found = steps[steps <= value * (1 - 1e-8)].max(), steps[steps <= value * (1 + 1e-8)].max()
-    assert nice(value) == pytest.approx(found[0]) or nice(value) == pytest.approx(found[1])
+    assert round_down_1_2_5(value) == pytest.approx(found[0]) or round_down_1_2_5(
+        value
+    ) == pytest.approx(found[1])
 
 
 @pytest.mark.parametrize("k", range(-6, 7))
 def test_round_numbers_are_nice_themselves(k: int) -> None:
     for value, expected in ((1, 1), (2, 2), (5, 5), (1.99, 1), (4.99, 2), (9.99, 5)):
-        assert nice(value * 10.0**k) == pytest.approx(expected * 10.0**k)
+        assert round_down_1_2_5(value * 10.0**k) == pytest.approx(expected * 10.0**k)
 
 
 def test_a_card_needs_no_robot() -> None:
@@ -322,5 +326,5 @@ def test_a_card_needs_no_robot() -> None:
     world = World(Scene(robots=[], arrows=[arrow], floor=False))
     toggles = toggles_of(world)
     toggles.cards[:] = True
-    pen = Decor(world).draw(world.make_data(), toggles, view_at())
-    assert "push: force" in labels(pen.rows[: pen.count])
+    buffer = Decor(world).draw(world.make_data(), toggles, view_at())
+    assert "push: force" in labels(buffer.rows[: buffer.count])

@@ -30,7 +30,7 @@ from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.session.kept_views import file_of, find_view, keep_view
 from sero_mj.viewer.session.view_state import (
     SWITCH_NAMES,
-    Seen,
+    ViewSnapshot,
     ViewState,
     apply_state,
     apply_switches,
@@ -131,15 +131,15 @@ def test_a_rounded_camera_is_that_of_its_text(world: World) -> None:
 
 def test_what_is_taken_back_is_as_it_was_to_the_last_bit(world: World) -> None:
     camera, toggles = find_camera(world), Toggles(world)
-    before = Seen.of(camera, toggles, follows=False)
+    before = ViewSnapshot.of(camera, toggles, follows=False)
     camera.azimuth += 1e-13 * camera.azimuth
-    assert Seen.of(camera, toggles, follows=False) != before
+    assert ViewSnapshot.of(camera, toggles, follows=False) != before
     camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
     camera.lookat = [1.0, 2.0, 3.0]
     toggles.arrows[2], toggles.legend, toggles.selected = True, False, 3
     before.show(camera, toggles)
-    assert Seen.of(camera, toggles, follows=False) == before
-    assert Seen.of(camera, toggles, follows=True).lookat is None
+    assert ViewSnapshot.of(camera, toggles, follows=False) == before
+    assert ViewSnapshot.of(camera, toggles, follows=True).lookat is None
 
 
 def test_a_view_is_kept_for_its_scene(
@@ -301,10 +301,10 @@ def test_a_selected_joint_has_a_ring_about_its_axis() -> None:
     data, toggles, decor = world.make_data(), Toggles(world), Decor(world)
     without = decor.draw(data, toggles, view_at()).count
     toggles.selected = 3
-    pen = decor.draw(data, toggles, view_at())
-    rows = pen.rows[: pen.count][-(pen.count - without) :]
+    buffer = decor.draw(data, toggles, view_at())
+    rows = buffer.rows[: buffer.count][-(buffer.count - without) :]
     rows = rows[np.abs(rows["emission"] - 0.9) < 1e-6]
-    assert len(rows) == SEGMENTS == pen.count - without
+    assert len(rows) == SEGMENTS == buffer.count - without
     T = world.scene.robots["lwr"].kinematics.frames(data.qpos[:7])[4]  # by numpy
     away = rows["pos"] - data.site_xpos[world.joints.centre_site[3]]
     axis = data.site_xmat[world.joints.centre_site[3]].reshape(3, 3)[:, 2]

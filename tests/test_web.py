@@ -75,8 +75,8 @@ def test_a_click_on_a_link_shows_its_billboard_and_selects_its_joint(
 
 def test_a_click_on_an_arrow_shows_its_precise_numbers(served: Served, page: Visitor) -> None:
     place = (
-        "(lambda pen: (w.decor.view.project(pen.rows['pos'][:pen.count][(pen.kinds[:pen.count]"
-        " == 1) & (pen.items[:pen.count] == 1)].astype(float))[0]))(w.decor.pen).tolist()"
+        "(lambda d, n: w.decor.view.project(d.rows['pos'][:n][(d.kinds[:n] == 1)"
+        " & (d.items[:n] == 1)].astype(float))[0])(w.decor.buffer, w.decor.buffer.count).tolist()"
     )
     served.ask("setattr(w.clock, 'is_paused', True)")  # an arrow that turns moves away
     served.settle()
@@ -148,9 +148,9 @@ def test_billboards_stay_clear_of_the_panel(served: Served, page: Visitor) -> No
     left = served.ask("w._panels.inset[0]")
     assert left > 300
     edges = served.ask(
-        "(lambda pen, rows: (w.decor.view.project((rows['pos'] - rows['size'][:, :1] *"
-        " rows['mat'][:, :, 0]).astype(float))[0][:, 0]))(w.decor.pen,"
-        " w.decor.pen.rows[:w.decor.count][w.decor.pen.kinds[:w.decor.count] == 2])"
+        "(lambda buffer, rows: (w.decor.view.project((rows['pos'] - rows['size'][:, :1] *"
+        " rows['mat'][:, :, 0]).astype(float))[0][:, 0]))(w.decor.buffer,"
+        " w.decor.buffer.rows[:w.decor.count][w.decor.buffer.kinds[:w.decor.count] == 2])"
         ".tolist()"
     )
     assert len(edges) == 7

@@ -18,8 +18,8 @@ from sero_mj.base.errors import RenderError, UsageError
 from sero_mj.cli import main
 from sero_mj.cli.view import wants_page
 from sero_mj.viewer.decor.font import DEFAULT_FONT, Font
+from sero_mj.viewer.decor.geom_buffer import MAX_GEOMS
 from sero_mj.viewer.decor.panels import labels_at
-from sero_mj.viewer.decor.pen import MAX_GEOMS
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.session.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER, help_columns
 from sero_mj.viewer.web import studio_controls
@@ -100,15 +100,16 @@ def test_panels_stay_clear_of_what_the_host_covers() -> None:
 
 def test_labels_stand_where_the_host_takes_them_from() -> None:
     """A host that centres labels below their position shows the same lines."""
+    from sero_mj.viewer.decor.geom_buffer import GeomBuffer
     from sero_mj.viewer.decor.panels import Panels, draw_panels
-    from sero_mj.viewer.decor.pen import Pen
 
     def places(anchor: tuple[float, float]) -> tuple[np.ndarray, PictureView]:
         font = Font(DEFAULT_FONT.height, DEFAULT_FONT.widths, anchor)
-        view, pen = picture_view(font=font), Pen(20)
+        view, buffer = picture_view(font=font), GeomBuffer(20)
         panels = Panels(np.array([[400.0, 300.0]]), np.array([[200.0, 80.0]]), [[b"ab", b"cde"]])
-        draw_panels(pen, view, [panels])
-        labels = pen.rows[: pen.count][pen.rows["type"][: pen.count] == mujoco.mjtGeom.mjGEOM_LABEL]
+        draw_panels(buffer, view, [panels])
+        rows = buffer.rows[: buffer.count]
+        labels = rows[rows["type"] == mujoco.mjtGeom.mjGEOM_LABEL]
         return view.project(labels["pos"].astype(float))[0], view
 
     left, _ = places((0.0, 0.0))

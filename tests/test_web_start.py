@@ -27,7 +27,7 @@ from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError, UsageError
 from sero_mj.robots.assemble.scene import Scene
 from sero_mj.viewer.session.recent_views import RecentView
-from sero_mj.viewer.session.start_page import Listening
+from sero_mj.viewer.session.start_page import PortMonitor
 from sero_mj.viewer.web.host import WebHost
 from sero_mj.viewer.web.start_host import StartHost
 
@@ -40,7 +40,7 @@ class Opened:
     def __init__(self, **options: Any) -> None:
         self.asked: queue.SimpleQueue[RecentView | Path] = queue.SimpleQueue()
         self.page = StartHost(
-            self._open, Listening([]), options.pop("host", "127.0.0.1"), **options
+            self._open, PortMonitor([]), options.pop("host", "127.0.0.1"), **options
         )
         self.found: list[Scene | None] = []
         self._thread = threading.Thread(target=lambda: self.found.append(self.page.run()))
@@ -219,7 +219,7 @@ def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
     program = (
         "from sero_mj.viewer.session import start_page\n"  # without the ports of shipped scenes
     )
-    program += "start_page.listening = lambda: start_page.Listening([])\n"
+    program += "start_page.listening = lambda: start_page.PortMonitor([])\n"
     program += "from sero_mj.cli import main\nmain(['view', '--web', '--fresh'])"
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(tmp_path)}
     with subprocess.Popen(

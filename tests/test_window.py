@@ -297,7 +297,7 @@ def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path:
             window.until("not next(iter(w.mirror.sources.values())).receiving")
             window.key("a")
             assert window.ask("w.clock.is_live")
-            window.until("w.decor.pen.grey is not None")  # shown as stale
+            window.until("w.decor.buffer.grey is not None")  # shown as stale
     finally:
         sender.kill()
         sender.wait()
@@ -329,8 +329,8 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
             assert window.ask("abs(w.data.time - w.clock.time)") < 0.3  # frames are slow here
             window.until(f"w.clock.end > {window.ask('w.clock.end') + 0.5}")  # it goes on
             window.key("e")
-            window.until("w.clock.time in [moment.time for moment in w.moments.all()]")
-            assert window.ask("any(moment.is_mark for moment in w.moments.all())")
+            window.until("w.clock.time in [bookmark.time for bookmark in w.bookmarks.all()]")
+            assert window.ask("any(bookmark.is_mark for bookmark in w.bookmarks.all())")
             window.key("k")
             window.until("w.keeping._films._made is not None")
             film = window.ask("w.keeping._films._made[0].args")

@@ -37,7 +37,7 @@ from sero_mj.viewer.session.interaction import (
 )  # fmt: skip
 from sero_mj.viewer.session.live import LiveHost
 from sero_mj.viewer.session.status_line import clock_text, source_text, status_pieces
-from sero_mj.viewer.tools.moments import Moments
+from sero_mj.viewer.tools.bookmarks import Bookmarks
 from sero_mj.viewer.tools.torque_history import TorqueHistory
 from sero_mj.viewer.window.glfw_window import spread_times
 from sero_mj.viewer.window.host import Pace
@@ -288,7 +288,7 @@ def test_what_is_live_stands_still_where_it_was_paused() -> None:
     assert mirror.data.qpos[0] == pytest.approx(6.1)
 
 
-# ---- moments
+# ---- bookmarks
 
 
 def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
@@ -302,11 +302,11 @@ def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
     mirror.sources.clear()
     clock = Clock(mirror)  # type: ignore[arg-type]
     clock.is_live = True
-    moments = Moments(mirror, clock)  # type: ignore[arg-type]
-    clock.on_moment = moments.watch
+    bookmarks = Bookmarks(mirror, clock)  # type: ignore[arg-type]
+    clock.on_moment = bookmarks.watch
     mirror.goes_on(clock, 1.0)
-    assert moments.all() == []
-    assert moments.go(1) == "nothing was found or marked after this"
+    assert bookmarks.all() == []
+    assert bookmarks.go(1) == "nothing was found or marked after this"
     world.set_input(mirror.data, "lwr.torques", [0, 1.1 * robot.torque_limits[1], 0, 0, 0, 0, 0])
     mirror.goes_on(clock, 1.0)  # beyond its limit all along: found once
     world.set_input(mirror.data, "lwr.torques", np.zeros(7))
@@ -314,22 +314,22 @@ def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
     world.set_input(mirror.data, "lwr.commanded_torques", [0, 0, 0, 0, 0, error, 0])
     mirror.goes_on(clock, 0.9)  # until the first joint is beyond its limit, of 2.97 rad
     limit = 1.1 * robot.torque_limits[1]
-    assert [moment.text for moment in moments.all()] == [
+    assert [bookmark.text for bookmark in bookmarks.all()] == [
         f"lwr/A2: torque {limit:.3g} Nm, above its limit", f"lwr/A5: torque error {error:.3g} Nm",
     ]  # fmt: skip
-    assert [moment.time for moment in moments.all()] == pytest.approx([1.0, 2.0], abs=0.03)
+    assert [bookmark.time for bookmark in bookmarks.all()] == pytest.approx([1.0, 2.0], abs=0.03)
     mirror.goes_on(clock, 0.2)
-    assert moments.all()[-1].text == "lwr/A1: angle 2.97 beyond its limit of 2.97 rad"
-    assert moments.mark().startswith("marked 3.10 s")
-    assert [is_mark for _, is_mark in sorted(moments.ticks())] == [False, False, False, True]
-    assert moments.go(-1).startswith("2.97 s: lwr/A1: angle")
+    assert bookmarks.all()[-1].text == "lwr/A1: angle 2.97 beyond its limit of 2.97 rad"
+    assert bookmarks.mark().startswith("marked 3.10 s")
+    assert [is_mark for _, is_mark in sorted(bookmarks.ticks())] == [False, False, False, True]
+    assert bookmarks.go(-1).startswith("2.97 s: lwr/A1: angle")
     assert clock.is_past and clock.is_paused
-    assert moments.go(-1).endswith(f"lwr/A5: torque error {error:.3g} Nm")
+    assert bookmarks.go(-1).endswith(f"lwr/A5: torque error {error:.3g} Nm")
     assert clock.time == pytest.approx(2.0, abs=0.03)
     mirror.goes_on(clock, 0.0, 1)
     assert mirror.data.qpos[0] == pytest.approx(clock.time, abs=0.04)
-    moments.go(1)
-    assert moments.go(1) == "3.10 s: mark"
+    bookmarks.go(1)
+    assert bookmarks.go(1) == "3.10 s: mark"
 
 
 def test_packets_that_are_lost_are_found_once_while_they_are(lwr: SerialRobot) -> None:
@@ -341,15 +341,15 @@ def test_packets_that_are_lost_are_found_once_while_they_are(lwr: SerialRobot) -
     data = world.make_data()
     mirror: Any = SimpleNamespace(world=world, data=data, sources={"arm": None})
     clock: Any = SimpleNamespace(begin=0.0)
-    moments = Moments(mirror, clock)
+    bookmarks = Bookmarks(mirror, clock)
     counts = {"age": 0.0, "lost": 0, "malformed": 0}
     for step in range(400):
         data.time = 0.01 * step
         counts["lost"] += 100 <= step < 150 or step == 320
         counts["malformed"] += step == 200
         set_source(data, world, "arm", **counts)
-        moments.watch()
-    assert [(moment.time, moment.text) for moment in moments.all()] == [
+        bookmarks.watch()
+    assert [(bookmark.time, bookmark.text) for bookmark in bookmarks.all()] == [
         (1.0, "arm: packets lost"), (2.0, "arm: packets not applied"), (3.2, "arm: packets lost"),
     ]  # fmt: skip
 
@@ -357,11 +357,11 @@ def test_packets_that_are_lost_are_found_once_while_they_are(lwr: SerialRobot) -
 def test_what_a_monitor_finds_is_gone_to() -> None:
     with Mirror(load_scene("sensor_fault")) as mirror:
         clock = Clock(mirror)
-        moments = Moments(mirror, clock)
+        bookmarks = Bookmarks(mirror, clock)
         (source,) = mirror.sources.values()
         source.run.advance(source.run.steps)  # type: ignore[attr-defined]
         findings = source.run.findings()  # type: ignore[attr-defined]
-        said = moments.go(1)
+        said = bookmarks.go(1)
         assert said.endswith(str(findings[0]).split("  ", 1)[1].replace("  ", " "))
         assert clock.time == findings[0].time and clock.is_paused
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from sero_mj.robots.assemble.scene import Scene
 from sero_mj.base.errors import UsageError
 from sero_mj.viewer.session.recent_views import RecentView
-from sero_mj.viewer.session.start_page import Listening
+from sero_mj.viewer.session.start_page import PortMonitor
 from sero_mj.viewer.window.start_window import StartWindow
 size, heard = json.loads(sys.argv[1])
 opened = []
@@ -32,7 +32,7 @@ def open_it(what):
     if "wrong" in opened[-1]:
         raise UsageError(f"{opened[-1]}: found nothing; expected a robot")
     return Scene(name=opened[-1])
-with Listening([RecentView(each) for each in heard]) as listening:
+with PortMonitor([RecentView(each) for each in heard]) as listening:
     with StartWindow(open_it, listening, size) as w:
         w.frame()
         print("ready", flush=True)

@@ -16,7 +16,7 @@ from sero_mj import DeclarationError, Mirror, World, load_scene, record_sources
 from sero_mj.base.frames import Array
 from sero_mj.cli import main
 from sero_mj.data.receive.udp import UdpReceiver
-from sero_mj.robots.importers.described import Described
+from sero_mj.robots.importers.imported_tables import ImportedTables
 from sero_mj.robots.importers.x3d import read_x3d
 from sero_mj.simulate.runs.run_recording import read_run
 
@@ -29,7 +29,7 @@ LWR = [
 ARM = "DEF arm SerialRobot { dhParams [ 0 0 0 0.3, 1.57 0.2 0 0 ] %s }"
 
 
-def read(text: str, folder: Path) -> Described:
+def read(text: str, folder: Path) -> ImportedTables:
     return read_x3d(written(text, folder))
 
 

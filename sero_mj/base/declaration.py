@@ -59,10 +59,14 @@ T = TypeVar("T")
 class Declaration(_Model):
     """Base of everything that can be declared in a file or built in Python.
 
+    Attributes:
+        renamed: names that fields had in earlier versions, and still may have in files.
+
     Raises:
         DeclarationError: with one `Problem` for everything that is wrong.
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {}
     model_config = ConfigDict(
         extra="forbid",
         strict=True,
@@ -73,6 +77,8 @@ class Declaration(_Model):
     )
 
     def __init__(self, /, **fields: Any) -> None:
+        for old in self.renamed.keys() & fields.keys():
+            fields.setdefault(self.renamed[old], fields.pop(old))
         try:
             super().__init__(**fields)
         except ValidationError as error:

@@ -217,7 +217,7 @@ def _frame_from_table(table: Mapping[str, Any], numbers: Callable[[Any], Array])
     return frame(rotation, position)
 
 
-def nice(value: float) -> float:
+def round_down_1_2_5(value: float) -> float:
     """Returns the largest of 1, 2, 5 times a power of ten that is not above a positive value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(step for step in _NICE if step * power <= value * (1 + 1e-9)) * power)

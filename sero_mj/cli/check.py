@@ -108,8 +108,8 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     lines.append(f"          weighs {about_masses(robot, dynamics)}")
     estimated = [key for key in dynamics.estimated if key != "masses"]
     about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
-    mended = [f"          mended  {line}" for line in robot.dynamics.mended]
-    return [*lines, f"          dynamics: {about}", *mended]
+    repaired = [f"          repaired  {line}" for line in robot.dynamics.repaired]
+    return [*lines, f"          dynamics: {about}", *repaired]
 
 
 def _about_flange(robot: SerialRobot) -> str:

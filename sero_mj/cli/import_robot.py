@@ -20,7 +20,7 @@ from .schema import schema_text
 
 if TYPE_CHECKING:
     from ..robots.assemble.robot import SerialRobot
-    from ..robots.importers.described import Described
+    from ..robots.importers.imported_tables import ImportedTables
 
 _EPILOG = """\
 example:
@@ -106,7 +106,7 @@ class _Source(NamedTuple):
         no_table: why it has no DH table, where it has none.
     """
 
-    described: Described
+    described: ImportedTables
     write: Callable[[Path, _Limbs], str]
     no_table: str
 

@@ -135,7 +135,7 @@ def scene_tables() -> dict[str, type[Declaration]]:
 def scenario_tables() -> dict[str, type[Declaration]]:
     """The tables that a scenario file has beside those of a scene, by their headers."""
     from ..simulate.control.make_controller import CONTROLLERS
-    from ..simulate.control.plan import LAWS
+    from ..simulate.control.plan import TARGET_MOTIONS
     from ..simulate.disturbances import DISTURBANCES, FAULTS
     from ..simulate.expect import Expect
     from ..simulate.runs.monitor import Monitor
@@ -144,7 +144,7 @@ def scenario_tables() -> dict[str, type[Declaration]]:
 
     kinds: dict[str, Mapping[str, type[Declaration]]] = {
         "controllers.ROBOT": CONTROLLERS,
-        "targets.ROBOT": LAWS,
+        "targets.ROBOT": TARGET_MOTIONS,
         "disturbances.NAME": DISTURBANCES,
         "faults.NAME": FAULTS,
     }

@@ -200,12 +200,12 @@ def _scene_sections(definitions: _Definitions) -> dict[str, Schema]:
 
 def _scenario_sections(definitions: _Definitions) -> dict[str, Schema]:
     from ..simulate.control.make_controller import CONTROLLERS
-    from ..simulate.control.plan import LAWS
+    from ..simulate.control.plan import TARGET_MOTIONS
     from ..simulate.disturbances import DISTURBANCES, FAULTS
     from ..simulate.sensors import SIGNALS
 
     table, of_kind = definitions.table, definitions.of_kind
-    laws = of_kind(LAWS)
+    laws = of_kind(TARGET_MOTIONS)
     for law in laws["oneOf"]:
         if law["title"] == "recorded":  # what the file says instead
             law["properties"] |= {"file": _TEXT, "of": _TEXT}

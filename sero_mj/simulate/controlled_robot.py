@@ -63,7 +63,7 @@ class ControlledRobot:
         self.joints = joints = plant.world.robots[name].joints
         self._timestep = timestep
         self.robot = robot
-        self.commanded, self._asked = drive[:, joints]
+        self.commanded, self._requested = drive[:, joints]
         # Springs and dampers act on the motors of elastic joints, which have encoders of their own.
         motor_state = np.zeros(2 * robot.n) if robot.elastic_joints else None
         # What is measured of the only robot is used in place.
@@ -110,7 +110,7 @@ class ControlledRobot:
         robot = self.robot
         model = make_model(robot)
         controller = make_controller(declared, model, self._timestep, robot.torque_limits)
-        controller.asked = self._asked
+        controller.requested = self._requested
         hanging, stiffness = None, self._joint_stiffness
         if stiffness is not None:
             hold_links = getattr(controller.controller, "hold_links", None)

@@ -52,8 +52,8 @@ class Drives:
         self._velocities = plant.motor_velocities if plant.joints.elastic else None
         self._measured = plant.measured[..., 1:, :].reshape(*plant.rows.shape, -1)
         # Torques that do not act yet, in a ring, and the place in it of the next ones.
-        late = round(run.drive_delay / plant.timestep)
-        self._pending: Array = np.zeros((late + 1, *plant.rows.shape, plant.n))
+        delay = round(run.drive_delay / plant.timestep)
+        self._pending: Array = np.zeros((delay + 1, *plant.rows.shape, plant.n))
         self._place = 0
         self.reset()
 
@@ -145,20 +145,20 @@ class Drives:
         """
         plant, loop = self.plant, self.loop
         if loop is None:
-            given = np.minimum(np.maximum(commanded, self._low), self._high)
+            motor_torques = np.minimum(np.maximum(commanded, self._low), self._high)
             for _ in range(self.substeps):
-                plant.step(self._delayed(given))
+                plant.step(self._delayed(motor_torques))
             return
         loop.command(commanded)
-        given, sensed = plant.joints.given, loop.sensed
+        motor_torques, sensed = plant.joints.motor_torques, loop.sensed
         is_late = len(self._pending) > 1
         for _ in range(self.substeps):
             sensed[...] = self._measured
             if self._velocities is not None:
                 sensed[..., : plant.n] = self._velocities
-            loop.step(given)
+            loop.step(motor_torques)
             if is_late:
-                given[...] = self._delayed(given)
+                motor_torques[...] = self._delayed(motor_torques)
             plant.step_given()
 
     def _delayed(self, torques: Array) -> Array:

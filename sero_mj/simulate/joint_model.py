@@ -69,7 +69,7 @@ class JointModel:
         motor_velocities: (n,), likewise, rad/s.
         sensor_dofs: index in `qvel` of that which every torque sensor feels, (n,): the link
             together with the motor, or the deflection.
-        given: (n,), torques of the motors in the next step, Nm; to be written before `advance`.
+        motor_torques: (n,), in the next step, Nm; to be written before `advance`.
     """
 
     def __init__(self, world: World, rows: OneRow | ManyRows) -> None:
@@ -105,8 +105,8 @@ class JointModel:
         self._copies: list[tuple[Array, Ints, Array]] = []
         self.motor_angles = self._watch(self._qpos, self.motor_positions)
         self.motor_velocities = self._watch(self._qvel, self.motor_dofs)
-        self.given: Array = np.zeros((*rows.shape, self.n))
-        self._rubbing = np.zeros(0, np.intp)
+        self.motor_torques: Array = np.zeros((*rows.shape, self.n))
+        self._dofs_with_friction = np.zeros(0, np.intp)
         self._friction: Array = np.zeros((*rows.shape, 0))
         self._find_couplings()
         self.refresh()
@@ -147,25 +147,25 @@ class JointModel:
                     model.dof_damping[joint.dofadr[0]] = value
         self._spring_stiffness = model.jnt_stiffness[model.dof_jntid[self._spring_dofs]]
         friction: Array = np.zeros((*self._rows.shape, model.nv))
-        friction[..., self._rubbing] = self._friction
-        self._rubbing = np.flatnonzero(model.dof_frictionloss > 0)
+        friction[..., self._dofs_with_friction] = self._friction
+        self._dofs_with_friction = np.flatnonzero(model.dof_frictionloss > 0)
         self._arrange()
-        self._friction[:] = friction[..., self._rubbing]
+        self._friction[:] = friction[..., self._dofs_with_friction]
 
     def _arrange(self) -> None:
         """Lays out what the sensors feel: [q, dq; torques; q, dq after; couplings; friction]."""
         model, n = self._model, self.n
         kinds = [model.nq, model.nv, n, model.nq, model.nv, len(self._coupled_dofs)]
-        sizes = np.array([*kinds, len(self._rubbing)])
+        sizes = np.array([*kinds, len(self._dofs_with_friction)])
         ends = np.cumsum(sizes)
         self._terms: Array = np.zeros((*self._rows.shape, ends[-1]))
         self._column = self._terms[..., None]
-        q_before, dq_before, given, q_after, dq_after, coupling, friction = np.split(
+        q_before, dq_before, motor_torques, q_after, dq_after, coupling, friction = np.split(
             self._terms, ends[:-1], axis=-1
         )
-        given[:] = self.given
+        motor_torques[:] = self.motor_torques
         coupling[:] = self._coupling
-        self.given, self._coupling, self._friction = given, coupling, friction
+        self.motor_torques, self._coupling, self._friction = motor_torques, coupling, friction
         self._inner = self._terms[..., ends[4] :]
         self._after = slice(ends[2], ends[4])
         self._readings_of: Array = np.zeros((3 * n, ends[-1]))
@@ -174,7 +174,7 @@ class JointModel:
 
     def _fill(self, readings: Array, first: Sequence[int]) -> None:
         """Fills the matrix (3, n, terms) by the columns at which the kinds of terms begin."""
-        q_before, dq_before, given, q_after, dq_after, coupling, friction = first
+        q_before, dq_before, motor_torques, q_after, dq_after, coupling, friction = first
         model, dofs, springs = self._model, self.sensor_dofs, self._elastic_rows
         angles, velocities, torques = readings
         rows = np.arange(self.n)
@@ -184,7 +184,7 @@ class JointModel:
         velocities[rows, dq_after + np.arange(model.nv)[self.motor_dofs]] = 1.0
         velocities[springs, dq_after + self._spring_dofs] = 1.0
         inertia = model.dof_armature[dofs] / model.opt.timestep
-        torques[rigid, given + rigid] = 1.0
+        torques[rigid, motor_torques + rigid] = 1.0
         torques[springs, q_before + self._spring_q] = -self._spring_stiffness
         torques[rows, dq_before + dofs] = inertia
         torques[rows, dq_after + dofs] = -(inertia + model.dof_damping[dofs])
@@ -193,7 +193,7 @@ class JointModel:
         for row, (follows, source, ratio) in enumerate(self._coupled_dofs):
             slopes[:, row] = (dofs == follows) - ratio * (dofs == source)
         torques[:, coupling:friction] = slopes
-        torques[:, friction:] = self._rubs_at = dofs[:, None] == self._rubbing
+        torques[:, friction:] = self._friction_at = dofs[:, None] == self._dofs_with_friction
 
     def load_springs(self) -> None:
         """Lets the springs hold the links where they are, at rest; `data` has its bias torques."""
@@ -215,14 +215,14 @@ class JointModel:
         rows = self._rows
         q_before, dq_before, q_after, dq_after = self._states
         q_before[...], dq_before[...] = self._qpos, self._qvel
-        self._applied[..., self.motor_dofs] = self.given
+        self._applied[..., self.motor_dofs] = self.motor_torques
         if pushes is not None:
             self._applied += pushes
         if not rows.step():
             return False
         q_after[...], dq_after[...] = self._qpos, self._qvel
         if self.reads_torques:
-            rows.read_inner_forces(self._coupling_rows, self._rubbing, self._inner)
+            rows.read_inner_forces(self._coupling_rows, self._dofs_with_friction, self._inner)
         if self.looks_ahead:
             rows.look_ahead()
         return True
@@ -234,7 +234,7 @@ class JointModel:
             pushes: what acted by pushes, (nv,).
         """
         outer = pushes + self._data.qfrc_constraint
-        inner = self._rubs_at @ self._friction + self._couples_at @ self._coupling
+        inner = self._friction_at @ self._friction + self._couples_at @ self._coupling
         return np.asarray(outer[self.sensor_dofs] - inner)
 
     def read(self, readings: Array) -> None:

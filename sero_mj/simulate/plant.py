@@ -121,9 +121,9 @@ class Plant(PlantRows):
             SimulationError: a torque is no number, or the motion has become unstable; names the
                 joint and the time. `measured` and `actual` are those before.
         """
-        given = self.joints.given
-        given[...] = motor_torques
-        if not hypot(*given.tolist()) < MAX_TORQUE:
+        applied = self.joints.motor_torques
+        applied[...] = motor_torques
+        if not hypot(*applied.tolist()) < MAX_TORQUE:
             self._stop_for_torque()
         return self.step_given()
 
@@ -272,8 +272,8 @@ class Plant(PlantRows):
         return names[row]
 
     def _stop_for_torque(self) -> NoReturn:
-        torques = self.joints.given.copy()
-        self.joints.given[:] = 0.0
+        torques = self.joints.motor_torques.copy()
+        self.joints.motor_torques[:] = 0.0
         row = int(np.argmax(~(np.abs(torques) < MAX_TORQUE / np.sqrt(self.n))))
         reason = f"found a motor torque of {torques[row]:g} Nm; expected a finite one, below 1e9"
         raise SimulationError(self.time, self._joint_name(row), reason)

@@ -77,11 +77,11 @@ class PlantRows:
         Returns:
             `measured`, (3, n): the same array every time.
         """
-        self.joints.given[...] = motor_torques
+        self.joints.motor_torques[...] = motor_torques
         return self.step_given()
 
     def step_given(self) -> Array:
-        """Simulates one timestep with what is in `joints.given`, which is not looked at.
+        """Simulates one timestep with what is in `joints.motor_torques`, which is not looked at.
 
         Returns:
             `measured`, (3, n): the same array every time.

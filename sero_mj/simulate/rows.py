@@ -65,17 +65,17 @@ class OneRow:
             mj_step1(self._model, self.data)
             self.is_ahead = True
 
-    def read_inner_forces(self, couplings: Ints, rubbing: Ints, out: Array) -> None:
+    def read_inner_forces(self, couplings: Ints, dofs_with_friction: Ints, out: Array) -> None:
         """Writes the forces of couplings, then of Coulomb friction, that acted in the step.
 
         They are there until `look_ahead`.
 
         Args:
             couplings: rows of theirs among the constraints.
-            rubbing: indices in `qvel` of what has Coulomb friction.
+            dofs_with_friction: indices in `qvel` of what has Coulomb friction.
             out: (k,), to be written, Nm or N.
         """
-        _read_inner_forces(self.data, couplings, len(rubbing), out)
+        _read_inner_forces(self.data, couplings, len(dofs_with_friction), out)
 
 
 class ManyRows:
@@ -142,14 +142,14 @@ class ManyRows:
     def look_ahead(self) -> None:
         """Nothing is left to do: where it matters the step has done so."""
 
-    def read_inner_forces(self, couplings: Ints, rubbing: Ints, out: Array) -> None:
+    def read_inner_forces(self, couplings: Ints, dofs_with_friction: Ints, out: Array) -> None:
         """See `OneRow`; out is (m, k)."""
-        out[:, len(couplings) :] = self._constrained[:, rubbing]
+        out[:, len(couplings) :] = self._constrained[:, dofs_with_friction]
         hidden = self._which & (self._constraints != self._frictions)
         if hidden.any():  # friction acts among other constraints
             for k in np.flatnonzero(hidden).tolist():
                 self.batch.get_data(k, self._scratch)
-                _read_inner_forces(self._scratch, couplings, len(rubbing), out[k])
+                _read_inner_forces(self._scratch, couplings, len(dofs_with_friction), out[k])
 
 
 def _read_inner_forces(data: mujoco.MjData, couplings: Ints, rubs: int, out: Array) -> None:

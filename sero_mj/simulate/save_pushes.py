@@ -1,4 +1,4 @@
-"""Saves what was done by hand: the run as a recording, and a scenario that repeats its pushes."""
+"""Saves what was done by drag: the run as a recording, and a scenario that repeats its pushes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from ..base.errors import SeroError, UnknownName, UsageError
 from ..base.paths import find_scenario
 from ..robots.importers.toml_text import toml_text
-from .hand import Pull
+from .drag_force import Pull
 from .log_output import RunRecorder
 from .scenario import Scenario
 from .simulation import Simulation
@@ -20,10 +20,10 @@ _DIGITS = 9  # of times, s
 
 
 def save_pushes(simulation: Simulation, folder: Path) -> Path:
-    """Saves a run that was pushed by hand: `NAME_pushed.toml`, and `.mcap` beside it.
+    """Saves a run that was pushed by drag: `NAME_pushed.toml`, and `.mcap` beside it.
 
     Args:
-        simulation: that was run, with a hand.
+        simulation: that was run, with a drag force.
         folder: where to; names that are taken there get a number.
 
     Returns:
@@ -35,8 +35,8 @@ def save_pushes(simulation: Simulation, folder: Path) -> Path:
         RecordingError: the recording cannot be written.
         SeroError: the scenario cannot be written.
     """
-    scenario, hand = simulation.scenario, simulation.hand
-    pulls = [] if hand is None else [pull for pull in hand.pulls if pull.forces]
+    scenario, drag = simulation.scenario, simulation.drag_force
+    pulls = [] if drag is None else [pull for pull in drag.pulls if pull.forces]
     if not pulls:
         raise UsageError("nothing was pushed yet: drag a link with Ctrl held")
     if scenario.file is None:
@@ -50,7 +50,7 @@ def save_pushes(simulation: Simulation, folder: Path) -> Path:
         settings["run.seed"] = simulation.plant.sensors.seed
     tables: dict[str, Any] = {
         "extends": _named(scenario, folder),
-        "description": f"{scenario.name}, pushed by hand",
+        "description": f"{scenario.name}, pushed by drag",
         **({"set": settings} if settings else {}),
         "disturbances": {
             name: _disturbance(pull, timestep) for name, pull in zip(free, pulls, strict=False)

@@ -20,8 +20,8 @@ from .control.compiler import EARTH
 from .control.controller import Controller, ControllerDeclaration, within
 from .control.joint_control import GravityCompensation
 from .control.make_controller import controller_from
-from .control.plan import law_from
-from .control.target_motions import Law
+from .control.plan import target_motion_from
+from .control.target_motions import TargetMotion
 from .disturbances import (
     DISTURBANCES,
     FAULTS,
@@ -145,7 +145,7 @@ class Scenario:
         controllers: robot name to a controller's declaration or table, or to any object with the
             method `torques` of `Controller`. Robots without one compensate gravity. Under the name
             of a group these, and the two that follow, are for all its robots without an own entry.
-        targets: robot name to a law of motion, in joint space or of the flange.
+        targets: robot name to a target motion, in joint space or of the flange.
         sensors: robot name to what its sensors add.
         disturbances: by name.
         faults: by name.
@@ -190,7 +190,7 @@ class Scenario:
         self.controllers: dict[str, ControllerDeclaration | Controller] = self._each(
             "controllers", controllers
         )
-        self.targets: dict[str, Law] = self._each("targets", targets)
+        self.targets: dict[str, TargetMotion] = self._each("targets", targets)
         self.sensors: dict[str, RobotSensors] = self._each("sensors", sensors)
         for section in (self.controllers, self.targets, self.sensors):
             _share_out(section, scene)
@@ -396,7 +396,7 @@ def _controller(table: Any) -> ControllerDeclaration | Controller:
 
 _BUILDERS: Mapping[str, Callable[[Any], Any]] = {
     "controllers": _controller,
-    "targets": law_from,
+    "targets": target_motion_from,
     "sensors": partial(_built, RobotSensors),
     "disturbances": partial(by_kind, kinds=DISTURBANCES, base=Disturbance),
     "faults": partial(by_kind, kinds=FAULTS, base=Fault),  # type: ignore[type-abstract]

@@ -11,7 +11,7 @@ from ..robots.assemble.cartesian import ReceivedFrame, SmartArrow
 from ..robots.assemble.double import Double
 from ..robots.assemble.scene import Scene
 from .disturbances import Force
-from .hand import Hand
+from .drag_force import DragForce
 from .runs.run_log import RunLayout, event_of
 from .runs.run_source import RunSource
 from .scenario import Scenario
@@ -35,8 +35,8 @@ def simulated_scene(simulation: Simulation, source: RunSource | None = None) -> 
     scene = with_routes(scenario, layout, source or RunSource(run=simulation))
     if scenario.run.show_paths:
         _add_paths(scene, scenario, layout, simulation.rows)
-    if simulation.hand is not None:
-        _show_hand(scene, simulation.hand)
+    if simulation.drag_force is not None:
+        _show_drag(scene, simulation.drag_force)
     return scene
 
 
@@ -115,17 +115,17 @@ def _add_double(scene: Scene, robot: str) -> str:
     return name
 
 
-def _show_hand(scene: Scene, hand: Hand) -> None:
-    """Adds an arrow for what is pulled by hand, shown once something is, at the grabbed point."""
-    point = f"{hand.name}_point"
+def _show_drag(scene: Scene, drag: DragForce) -> None:
+    """Adds an arrow for what is pulled by drag, shown once something is, at the grabbed point."""
+    point = f"{drag.name}_point"
     scene.frames = {**scene.frames, point: ReceivedFrame(name=point, show_axes=False)}
-    scene.arrows[hand.name] = SmartArrow(
-        name=hand.name, kind="force", at=point, expressed_in="world", decimals=1, show=False
+    scene.arrows[drag.name] = SmartArrow(
+        name=drag.name, kind="force", at=point, expressed_in="world", decimals=1, show=False
     )
     scene.routes = {
         **scene.routes,
-        f"{point}.frame": f"{SOURCE}.{event_of(hand.name, 'frame')}",
-        f"{hand.name}.vector": f"{SOURCE}.{event_of(hand.name, 'force')}",
+        f"{point}.frame": f"{SOURCE}.{event_of(drag.name, 'frame')}",
+        f"{drag.name}.vector": f"{SOURCE}.{event_of(drag.name, 'force')}",
     }
 
 

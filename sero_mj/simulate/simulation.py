@@ -23,11 +23,11 @@ from .control.plan import Plan, make_plan
 from .control.robot_model import RobotModel
 from .control.whole_body import WholeBody
 from .controlled_robot import ControlledRobot
+from .drag_force import DragForce
 from .drives import Drives
 from .event_schedule import EventSchedule
 from .expect import Outcome
 from .external_loads import Contacts
-from .hand import Hand
 from .live_control import LiveControl, LiveRobot
 from .plant import Plant
 from .runs.monitor import Finding
@@ -113,7 +113,7 @@ class Simulation:
             with _located_in(scenario.scene):
                 self.drives = Drives(self.plant, self.robots, run)
         self._limit_speeds()
-        self.hand = Hand(self.plant, scenario) if by_hand else None
+        self.drag_force = DragForce(self.plant, scenario) if by_hand else None
         self.live = LiveControl() if is_live else None
         self._contacts = None
         if scenario.has_surroundings:
@@ -131,7 +131,7 @@ class Simulation:
         self,
     ) -> tuple[Callable[..., Simulation], tuple[Scenario, Array, int, bool, bool]]:
         """Pickles what is run, so that it runs anew, to the same log, where it is unpickled."""
-        seed, by_hand = self.plant.sensors.seed, self.hand is not None
+        seed, by_hand = self.plant.sensors.seed, self.drag_force is not None
         return _begun_again, (self.scenario, self._start, seed, by_hand, self.live is not None)
 
     def restart(self, joint_angles: Array, seed: int) -> None:
@@ -212,11 +212,11 @@ class Simulation:
 
         def plan(name: str) -> Plan:
             controller = self.scenario.controllers.get(name, GravityCompensation())
-            robot, law = standing[name], targets.get(name)
+            robot, target = standing[name], targets.get(name)
             if self.live is not None:  # what is planned is replaced, but has its place in the log
                 any_target = CartesianImpedance()
                 return make_plan(robot, None, any_target, times[:1], self.compiler, angles[name])
-            return make_plan(robot, law, controller, times, self.compiler, angles[name])
+            return make_plan(robot, target, controller, times, self.compiler, angles[name])
 
         plans = self._of_robots("targets", plan)
         self._schedule = EventSchedule(self.scenario, self.plant, run.steps)
@@ -225,8 +225,8 @@ class Simulation:
         self.times = self.rows[:, 0] = times
         self._fill_targets(plans)
         self._schedule.fill(self.layout.columns, self.rows)
-        if self.hand is not None:
-            self.hand.begin(self.layout.columns, self.rows)
+        if self.drag_force is not None:
+            self.drag_force.begin(self.layout.columns, self.rows)
         self._drive: Array = np.zeros((2, self.plant.n))  # torques: commanded, and asked for
         every = self._observed_every
         self._robots = list(
@@ -302,8 +302,8 @@ class Simulation:
         if self._contacts is not None:
             events |= {event_of(name, "contact_force"): "1V" for name in plans}
         events |= dict.fromkeys(self._free, "1M")
-        if self.hand is not None:
-            events |= self.hand.log_events()
+        if self.drag_force is not None:
+            events |= self.drag_force.log_events()
         for name, plan in plans.items():
             if plan.flange is not None:
                 events[event_of(name, "target_pose")] = "1M"
@@ -385,7 +385,7 @@ class Simulation:
         """Makes the steps up to the row before `stop`."""
         schedule, plant, contacts = self._schedule, self.plant, self._contacts
         whole_body, free = self.whole_body, self._free
-        acting = [each for each in (schedule, self.hand) if each is not None]
+        acting = [each for each in (schedule, self.drag_force) if each is not None]
         before = [each.before for each in (*acting, self.live) if each is not None]
         after = [each.after for each in acting]
         measured, actual, driven = self._measured, self._actual, self._driven
@@ -445,8 +445,8 @@ class Simulation:
         self.times = self.times + dropped * timestep
         self.rows[:, 0] = self.times
         self.step -= dropped
-        if self.hand is not None:
-            self.hand.drop_oldest(dropped, kept)
+        if self.drag_force is not None:
+            self.drag_force.drop_oldest(dropped, kept)
         return dropped
 
     def use_controller(self, robot: str, controller: ControllerDeclaration) -> None:

@@ -28,7 +28,7 @@ class TemperatureGauge(Feature):
         if temperatures is None:
             return
         index = np.isfinite(temperatures).nonzero()[0]
-        rows = frame.pen.take(len(index) * SEGMENTS, int(mujoco.mjtGeom.mjGEOM_BOX))
+        rows = frame.buffer.take(len(index) * SEGMENTS, int(mujoco.mjtGeom.mjGEOM_BOX))
         if not len(rows):
             return
         sites = self.world.joints.centre_site[index]

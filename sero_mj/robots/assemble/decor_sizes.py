@@ -30,7 +30,7 @@ _AT_ONE_PLACE = 0.02  # of the robot's extent
 _LEAST_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
 
 
-class Seen(NamedTuple):
+class MeasuredBodies(NamedTuple):
     """What of a model is a robot.
 
     Attributes:
@@ -64,7 +64,7 @@ class Sizes:
     load: Array
 
 
-def measure(model: mujoco.MjModel, data: mujoco.MjData, robot: Seen) -> Sizes:
+def measure(model: mujoco.MjModel, data: mujoco.MjData, robot: MeasuredBodies) -> Sizes:
     """Computes the sizes of a robot's decor.
 
     Args:
@@ -88,7 +88,7 @@ def measure(model: mujoco.MjModel, data: mujoco.MjData, robot: Seen) -> Sizes:
 def _radii(
     model: mujoco.MjModel,
     data: mujoco.MjData,
-    robot: Seen,
+    robot: MeasuredBodies,
     boxes: tuple[Array, Array],
     links: Array,
     extent: float,
@@ -129,7 +129,7 @@ def _radii(
 
 
 def _half_lengths(
-    model: mujoco.MjModel, boxes: tuple[Array, Array], robot: Seen
+    model: mujoco.MjModel, boxes: tuple[Array, Array], robot: MeasuredBodies
 ) -> dict[int, float]:
     """Returns half the length of what is welded together, m, by the first body of it.
 
@@ -149,7 +149,9 @@ def _half_lengths(
     return lengths
 
 
-def _link_lengths(model: mujoco.MjModel, robot: Seen, anchors: Array, extent: float) -> Array:
+def _link_lengths(
+    model: mujoco.MjModel, robot: MeasuredBodies, anchors: Array, extent: float
+) -> Array:
     """Returns every joint's distance to the farther of its neighbours in the tree, (n,), m.
 
     Joints that coincide, as in a wrist or a hip, count as one.
@@ -175,7 +177,7 @@ def _link_lengths(model: mujoco.MjModel, robot: Seen, anchors: Array, extent: fl
     return links
 
 
-def _loads(model: mujoco.MjModel, data: mujoco.MjData, robot: Seen, link: float) -> Array:
+def _loads(model: mujoco.MjModel, data: mujoco.MjData, robot: MeasuredBodies, link: float) -> Array:
     bodies = model.jnt_bodyid[robot.joints]
     mass = model.body_subtreemass[bodies]
     lever = np.linalg.norm(data.subtree_com[bodies] - data.xanchor[robot.joints], axis=1)

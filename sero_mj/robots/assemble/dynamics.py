@@ -181,9 +181,9 @@ class Dynamics(Declaration):
         centers_of_mass: (n + 1, 3).
         inertias: about the centre of mass, per link 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the
             entries of the tensor as in URDF, not the products of inertia) or 3 x 3.
-        mend: what is done to tensors that no rigid body can have, as in tables that were
+        inertia_repair: what is done to tensors that no rigid body can have, as in tables that were
             identified or have point masses: `none`, they are an error, or `balance`, see
-            `balanced_tensor`; `mended` says which.
+            `balanced_tensor`; `repaired` says which. Files may still call it `mend`.
         mass_scale: multiplies masses and tensors of the moving links.
         density: kg/m3, used to estimate links when no masses are given.
         motor_inertias: (n,), as seen at the joint: rotor times the square of the gear ratio.
@@ -193,12 +193,14 @@ class Dynamics(Declaration):
         joint_damping: (n,), in parallel with the stiffness.
     """
 
+    renamed = {"mend": "inertia_repair"}
+
     frames: Literal["dh", "zero_pose"] = "dh"
     frame_origins: _Rows = None
     masses: _Masses = None
     centers_of_mass: _Rows = None
     inertias: _Tensors = None
-    mend: Literal["none", "balance"] = "none"
+    inertia_repair: Literal["none", "balance"] = "none"
     mass_scale: float = Field(1.0, gt=0)
     density: float = Field(LINK_DENSITY, gt=0)
     motor_inertias: _NotNegative = None
@@ -207,12 +209,12 @@ class Dynamics(Declaration):
     joint_stiffness: _Positive = None
     joint_damping: _NotNegative = None
 
-    _mended: list[str] = PrivateAttr(default_factory=list)
+    _repaired: list[str] = PrivateAttr(default_factory=list)
 
     @property
-    def mended(self) -> list[str]:
-        """What `mend` has changed, a line for every link."""
-        return list(self._mended)
+    def repaired(self) -> list[str]:
+        """What `inertia_repair` has changed, a line for every link."""
+        return list(self._repaired)
 
     @model_validator(mode="after")
     def _physical(self) -> Dynamics:
@@ -223,8 +225,8 @@ class Dynamics(Declaration):
             reason = None if is_massless and not tensor.any() else inertia_problem(tensor)
             if reason is None:
                 continue
-            if self.mend == "none" or self.masses is None or k >= len(self.masses):
-                hint = '; mend = "balance" changes it to a similar one'
+            if self.inertia_repair == "none" or self.masses is None or k >= len(self.masses):
+                hint = '; inertia_repair = "balance" changes it to a similar one'
                 problems.append(Problem("inertias", f"{link_name(k)}: {reason}{hint}"))
                 continue
             balanced = balanced_tensor(tensor, float(self.masses[k]))
@@ -233,11 +235,11 @@ class Dynamics(Declaration):
                 for each in (tensor, balanced)
             )
             changed = f"principal moments {before} are now {after} kg m2"
-            self._mended.append(f"{link_name(k)}: {changed}")
+            self._repaired.append(f"{link_name(k)}: {changed}")
             tensors[k] = balanced
         if problems:
             raise DeclarationError(problems)
-        if self._mended:
+        if self._repaired:
             self.__dict__["inertias"] = tensors
         return self
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...base import frames
 from ...base.errors import DeclarationError, Problem, collect
-from ...base.frames import Array, nice
+from ...base.frames import Array, round_down_1_2_5
 from ..importers.mjcf_file import as_spec
 from .double import DOUBLE_GROUP, Double, path_fade
 from .inputs import moving
@@ -304,7 +304,7 @@ def build_surroundings(
     if sky:
         _add_sky(root, palette)
     if floor is not None:
-        _add_floor(root, palette, floor, nice(size / _SCENE_SIZE * _TILE))
+        _add_floor(root, palette, floor, round_down_1_2_5(size / _SCENE_SIZE * _TILE))
     return root
 
 

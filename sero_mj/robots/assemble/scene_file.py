@@ -14,7 +14,7 @@ from ...base.declaration import is_name
 from ...base.dotted_keys import lacking, parts_of, with_value
 from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean, nearest
 from ...base.toml_file import key_lines, located, read_toml
-from ..importers.described import Described
+from ..importers.imported_tables import ImportedTables
 from ..importers.robot_file import read_robot_file
 from ..importers.x3d import read_x3d
 from .cartesian import ReceivedFrame, SmartArrow
@@ -63,7 +63,7 @@ def read_scene_file(
     Raises:
         DeclarationError: the file cannot be read at all.
     """
-    described = _described(path) if tables is None else Described(tables)
+    described = _described(path) if tables is None else ImportedTables(tables)
     _refuse_excess(excess(described.tables), path, described)
     reader = _Reader(path, described.tables, known, overrides or {})
     expanded = {section: reader.tables.get(section, {}) for section in ("robots", "groups")}
@@ -74,17 +74,17 @@ def read_scene_file(
     return scene, list(dict.fromkeys(scene.located(reader.problems)))
 
 
-def _refuse_excess(problems: Sequence[Problem], path: Path, described: Described) -> None:
+def _refuse_excess(problems: Sequence[Problem], path: Path, described: ImportedTables) -> None:
     """Raises DeclarationError for sections that would take long to build, before they are."""
     if problems:
         lines = described.lines or key_lines(path)
         raise DeclarationError([located(problem, path, lines) for problem in problems])
 
 
-def _described(path: Path) -> Described:
+def _described(path: Path) -> ImportedTables:
     """The tables of a file, whatever its format; what is not in them is logged."""
     if path.suffix.lower() not in paths.SCENE_ENDINGS:
-        return Described(read_toml(path))
+        return ImportedTables(read_toml(path))
     described = read_x3d(path)
     for warning in described.warnings:
         log.warning("%s: %s", path, warning)

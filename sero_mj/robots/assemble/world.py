@@ -20,7 +20,7 @@ import numpy as np
 from ...base.errors import DeclarationError, Problem, collect
 from ...base.frames import Bools, Ints
 from ..importers.mjcf_file import write_mjcf
-from .decor_sizes import Seen, measure
+from .decor_sizes import MeasuredBodies, measure
 from .double import DOUBLE_GROUP, OUT_OF_SIGHT
 from .inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
 from .mjcf import body_names, build_spec, frame_names, moved_body
@@ -294,7 +294,7 @@ class World(WorldView):
         for name, part in fitted.items():
             joints = self.model.dof_jntid[part.dofs].astype(np.intp)
             bodies = np.unique([*part.bodies, part.flange_body])
-            seen = Seen(bodies, joints, np.zeros(0, np.intp))
+            seen = MeasuredBodies(bodies, joints, np.zeros(0, np.intp))
             self.robots[name] = replace(part, sizes=measure(self.model, data, seen))
 
     def _free(self, base: int) -> Ints:

@@ -26,7 +26,7 @@ from ..assemble.scene import Scene, SceneToggles
 from ..assemble.solids import geom_boxes, is_shown
 from ..assemble.surroundings import View
 from ..assemble.world_view import WorldView
-from ._found_robot import FoundPart, found_part, list_found_frames
+from ._model_robot import ModelPart, found_part, list_found_frames
 from ._model_state import JointPoses, ModelDoubles, ModelState, Sites
 from ._model_trees import find_trees
 
@@ -41,7 +41,7 @@ _FLOORS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _EMPTY = np.empty(0, np.intp)
 
 
-class FoundScene(Scene):
+class ModelScene(Scene):
     """The scene of an external model."""
 
     def __init__(self, frames: Mapping[str, NamedFrame], **fields: Any) -> None:
@@ -116,7 +116,7 @@ class ModelWorld(WorldView):
                 raise UnknownName("robot", robot, [tree.name for tree in trees])
         rest = mujoco.MjData(model)
         mujoco.mj_fwdPosition(model, rest)
-        found: dict[str, FoundPart] = {}
+        found: dict[str, ModelPart] = {}
         start = 0
         for tree in trees:
             found[tree.name] = found_part(model, rest, tree, overrides.get(tree.name, {}), start)
@@ -125,7 +125,7 @@ class ModelWorld(WorldView):
         self.robots = dict(found)
         wanted = {double.name: double for double in doubles if double.of in found}
         named, places = list_found_frames(model, found, wanted, frames)
-        self.scene = FoundScene(
+        self.scene = ModelScene(
             named,
             robots=[part.robot for part in found.values()],
             doubles=list(doubles),

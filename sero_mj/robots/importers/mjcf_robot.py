@@ -17,7 +17,7 @@ import numpy as np
 from ...base.declaration import LARGEST
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Bools, Ints, frame, inverse, rotation_from_quat
-from .described import Described, first_of
+from .imported_tables import ImportedTables, first_of
 from .mjcf_file import as_spec, is_file_name
 from .mjcf_tree import MjcfTree, find_tree, torque_limits
 from .robot_tree import TOO_FAR, meant_limits, six_of
@@ -34,14 +34,14 @@ _OF_JOINTS = {
 }
 
 
-def read_mjcf(path: Path) -> Described:
+def read_mjcf(path: Path) -> ImportedTables:
     """Reads the robot of an MJCF file; raises DeclarationError, of one without joints NoJoints."""
     try:
         tables, lost = mjcf_tables(path.name, path.parent)
     except DeclarationError as error:
         problems = [Problem("", problem.message, str(path)) for problem in error.problems]
         raise type(error)(problems) from None
-    return Described({"directory": "", **tables}, {}, lost)
+    return ImportedTables({"directory": "", **tables}, {}, lost)
 
 
 def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
@@ -195,7 +195,12 @@ def _inertias(tree: MjcfTree) -> dict[str, Any]:
     for k, c in enumerate(centers):
         tensors[k] -= masses[k] * (c @ c * np.eye(3) - np.outer(c, c))
     tensors = np.where((masses > 0)[:, None, None], tensors, 0.0)
-    return {"masses": masses, "centers_of_mass": centers, "inertias": tensors, "mend": "balance"}
+    return {
+        "masses": masses,
+        "centers_of_mass": centers,
+        "inertias": tensors,
+        "inertia_repair": "balance",
+    }
 
 
 def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...base.errors import Problem
 from ...base.frames import Array, Ints, frame, inverse, rotation_about, rotation_to_z
-from .described import NoJoints, first_of
+from .imported_tables import NoJoints, first_of
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ...base.toml_file import read_toml
-from .described import Described
+from .imported_tables import ImportedTables
 from .mjcf_robot import read_mjcf
 from .xml_file import root_name
 
@@ -21,7 +21,7 @@ def read_robot_file(
     path: Path,
     packages: Mapping[str, Path | str] | None = None,
     arguments: Mapping[str, Any] | None = None,
-) -> Described:
+) -> ImportedTables:
     """Returns a robot's tables; file names in them are relative to the file's folder.
 
     Args:
@@ -39,4 +39,4 @@ def read_robot_file(
         return read_urdf(path, packages, arguments)
     if path.suffix == ".xml":
         return read_mjcf(path)
-    return Described(read_toml(path), None)
+    return ImportedTables(read_toml(path), None)

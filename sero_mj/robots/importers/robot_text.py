@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import quat_from_rotation
-from .described import Described
+from .imported_tables import ImportedTables
 from .toml_text import inline, toml_entry
 
 _SCHEMA = "#:schema ./robot.schema.json"
@@ -18,7 +18,7 @@ _WIDEST = 60  # of a column of entries, before comments
 
 
 def robot_text(
-    described: Described,
+    described: ImportedTables,
     tables: Mapping[str, Any],
     limbs: Mapping[str, Sequence[int]],
     *,

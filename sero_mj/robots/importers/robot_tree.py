@@ -311,7 +311,7 @@ class TreeTables:
         if none:
             self.warnings.append(f"moving links without mass: {', '.join(none)}")
         if odd:
-            dynamics["mend"] = "balance"
+            dynamics["inertia_repair"] = "balance"
             self.warnings.append(
                 f"no rigid body has the tensors of {', '.join(odd)} and what is fixed to them; "
                 "they are raised to the nearest that one can have"

@@ -24,7 +24,7 @@ from ...base.declaration import LARGEST
 from ...base.errors import DeclarationError, Problem, did_you_mean, reason_of
 from ...base.frames import Array, frame, rotation_from_rpy
 from ...base.paths import format_of_file, read_file
-from .described import Described, NoJoints, first_of
+from .imported_tables import ImportedTables, NoJoints, first_of
 from .mesh_files import read_mesh
 from .package_files import ARGUMENTS_VARIABLE, find_file, package_folders, package_of
 from .robot_tree import (
@@ -59,7 +59,7 @@ def read_urdf(
     path: Path | str,
     packages: Mapping[str, Path | str] | None = None,
     arguments: Mapping[str, Any] | None = None,
-) -> Described:
+) -> ImportedTables:
     """Reads a robot from a URDF file, or from xacro if the package `xacro` is installed.
 
     Args:
@@ -81,7 +81,7 @@ def read_urdf(
     return file.described
 
 
-def read_rigid_urdf(path: Path | str) -> Described:
+def read_rigid_urdf(path: Path | str) -> ImportedTables:
     """Reads a URDF file without joints that move: a table, a tool, a ball.
 
     Returns:
@@ -189,7 +189,7 @@ class UrdfFile:
             *self.tree.warnings,
         ]
         lines = {"name": root.sourceline, **self.tree.lines} if self._has_lines else {}
-        self.described = Described(tables, {k: v for k, v in lines.items() if v}, warnings)
+        self.described = ImportedTables(tables, {k: v for k, v in lines.items() if v}, warnings)
 
     def check_joints(self) -> None:
         """Raises NoJoints where nothing moves."""

@@ -42,7 +42,7 @@ _UNSEEN = {
 }  # fmt: skip
 
 
-class Seen(NamedTuple):
+class VisitedNode(NamedTuple):
     """A node that is met on the way through a scene.
 
     Attributes:
@@ -116,7 +116,7 @@ def visit(
     path: Path,
     problems: Problems,
     is_kept: Callable[[Node], bool] = lambda _: False,
-) -> list[Seen]:
+) -> list[VisitedNode]:
     """Goes through groups, transforms, PROTOs and inlined files to all other nodes, in order.
 
     Args:
@@ -128,10 +128,10 @@ def visit(
     Raises:
         DeclarationError: there are too many nodes.
     """
-    found: list[Seen] = []
+    found: list[VisitedNode] = []
     inlined: dict[Path, list[Node]] = {}
-    todo: list[tuple[Seen, tuple[Path, ...]]] = [
-        (Seen(node, np.eye(4), path), (path,)) for node in reversed(nodes)
+    todo: list[tuple[VisitedNode, tuple[Path, ...]]] = [
+        (VisitedNode(node, np.eye(4), path), (path,)) for node in reversed(nodes)
     ]
     count = 0
     while todo:
@@ -161,10 +161,12 @@ def visit(
             elif file not in files:
                 if file not in inlined:
                     inlined[file] = _nodes_of(file, node, here)
-                todo += [(Seen(each, T, file), (*files, file)) for each in reversed(inlined[file])]
+                todo += [
+                    (VisitedNode(each, T, file), (*files, file)) for each in reversed(inlined[file])
+                ]
         else:
             found.append(seen)
-        todo += [(Seen(each, T, seen.path), files) for each in reversed(inner)]
+        todo += [(VisitedNode(each, T, seen.path), files) for each in reversed(inner)]
     return found
 
 
@@ -271,7 +273,9 @@ def rotation(axis_angle: Array) -> Array:
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 
 
-def triangles_of(seen: Seen, problems: Problems, left_out: dict[str, int]) -> list[Triangles]:
+def triangles_of(
+    seen: VisitedNode, problems: Problems, left_out: dict[str, int]
+) -> list[Triangles]:
     """The triangles of a Shape where the way to it began, by colour.
 
     Args:

@@ -17,11 +17,11 @@ import numpy as np
 
 from ...base.errors import DeclarationError, did_you_mean
 from ...base.frames import Array, frame_from, rotation_about
-from .described import Described
+from .imported_tables import ImportedTables
 from .mesh_files import read_mesh
 from .vrml import read_document
 from .vrml_nodes import Document, Node, Problems, Route, Value, get, read_field
-from .wrl import Seen, kind_of, matrix, transform_of, visit
+from .wrl import VisitedNode, kind_of, matrix, transform_of, visit
 from .x3d_protos import (
     FLANGE,
     MORE_ROBOT_FIELDS,
@@ -47,7 +47,7 @@ _UPRIGHT = np.diag([1.0, 1.0, 1.0, 1.0])
 _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)
 
 
-def read_x3d(path: Path) -> Described:
+def read_x3d(path: Path) -> ImportedTables:
     """Reads a scene of robots, sources, routes, shapes, viewpoints and lights.
 
     Nodes that are none of these are named in one warning; so are geometry files of robots that
@@ -75,7 +75,7 @@ class _Reader:
         self.left_out: list[str] = []  # ROUTEs
         self.names: dict[int, str] = {}  # ours, of nodes by their ids
         self.placed: dict[int, Array] = {}  # where robots, sources and shapes stand
-        self.waiting: list[Seen] = []  # groups that a ROUTE moves
+        self.waiting: list[VisitedNode] = []  # groups that a ROUTE moves
         self.fixed: set[int] = set()  # those of them that are a robot's children now
         self.taken: set[str] = set()
         self.robots: dict[str, dict[str, Any]] = {}
@@ -95,14 +95,14 @@ class _Reader:
             and node.kind in ("MatrixTransform", "Transform")
         }
 
-    def described(self) -> Described:
+    def described(self) -> ImportedTables:
         seen = self._visit(self.document.nodes)
         for each in seen:  # as the names of others may be made of these
             if each.node.name:
                 self._name(each.node)
         turn = self._turn(seen)
         for each in seen:
-            self._take(Seen(each.node, turn @ each.T, each.path))
+            self._take(VisitedNode(each.node, turn @ each.T, each.path))
         while self.waiting:
             self._take_group(self.waiting.pop(0))
         for route in self.document.routes:
@@ -122,9 +122,9 @@ class _Reader:
         tables: dict[str, Any] = {key: value for key, value in sections.items() if value}
         if self.cameras:
             tables["view"] = {"camera": next(iter(self.cameras))}
-        return Described(tables, self.lines, list(dict.fromkeys(self.warnings)))
+        return ImportedTables(tables, self.lines, list(dict.fromkeys(self.warnings)))
 
-    def _visit(self, nodes: list[Node]) -> list[Seen]:
+    def _visit(self, nodes: list[Node]) -> list[VisitedNode]:
         return visit(nodes, self.path, self.problems, self._is_kept)
 
     def _is_kept(self, node: Node) -> bool:
@@ -146,7 +146,7 @@ class _Reader:
             self.warnings.append(f"'{node.name}' (line {node.line}) is called '{name}'")
         return name
 
-    def _turn(self, seen: list[Seen]) -> Array:
+    def _turn(self, seen: list[VisitedNode]) -> Array:
         """What turns the scene so that z is up; identity where it is, or where none can tell.
 
         y is up by X3D, but the paper's robots stand on z. So the first viewpoint decides, or,
@@ -171,7 +171,7 @@ class _Reader:
         self.warnings.append("y is up in it; it is turned so that z is")
         return _UPRIGHT
 
-    def _take(self, seen: Seen) -> None:
+    def _take(self, seen: VisitedNode) -> None:
         node, kind = seen.node, own_kind(seen.node)
         if kind == "SerialRobot":
             self._robot(seen)
@@ -195,7 +195,7 @@ class _Reader:
 
     # Robots and sources.
 
-    def _robot(self, seen: Seen, mount: str | None = None) -> None:
+    def _robot(self, seen: VisitedNode, mount: str | None = None) -> None:
         node = seen.node
         if id(node) in self.placed:
             message = "stands there twice; expected a robot of its own instead of USE"
@@ -233,7 +233,7 @@ class _Reader:
         if table_children:
             table["children"] = table_children
 
-    def _child(self, seen: Seen, robot: str) -> list[dict[str, Any]]:
+    def _child(self, seen: VisitedNode, robot: str) -> list[dict[str, Any]]:
         """What is fixed to a robot's flange; a robot there is mounted on it."""
         if own_kind(seen.node) == "SerialRobot":
             self._robot(seen, f"{robot}/flange")
@@ -354,7 +354,7 @@ class _Reader:
 
     # What stands around.
 
-    def _shapes(self, seen: Seen) -> list[tuple[str, dict[str, Any]]]:
+    def _shapes(self, seen: VisitedNode) -> list[tuple[str, dict[str, Any]]]:
         """Name and table of the object that a Shape becomes; nothing where it shows nothing."""
         shape = seen.node
         table, text, count = object_table(seen, self.problems.of(seen.path), self.not_shown)
@@ -371,7 +371,7 @@ class _Reader:
         name = self._name(shape if is_first else Node(shape.kind, shape.line), shape.name or text)
         return [(name, table)]
 
-    def _camera(self, seen: Seen) -> None:
+    def _camera(self, seen: VisitedNode) -> None:
         node = seen.node
         description = get(node, "description", "SFString", "", self.problems)
         name = self._name(node, description or "view")
@@ -383,7 +383,7 @@ class _Reader:
                 "it is shown upright"
             )
 
-    def _light(self, seen: Seen) -> None:
+    def _light(self, seen: VisitedNode) -> None:
         table = light_table(seen, self.problems)
         if table is not None:
             name = self._name(seen.node, "light")
@@ -393,7 +393,7 @@ class _Reader:
 
     # Routes.
 
-    def _take_group(self, seen: Seen) -> None:
+    def _take_group(self, seen: VisitedNode) -> None:
         """Takes what is in a group that a ROUTE moves.
 
         A tool whose location is routed from a flange (section 3.1 of the paper) becomes its
@@ -417,7 +417,7 @@ class _Reader:
         with self.problems.told(group.label, group.line):
             T = seen.T @ transform_of(group)
         for each in inside:
-            self._take(Seen(each.node, T @ each.T, each.path))
+            self._take(VisitedNode(each.node, T @ each.T, each.path))
 
     def _carries(self, robot: Node, event: str, T: Array) -> bool:
         """Whether what stands in T and gets this event is at the flange of a robot that stands."""

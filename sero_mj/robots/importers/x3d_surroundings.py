@@ -8,7 +8,7 @@ import numpy as np
 
 from ...base.frames import Array, rotation_about
 from .vrml_nodes import Node, Problems, get, instance
-from .wrl import Seen, by_colour, color_of, rotation, triangles_of
+from .wrl import VisitedNode, by_colour, color_of, rotation, triangles_of
 from .wrl_geometry import Triangles, is_open, with_hull
 
 LIGHT_SHARE = 0.7  # of X3D's intensity, since a headlight and ambient light are added
@@ -18,7 +18,7 @@ _ANY_ROLL = np.deg2rad(1.0)
 
 
 def object_table(
-    seen: Seen, problems: Problems, left_out: dict[str, int]
+    seen: VisitedNode, problems: Problems, left_out: dict[str, int]
 ) -> tuple[dict[str, Any] | None, str, int]:
     """The table of a Shape: a primitive, or triangles as MJCF.
 
@@ -109,7 +109,7 @@ def view_axes(viewpoint: Node, problems: Problems) -> Array:
     return np.eye(3)
 
 
-def camera_table(seen: Seen, problems: Problems) -> tuple[dict[str, Any], float]:
+def camera_table(seen: VisitedNode, problems: Problems) -> tuple[dict[str, Any], float]:
     """The table of a Viewpoint, and by how much it is rolled, degrees, which cameras are not."""
     node = seen.node
     axes = seen.T[:3, :3] @ view_axes(node, problems)
@@ -130,7 +130,7 @@ def camera_table(seen: Seen, problems: Problems) -> tuple[dict[str, Any], float]
     return table, float(np.rad2deg(roll)) if roll > _ANY_ROLL else 0.0
 
 
-def light_table(seen: Seen, problems: Problems) -> dict[str, Any] | None:
+def light_table(seen: VisitedNode, problems: Problems) -> dict[str, Any] | None:
     """The table of a DirectionalLight or a SpotLight; None for one that is off."""
     node = seen.node
     if not get(node, "on", "SFBool", True, problems):

@@ -101,10 +101,10 @@ def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
     """As `parse_xml`, of what other programs read although it is not quite XML.
 
     That is a declaration that is not at the start or of an unknown version, and prefixes that are
-    not declared. Both are mended in the text, in their lines, so all else is guarded as ever.
+    not declared. Both are corrected in the text, in their lines, so all else is guarded as ever.
 
     Returns:
-        the root element, and what was mended, a sentence for each.
+        the root element, and what was corrected, a sentence for each.
 
     Raises:
         XmlError: it is no XML all the same, or declares entities.

@@ -32,7 +32,7 @@ class LimitedController:
 
     Attributes:
         controller: what is limited.
-        asked: (n,), what the controller asked for in the last step; the same array at every step.
+        requested: (n,), what the controller asked for in the last step; always the same array.
         limits: (n,), as given.
 
     Raises:
@@ -56,8 +56,8 @@ class LimitedController:
         if problems:
             raise DeclarationError(problems)
         self.controller = controller
-        self.asked: Array = np.zeros(n)
-        self._given: Array = self.asked
+        self.requested: Array = np.zeros(n)
+        self._given: Array = self.requested
         self._robot, self._names = robot, list(joint_names)
         self.limits: Array = np.array(limits, float)
         self._low: Array = -self.limits
@@ -72,19 +72,19 @@ class LimitedController:
         Raises:
             SimulationError: a torque is NaN or infinite.
         """
-        asked = self.asked
+        requested = self.requested
         try:
-            returned = self.controller.torques(sensed, target, asked)  # type: ignore[func-returns-value]
+            returned = self.controller.torques(sensed, target, requested)  # type: ignore[func-returns-value]
         except np.linalg.LinAlgError:  # what numpy makes of NaN in a matrix
-            asked[:] = math.nan
+            requested[:] = math.nan
             returned = None
         if returned is not None:
             reason = "torques() has returned something; expected it to write into `out`"
             raise SimulationError(sensed.time, self._robot, reason)
         # One number tells of NaN and inf in any joint.
-        if not asked.dot(asked) < math.inf:
+        if not requested.dot(requested) < math.inf:
             raise self.not_finite(sensed)
-        np.minimum(np.maximum(asked, self._low, out=out), self.limits, out=out)
+        np.minimum(np.maximum(requested, self._low, out=out), self.limits, out=out)
         if self._step is not None:
             if self._last is None:
                 self._last = out.copy()
@@ -97,7 +97,7 @@ class LimitedController:
     @property
     def saturated(self) -> Bools:
         """Which joints got something else than they asked for in the last step, (n,)."""
-        return np.not_equal(self._given, self.asked)
+        return np.not_equal(self._given, self.requested)
 
     def check(self, angles: Array) -> None:
         """Refuses gains for which the time step is too long, where the controller can tell.
@@ -120,9 +120,9 @@ class LimitedController:
                 reason = f"the controller gets a measured {what} of {values[joint]:g}"
                 break
         else:
-            bad = ~np.isfinite(self.asked)
-            joint = int(np.argmax(bad if bad.any() else np.abs(self.asked)))
-            reason = f"the controller asks for {self.asked[joint]:g} Nm"
+            bad = ~np.isfinite(self.requested)
+            joint = int(np.argmax(bad if bad.any() else np.abs(self.requested)))
+            reason = f"the controller asks for {self.requested[joint]:g} Nm"
         place = f"{self._robot}/{self._names[joint]}"
         return SimulationError(sensed.time, place, f"{reason}; expected a finite number")
 

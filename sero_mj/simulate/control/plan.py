@@ -22,20 +22,20 @@ from .inverse_kinematics import Reached, reach
 from .robot_model import RobotModel
 from .target_motions import (
     CartesianConstant,
-    CartesianLaw,
     CartesianMotion,
+    CartesianTargetMotion,
     Chirp,
     Constant,
-    JointLaw,
-    Law,
+    JointTargetMotion,
     Motion,
     Recorded,
     Sine,
     Step,
+    TargetMotion,
 )  # fmt: skip
 from .way_points import CartesianWayPoints, WayPoints
 
-LAWS: Mapping[str, type[Law]] = {
+TARGET_MOTIONS: Mapping[str, type[TargetMotion]] = {
     "constant": Constant,
     "way_points": WayPoints,
     "sine": Sine,
@@ -49,7 +49,7 @@ LAWS: Mapping[str, type[Law]] = {
 _EVERY = 0.02  # s between two poses that are tried
 
 
-def law_from(table: Any) -> Law:
+def target_motion_from(table: Any) -> TargetMotion:
     """Builds the declaration of a target motion from a table of a file.
 
     Args:
@@ -58,7 +58,7 @@ def law_from(table: Any) -> Law:
     Raises:
         DeclarationError: there is no such kind, or fields are wrong.
     """
-    return by_kind(table, LAWS, Law)
+    return by_kind(table, TARGET_MOTIONS, TargetMotion)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Plan:
 
     Attributes:
         joints: angles, velocities and accelerations, (T, n) each; None where there is no target.
-        flange: poses and twists, where the controller or the law is Cartesian; only with `joints`.
+        flange: poses and twists, where controller or target are Cartesian; only with `joints`.
         moves: whether it ever changes.
     """
 
@@ -89,7 +89,7 @@ class Plan:
 
 def make_plan(
     robot: SerialRobot,
-    law: Law | None,
+    target: TargetMotion | None,
     controller: ControllerDeclaration | Controller,
     times: Array,
     compiler: Compiler,
@@ -102,7 +102,7 @@ def make_plan(
 
     Args:
         robot: with its limits.
-        law: of the motion; None stays where it starts, or has no target where there is no spring.
+        target: the motion; None stays where it starts, or has no target where there is no spring.
         controller: that is to follow it.
         times: (T,), s.
         compiler: of the model with which a flange's way is followed.
@@ -112,17 +112,17 @@ def make_plan(
         DeclarationError: the motion leaves the robot's limits or reach.
     """
     start = np.asarray(robot.home if start is None else start, np.float64)
-    if law is None and not getattr(controller, "needs_target", True):
+    if target is None and not getattr(controller, "needs_target", True):
         return Plan(None, None, moves=False)
-    if isinstance(law, CartesianLaw):
+    if isinstance(target, CartesianTargetMotion):
         first = robot.base_frame @ robot.fwd_kin_base_to_flange(start)
-        flange = law.sample(times, first)
+        flange = target.sample(times, first)
         angles = follow_poses(flange, compiler.robot_model(robot), robot, start)
         joints = _motion(times, angles)
         return Plan(joints, flange, moves=bool(np.ptp(flange.poses, axis=0).max() > 0))
-    law = Constant() if law is None else law
-    assert isinstance(law, JointLaw)
-    joints = law.sample(times, robot, start)
+    target = Constant() if target is None else target
+    assert isinstance(target, JointTargetMotion)
+    joints = target.sample(times, robot, start)
     moves = bool(np.ptp(joints.angles, axis=0).max() > 0)
     return Plan(
         joints, _poses(robot, joints) if getattr(controller, "needs_pose", False) else None, moves

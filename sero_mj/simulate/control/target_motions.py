@@ -77,17 +77,17 @@ def _coupled(motion: Motion, coupled: CoupledJoints) -> Motion:
     )
 
 
-class Law(Declaration, ABC):
+class TargetMotion(Declaration, ABC):
     """Base of the declarations of target motions."""
 
 
-class JointLaw(Law):
+class JointTargetMotion(TargetMotion):
     """Base of the declarations of target motions in joint space."""
 
     in_degrees: ClassVar[tuple[str, ...]] = ()
 
     @model_validator(mode="after")
-    def _from_degrees(self) -> JointLaw:
+    def _from_degrees(self) -> JointTargetMotion:
         for key in self.in_degrees:
             value = getattr(self, f"{key}_deg")
             if value is None:
@@ -184,7 +184,7 @@ def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
     return problems
 
 
-class CartesianLaw(Law):
+class CartesianTargetMotion(TargetMotion):
     """Base of the declarations of target motions of the flange."""
 
     @abstractmethod
@@ -203,7 +203,7 @@ class CartesianLaw(Law):
 _Hertz = Annotated[PerJoint, within(0.0, 1e3, "Hz")]
 
 
-class Constant(JointLaw):
+class Constant(JointTargetMotion):
     """Stands still.
 
     Attributes:
@@ -223,7 +223,7 @@ class Constant(JointLaw):
         return Motion(times, np.tile(angles, (len(times), 1)), still, still)
 
 
-class CartesianConstant(CartesianLaw):
+class CartesianConstant(CartesianTargetMotion):
     """Stands still.
 
     Attributes:
@@ -247,7 +247,7 @@ def in_world(pose: Array, start: Array, relative_to: str) -> Array:
     return np.asarray(start @ pose) if relative_to == "start" else pose
 
 
-class Step(JointLaw):
+class Step(JointTargetMotion):
     """Jumps by an amplitude, for step responses.
 
     Attributes:
@@ -273,7 +273,7 @@ class Step(JointLaw):
         return Motion(times, start + there[:, None] * amplitude, still, still)
 
 
-class Sine(JointLaw):
+class Sine(JointTargetMotion):
     """Every joint swings about where it starts.
 
     Attributes:
@@ -303,7 +303,7 @@ class Sine(JointLaw):
         )
 
 
-class Chirp(JointLaw):
+class Chirp(JointTargetMotion):
     """A swing whose frequency rises or falls linearly, for identification.
 
     Attributes:
@@ -339,7 +339,7 @@ class Chirp(JointLaw):
         return _swinging(times, start, self.per_joint("amplitude", robot.n), swing, ramp)
 
 
-class Recorded(JointLaw):
+class Recorded(JointTargetMotion):
     """A motion as rows of time and angles, interpolated smoothly; before and after it rests.
 
     Attributes:

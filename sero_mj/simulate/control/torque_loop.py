@@ -284,9 +284,9 @@ def loop_matrix(gains: LoopGains, timestep: float) -> Array:
     read = -np.expm1(-gains.bandwidth * timestep)
     momentum = _momentum_per_velocity(gains, timestep)
     ratio = gains.motor_inertias / gains.shaped_inertias
-    # The torque that is fed back is late by the filter and by one step.
-    late = np.where(np.isfinite(gains.stiffness), 1.0 / gains.bandwidth + timestep, 0.0)
-    lead = (ratio * gains.damping_time + (ratio - 1.0) * late) / timestep
+    # The torque that is fed back lags by the filter and by one step.
+    delay = np.where(np.isfinite(gains.stiffness), 1.0 / gains.bandwidth + timestep, 0.0)
+    lead = (ratio * gains.damping_time + (ratio - 1.0) * delay) / timestep
     one, none = np.ones(n), np.zeros(n)
     kept = [find, -find, one, none, none, none, -find]  # find * tau_m - ... of what is remembered
     friction = [find, -find, one, none, none, -momentum, -find]

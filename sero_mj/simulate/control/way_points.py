@@ -21,9 +21,9 @@ from ...base.frames import Array, Ints
 from ...robots.assemble.robot import SerialRobot
 from .controller import MaybePerJoint
 from .target_motions import (
-    CartesianLaw,
     CartesianMotion,
-    JointLaw,
+    CartesianTargetMotion,
+    JointTargetMotion,
     Motion,
     Rows,
     Samples,
@@ -31,7 +31,7 @@ from .target_motions import (
     quintic,
 )  # fmt: skip
 
-TimeLaw = Literal["quintic", "trapezoidal"]
+TimeScaling = Literal["quintic", "trapezoidal"]
 
 _QUINTIC_SPEED = 15.0 / 8.0  # its greatest speed, for a way of one in a time of one
 _QUINTIC_ACCELERATION = 10.0 / np.sqrt(3.0)
@@ -77,7 +77,7 @@ def _timed(points: Array, times: Array, each: str) -> tuple[Array, Array, Array]
     return points, times[:-1], np.diff(times)
 
 
-class WayPoints(JointLaw):
+class WayPoints(JointTargetMotion):
     """Goes to one point after the other; all joints start and arrive together.
 
     Either `times` say when it arrives, or it goes as fast as `speed` allows.
@@ -98,7 +98,7 @@ class WayPoints(JointLaw):
     times: _Arrivals = None
     speed: float | None = Field(None, gt=0, le=1)
     accelerations: Annotated[MaybePerJoint, AfterValidator(_positive)] = None
-    time_law: TimeLaw = "quintic"
+    time_law: TimeScaling = "quintic"
     dwell: float = Field(0.0, ge=0)
     in_degrees: ClassVar[tuple[str, ...]] = ("way_points",)
 
@@ -170,7 +170,7 @@ def _room(line: Array, limits: Array | None) -> float:
     return 1.0 / most if most > _NOTHING else np.inf
 
 
-class CartesianWayPoints(CartesianLaw):
+class CartesianWayPoints(CartesianTargetMotion):
     """Goes to one pose after the other, from rest to rest.
 
     Either `times` say when it arrives, or it goes as fast as the speeds and accelerations allow.
@@ -195,7 +195,7 @@ class CartesianWayPoints(CartesianLaw):
     angular_speed: float = Field(1.0, gt=0, le=100)
     acceleration: float = Field(1.0, gt=0, le=1e3)
     angular_acceleration: float = Field(4.0, gt=0, le=1e3)
-    time_law: TimeLaw = "quintic"
+    time_law: TimeScaling = "quintic"
     dwell: float = Field(0.0, ge=0)
 
     @model_validator(mode="after")
@@ -311,7 +311,7 @@ def trapezoid_blend(duration: float, acceleration: float) -> float:
 
 
 def _schedule(
-    speeds: Array, rates: Array, time_law: TimeLaw, dwell: float
+    speeds: Array, rates: Array, time_law: TimeScaling, dwell: float
 ) -> tuple[Array, Array, Array | None]:
     """Starts, durations and, for trapezoids, blends of ways, as fast as is allowed, (m,) each, s.
 

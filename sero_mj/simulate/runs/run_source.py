@@ -97,9 +97,9 @@ class RunSource(Source):
         return float(np.median(np.diff(times))) if len(times) > 1 else None
 
     @property
-    def hand(self) -> Any:
+    def drag_force(self) -> Any:
         """What pulls the robots by hand while they are simulated; None where nothing does."""
-        return getattr(self.run, "hand", None)
+        return getattr(self.run, "drag_force", None)
 
     @property
     def live(self) -> Any:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from ...base.frames import Array, Bools
 from ...robots.assemble.world_view import WorldView
 from .feature import Feature, Frame
+from .geom_buffer import GREY, GeomBuffer, Kind
 from .panels import Panels, labels_at
-from .pen import GREY, Kind, Pen
 from .picture_view import PictureView
 
 # Red, green, blue, in shades that also differ in lightness.
@@ -47,7 +47,7 @@ class SmartAxes(Feature):
     def draw(self, frame: Frame) -> None:
         """Draws the axes that are shown."""
         stale = frame.is_stale(self.world.frames.names)
-        draw_axes(frame.pen, self.world, frame.data, frame.shown.axes, stale)
+        draw_axes(frame.buffer, self.world, frame.data, frame.shown.axes, stale)
 
 
 def ranks(positions: Array) -> Array:
@@ -73,14 +73,16 @@ def _earlier(m: int) -> Array:
     return np.tril(np.ones((m, m)), -1)
 
 
-def draw_axes(pen: Pen, world: WorldView, data: mujoco.MjData, shown: Bools, stale: Bools) -> None:
+def draw_axes(
+    buffer: GeomBuffer, world: WorldView, data: mujoco.MjData, shown: Bools, stale: Bools
+) -> None:
     """Draws three bars for every frame whose axes are shown.
 
     Bars are boxes of 12 triangles. Arrow geoms have a thousand: axes would cost more than the
     robot.
 
     Args:
-        pen: where to.
+        buffer: where to.
         world: the compiled scene.
         data: its state.
         shown: which frames' axes to draw, (M,) bool.
@@ -100,11 +102,11 @@ def draw_axes(pen: Pen, world: WorldView, data: mujoco.MjData, shown: Bools, sta
         rgb = np.repeat(AXIS_RGB[None], len(index), axis=0)
         rgb[stale[index]] += _STALE_SHARE * (np.array(GREY, np.float32) - AXIS_RGB)
     rotation = data.site_xmat[sites].reshape(-1, 3, 3)
-    draw_bars(pen, origins, rotation, (length, half_width), rgb, table.alpha[index], index)
+    draw_bars(buffer, origins, rotation, (length, half_width), rgb, table.alpha[index], index)
 
 
 def draw_bars(
-    pen: Pen,
+    buffer: GeomBuffer,
     origins: Array,
     rotation: Array,
     size: tuple[Array, Array],
@@ -115,7 +117,7 @@ def draw_bars(
     """Draws the axes of k frames.
 
     Args:
-        pen: where to.
+        buffer: where to.
         origins: (k, 3), m.
         rotation: (k, 3, 3).
         size: length and half the width of the bars, (k,) each, m.
@@ -125,7 +127,7 @@ def draw_bars(
     """
     kind = Kind.NONE if items is None else Kind.AXES
     owners = 0 if items is None else np.repeat(items, 3)
-    rows = pen.take(3 * len(origins), int(mujoco.mjtGeom.mjGEOM_BOX), kind, owners)
+    rows = buffer.take(3 * len(origins), int(mujoco.mjtGeom.mjGEOM_BOX), kind, owners)
     if not len(rows):
         return
     grid = rows.reshape(-1, 3)  # three bars per frame

@@ -18,9 +18,9 @@ from ...robots.assemble.world_view import WorldView
 from .card_names import card_names, longest_name, titles
 from .cards import NO_SHARE, SMALL, Cards, heights_in_order, owner_groups
 from .feature import Feature, Frame
+from .geom_buffer import Kind
 from .layout import LEFT, RIGHT
 from .panels import PANEL_RGBA, panel_sizes
-from .pen import Kind
 from .picture_view import PictureView
 
 NO_DATA = b"no data"

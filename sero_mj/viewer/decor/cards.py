@@ -17,9 +17,9 @@ from ...robots.assemble.double import OUT_OF_SIGHT
 from ...robots.assemble.mounts import carrier
 from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
+from .geom_buffer import GeomBuffer, Kind
 from .layout import LEFT, RIGHT, columns, is_narrow, uncross, with_room
 from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes
-from .pen import Kind, Pen
 from .picture_view import PictureView
 
 _Key = tuple[Kind, int]
@@ -104,7 +104,7 @@ class CardLayout:
 
     def lay_out(
         self,
-        pen: Pen,
+        buffer: GeomBuffer,
         view: PictureView,
         groups: list[Cards],
         points: Array,
@@ -120,7 +120,7 @@ class CardLayout:
         many.
 
         Args:
-            pen: where to.
+            buffer: where to.
             view: of the picture.
             groups: cards of every kind.
             points: of the robots and doubles that are shown, (m, 3), m; cards are placed beside
@@ -181,7 +181,7 @@ class CardLayout:
                 break
             side, rank = side[changed], rank[changed]
         self._places.update(zip(keys, zip(side.tolist(), rank.tolist(), strict=True), strict=True))
-        draw_leaders(pen, view, starts, anchors, leader_rgba)
+        draw_leaders(buffer, view, starts, anchors, leader_rgba)
         panels = []
         first = 0
         for group in groups:

@@ -12,8 +12,8 @@ from ...robots.assemble.double import fade_in, spread_out
 from ...robots.assemble.world_view import WorldView
 from .cards import LEADER_RGBA, CardLayout, Outline, owner_groups
 from .feature import Feature, Frame, make_features
+from .geom_buffer import CAPACITY, GeomBuffer
 from .panels import Panels, clear_of, draw_panels, labels_at, panel_sizes
-from .pen import CAPACITY, Pen
 from .picture_view import PictureView
 from .quantities import arrow_values, joint_values
 from .round_arrows import ARROW_GEOMS
@@ -39,7 +39,7 @@ class Decor:
         arrow_geoms: maximum number of geoms of a round arrow.
 
     Attributes:
-        pen: the geoms of the last frame.
+        buffer: the geoms of the last frame.
         features: the features, in drawing order.
         panels: those of the last frame, in drawing order.
     """
@@ -47,7 +47,7 @@ class Decor:
     def __init__(
         self, world: WorldView, capacity: int = CAPACITY, arrow_geoms: int = ARROW_GEOMS
     ) -> None:
-        self.pen = Pen(capacity)
+        self.buffer = GeomBuffer(capacity)
         self.features = make_features(world)
         self.panels: list[Panels] = []
         self._world = world
@@ -56,21 +56,21 @@ class Decor:
         self._cards = CardLayout(owner_groups(world))
         self._outline = Outline(world)
 
-    def draw(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> Pen:
-        """Lays out one frame and returns the pen that holds it.
+    def draw(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> GeomBuffer:
+        """Lays out one frame and returns the buffer that holds it.
 
         Args:
             data: the world's state, with frames up to date (`data.drive.Placer`).
             toggles: what is shown; updated from inputs that packets set.
             view: camera and picture size.
         """
-        pen, world = self.pen, self._world
+        buffer, world = self.buffer, self._world
         of_model, data = data, world.state(data)
-        pen.clear()
+        buffer.clear()
         toggles.apply_inputs(data)
-        pen.hidden = toggles.hidden_geoms()
-        pen.opacity = _opacity(world, of_model)
-        pen.drawn_doubles = world.drawn_doubles(data, toggles.doubles)
+        buffer.hidden = toggles.hidden_geoms()
+        buffer.opacity = _opacity(world, of_model)
+        buffer.drawn_doubles = world.drawn_doubles(data, toggles.doubles)
         stale = self._staleness.find(data)
         for name, on in zip(world.doubles, toggles.doubles, strict=True):
             if not on:
@@ -78,7 +78,7 @@ class Decor:
         values = joint_values(world, data)
         arrows, limit = arrow_values(world, data, values, toggles.arrow_quantity)
         frame = Frame(
-            pen=pen,
+            buffer=buffer,
             data=data,
             view=view,
             toggles=toggles,
@@ -94,19 +94,19 @@ class Decor:
         look = world.scene.view.look
         cards: list[Panels] = []
         if frame.cards:
-            body = self._outline.points(of_model, pen.hidden, data.site_xpos, frame.shown.arrows)
+            body = self._outline.points(of_model, buffer.hidden, data.site_xpos, frame.shown.arrows)
             frame.cards, cards, note = self._cards.lay_out(
-                pen, view, frame.cards, *body, frame.corners, LEADER_RGBA[look]
+                buffer, view, frame.cards, *body, frame.corners, LEADER_RGBA[look]
             )
             frame.corners += note
-        notes = self._staleness.panels(pen, data, view, stale)
+        notes = self._staleness.panels(buffer, data, view, stale)
         panels = [*frame.corners, *cards]
         panels += clear_of([*frame.panels, *notes], panels, view)
         # Text first: where the capacity is exceeded, arrows are dropped and not text.
         panels += _hover_panel(toggles, view, panels)
-        self.panels = draw_panels(pen, view, panels, _LIGHTER[look])
+        self.panels = draw_panels(buffer, view, panels, _LIGHTER[look])
         self._each("draw", frame)
-        return pen
+        return buffer
 
     def _each(self, step: str, frame: Frame) -> None:
         """Runs a step of all features; one that raises is logged and removed."""

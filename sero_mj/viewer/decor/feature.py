@@ -17,8 +17,8 @@ from ...base.frames import Array, Bools
 from ...base.plugins import DECOR, load_plugin, plugins
 from ...robots.assemble.world_view import WorldView
 from .cards import Cards
+from .geom_buffer import GeomBuffer
 from .panels import Panels
-from .pen import Pen
 from .picture_view import PictureView
 from .staleness import stale_mask
 from .toggles import Shown, Toggles
@@ -31,7 +31,7 @@ class Frame:
     """A frame during layout.
 
     Attributes:
-        pen: takes geoms.
+        buffer: takes geoms.
         data: the state of the world: `time`, `xpos`, `site_xpos`, `userdata`, ... as of `MjData`.
         view: camera and picture size.
         toggles: what is switched on.
@@ -48,7 +48,7 @@ class Frame:
         panels: other panels; likewise.
     """
 
-    pen: Pen
+    buffer: GeomBuffer
     data: Any
     view: PictureView
     toggles: Toggles
@@ -90,7 +90,7 @@ class Feature:
         """Adds cards, corner panels and panels to the frame."""
 
     def draw(self, frame: Frame) -> None:
-        """Adds geoms to the frame's pen."""
+        """Adds geoms to the frame's buffer."""
 
 
 def make_features(world: WorldView) -> list[Feature]:

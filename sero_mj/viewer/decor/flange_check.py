@@ -16,9 +16,9 @@ from ...robots.assemble.world_view import WorldView
 from .axes import AXIS_RGB, draw_bars
 from .cards import Cards
 from .feature import Feature, Frame
+from .geom_buffer import GeomBuffer, Kind
 from .layout import RIGHT
 from .panels import Panels, panel_sizes
-from .pen import Kind, Pen
 from .picture_view import PictureView
 from .smart_arrows import frames_along
 
@@ -95,7 +95,7 @@ class FlangeCheck(Feature):
             distance, angle = difference[0], float(np.rad2deg(difference[1]))
             robot = part.robot
             off = distance > robot.flange_tolerance or angle > robot.flange_tolerance_deg
-            point = self._draw_frame(frame.pen, data, name, off)
+            point = self._draw_frame(frame.buffer, data, name, off)
             numbers = f"{1e3 * distance:7.2f} mm  {angle:6.2f} deg"
             if not off:
                 right.append(f"{name} flange check{numbers}".encode("ascii", "replace"))
@@ -140,7 +140,7 @@ class FlangeCheck(Feature):
             rgba=OFF_RGBA,
         )
 
-    def _draw_frame(self, pen: Pen, data: mujoco.MjData, name: str, off: bool) -> Array:
+    def _draw_frame(self, buffer: GeomBuffer, data: mujoco.MjData, name: str, off: bool) -> Array:
         """Draws the received frame and the line to it; returns its position (3,), m."""
         world = self.world
         part: RobotPart = world.robots[name]
@@ -151,11 +151,11 @@ class FlangeCheck(Feature):
         T = base @ received
         length = np.array([_AXES_SHARE * part.robot.axes_length])
         rgb = (AXIS_RGB + _PALE * (1.0 - AXIS_RGB))[None]
-        draw_bars(pen, T[None, :3, 3], T[None, :3, :3], (length, 0.03 * length), rgb, np.ones(1))
+        draw_bars(buffer, T[None, :3, 3], T[None, :3, :3], (length, 0.03 * length), rgb, np.ones(1))
         between = T[:3, 3] - own
         distance = float(np.linalg.norm(between))
         if distance > 1e-6:
-            rows = pen.take(1, int(mujoco.mjtGeom.mjGEOM_BOX))
+            rows = buffer.take(1, int(mujoco.mjtGeom.mjGEOM_BOX))
             if len(rows):
                 rows["pos"] = own + between / 2
                 rows["mat"] = frames_along(between[None] / distance)

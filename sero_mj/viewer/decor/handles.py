@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...base.frames import Array
 from .axes import AXIS_RGB, ONTO_AXIS
 from .feature import Feature, Frame
-from .pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
+from .geom_buffer import ARROW_SIZE_OF_LENGTH, GeomBuffer, Kind
 from .picture_view import PictureView
 
 # What the handles do, by the item of their geoms: axes 0 to 2 along, 3 to 5 about, and the cube.
@@ -50,9 +50,9 @@ class HandleDecor(Feature):
         if handles is None:
             return
         if handles.pose is not None:
-            draw_handles(frame.pen, handles.pose, handles.lit, frame.view)
+            draw_handles(frame.buffer, handles.pose, handles.lit, frame.view)
         if handles.mark is not None:
-            _draw_mark(frame.pen, handles.mark, frame.view)
+            _draw_mark(frame.buffer, handles.mark, frame.view)
 
 
 def handle_length(point: Array, view: PictureView) -> float:
@@ -67,11 +67,11 @@ def ring_radius(point: Array, view: PictureView) -> float:
     return _RING_RADIUS * handle_length(point, view)
 
 
-def draw_handles(pen: Pen, pose: Array, lit: int, view: PictureView) -> None:
+def draw_handles(buffer: GeomBuffer, pose: Array, lit: int, view: PictureView) -> None:
     """Draws the handles of a frame.
 
     Args:
-        pen: where to.
+        buffer: where to.
         pose: T_world_frame (4, 4), m.
         lit: see `Handles`.
         view: of the picture.
@@ -82,7 +82,7 @@ def draw_handles(pen: Pen, pose: Array, lit: int, view: PictureView) -> None:
     if lit >= 0:
         rgb[lit] = _LIT_RGB
     onto = rotation @ ONTO_AXIS
-    rows = pen.take(3, int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.HANDLE, np.arange(3))
+    rows = buffer.take(3, int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.HANDLE, np.arange(3))
     if len(rows):
         rows["pos"] = origin + onto[..., 2] * (_CUBE_HALF + 0.1) * unit
         rows["mat"] = onto
@@ -91,13 +91,13 @@ def draw_handles(pen: Pen, pose: Array, lit: int, view: PictureView) -> None:
         rows["rgba"] = [[*each, 1.0] for each in rgb[:3]]
         rows["emission"] = 0.6
     items = np.repeat(np.arange(3, 6), SEGMENTS)
-    rows = pen.take(3 * SEGMENTS, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.HANDLE, items)
+    rows = buffer.take(3 * SEGMENTS, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.HANDLE, items)
     if len(rows):
         for grid, axes, colour in zip(rows.reshape(3, -1), onto, rgb[3:6], strict=True):
             look = (*colour.tolist(), 0.95)
             fill_ring(grid, origin, axes, _RING_RADIUS * unit, _RING_HALF_WIDTH * unit, look)
         rows["emission"] = 0.6
-    rows = pen.take(1, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.HANDLE, CUBE)
+    rows = buffer.take(1, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.HANDLE, CUBE)
     if len(rows):
         rows["pos"], rows["mat"], rows["size"] = origin, rotation, _CUBE_HALF * unit
         rows["rgba"] = [*rgb[CUBE], 1.0]
@@ -131,11 +131,11 @@ def fill_ring(
     rows["rgba"] = rgba
 
 
-def _draw_mark(pen: Pen, mark: Array, view: PictureView) -> None:
+def _draw_mark(buffer: GeomBuffer, mark: Array, view: PictureView) -> None:
     """Draws a red line from where something is to a cross where it is wanted."""
     wanted, there = mark
     half = _MARK_HALF * handle_length(wanted, view)
-    rows = pen.take(4, int(mujoco.mjtGeom.mjGEOM_BOX))
+    rows = buffer.take(4, int(mujoco.mjtGeom.mjGEOM_BOX))
     if not len(rows):
         return
     rows["pos"], rows["rgba"] = wanted, _MARK_RGBA

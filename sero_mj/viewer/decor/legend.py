@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...base.frames import Array, nice
+from ...base.frames import Array, round_down_1_2_5
 from ...robots.assemble.robot_parts import ARROW_QUANTITIES
 from ...robots.assemble.world_view import WorldView
 from .feature import Feature, Frame
@@ -142,7 +142,7 @@ class Legend(Feature):
         seen = toggles.vectors & self._drawn
         for name in np.array(self.world.arrows.names, object)[seen]:
             arrow = scene.arrows[name]
-            value = nice(_STATED_LENGTH / arrow.metres_per_unit)
+            value = round_down_1_2_5(_STATED_LENGTH / arrow.metres_per_unit)
             size = 1e3 * value * arrow.metres_per_unit
             word = "wide" if arrow.is_round else "long"
             scale = f"{size:g} mm {word} = {value:g} {arrow.unit_text}"

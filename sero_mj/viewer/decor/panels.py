@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array
+from .geom_buffer import GeomBuffer, Kind, place_triangles
 from .layout import place_clear
-from .pen import Kind, Pen, place_triangles
 from .picture_view import PictureView
 
 PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
@@ -108,19 +108,19 @@ def clear_of(labels: list[Panels], others: list[Panels], view: PictureView) -> l
 
 
 def draw_panels(
-    pen: Pen, view: PictureView, groups: list[Panels], lighter: float = 0.0
+    buffer: GeomBuffer, view: PictureView, groups: list[Panels], lighter: float = 0.0
 ) -> list[Panels]:
     """Draws all panels of a frame in one vectorized pass.
 
     Args:
-        pen: where to.
+        buffer: where to.
         view: of the picture.
         groups: panels of different colours.
         lighter: fraction of white that is added to all of them.
 
     Returns:
         the panels as drawn, in this order, with empty lines where others cover them; none if they
-        exceed the pen's capacity.
+        exceed the buffer's capacity.
     """
     groups = sorted((group for group in groups if group.texts), key=lambda group: group.in_front)
     if not groups:
@@ -130,16 +130,16 @@ def draw_panels(
     texts = [lines for group in groups for lines in group.texts]
     in_front: NDArray[np.bool_] = np.array([g.in_front for g in groups for _ in g.texts], bool)
     depth = np.where(in_front, _FRONT_DEPTH, _PANEL_DEPTH)[:, None] * view.near
-    first, start = pen.count, 0
-    rows = pen.take(len(texts), int(mujoco.mjtGeom.mjGEOM_BOX))
+    first, start = buffer.count, 0
+    rows = buffer.take(len(texts), int(mujoco.mjtGeom.mjGEOM_BOX))
     if not len(rows):
         return []
     for group in groups:
         stop = start + len(group.texts)
         rows["rgba"][start:stop] = group.rgba
         if group.items is not None:
-            pen.kinds[first + start : first + stop] = group.kind
-            pen.items[first + start : first + stop] = group.items
+            buffer.kinds[first + start : first + stop] = group.kind
+            buffer.items[first + start : first + stop] = group.items
         start = stop
     rows["rgba"][:, :3] += lighter * (1.0 - rows["rgba"][:, :3])
     rows["rgba"][:, 3] = np.maximum(rows["rgba"][:, 3], view.least_alpha)
@@ -164,19 +164,19 @@ def draw_panels(
         drawn = _without(drawn, ~seen)
         starts, panel = starts[seen], panel[seen]
         lines = [text for text, is_seen in zip(lines, seen, strict=True) if is_seen]
-    _draw_lines(pen, view, starts, lines, depth[panel])
+    _draw_lines(buffer, view, starts, lines, depth[panel])
     for group in groups:
         if group.bars is not None:
-            _draw_bars(pen, view, group.bars)
-    pen.text = slice(first, pen.count)
+            _draw_bars(buffer, view, group.bars)
+    buffer.text = slice(first, buffer.count)
     return drawn
 
 
 def _draw_lines(
-    pen: Pen, view: PictureView, starts: Array, lines: list[bytes], depth: Array
+    buffer: GeomBuffer, view: PictureView, starts: Array, lines: list[bytes], depth: Array
 ) -> None:
     """Draws lines of text, by their lower left pixels (k, 2) and the depth of their panels."""
-    labels = pen.take(len(starts), int(mujoco.mjtGeom.mjGEOM_LABEL))
+    labels = buffer.take(len(starts), int(mujoco.mjtGeom.mjGEOM_LABEL))
     if not len(labels):
         return
     across, up = view.font.anchor
@@ -190,9 +190,9 @@ def _draw_lines(
     labels["label"] = lines
 
 
-def _draw_bars(pen: Pen, view: PictureView, bars: Array) -> None:
+def _draw_bars(buffer: GeomBuffer, view: PictureView, bars: Array) -> None:
     """Draws bars in front of panels; see `Panels`."""
-    rows = pen.take(len(bars), int(mujoco.mjtGeom.mjGEOM_BOX))
+    rows = buffer.take(len(bars), int(mujoco.mjtGeom.mjGEOM_BOX))
     if not len(rows):
         return
     depth = _BAR_DEPTH * view.near
@@ -235,18 +235,22 @@ def _covered(
 
 
 def draw_leaders(
-    pen: Pen, view: PictureView, starts: Array, ends: Array, rgba: Array | tuple[float, ...]
+    buffer: GeomBuffer,
+    view: PictureView,
+    starts: Array,
+    ends: Array,
+    rgba: Array | tuple[float, ...],
 ) -> None:
     """Draws leaders as thin triangles in the picture plane.
 
     Args:
-        pen: where to.
+        buffer: where to.
         view: of the picture.
         starts: middle of the base, (k, 2), pixels.
         ends: the tip, (k, 2), pixels.
         rgba: colour, (4,) or (k, 4).
     """
-    rows = pen.take(len(starts), int(mujoco.mjtGeom.mjGEOM_TRIANGLE))
+    rows = buffer.take(len(starts), int(mujoco.mjtGeom.mjGEOM_TRIANGLE))
     if not len(rows):
         return
     depth = _LEADER_DEPTH * view.near

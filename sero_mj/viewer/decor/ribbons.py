@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array
-from .pen import Kind, Pen, place_triangles
+from .geom_buffer import GeomBuffer, Kind, place_triangles
 
 _STRIPE_RGB = (0.08, 0.08, 0.09)
 
@@ -62,11 +62,11 @@ class Ribbons:
     striped: NDArray[np.bool_]
 
 
-def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, budget: int) -> None:
+def draw_ribbons(buffer: GeomBuffer, kind: Kind, ribbons: Ribbons, budget: int) -> None:
     """Draws round arrows.
 
     Args:
-        pen: where to.
+        buffer: where to.
         kind: kind of the items they belong to.
         ribbons: the arrows.
         budget: number of geoms that each arrow may have.
@@ -74,7 +74,7 @@ def draw_ribbons(pen: Pen, kind: Kind, ribbons: Ribbons, budget: int) -> None:
     shape = ribbon_shape(budget)
     count, boxes = len(ribbons.items), len(shape.middle)
     box, triangle = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
-    rows = pen.take(count * shape.geoms, box, kind, np.repeat(ribbons.items, shape.geoms))
+    rows = buffer.take(count * shape.geoms, box, kind, np.repeat(ribbons.items, shape.geoms))
     if not len(rows):
         return
     grid = rows.reshape(count, shape.geoms)

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from ...base.frames import Array
 from .axes import AXIS_RGB
 from .feature import Feature, Frame
+from .geom_buffer import ARROW_SIZE_OF_LENGTH, GREY, MAX_GEOMS, GeomBuffer, Kind
 from .panels import Panels, labels_at
-from .pen import ARROW_SIZE_OF_LENGTH, GREY, MAX_GEOMS, Kind, Pen
 from .ribbons import Ribbons, draw_ribbons
 
 TURNING_SPEED = 1.6  # rad/s
@@ -91,7 +91,7 @@ class RoundArrows(Feature):
 
     def draw(self, frame: Frame) -> None:
         """Draws an arrow for every joint that has a value and whose arrow is shown."""
-        pen, data, shown = frame.pen, frame.data, frame.shown
+        buffer, data, shown = frame.buffer, frame.data, frame.shown
         values, limit, stale = frame.arrow_values, frame.arrow_limit, frame.stale_joints
         joints = self.world.joints
         by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
@@ -125,20 +125,20 @@ class RoundArrows(Feature):
                 rgba=rgba[turning],
                 striped=over[turning],
             )
-            draw_ribbons(pen, Kind.ARROW, ribbons, _budget(frame))
+            draw_ribbons(buffer, Kind.ARROW, ribbons, _budget(frame))
         clicked = (shown.arrows & frame.toggles.details).nonzero()[0]
         if len(clicked):
             self._draw_z(frame, clicked)
         if len(sliding):
-            self._draw_straight(pen, data, sliding, (values, widths, over, rgba))
+            self._draw_straight(buffer, data, sliding, (values, widths, over, rgba))
 
     def _draw_z(self, frame: Frame, index: NDArray[np.intp]) -> None:
         """Draws the z axis, about which positive torques turn, of joints that were clicked on."""
-        joints, pen = self.world.joints, frame.pen
+        joints, buffer = self.world.joints, frame.buffer
         sites = joints.centre_site[index]
         length = _Z_LENGTH * joints.arrow_radius[index][:, None]
         centre = frame.data.site_xpos[sites]
-        rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW))
+        rows = buffer.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW))
         if len(rows):
             rows["pos"] = centre
             rows["mat"] = frame.data.site_xmat[sites].reshape(-1, 3, 3)
@@ -148,7 +148,7 @@ class RoundArrows(Feature):
 
     def _draw_straight(
         self,
-        pen: Pen,
+        buffer: GeomBuffer,
         data: mujoco.MjData,
         index: NDArray[np.intp],
         look: tuple[Array, Array, NDArray[np.bool_], Array],
@@ -159,7 +159,7 @@ class RoundArrows(Feature):
         """
         forces, widths, over, rgba = (of_all[index] for of_all in look)
         joints = self.world.joints
-        rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.ARROW, index)
+        rows = buffer.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.ARROW, index)
         if not len(rows):
             return
         mat = data.site_xmat[joints.centre_site[index]].reshape(-1, 3, 3).copy()
@@ -182,7 +182,7 @@ def _budget(frame: Frame) -> int:
     """
     of_cards = sum(2 + len(lines) for cards in frame.cards for lines in cards.texts)
     others = 3 * int(np.count_nonzero(frame.shown.axes)) + of_cards
-    is_page = len(frame.pen.rows) <= MAX_GEOMS
+    is_page = len(frame.buffer.rows) <= MAX_GEOMS
     room = (1 if is_page else 2) * MAX_GEOMS - _GEOMS_FOR_THE_REST - others
     budget = room // max(int(np.count_nonzero(frame.shown.arrows)), 1)
     fewest = _FEWEST_ON_PAGE if is_page else _FEWEST_ARROW_GEOMS

@@ -1,4 +1,4 @@
-"""`SceneWriter`: copies the geoms of a `Pen` into the `MjvScene` of a host.
+"""`SceneWriter`: copies the geoms of a `GeomBuffer` into the `MjvScene` of a host.
 
 All geoms of a scene are written at once, through one structured numpy array over their memory.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...base.frames import Array, Bools, Ints
 from ...robots.assemble.parts import DrawnDouble
-from .pen import GEOM, GREY, Pen
+from .geom_buffer import GEOM, GREY, GeomBuffer
 
 log = logging.getLogger(__name__)
 
@@ -38,34 +38,34 @@ class SceneWriter:
         self._view = struct_view(scene)
         self._painter: _DoublePainter | None = None
 
-    def add(self, pen: Pen, *, with_text: bool = True) -> int:
-        """Appends the pen's geoms to the scene.
+    def add(self, buffer: GeomBuffer, *, with_text: bool = True) -> int:
+        """Appends the buffer's geoms to the scene.
 
         Args:
-            pen: what to add.
+            buffer: what to add.
             with_text: whether panels and labels are added as well.
 
         Returns:
             number of geoms that exceeded the scene's capacity.
         """
         scene = self._scene
-        if pen.hidden is not None:
-            self._hide(pen.hidden)
-        if pen.grey is not None:
-            self._grey(pen.grey, scene.ngeom)
-        if pen.opacity is not None:
-            self._fade(pen.opacity, scene.ngeom)
+        if buffer.hidden is not None:
+            self._hide(buffer.hidden)
+        if buffer.grey is not None:
+            self._grey(buffer.grey, scene.ngeom)
+        if buffer.opacity is not None:
+            self._fade(buffer.opacity, scene.ngeom)
         dropped = 0
-        if pen.drawn_doubles:
+        if buffer.drawn_doubles:
             if self._painter is None:
-                self._painter = _DoublePainter(pen.drawn_doubles[0].model)
+                self._painter = _DoublePainter(buffer.drawn_doubles[0].model)
             dropped = sum(
-                self._painter.add(drawn, scene, self._view) for drawn in pen.drawn_doubles
+                self._painter.add(drawn, scene, self._view) for drawn in buffer.drawn_doubles
             )
         if with_text:
-            return dropped + self._append(pen.rows[: pen.count])
-        before, after = slice(0, pen.text.start), slice(pen.text.stop, pen.count)
-        return dropped + self._append(pen.rows[before]) + self._append(pen.rows[after])
+            return dropped + self._append(buffer.rows[: buffer.count])
+        before, after = slice(0, buffer.text.start), slice(buffer.text.stop, buffer.count)
+        return dropped + self._append(buffer.rows[before]) + self._append(buffer.rows[after])
 
     def _append(self, rows: NDArray[Any]) -> int:
         """Appends geoms to the scene; returns the number of those that exceeded its capacity."""

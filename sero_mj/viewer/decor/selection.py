@@ -7,8 +7,8 @@ import numpy as np
 
 from ...base.frames import Array
 from .feature import Feature, Frame
+from .geom_buffer import Kind
 from .handles import SEGMENTS, fill_ring
-from .pen import Kind
 
 _RGBA = (0.16, 0.75, 0.95, 0.95)
 _LARGER = 1.3  # than the joint's arrow
@@ -31,7 +31,7 @@ class Selection(Feature):
         axes: Array = np.asarray(data.site_xmat[site]).reshape(3, 3)
         view = frame.view
         depth = max(float((centre - view.position) @ view.forward), view.near)
-        rows = frame.pen.take(SEGMENTS, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.NONE)
+        rows = frame.buffer.take(SEGMENTS, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.NONE)
         if len(rows):
             radius = _LARGER * float(joints.arrow_radius[joint])
             half = _HALF_WIDTH * float(view.pixel_size(depth))

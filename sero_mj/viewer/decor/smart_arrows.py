@@ -15,8 +15,8 @@ from ...robots.assemble.world_view import WorldView
 from .billboards import NO_DATA
 from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
+from .geom_buffer import ARROW_SIZE_OF_LENGTH, GREY, Kind
 from .panels import panel_sizes
-from .pen import ARROW_SIZE_OF_LENGTH, GREY, Kind
 from .picture_view import PictureView
 from .quantities import IMPLAUSIBLE_FACTOR
 from .ribbons import Ribbons, draw_ribbons
@@ -135,7 +135,7 @@ def draw_smart_arrows(
         stale: which arrows have no fresh data and are drawn grey, (K,) bool.
         ends_there: which straight arrows end at their point instead of beginning there, (K,) bool.
     """
-    table, pen, data = world.arrows, frame.pen, frame.data
+    table, buffer, data = world.arrows, frame.buffer, frame.data
     magnitude = np.linalg.norm(vectors, axis=1)
     size = table.scale * magnitude
     with np.errstate(invalid="ignore"):
@@ -161,9 +161,9 @@ def draw_smart_arrows(
             rgba=rgba[turning],
             striped=over[turning],
         )
-        draw_ribbons(pen, Kind.VECTOR, ribbons, frame.arrow_geoms)
+        draw_ribbons(buffer, Kind.VECTOR, ribbons, frame.arrow_geoms)
     index, axes = index[straight], axes[straight]
-    rows = pen.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.VECTOR, index)
+    rows = buffer.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.VECTOR, index)
     if not len(rows):
         return
     length = size[index]

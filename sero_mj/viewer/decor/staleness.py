@@ -13,8 +13,8 @@ from ...data.receive.source import QUIET_AFTER
 from ...robots.assemble.inputs import SOURCE_FIELDS
 from ...robots.assemble.parts import DoublePart, robots_of_bodies
 from ...robots.assemble.world_view import WorldView
+from .geom_buffer import GeomBuffer
 from .panels import Panels, labels_at
-from .pen import Pen
 from .picture_view import PictureView
 
 _AGE = SOURCE_FIELDS.index("age")
@@ -110,17 +110,17 @@ class Staleness:
         return np.array([*of_owner.values()], np.float64)[self._owner]
 
     def panels(
-        self, pen: Pen, data: mujoco.MjData, view: PictureView, stale: dict[str, str]
+        self, buffer: GeomBuffer, data: mujoco.MjData, view: PictureView, stale: dict[str, str]
     ) -> list[Panels]:
         """Makes stale robots and doubles grey and returns their labels.
 
         Args:
-            pen: its `grey` is set.
+            buffer: its `grey` is set.
             data: the world's state.
             view: of the picture.
             stale: as returned by `find`.
         """
-        pen.grey = None
+        buffer.grey = None
         texts: dict[int, list[bytes]] = {}  # labels of a robot and its doubles below each other
         labels = [(item.name, item.base) for item in self._routed if item.geoms is not None]
         said = dict(stale)
@@ -131,7 +131,7 @@ class Staleness:
                 said[group] = stale[names[0]]
         for item in self._routed:
             if item.name in stale and item.geoms is not None:
-                pen.grey = item.geoms if pen.grey is None else pen.grey | item.geoms
+                buffer.grey = item.geoms if buffer.grey is None else buffer.grey | item.geoms
         for name, base in labels:
             if name in said:
                 text = f"{name}: {said[name]}".encode("ascii", "replace")[:99]

@@ -27,11 +27,11 @@ from ..panels.robot_panel import RobotPanel
 from ..panels.steering_panel import SteeringPanel
 from ..panels.widgets import Widgets
 from ..tools import live_history
+from ..tools.bookmarks import Bookmarks
 from ..tools.jogging import Jogging
 from ..tools.joint_goal import JointGoal
-from ..tools.keeping import Keeping
-from ..tools.moments import Moments
 from ..tools.pulling import Pulling
+from ..tools.rolling_recorder import RollingRecorder
 from ..tools.steering import Steering
 from ..tools.torque_history import SPAN, TorqueHistory, joint_name
 from ..tools.undo import Undo
@@ -45,7 +45,7 @@ from .pose_text import setting
 from .scene_decor import SceneDecor
 from .view_state import (
     MODELLED,
-    Seen,
+    ViewSnapshot,
     ViewState,
     apply_state,
     camera_text,
@@ -100,7 +100,7 @@ class LiveHost(ABC):
         toggles: what is shown.
         clock: pause, speed and time line.
         history: the torques of the last seconds.
-        moments: what was marked and found, on the time line.
+        bookmarks: what was marked and found, on the time line.
         keeping: keeps what live sources sent in the last minute.
         opener: returns the scene of a file that is dropped; None where none is opened.
         offers: other scenes that may be shown instead of this one, by the label of a button; None
@@ -139,8 +139,8 @@ class LiveHost(ABC):
         self.history = TorqueHistory(world, mirror.routes if mirror.is_live else (), kept)
         if mirror.is_live:
             mirror.listen(self._hear, to_all=True)
-        self.moments = Moments(mirror, clock)
-        self.keeping = Keeping(mirror)
+        self.bookmarks = Bookmarks(mirror, clock)
+        self.keeping = RollingRecorder(mirror)
         self.pulling = Pulling(mirror, clock, self.toggles)
         self.jogging = Jogging(mirror, self.toggles)
         self._drag: Jogging | Pulling | Steering | None = None  # what the drag that goes on moves
@@ -177,9 +177,9 @@ class LiveHost(ABC):
             "back": lambda: clock.seek(clock.time - _JUMP),
             "on": lambda: clock.seek(clock.time + _JUMP),
             "end": clock.go_live,
-            "mark": self.moments.mark,
-            "next_event": lambda: self.moments.go(1),
-            "last_event": lambda: self.moments.go(-1),
+            "mark": self.bookmarks.mark,
+            "next_event": lambda: self.bookmarks.go(1),
+            "last_event": lambda: self.bookmarks.go(-1),
             "next_joint": lambda: self._select(1),
             "last_joint": lambda: self._select(-1),
             "follow": self._follow_under_pointer,
@@ -335,7 +335,7 @@ class LiveHost(ABC):
     def _sample(self) -> None:
         self.history.add(self.data)
         if self.clock.is_live:
-            self.moments.watch()
+            self.bookmarks.watch()
 
     def press(self, key: str, *, is_repeat: bool = False) -> None:
         """Performs the action of a key, if it has one.
@@ -374,16 +374,16 @@ class LiveHost(ABC):
         return self._undo.redo()
 
     @cached_property
-    def _undo(self) -> Undo[Seen]:
+    def _undo(self) -> Undo[ViewSnapshot]:
         return Undo(self._seen, self._show)
 
     def select(self, joint: int) -> None:
         """Selects a joint: it is lit, and its torques are plotted."""
         self.joint = self.toggles.selected = joint
 
-    def _seen(self) -> Seen:
+    def _seen(self) -> ViewSnapshot:
         """What the user can take back."""
-        seen = Seen.of(self.view_camera, self.toggles, follows=self.is_following)
+        seen = ViewSnapshot.of(self.view_camera, self.toggles, follows=self.is_following)
         poses = ((name, goal.angles.tobytes()) for name, goal in self._goals.items())
         return seen._replace(poses=tuple(poses))
 
@@ -392,7 +392,7 @@ class LiveHost(ABC):
         """Where robots are wanted by hand: those without data, and targets of simulated ones."""
         return {**self.jogging.goals, **self.steering.own_goals}
 
-    def _show(self, seen: Seen) -> None:
+    def _show(self, seen: ViewSnapshot) -> None:
         seen.show(self.view_camera, self.toggles)
         goals = self._goals
         for name, pose in seen.poses:

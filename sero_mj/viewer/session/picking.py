@@ -15,8 +15,8 @@ import numpy as np
 from ...base.frames import Array, Bools
 from ...robots.assemble.parts import RobotPart, robots_of_bodies
 from ...robots.assemble.world_view import WorldView
+from ..decor.geom_buffer import ARROW_SIZE_OF_LENGTH, GeomBuffer, Kind
 from ..decor.handles import HANDLE_NAMES
-from ..decor.pen import ARROW_SIZE_OF_LENGTH, Kind, Pen
 from ..decor.picture_view import PictureView
 
 PickedKind = Literal[
@@ -75,7 +75,7 @@ class Picked:
 def pick(
     world: WorldView,
     data: mujoco.MjData,
-    pen: Pen,
+    buffer: GeomBuffer,
     view: PictureView,
     pixel: Pixel,
     tolerance: float = 0.0,
@@ -85,7 +85,7 @@ def pick(
     Args:
         world: the compiled scene.
         data: its state, frames up to date.
-        pen: the decor of the displayed frame.
+        buffer: the decor of the displayed frame.
         view: of that frame.
         pixel: x to the right and y up from the lower left corner of the picture.
         tolerance: maximum distance from decor if none is hit exactly, pixels; see
@@ -93,10 +93,10 @@ def pick(
     """
     origin = view.position
     direction = _through(view, pixel)
-    decor = _pick_decor(world, pen, view, origin, direction, 0.0)
-    solid = _pick_solid(world, data, pen, origin, direction)
+    decor = _pick_decor(world, buffer, view, origin, direction, 0.0)
+    solid = _pick_solid(world, data, buffer, origin, direction)
     if decor is None and tolerance:
-        decor = _pick_decor(world, pen, view, origin, direction, tolerance)
+        decor = _pick_decor(world, buffer, view, origin, direction, tolerance)
     if decor is None or solid is None:
         return decor or solid
     return decor if decor.distance <= solid.distance else solid
@@ -109,19 +109,19 @@ def _through(view: PictureView, pixel: Pixel) -> Array:
 
 
 def point_at(
-    world: WorldView, data: mujoco.MjData, pen: Pen, view: PictureView, pixel: Pixel
+    world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: PictureView, pixel: Pixel
 ) -> Array | None:
     """Returns the world point (3,), m, at a pixel, including the floor; None for the sky.
 
     Args:
         world: the compiled scene.
         data: its state, frames up to date.
-        pen: see `pick`.
+        buffer: see `pick`.
         view: see `pick`.
         pixel: see `pick`.
     """
     direction = _through(view, pixel)
-    picked = pick(world, data, pen, view, pixel)
+    picked = pick(world, data, buffer, view, pixel)
     if picked is not None:
         return np.asarray(view.position + picked.distance * direction)
     geom = np.full(1, -1, np.int32)
@@ -130,7 +130,7 @@ def point_at(
 
 
 def link_at(
-    world: WorldView, data: mujoco.MjData, pen: Pen, view: PictureView, pixel: Pixel
+    world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: PictureView, pixel: Pixel
 ) -> tuple[str, Array] | None:
     """Returns the frame of the robot's link at a pixel, and the world point there, (3,), m.
 
@@ -139,13 +139,13 @@ def link_at(
     Args:
         world: the compiled scene.
         data: its state, frames up to date.
-        pen: see `pick`.
+        buffer: see `pick`.
         view: see `pick`.
         pixel: see `pick`.
     """
     direction = _through(view, pixel)
     model = world.model
-    hidden = np.zeros(model.ngeom, bool) if pen.hidden is None else pen.hidden.copy()
+    hidden = np.zeros(model.ngeom, bool) if buffer.hidden is None else buffer.hidden.copy()
     for double in world.doubles.values():
         hidden |= np.isin(model.geom_bodyid, double.bodies)
     hit, distance = _ray(model, data, hidden, view.position, direction)
@@ -155,55 +155,67 @@ def link_at(
     return None if found is None else (found[0], view.position + distance * direction)
 
 
-def handle_at(pen: Pen, view: PictureView, pixel: Pixel, tolerance: float = 0.0) -> int | None:
+def handle_at(
+    buffer: GeomBuffer, view: PictureView, pixel: Pixel, tolerance: float = 0.0
+) -> int | None:
     """Returns the handle at a pixel, see `viewer.decor.handles`; None for none.
 
     Args:
-        pen: see `pick`.
+        buffer: see `pick`.
         view: see `pick`.
         pixel: see `pick`.
         tolerance: see `pick`.
     """
-    handles = pen.kinds[: pen.count] == Kind.HANDLE
+    handles = buffer.kinds[: buffer.count] == Kind.HANDLE
     if not handles.any():
         return None
     direction = _through(view, pixel)
     for margin in (0.0, tolerance):
-        found = _nearest_decor(handles, pen, view, view.position, direction, margin)
+        found = _nearest_decor(handles, buffer, view, view.position, direction, margin)
         if found is not None:
-            return int(pen.items[found[0]])
+            return int(buffer.items[found[0]])
     return None
 
 
 def _pick_decor(
-    world: WorldView, pen: Pen, view: PictureView, origin: Array, direction: Array, tolerance: float
+    world: WorldView,
+    buffer: GeomBuffer,
+    view: PictureView,
+    origin: Array,
+    direction: Array,
+    tolerance: float,
 ) -> Picked | None:
-    of_something = pen.kinds[: pen.count] != Kind.NONE
-    found = _nearest_decor(of_something, pen, view, origin, direction, tolerance)
+    of_something = buffer.kinds[: buffer.count] != Kind.NONE
+    found = _nearest_decor(of_something, buffer, view, origin, direction, tolerance)
     if found is None:
         return None
     nearest, distance = found
-    kind = Kind(int(pen.kinds[nearest]))
-    item = int(pen.items[nearest])
+    kind = Kind(int(buffer.kinds[nearest]))
+    item = int(buffer.items[nearest])
     name, owner = _name_of(world, kind, item)
     what = cast("PickedKind", kind.name.lower())
     return Picked(what, name, owner, item, distance)
 
 
 def _nearest_decor(
-    among: Bools, pen: Pen, view: PictureView, origin: Array, direction: Array, tolerance: float
+    among: Bools,
+    buffer: GeomBuffer,
+    view: PictureView,
+    origin: Array,
+    direction: Array,
+    tolerance: float,
 ) -> tuple[int, float] | None:
     """Returns the row of the nearest box, triangle or arrow along a ray, and its distance, m.
 
     Args:
         among: which rows to look at, (count,).
-        pen: see `pick`.
+        buffer: see `pick`.
         view: see `pick`.
         origin: of the ray, (3,), m.
         direction: unit vector (3,).
         tolerance: see `pick`.
     """
-    rows = pen.rows[: pen.count]
+    rows = buffer.rows[: buffer.count]
     types = rows["type"]
     is_solid = (types == _BOX) | (types == _TRIANGLE) | (types == _ARROW)
     index = (among & is_solid).nonzero()[0]
@@ -331,11 +343,11 @@ def ray_arrow(
 
 
 def _pick_solid(
-    world: WorldView, data: mujoco.MjData, pen: Pen, origin: Array, direction: Array
+    world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, origin: Array, direction: Array
 ) -> Picked | None:
     model = world.model
-    hit, distance = _ray(model, data, pen.hidden, origin, direction)
-    drawn = _pick_drawn_double(world, pen, origin, direction)
+    hit, distance = _ray(model, data, buffer.hidden, origin, direction)
+    drawn = _pick_drawn_double(world, buffer, origin, direction)
     if drawn is not None and (hit < 0 or drawn.distance < distance):
         return drawn
     if hit < 0 or model.geom_type[hit] == mujoco.mjtGeom.mjGEOM_PLANE:
@@ -374,11 +386,11 @@ def _link_of(world: WorldView, part: RobotPart, body: int) -> tuple[str, int] | 
 
 
 def _pick_drawn_double(
-    world: WorldView, pen: Pen, origin: Array, direction: Array
+    world: WorldView, buffer: GeomBuffer, origin: Array, direction: Array
 ) -> Picked | None:
     """Returns the nearest double along a ray, of those that are not compiled in."""
     nearest = None
-    for drawn in pen.drawn_doubles:
+    for drawn in buffer.drawn_doubles:
         double = world.doubles[drawn.double]
         hit, distance = _ray(drawn.model, drawn.data, drawn.opacity == 0, origin, direction)
         if hit < 0 or (nearest is not None and nearest.distance <= distance):

@@ -9,8 +9,8 @@ import mujoco
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
 from ..decor.draw import Decor
+from ..decor.geom_buffer import CAPACITY, GeomBuffer
 from ..decor.panels import Panels
-from ..decor.pen import CAPACITY, Pen
 from ..decor.picture_view import PictureView
 from ..decor.round_arrows import ARROW_GEOMS
 from ..decor.scene_writer import SceneWriter
@@ -57,9 +57,9 @@ class SceneDecor:
         self._with_text = with_text
 
     @property
-    def pen(self) -> Pen:
+    def buffer(self) -> GeomBuffer:
         """The geoms of the last frame."""
-        return self._decor.pen
+        return self._decor.buffer
 
     @property
     def fixed(self) -> str:
@@ -90,7 +90,8 @@ class SceneDecor:
         self.lay_out(data, view)
         if self._host is None or self._host[0] is not scene:
             self._host = (scene, SceneWriter(scene))
-        self.dropped = self.pen.dropped + self._host[1].add(self.pen, with_text=self._with_text)
+        dropped = self._host[1].add(self.buffer, with_text=self._with_text)
+        self.dropped = self.buffer.dropped + dropped
         if self.dropped and not self._has_warned:
             self._has_warned = True
             log.warning(
@@ -115,25 +116,25 @@ class SceneDecor:
         """
         if self.view is None:
             return None
-        return pick(self.world, data, self.pen, self.view, pixel, tolerance)
+        return pick(self.world, data, self.buffer, self.view, pixel, tolerance)
 
     def point_at(self, data: mujoco.MjData, pixel: Pixel) -> Array | None:
         """Returns the world point (3,), m, at a pixel, y up; None for the sky."""
         if self.view is None:
             return None
-        return point_at(self.world, data, self.pen, self.view, pixel)
+        return point_at(self.world, data, self.buffer, self.view, pixel)
 
     def link_at(self, data: mujoco.MjData, pixel: Pixel) -> tuple[str, Array] | None:
         """Returns a robot's link at a pixel and the point there, see `picking.link_at`."""
         if self.view is None:
             return None
-        return link_at(self.world, data, self.pen, self.view, pixel)
+        return link_at(self.world, data, self.buffer, self.view, pixel)
 
     def handle_at(self, pixel: Pixel, tolerance: float = 0.0) -> int | None:
         """Returns the handle at a pixel of the last frame, see `picking.handle_at`."""
         if self.view is None:
             return None
-        return handle_at(self.pen, self.view, pixel, tolerance)
+        return handle_at(self.buffer, self.view, pixel, tolerance)
 
     def click(
         self,

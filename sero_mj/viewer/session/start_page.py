@@ -126,7 +126,7 @@ def _about(file: Path | None) -> str:
     return str(described or (first.lstrip("# ") if first.startswith("#") else ""))
 
 
-class Awaited(NamedTuple):
+class ExpectedPackets(NamedTuple):
     """Packets that scenes can show, at one place where they come.
 
     Attributes:
@@ -210,17 +210,17 @@ class _Place:
             self._counts.setdefault(size, Counter())[int(now)] += count
             self._last[size] = now
 
-    def awaited(self) -> Awaited:
+    def awaited(self) -> ExpectedPackets:
         now = time.monotonic()
         rates = {}
         for size, last in [*self._last.items()]:
             counts = self._counts[size]
             if now - last < 2.0 * QUIET_AFTER:
                 rates[size] = float(max(counts[int(now) - 1], counts[int(now)]))
-        return Awaited(self.source.about, self.views, rates, self.trouble)
+        return ExpectedPackets(self.source.about, self.views, rates, self.trouble)
 
 
-class Listening:
+class PortMonitor:
     """Hears which of the data that scenes can show is coming; a context manager.
 
     Args:
@@ -247,17 +247,17 @@ class Listening:
         for place in self._places.values():
             place.close()
 
-    def awaited(self) -> list[Awaited]:
+    def awaited(self) -> list[ExpectedPackets]:
         """Returns what is awaited, by place: where something comes first."""
         found = [place.awaited() for place in self._places.values()]
         return sorted(found, key=lambda each: (not each.rates, each.where))
 
 
-def listening() -> Listening:
+def listening() -> PortMonitor:
     """Returns who hears the data of all scenes that are shipped or were viewed lately."""
     recent = [view for view in recent_views() if not view.replay]
     shipped = [RecentView(name) for name in paths.list_scenes()]
-    return Listening(list(dict.fromkeys([*recent, *shipped])))
+    return PortMonitor(list(dict.fromkeys([*recent, *shipped])))
 
 
 def _sources(scene: str) -> list[Source]:

@@ -173,7 +173,7 @@ def apply_state(
     return camera, toggles.selected, wrong
 
 
-class Seen(NamedTuple):
+class ViewSnapshot(NamedTuple):
     """What a user can take back of a view, to the last bit; equal ones look the same.
 
     Attributes:
@@ -191,7 +191,7 @@ class Seen(NamedTuple):
     poses: tuple[tuple[str, bytes], ...] = ()
 
     @classmethod
-    def of(cls, camera: mujoco.MjvCamera, toggles: Toggles, *, follows: bool) -> Seen:
+    def of(cls, camera: mujoco.MjvCamera, toggles: Toggles, *, follows: bool) -> ViewSnapshot:
         """What a camera and toggles are now; `follows` says whether it goes along."""
         return cls(
             tuple(getattr(camera, name) for name in _CAMERA),

@@ -32,7 +32,7 @@ class Pulling:
 
     def __init__(self, mirror: LiveWorld, clock: Clock, toggles: Toggles) -> None:
         self._mirror, self._clock, self._toggles = mirror, clock, toggles
-        found = [each for each in mirror.sources.values() if getattr(each, "hand", None)]
+        found = [each for each in mirror.sources.values() if getattr(each, "drag_force", None)]
         self._source: Any = found[0] if found else None
         self._hand: Any = found[0].hand if found else None  # type: ignore[attr-defined]
         self._at: Pixel = (0.0, 0.0)

@@ -185,7 +185,7 @@ class WebHost(LiveHost):
             viewer.dispatch(messages.BuildGuiEvent())
         self.decor.show_in(viewer, self.data, self._panels.inset)
         self._stand_back(viewer.camera)
-        self._greying.show(self.decor.pen.grey)
+        self._greying.show(self.decor.buffer.grey)
         viewer.sync()
         self.work = time.monotonic() - begin
         self._take_pictures(time.monotonic(), self.picture)

@@ -10,7 +10,7 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 
 from ...data.receive.report import describe, report
 from ...data.receive.source import Source
-from ..decor.pen import MAX_GEOMS
+from ..decor.geom_buffer import MAX_GEOMS
 from ..session.clock import SPEEDS, time_text
 from ..session.interaction import help_columns
 from ..session.live import LiveHost

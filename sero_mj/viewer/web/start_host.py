@@ -25,9 +25,9 @@ from ..session.start_page import (
     MORE_HINT,
     TAGLINE,
     TITLE,
-    Awaited,
-    Listening,
+    ExpectedPackets,
     Opener,
+    PortMonitor,
     sections,
 )
 from .guard import Guard, is_loopback, make_token
@@ -62,7 +62,7 @@ class StartHost:
     def __init__(
         self,
         opener: Opener,
-        listening: Listening,
+        listening: PortMonitor,
         host: str,
         port: int = 0,
         *,
@@ -233,7 +233,7 @@ class StartHost:
         self.close()
 
 
-def _as_json(awaited: Awaited) -> dict[str, Any]:
+def _as_json(awaited: ExpectedPackets) -> dict[str, Any]:
     return {
         "text": awaited.text,
         "expected": awaited.expected,

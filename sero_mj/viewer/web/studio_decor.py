@@ -15,7 +15,7 @@ from ...base.frames import Bools
 from ...robots.assemble.double import OUT_OF_SIGHT
 from ...robots.assemble.world_view import WorldView
 from ..decor.font import Font
-from ..decor.pen import GREY, MAX_GEOMS
+from ..decor.geom_buffer import GREY, MAX_GEOMS
 from ..decor.picture_view import PictureView
 from ..decor.scene_writer import GREYNESS
 from ..decor.toggles import Toggles

@@ -17,7 +17,7 @@ from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
 from ..added_surroundings import added_surroundings
 from ..camera import Navigator, bounding_sphere, stand_back, standing_back
-from ..decor.pen import CAPACITY
+from ..decor.geom_buffer import CAPACITY
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..headless.film import Pixels
@@ -359,7 +359,7 @@ class Window(LiveHost):
         if self.capture.is_filming:
             hud.filming(f"filming {time_text(self.capture.seconds)}", picture.width, height)
         if self._line is not None:
-            hud.draw_time_line(self._line, self.clock.time, width, self.moments.ticks())
+            hud.draw_time_line(self._line, self.clock.time, width, self.bookmarks.ticks())
         if self.shows_status:
             hud.status(pieces, _HINT, width)
         if self.notice.is_shown:

@@ -21,9 +21,9 @@ from ..session.start_page import (
     MORE_HINT,
     TAGLINE,
     TITLE,
-    Awaited,
-    Listening,
+    ExpectedPackets,
     Opener,
+    PortMonitor,
     Section,
     Tile,
     sections,
@@ -70,7 +70,7 @@ class StartWindow:
     def __init__(
         self,
         opener: Opener,
-        listening: Listening,
+        listening: PortMonitor,
         size: tuple[int, int],
         *,
         full_screen: bool = False,
@@ -269,7 +269,7 @@ class StartWindow:
         _text(MORE_HINT, unit, DIM)
         imgui.pop_text_wrap_pos()
 
-    def _awaited(self, awaited: Awaited) -> None:
+    def _awaited(self, awaited: ExpectedPackets) -> None:
         ui, unit = self._layer.widgets, self._layer.text_height
         ui.text(awaited.text, awaited.mood)
         ui.scope(awaited.where)

@@ -14,8 +14,8 @@ from simulated import START, lwr_model, lwr_robot
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.base.frames import frame, rotation_angle, rotation_from_rpy
-from sero_mj.simulate.control.plan import LAWS, follow_poses, law_from
-from sero_mj.simulate.control.target_motions import CartesianConstant, CartesianLaw
+from sero_mj.simulate.control.plan import TARGET_MOTIONS, follow_poses, target_motion_from
+from sero_mj.simulate.control.target_motions import CartesianConstant, CartesianTargetMotion
 from sero_mj.simulate.control.way_points import CartesianWayPoints
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ def test_speeds_keep_their_limits_and_use_one_up(law: str, far: float, spun: flo
 def test_poses_may_be_relative_to_the_start() -> None:
     start = start_pose()
     down = {"kind": "cartesian_way_points", "poses": [{"xyz": [0, 0, 0.1]}], "times": [2.0]}
-    motion = law_from({**down, "relative_to": "start"}).sample(TIMES, start)
+    motion = target_motion_from({**down, "relative_to": "start"}).sample(TIMES, start)
     np.testing.assert_allclose(motion.poses[-1], start @ frame(None, np.array([0, 0, 0.1])))
     still = CartesianConstant().sample(TIMES[:3], start)
     np.testing.assert_array_equal(still.poses, np.tile(start, (3, 1, 1)))
@@ -83,7 +83,7 @@ def test_poses_may_be_relative_to_the_start() -> None:
     np.testing.assert_array_equal(placed.poses[0][:3, 3], [1, 2, 3])
     zero = CartesianWayPoints(poses=[{"xyz": [1, 2, 3]}], times=[0.0]).sample(TIMES[:3], start)
     np.testing.assert_allclose(zero.poses[0][:3, 3], [1, 2, 3])
-    kinds = {kind for kind, law in LAWS.items() if issubclass(law, CartesianLaw)}
+    kinds = {kind for kind, law in TARGET_MOTIONS.items() if issubclass(law, CartesianTargetMotion)}
     assert kinds == {
         "cartesian_constant",
         "cartesian_way_points",
@@ -145,4 +145,4 @@ def test_where_it_cannot_get_to_is_told_with_the_time(frame_table: Any, message:
 )
 def test_wrong_laws_are_told(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(DeclarationError, match=message):
-        law_from({"kind": "cartesian_way_points", **fields}).sample(TIMES, np.eye(4))
+        target_motion_from({"kind": "cartesian_way_points", **fields}).sample(TIMES, np.eye(4))

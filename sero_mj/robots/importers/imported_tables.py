@@ -16,7 +16,7 @@ class NoJoints(DeclarationError):
 
 
 @dataclass(frozen=True)
-class Described:
+class ImportedTables:
     """A robot or a scene as the tables of our own file of it.
 
     Attributes:

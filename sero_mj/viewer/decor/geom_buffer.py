@@ -1,4 +1,4 @@
-"""`Pen`: the buffer of decor geoms that features fill every frame."""
+"""`GeomBuffer`: the buffer of decor geoms that features fill every frame."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Kind(IntEnum):
     HANDLE = 8  # item: what it does, see `handles`
 
 
-class Pen:
+class GeomBuffer:
     """A buffer of decor geoms that is cleared and filled again every frame.
 
     Attributes:
@@ -133,7 +133,7 @@ def place_triangles(rows: NDArray[Any], corners: Array) -> None:
     z points to.
 
     Args:
-        rows: (...), of `Pen.take`.
+        rows: (...), of `GeomBuffer.take`.
         corners: (..., 3, 3), m, anticlockwise where they are to be seen from.
     """
     edges = corners[..., 1:, :] - corners[..., :1, :]

@@ -1,4 +1,4 @@
-"""`Keeping`: keeps what live sources sent in the last minute, as a recording and a film."""
+"""`RollingRecorder`: keeps what live sources sent in the last minute, as a recording and a film."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ main()
 _SIGNALS_RATE = 100.0  # Hz of decoded values: of a minute they would take seconds at more
 
 
-class Keeping:
+class RollingRecorder:
     """Remembers the packets of a mirror's live sources, and writes those of the last minute.
 
     Args:

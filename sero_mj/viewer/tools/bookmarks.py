@@ -1,4 +1,4 @@
-"""`Moments`: what happened when: moments that the user marked, faults that were found."""
+"""`Bookmarks`: what happened when: moments that the user marked, faults that were found."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _LOSSES = {"lost": "lost", "dropped": "dropped", "malformed": "not applied"}
 _COLUMNS = [SOURCE_FIELDS.index(name) for name in _LOSSES]
 
 
-class Moment(NamedTuple):
+class Bookmark(NamedTuple):
     """Something that happened.
 
     Attributes:
@@ -42,7 +42,7 @@ class Moment(NamedTuple):
     is_mark: bool
 
 
-class Moments:
+class Bookmarks:
     """Marks of the user, and faults: of simulations and recordings what a monitor finds in them.
 
     What is live is watched as it comes: joints beyond their limits of torque or angle, torque
@@ -57,8 +57,8 @@ class Moments:
     def __init__(self, mirror: LiveWorld, clock: Clock) -> None:
         self._mirror, self._clock = mirror, clock
         self._marks: list[float] = []
-        self._watched: deque[Moment] = deque(maxlen=_MOST)
-        self._of_recordings: list[Moment] | None = None
+        self._watched: deque[Bookmark] = deque(maxlen=_MOST)
+        self._of_recordings: list[Bookmark] | None = None
         world = mirror.world
         joints = world.joints
         self._names = [joint_name(world, i) for i in range(len(joints.names))]
@@ -122,11 +122,11 @@ class Moments:
         self._counts[name] = counts, np.where(grown, time, seen)
 
     def _found(self, text: str, time: float) -> None:
-        self._watched.append(Moment(float(time), text, is_mark=False))
+        self._watched.append(Bookmark(float(time), text, is_mark=False))
 
-    def all(self) -> list[Moment]:
+    def all(self) -> list[Bookmark]:
         """All on the time line, in their order."""
-        found = [Moment(time, "mark", is_mark=True) for time in self._marks]
+        found = [Bookmark(time, "mark", is_mark=True) for time in self._marks]
         found += self._watched
         for source in self._mirror.sources.values():
             findings = getattr(getattr(source, "run", None), "findings", None)
@@ -154,9 +154,9 @@ class Moments:
         clock.seek(moment.time)
         return f"{time_text(moment.time)}: {moment.text}"
 
-    def _search(self) -> list[Moment]:
+    def _search(self) -> list[Bookmark]:
         """What a monitor finds in the recordings that are played; nothing in what is no run."""
-        found: list[Moment] = []
+        found: list[Bookmark] = []
         for source in self._mirror.sources.values():
             file: Any = getattr(source, "file", None)
             if not isinstance(file, Path) or source.end is None:
@@ -173,6 +173,6 @@ class Moments:
         return found
 
 
-def _moment_of(finding: Any) -> Moment:
+def _moment_of(finding: Any) -> Bookmark:
     text = str(finding).partition("  ")[2].replace("  ", " ")
-    return Moment(finding.time, text, is_mark=False)
+    return Bookmark(finding.time, text, is_mark=False)

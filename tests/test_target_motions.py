@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.simulate.control.plan import LAWS, law_from
+from sero_mj.simulate.control.plan import TARGET_MOTIONS, target_motion_from
 from sero_mj.simulate.control.target_motions import (
     Chirp,
     Constant,
-    JointLaw,
+    JointTargetMotion,
     Motion,
     Recorded,
     Sine,
@@ -220,7 +220,7 @@ def test_a_recorded_motion_goes_through_its_rows_and_is_smooth() -> None:
 
 def refusal(law: Any, robot: SerialRobot = ARM, start: Array = ZERO) -> str:
     with pytest.raises(DeclarationError) as error:
-        law_from(law).sample(np.arange(0.0, 10.0, 1e-3), robot, start)
+        target_motion_from(law).sample(np.arange(0.0, 10.0, 1e-3), robot, start)
     return str(error.value)
 
 
@@ -311,7 +311,7 @@ def test_a_robot_without_limits_needs_times_or_accelerations() -> None:
     bare = arm(acceleration_limits=None)
     message = "speed: robot 'arm' has no acceleration_limits; expected accelerations here"
     assert refusal(law, bare) == message
-    law_from({**law, "accelerations": 2.0}).sample(np.arange(3.0), bare, ZERO)
+    target_motion_from({**law, "accelerations": 2.0}).sample(np.arange(3.0), bare, ZERO)
 
 
 def test_every_kind_comes_from_a_table() -> None:
@@ -324,10 +324,10 @@ def test_every_kind_comes_from_a_table() -> None:
     again = { kind = "recorded", times = [0, 1, 2], angles_deg = [[0, 0, 0], [1, 1, 0], [0, 0, 0]] }
     """)
     assert {table["kind"] for table in tables.values()} == {
-        kind for kind, law in LAWS.items() if issubclass(law, JointLaw)
+        kind for kind, law in TARGET_MOTIONS.items() if issubclass(law, JointTargetMotion)
     }
     for table in tables.values():
-        law = law_from(table)
+        law = target_motion_from(table)
         motion = law.sample(np.arange(0, 10, 1e-2), ARM, ZERO)
         assert motion.angles.shape == motion.accelerations.shape == (1000, 3)
         assert np.isfinite(motion.accelerations).all()

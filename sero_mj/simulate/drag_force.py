@@ -1,4 +1,4 @@
-"""`Hand`: pulls a link of a simulated robot by a spring to a point that is moved meanwhile."""
+"""`DragForce`: pulls a link of a simulated robot by a spring to a point that is moved meanwhile."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Pull:
     forces: list[Array] = field(default_factory=list)
 
 
-class Hand:
+class DragForce:
     """Pulls a link of a simulated robot by a spring and a damper.
 
     The force in a step is k (target - point) - d v, at most `LIMIT`, with the state at its
@@ -189,7 +189,7 @@ class Hand:
 
 
 class _SpringPush(Push):
-    """A push whose force is that of the hand's spring, anew in every step of the controllers.
+    """A push whose force is that of the pointer's spring, anew in every step of the controllers.
 
     It is computed where pushes act, not before: what a step computes, and in which order, is then
     the same as where the scenario repeats it.
@@ -201,13 +201,13 @@ class _SpringPush(Push):
         is_due: whether a step of the controllers begins.
     """
 
-    def __init__(self, hand: Hand, plant: Plant, frame: str, point: Array) -> None:
+    def __init__(self, drag: DragForce, plant: Plant, frame: str, point: Array) -> None:
         super().__init__(plant.world, frame, np.zeros(3), np.zeros(3), "world", point)
         self.offset = np.array(point, np.float64)
         self.mass = 1.0
         self.place: Array = np.zeros(3)
         self.is_due = True
-        self._hand = hand
+        self._drag = drag
         self._jacobian: Array = np.zeros((3, plant.model.nv))
 
     def apply(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array) -> None:
@@ -216,8 +216,8 @@ class _SpringPush(Push):
             self.is_due = False
             self.place = self.point(data).copy()
             mujoco.mj_jac(model, data, self._jacobian, None, self.place, self.body)
-            stiffness, damping = self._hand.gains(self.mass)
-            force = stiffness * (self._hand.target - self.place)
+            stiffness, damping = self._drag.gains(self.mass)
+            force = stiffness * (self._drag.target - self.place)
             force -= damping * (self._jacobian @ data.qvel)
             force *= min(1.0, LIMIT / max(float(np.linalg.norm(force)), 1e-9))
             self.force[:] = np.round(force, _DECIMALS)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from sero_mj.viewer.tools.keeping import Films
+from sero_mj.viewer.tools.rolling_recorder import Films
 
 pytestmark = pytest.mark.gl
 
@@ -90,7 +90,8 @@ def test_films_are_finished_where_that_is_asked_for(tmp_path: Path) -> None:
 @pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="waits for a process by Linux's pidfd")
 def test_a_film_ends_with_a_viewer_that_is_killed(tmp_path: Path) -> None:
     viewer = (
-        "import sys, pathlib; from sero_mj.viewer.tools.keeping import Films; films = Films();"
+        "import sys, pathlib; from sero_mj.viewer.tools.rolling_recorder import Films;"
+        " films = Films();"
         f"films.add({LONG!r}, pathlib.Path('long.mp4')); films.advance();"
         "print(films._made[0].pid, flush=True); sys.stdin.read()"
     )

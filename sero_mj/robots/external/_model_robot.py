@@ -14,7 +14,7 @@ from ...base.declaration import numbers
 from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean
 from ...base.frames import Array, Ints
 from ..assemble.cartesian import NamedFrame
-from ..assemble.decor_sizes import Seen, Sizes, measure
+from ..assemble.decor_sizes import MeasuredBodies, Sizes, measure
 from ..assemble.double import AXES_OPACITY, Double
 from ..assemble.parts import RobotPart
 from ..assemble.robot import SerialRobot
@@ -62,7 +62,7 @@ def _positive(value: Any) -> Any:
 PerJoint = Annotated[Array, BeforeValidator(_positive)]
 
 
-class FoundRobot(SerialRobot):
+class ModelRobot(SerialRobot):
     """The declaration of a robot found in an external model.
 
     It has no DH table: the model has the joint poses, and `dh` only tells revolute from
@@ -129,7 +129,7 @@ class FoundRobot(SerialRobot):
 
 
 @dataclass(frozen=True, eq=False)
-class FoundPart(RobotPart):
+class ModelPart(RobotPart):
     """Indices of a found robot in the model.
 
     Attributes:
@@ -139,7 +139,7 @@ class FoundPart(RobotPart):
         labels: names of its base and links, n + 1.
     """
 
-    robot: FoundRobot
+    robot: ModelRobot
     tree: Tree
     size: float
     tool: str
@@ -177,7 +177,7 @@ def found_part(
     tree: Tree,
     overrides: Mapping[str, Any],
     start: int,
-) -> FoundPart:
+) -> ModelPart:
     """Builds a robot from the model, with the user's fields as overrides.
 
     Args:
@@ -190,17 +190,17 @@ def found_part(
     Raises:
         DeclarationError: other fields, or values that do not fit.
     """
-    sizes = measure(model, rest, Seen(tree.bodies, tree.joints, tree.trunk))
+    sizes = measure(model, rest, MeasuredBodies(tree.bodies, tree.joints, tree.trunk))
     problems: list[Problem] = []
     with collect(problems, f"robots.{tree.name}"):
-        robot = _found_robot(model, tree, sizes, overrides)
+        robot = _model_robot(model, tree, sizes, overrides)
     if problems:
         raise DeclarationError(problems)
     labels = body_labels(model, tree)
     bodies = np.concatenate([tree.bodies[:1], model.jnt_bodyid[tree.joints]]).astype(np.intp)
     along = rest.xanchor[tree.joints[tree.chain]]
     reach = float(np.linalg.norm(np.diff(along, axis=0), axis=1).sum()) if len(along) else 0.0
-    return FoundPart(
+    return ModelPart(
         robot=robot,
         kinematics=robot.kinematics,
         qpos=model.jnt_qposadr[tree.joints].astype(np.intp),
@@ -217,9 +217,9 @@ def found_part(
     )
 
 
-def _found_robot(
+def _model_robot(
     model: mujoco.MjModel, tree: Tree, sizes: Sizes, overrides: Mapping[str, Any]
-) -> FoundRobot:
+) -> ModelRobot:
     problems = [
         Problem(key, f"unknown key{did_you_mean(key, FIELDS)}")
         for key in overrides
@@ -240,7 +240,7 @@ def _found_robot(
     n = len(tree.joints)
     if np.ndim(fields["torque_limits"]) == 0 and fields["torque_limits"] is not None:
         fields["torque_limits"] = [fields["torque_limits"]] * n
-    robot = FoundRobot(
+    robot = ModelRobot(
         name=tree.name,
         dh_convention="craig",
         dh_params=np.zeros((n, 4)),
@@ -260,7 +260,7 @@ def _found_robot(
 
 def list_found_frames(
     model: mujoco.MjModel,
-    robots: Mapping[str, FoundPart],
+    robots: Mapping[str, ModelPart],
     doubles: Mapping[str, Double],
     wanted: Sequence[str],
 ) -> tuple[dict[str, NamedFrame], dict[str, tuple[str, int]]]:
@@ -314,7 +314,7 @@ def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
     return labels
 
 
-def _axes_length(model: mujoco.MjModel, part: FoundPart, body: int) -> float:
+def _axes_length(model: mujoco.MjModel, part: ModelPart, body: int) -> float:
     """Returns the length of a body's axes, m: that of its joint, for a base of the first joint."""
     moved = model.jnt_bodyid[part.tree.joints]
     while body and body not in moved:
