@@ -14,7 +14,7 @@ from simulated import START, lwr_model, lwr_robot
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.base.frames import frame, rotation_angle, rotation_from_rpy
-from sero_mj.simulate.control.plan import TARGET_MOTIONS, follow_poses, target_motion_from
+from sero_mj.simulate.control.plan import follow_poses, target_motion_from, target_motion_kinds
 from sero_mj.simulate.control.target_motions import CartesianConstant, CartesianTargetMotion
 from sero_mj.simulate.control.way_points import CartesianWayPoints
 
@@ -83,7 +83,11 @@ def test_poses_may_be_relative_to_the_start() -> None:
     np.testing.assert_array_equal(placed.poses[0][:3, 3], [1, 2, 3])
     zero = CartesianWayPoints(poses=[{"xyz": [1, 2, 3]}], times=[0.0]).sample(TIMES[:3], start)
     np.testing.assert_allclose(zero.poses[0][:3, 3], [1, 2, 3])
-    kinds = {kind for kind, law in TARGET_MOTIONS.items() if issubclass(law, CartesianTargetMotion)}
+    kinds = {
+        kind
+        for kind, law in target_motion_kinds().items()
+        if issubclass(law, CartesianTargetMotion)
+    }
     assert kinds == {
         "cartesian_constant",
         "cartesian_way_points",

@@ -14,7 +14,11 @@ from simulated import START, lwr_model, lwr_robot
 from sero_mj.base.errors import DeclarationError, SimulationError
 from sero_mj.simulate.control.controller import Sensed, Target
 from sero_mj.simulate.control.joint_control import JointImpedance
-from sero_mj.simulate.control.make_controller import CONTROLLERS, controller_from, make_controller
+from sero_mj.simulate.control.make_controller import (
+    controller_from,
+    controller_kinds,
+    make_controller,
+)
 
 Array = NDArray[np.float64]
 MODEL = lwr_model()
@@ -48,11 +52,11 @@ def at_start() -> tuple[Sensed, Target]:
 
 def test_every_kind_comes_from_a_table_and_holds_the_robot_at_its_target() -> None:
     tables = tomllib.loads(TABLES)
-    assert {table["kind"] for table in tables.values()} == set(CONTROLLERS)
+    assert {table["kind"] for table in tables.values()} == set(controller_kinds())
     sensed, target = at_start()
     for table in tables.values():
         declared = controller_from(table)
-        assert type(declared) is CONTROLLERS[table["kind"]]
+        assert type(declared) is controller_kinds()[table["kind"]]
         assert declared.kind == table["kind"]  # type: ignore[attr-defined]
         assert controller_from(declared) is declared
         control = make_controller(declared, MODEL, 1e-3, LIMITS)
@@ -84,7 +88,10 @@ def test_controllers_in_joint_space_make_no_arrays() -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({}, "kind: is required; expected 'gravity_compensation', 'joint_position', 'joint_imp"),
+        (
+            {},
+            "kind: is required; expected 'gravity_compensation', 'joint_impedance', 'cartesian_im",
+        ),
         ({"kind": "joint_impedence"}, "kind: no kind 'joint_impedence'; did you mean 'joint_imped"),
         ({"kind": 3}, "kind: no kind 3; available: cartesian_impedance, gravity_compensation"),
         (3, "found 3; expected a table with `kind`"),

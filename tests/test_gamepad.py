@@ -9,6 +9,7 @@ import pytest
 from window_tools import MISSING, Driven, screen
 
 from sero_mj.viewer.session.interaction import HOST_KEYS, KEYS, MORE_KEYS
+from sero_mj.viewer.session.tool import tool_keys
 from sero_mj.viewer.window.gamepad import BUTTONS, PAD_KEYS, PAD_STICKS, bent
 
 REST = (0.0, 0.0, 0.0, 0.0, -1.0, -1.0)
@@ -27,7 +28,7 @@ def test_sticks_rest_in_their_middle_and_are_fine_near_it() -> None:
 
 def test_every_button_presses_a_key_that_does_something_and_is_in_the_help() -> None:
     assert set(PAD_KEYS) <= set(BUTTONS)
-    assert {key for key, _ in PAD_KEYS.values()} <= {*KEYS, *HOST_KEYS, *MORE_KEYS}
+    assert {key for key, _ in PAD_KEYS.values()} <= {*KEYS, *HOST_KEYS, *MORE_KEYS, *tool_keys()}
     assert not set(PAD_KEYS) & {"left stick"}  # chooses what the sticks move
     assert all(PAD_STICKS.values())
 

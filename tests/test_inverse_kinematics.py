@@ -9,7 +9,7 @@ import sero_mj
 from sero_mj.base.frames import frame, rotation_angle
 from sero_mj.data.drive.place import follow
 from sero_mj.robots.assemble.couplings import Coupling
-from sero_mj.simulate.control.inverse_kinematics import (
+from sero_mj.robots.assemble.inverse_kinematics import (
     CLOSE,
     frame_place,
     independent_limits,

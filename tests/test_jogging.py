@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from decor_tools import view_at
 from scripted_widgets import ScriptedWidgets
+from shown import Shown
 from window_tools import MISSING, SIZE, Driven, screen
 
 import sero_mj
 from sero_mj.base.errors import DeclarationError
 from sero_mj.base.frames import frame, inverse, rotation_from_rpy, rpy_from_rotation
 from sero_mj.data.drive.mirror import Mirror
+from sero_mj.robots.assemble.gravity_torques import GravityTorques
 from sero_mj.simulate.control.compiler import Compiler
-from sero_mj.simulate.control.gravity_torques import GravityTorques
 from sero_mj.viewer.decor.toggles import Toggles
-from sero_mj.viewer.panels.jog_panel import JogPanel
 from sero_mj.viewer.session.pose_text import as_command, as_python, as_toml
 from sero_mj.viewer.session.scene_decor import SceneDecor
 from sero_mj.viewer.tools.jogging import Jogging, approached
@@ -137,7 +137,7 @@ def test_joints_stay_within_their_limits_and_say_so() -> None:
 def test_only_what_has_no_data_is_moved_by_hand() -> None:
     def jogged(name: str) -> list[str]:
         mirror = Mirror(sero_mj.load_scene(name))
-        return [*Jogging(mirror, Toggles(mirror.world)).goals]
+        return [*Jogging(Shown(mirror)).goals]
 
     assert jogged("lwr") == ["lwr"]
     assert jogged("lwr_udp") == []
@@ -147,7 +147,7 @@ def test_only_what_has_no_data_is_moved_by_hand() -> None:
 def test_gravity_is_shown_and_the_legend_says_whose_it_is() -> None:
     mirror = lwr_mirror(show_arrows=True, show_billboards=True)
     world, toggles = mirror.world, Toggles(mirror.world)
-    jogging = Jogging(mirror, toggles)
+    jogging = Jogging(Shown(mirror, toggles=toggles))
     jogging.goals["lwr"].set_all(BENT)
     settle(mirror, jogging)
     assert mirror.data.qpos == pytest.approx(BENT)
@@ -175,14 +175,14 @@ def test_gravity_is_shown_and_the_legend_says_whose_it_is() -> None:
 def test_declared_torques_are_not_replaced() -> None:
     mirror = lwr_mirror(show_arrows=True, torques=[1, 2, 3, 4, 5, 6, 7])
     toggles = Toggles(mirror.world)
-    jogging = Jogging(mirror, toggles)
+    jogging = Jogging(Shown(mirror, toggles=toggles))
     settle(mirror, jogging, 0.2)
     assert not toggles.modelled.any() and jogging._compiling is None
 
 
 def test_what_a_program_sets_is_taken_over() -> None:
     mirror = lwr_mirror()
-    jogging = Jogging(mirror, Toggles(mirror.world))
+    jogging = Jogging(Shown(mirror))
     jogging.goals["lwr"].set_all(BENT)
     settle(mirror, jogging)
     mirror.world.set_input(mirror.data, "lwr.joint_angles", -BENT)
@@ -197,12 +197,13 @@ def test_a_dragged_link_comes_along_and_lets_go(link: int) -> None:
     world, data = mirror.world, mirror.data
     mirror.advance(0.0)
     toggles = Toggles(world)
-    jogging, decor = Jogging(mirror, toggles), SceneDecor(world)
+    decor = SceneDecor(world)
+    jogging = Jogging(Shown(mirror, toggles=toggles, decor=decor))
     view = view_at()
     decor.lay_out(data, view)
     body = world.robots["lwr"].bodies[link]
     (x, y), _ = view.project(data.xipos[body] if data.xipos[body].any() else data.xpos[body])
-    found = jogging.begin(decor, (x, y))
+    found = jogging.grab((x, y))
     assert found is not None and found[0].startswith("moves lwr/link") and not found[1]
     name, grabbed, point = jogging._dragged
     part = world.robots[name]
@@ -214,39 +215,38 @@ def test_a_dragged_link_comes_along_and_lets_go(link: int) -> None:
     assert view.project(there())[0] == pytest.approx([x, y], abs=1.0)
     jogging.move((x + 25, y - 15))
     for _ in range(60):
-        trouble = jogging.update(decor)
+        trouble = jogging.drag()
         settle(mirror, jogging, 0.05)
     assert trouble == ""
     assert view.project(there())[0] == pytest.approx([x + 25, y - 15], abs=1.5)
     jogging.move((x + 4000, y))
     for _ in range(60):
-        trouble = jogging.update(decor)
+        trouble = jogging.drag()
         settle(mirror, jogging, 0.05)
     assert trouble.startswith("not reached, ")
     assert toggles.handles is not None and toggles.handles.mark is not None
     low, high = part.robot.position_limits.T
     assert (data.qpos >= low - 1e-9).all() and (data.qpos <= high + 1e-9).all()
-    jogging.end()
+    jogging.release()
     assert toggles.handles is None and jogging.goals["lwr"].trouble == ""
 
 
 def test_the_panel_has_limits_units_poses_and_copies() -> None:
     mirror = lwr_mirror(joint_angles=BENT)
     world = mirror.world
-    jogging = Jogging(mirror, Toggles(world))
-    panel = JogPanel(world, jogging)
-    panel.build(ScriptedWidgets({"##A2": 90.0, "##unit": "rad"}))
+    jogging = Jogging(Shown(mirror))
+    jogging.build(ScriptedWidgets({"##A2": 90.0, "##unit": "rad"}))
     assert jogging.goals["lwr"].angles[1] == pytest.approx(np.pi / 2)
-    panel.build(ScriptedWidgets({"##E1 typed": -0.25}))  # rad now
+    jogging.build(ScriptedWidgets({"##E1 typed": -0.25}))  # rad now
     assert jogging.goals["lwr"].angles[2] == -0.25
-    panel.build(ScriptedWidgets({"##A2 typed": 9.0}))
+    jogging.build(ScriptedWidgets({"##A2 typed": 9.0}))
     ui = ScriptedWidgets()
-    panel.build(ui)
+    jogging.build(ui)
     assert "limit of A2 reached, 120 deg" in ui.texts()
-    panel.build(ScriptedWidgets({"home": True}))
+    jogging.build(ScriptedWidgets({"home": True}))
     settle(mirror, jogging)
     before = jogging.goals["lwr"].flange(np.eye(4))
-    panel.build(ScriptedWidgets({"##x": before[0, 3] + 0.05}))
+    jogging.build(ScriptedWidgets({"##x": before[0, 3] + 0.05}))
     settle(mirror, jogging)
     moved = world.fwd_kin_base_to_flange(mirror.data, "lwr")
     assert moved[:3, 3] == pytest.approx(before[:3, 3] + [0.05, 0, 0], abs=1e-3)
@@ -258,7 +258,7 @@ def test_the_panel_has_limits_units_poses_and_copies() -> None:
         ("command", as_command(world.scene, "lwr", angles)),
     ):
         ui = ScriptedWidgets({label: True})
-        panel.build(ui)
+        jogging.build(ui)
         assert ui.copied == text
 
 
@@ -281,9 +281,9 @@ def test_robots_that_branch_have_their_joints_by_limb() -> None:
     from humanoid import humanoid
 
     mirror = Mirror(sero_mj.Scene(robots=[humanoid()], floor=False))
-    jogging = Jogging(mirror, Toggles(mirror.world))
+    jogging = Jogging(Shown(mirror))
     ui = ScriptedWidgets()
-    JogPanel(mirror.world, jogging).build(ui)
+    jogging.build(ui)
     limbs = mirror.world.robots["human"].robot.limb_joints
     assert [label for kind, label in ui.built if kind == "tree"][: len(limbs)] == [
         f"{limb}##sliders" for limb in limbs
@@ -345,19 +345,19 @@ def test_sliders_and_links_move_the_robot_in_a_window(tmp_path: Path) -> None:
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 def test_a_pose_is_taken_back_and_copied_with_what_holds_it(tmp_path: Path) -> None:
     with screen() as display, Driven(display, tmp_path, "lwr") as window:
-        window.ask("w.jogging.goals['lwr'].set_joint(1, 0.5)")
+        window.ask("w.tools['jogging'].goals['lwr'].set_joint(1, 0.5)")
         window.until("abs(w.data.qpos[1] - 0.5) < 1e-9")
-        window.until("len(w._undo._past) == 1 and w._undo._kept == w._seen()")
+        window.until("w.tools['undo'].undo.count == 1 and w.tools['undo'].undo.is_settled")
         window.key("a")
         window.until("w.toggles.modelled.all()")
-        words = window.ask("w._render_words(w.view_state())")
+        words = window.ask("w.render_words()")
         torques = next(word for word in words if word.startswith("lwr.torques="))
         found = [float(each) for each in torques.partition("=")[2].split(",")]
         held = window.ask("w.data.userdata[w.world.slots['lwr.torques']]")
         assert found == pytest.approx(held, abs=1e-4)
         assert abs(found[1]) > 5.0
         assert "modelled=1111111" in words
-        window.until("len(w._undo._past) == 2 and w._undo._kept == w._seen()")
+        window.until("w.tools['undo'].undo.count == 2 and w.tools['undo'].undo.is_settled")
         window.key("ctrl+z")
         window.until("not w.toggles.arrows.any()")
         assert window.ask("w.data.qpos[1]") == 0.5

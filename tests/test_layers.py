@@ -30,9 +30,10 @@ ORDER = (
     "simulate.runs",
     "simulate",
     "load",
-    "study",
     "viewer.decor",
     "viewer",
+    "simulate.tools",
+    "study",
     "study.learning",
     "cli",
     "__main__",
@@ -326,6 +327,22 @@ def test_a_lazy_name_is_the_thing_in_its_home(name: str) -> None:
 def test_a_name_that_is_not_there_is_told() -> None:
     with pytest.raises(AttributeError, match=r"^module 'sero_mj' has no attribute 'Miror'$"):
         sero_mj.Miror  # noqa: B018
+
+
+def test_the_view_knows_no_simulation_and_a_simulation_the_view_in_one_folder() -> None:
+    modules = read_package()
+    found = []
+    for module in modules:
+        wing = module.partition(".")[0]
+        apart = {"viewer": ".simulate", "simulate": ".viewer"}.get(wing)
+        if apart is None or module.startswith("simulate.tools"):
+            continue
+        found += [
+            f"{module}:{line} imports {name}"
+            for line, name in imports_of(module, modules)
+            if name.startswith(apart)
+        ]
+    assert found == []
 
 
 def test_the_readme_s_map_is_the_order_that_imports_keep() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from decor_tools import view_at
 from scripted_widgets import ScriptedWidgets
+from shown import Shown
 
 import sero_mj
 from sero_mj.base.errors import DeclarationError, SimulationError
@@ -20,14 +21,14 @@ from sero_mj.load import load_scene
 from sero_mj.simulate import endless_run
 from sero_mj.simulate.endless_run import bent_pose, endless_scene
 from sero_mj.simulate.runs.run_recording import read_run
+from sero_mj.simulate.tools.pulling import Pulling
+from sero_mj.simulate.tools.steering import Steering
+from sero_mj.simulate.tools.steering_panel import SteeringPanel
 from sero_mj.viewer.decor.handles import CUBE, HANDLE_NAMES
 from sero_mj.viewer.decor.toggles import Toggles
-from sero_mj.viewer.panels.steering_panel import SteeringPanel
 from sero_mj.viewer.session.clock import Clock
 from sero_mj.viewer.session.scene_decor import SceneDecor
 from sero_mj.viewer.tools.handle_drag import dragged
-from sero_mj.viewer.tools.pulling import Pulling
-from sero_mj.viewer.tools.steering import Steering
 
 BENT = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
 
@@ -45,15 +46,16 @@ class Played:
         self.mirror.open()
         self.world, self.data = self.mirror.world, self.mirror.data
         self.clock, self.toggles = Clock(self.mirror), Toggles(self.world)
-        self.steering = Steering(self.mirror, self.clock, self.toggles)
         self.source: Any = self.mirror.sources["simulation"]
         self.run: Any = self.source.run
         self.decor = SceneDecor(self.world, self.toggles)
+        self.shown = Shown(self.mirror, toggles=self.toggles, clock=self.clock, decor=self.decor)
+        self.steering = Steering(self.shown)
         self.go(0.02)
 
     def go(self, seconds: float) -> None:
         for _ in range(max(round(seconds / 0.02), 1)):
-            self.steering.advance()
+            self.steering.advance(0.02)
             self.clock.advance(0.02)
 
     @property
@@ -138,7 +140,7 @@ def test_gains_that_the_step_cannot_hold_are_refused_with_the_largest() -> None:
     finger = finger.model_copy(update={"torque_limits": None})
     played = Played("joint", sero_mj.Scene(robots=[finger], name="finger"))
     (robot,) = played.steering.robots.values()
-    before = robot.gains["joint"].stiffness.copy()
+    before = robot.controllers["joint_impedance"].stiffness.copy()
     texts = []
 
     def text(values: Any) -> str:
@@ -148,7 +150,7 @@ def test_gains_that_the_step_cannot_hold_are_refused_with_the_largest() -> None:
     why = robot.change({"stiffness": np.full(finger.n, 5000.0)}, text)
     assert why.startswith("refused: joint ") and "with a time step of 1 ms" in why
     assert why.endswith(f"At most {texts[-1]:.4g} Nm/rad holds here")
-    assert robot.gains["joint"].stiffness.tolist() == before.tolist()
+    assert robot.controllers["joint_impedance"].stiffness.tolist() == before.tolist()
     share = (texts[-1] - before.max()) / (5000.0 - before.max())
     most = before + share * (5000.0 - before)
     assert robot.change({"stiffness": most}, text) == ""
@@ -217,9 +219,9 @@ def test_pushes_are_kept_where_the_log_is_cut(
     monkeypatch.setattr(endless_run, "KEPT", 0.6)
     monkeypatch.setattr(endless_run, "_LONGEST", 0.9)
     played = Played("joint")
-    hand = played.run.hand
-    pulling = Pulling(played.mirror, played.clock, played.toggles)
-    assert pulling.can_pull
+    hand = played.run.drag_force
+    played.shown.folder = tmp_path
+    keep = Pulling(played.shown).actions()["keep"]
     hand.grab("lwr/link5", np.zeros(3))
     hand.target = hand.place + 0.1 * np.eye(3)[1]
     played.go(2.0)
@@ -229,12 +231,12 @@ def test_pushes_are_kept_where_the_log_is_cut(
     assert pull.first + len(pull.forces) == len(rows) - 1
     assert np.array(pull.forces) == pytest.approx(logged[pull.first : -1])
     assert np.linalg.norm(logged[-1]) > 1
-    said = pulling.keep(tmp_path)
-    assert said == "kept: lwr.mcap; sero-mj plot lwr.mcap draws it"
+    assert keep() == "kept: lwr.mcap; sero-mj plot lwr.mcap draws it"
     kept = read_run(tmp_path / "lwr.mcap")
     assert len(kept.times) == len(rows)
     assert kept.times[-1] - kept.times[0] == pytest.approx(rows[-1, 0] - rows[0, 0])
-    assert pulling.keep(tmp_path).startswith("kept: lwr_2.mcap")
+    said = keep()
+    assert said is not None and said.startswith("kept: lwr_2.mcap")
 
 
 def test_after_an_error_it_starts_again() -> None:
@@ -250,7 +252,8 @@ def test_after_an_error_it_starts_again() -> None:
     assert said == ["from the declared pose"]
     played.go(0.5)
     assert played.source.error is None and played.clock.time == pytest.approx(0.5, abs=0.05)
-    assert played.lwr.control == "joint" and played.lwr.gains["joint"].damping.tolist() == [0.5]
+    assert played.lwr.control == "joint_impedance"
+    assert played.lwr.controller.damping.tolist() == [0.5]
     assert played.lwr.measured == pytest.approx(BENT, abs=1e-3)
 
 
@@ -275,7 +278,7 @@ def test_two_robots_have_targets_of_their_own() -> None:
         for n, y in (("left", 0.0), ("right", 1.0))
     ]
     played = Played("joint", sero_mj.Scene(robots=robots, name="two"))
-    played.steering.choose("right", "gravity")
+    played.steering.choose("right", "gravity_compensation")
     played.steering.goals["left"].set_joint(0, 0.5)
     played.go(2.0)
     left, right = (played.steering.robots[name].measured for name in ("left", "right"))
@@ -287,12 +290,12 @@ def test_the_panel_changes_controllers_and_gains_and_tells() -> None:
     played = Played("joint")
     said: list[str] = []
     panel = SteeringPanel(played.steering, said.append)
-    first = played.lwr.gains["joint"].stiffness.copy()
+    first = played.lwr.controllers["joint_impedance"].stiffness.copy()
     panel.build(ScriptedWidgets({"stiffness": 50.0, "damping": 1.0}))
-    gains = played.lwr.gains["joint"]
+    gains = played.lwr.controllers["joint_impedance"]
     assert gains.stiffness == pytest.approx(0.5 * first) and gains.damping.tolist() == [1.0]
     panel.build(ScriptedWidgets({"A2": 700.0}))
-    assert played.lwr.gains["joint"].stiffness[1] == 700.0
+    assert played.lwr.controllers["joint_impedance"].stiffness[1] == 700.0
     panel.build(ScriptedWidgets({"A2": 9000.0}))
     ui = ScriptedWidgets()
     panel.build(ui)
@@ -300,10 +303,10 @@ def test_the_panel_changes_controllers_and_gains_and_tells() -> None:
     assert text.startswith("refused: found 9000; expected 0 to 5000 Nm/rad")
     assert "holds here" in text
     panel.build(ScriptedWidgets({"##control": "Cartesian impedance"}))
-    assert said == ["lwr: Cartesian impedance"] and played.lwr.control == "cartesian"
+    assert said == ["lwr: Cartesian impedance"] and played.lwr.control == "cartesian_impedance"
     for label, value in (("stiffness", 800.0), ("of turning", 40.0), ("null space", 25.0)):
         panel.build(ScriptedWidgets({label: value}))
-    gains = played.lwr.gains["cartesian"]
+    gains = played.lwr.controllers["cartesian_impedance"]
     assert np.diagonal(gains.stiffness).tolist() == [800.0] * 3 + [40.0] * 3
     assert gains.nullspace_stiffness.tolist() == [25.0]
     panel.build(ScriptedWidgets({"##A1": 30.0}))
@@ -312,7 +315,7 @@ def test_the_panel_changes_controllers_and_gains_and_tells() -> None:
     assert played.steering.goals["lwr"].angles == pytest.approx(played.lwr.measured)
     panel.build(ScriptedWidgets({"##control": "gravity compensation"}))
     panel.build(ScriptedWidgets({"damping": 3.0}))
-    assert played.lwr.gains["gravity"].damping.tolist() == [3.0]
+    assert played.lwr.controllers["gravity_compensation"].damping.tolist() == [3.0]
 
 
 POSE = frame(rotation_from_rpy(np.array([-1.5, -0.7, 0.0])), np.array([0.1, 0.05, 0.7]))
@@ -355,7 +358,7 @@ def test_a_ring_seen_from_the_side_turns_along_its_edge() -> None:
 def test_a_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     played = Played("cartesian")
     view = view_at()
-    played.steering.advance()
+    played.steering.advance(0.02)
     played.decor.lay_out(played.data, view)
     handles = played.toggles.handles
     assert handles is not None and handles.pose is not None
@@ -366,12 +369,12 @@ def test_a_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     (arrow,) = np.flatnonzero((kinds == 8) & (items == 0))
     tip = rows["pos"][arrow] + 0.08 * rows["mat"][arrow][:, 2]
     at = tuple(view.project(tip.astype(float))[0].tolist())
-    assert played.steering.hover(played.decor, at)
-    assert played.steering.begin_handle(played.decor, at) == ("", False)
+    assert played.steering.hover(at)
+    assert played.steering.grab_handle(at) == ("", False)
     wanted = tip + 0.05 * rows["mat"][arrow][:, 2]
     played.steering.move(tuple(view.project(wanted.astype(float))[0].tolist()))
     for _ in range(4):
-        assert played.steering.update(played.decor) == ""
+        assert played.steering.drag() == ""
     goal = played.steering.goals["lwr"]
     pose = goal.flange(played.steering.base("lwr"))
     assert pose[:3, 3] - start[:3, 3] == pytest.approx(0.05 * start[:3, 0], abs=2e-3)
@@ -380,18 +383,18 @@ def test_a_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     far = tip + 3.0 * rows["mat"][arrow][:, 2]
     played.steering.move(tuple(view.project(far.astype(float))[0].tolist()))
     for _ in range(40):
-        trouble = played.steering.update(played.decor)
+        trouble = played.steering.drag()
     assert trouble.startswith("not reached, ")
-    played.steering.advance()
+    played.steering.advance(0.02)
     assert played.toggles.handles.mark is not None
     low, high = goal.robot.position_limits.T
     assert (goal.angles >= low).all() and (goal.angles <= high).all()
-    played.steering.end()
+    played.steering.release()
     played.go(2.0)
     assert played.source.error is None
     assert played.toggles.handles.mark is None
-    played.steering.choose("lwr", "gravity")
-    played.steering.advance()
+    played.steering.choose("lwr", "gravity_compensation")
+    played.steering.advance(0.02)
     assert played.toggles.handles is None
 
 
@@ -402,7 +405,7 @@ def test_the_links_of_a_target_are_dragged_where_it_is_apart_from_the_robot() ->
     double = played.world.doubles["lwr_target"]
     there = played.data.xpos[played.world.robots["lwr"].bodies[6]]
     at = tuple(view.project(there)[0].tolist())
-    assert played.steering.begin(played.decor, at) is None  # it is the robot's link: that is pulled
+    assert played.steering.grab(at) is None  # it is the robot's link: that is pulled
     played.run.plant.push("lwr/flange", force=[0.0, 60.0, -150.0])
     played.go(2.0)
     played.decor.lay_out(played.data, view)
@@ -411,12 +414,12 @@ def test_the_links_of_a_target_are_dragged_where_it_is_apart_from_the_robot() ->
     link = played.data.xpos[double.bodies[0][6]]
     assert np.linalg.norm(link - played.data.xpos[played.world.robots["lwr"].bodies[6]]) > 0.1
     at = tuple(view.project(link)[0].tolist())
-    found = played.steering.begin(played.decor, at)
+    found = played.steering.grab(at)
     assert found is not None and found[0].startswith("moves lwr_target/link")
     played.steering.move((at[0] + 30.0, at[1] + 20.0))
     for _ in range(20):
-        assert played.steering.update(played.decor) == ""
-    played.steering.end()
+        assert played.steering.drag() == ""
+    played.steering.release()
     assert np.abs(goal.angles - BENT).max() > 0.02
     played.go(1.0)
     assert played.signal("target_angles")[-1] == pytest.approx(goal.angles)

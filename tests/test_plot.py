@@ -19,12 +19,12 @@ from runs import simulated, sine_run, two_joints
 
 from sero_mj import SerialRobot
 from sero_mj.base.errors import RenderError, UsageError
+from sero_mj.base.reduction import envelope, peak, rms
 from sero_mj.simulate.runs.monitor import Finding
 from sero_mj.simulate.runs.run_log import RunLog
 from sero_mj.study.align import align
 from sero_mj.study.figure import BLUE, FAULT, INK, ORANGE, Figure, Span, save_figures, styled
 from sero_mj.study.plot import plot_pair, plot_run, spans_of
-from sero_mj.study.reduction import envelope, peak, rms
 
 
 @pytest.fixture

@@ -8,21 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from shown import Shown
 from window_tools import MISSING, Driven, screen
 
 from sero_mj.base.errors import DeclarationError, UsageError
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.load import load_scene
 from sero_mj.simulate.disturbances import Force
-from sero_mj.simulate.hand import LIMIT
+from sero_mj.simulate.drag_force import LIMIT
 from sero_mj.simulate.runs.run_recording import read_run
 from sero_mj.simulate.save_pushes import save_pushes
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
+from sero_mj.simulate.tools.pulling import Pulling, target_of
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.headless.render import HeadlessRenderer
 from sero_mj.viewer.session.clock import Clock
-from sero_mj.viewer.tools.pulling import Pulling, target_of
 
 _SIGNALS = ("actual_angles", "joint_angles", "torques", "external_torques", "commanded_torques")
 
@@ -33,8 +34,8 @@ def pushed(name: str = "impedance_push", **settings: Any) -> Simulation:
 
 
 def pull(simulation: Simulation, frame: str, by: list[float], steps: int) -> None:
-    simulation.hand.grab(frame, np.array([0.02, -0.03, 0.05]))  # type: ignore[union-attr]
-    simulation.hand.target = simulation.hand.target + by  # type: ignore[union-attr]
+    simulation.drag_force.grab(frame, np.array([0.02, -0.03, 0.05]))  # type: ignore[union-attr]
+    simulation.drag_force.target = simulation.drag_force.target + by  # type: ignore[union-attr]
     simulation.advance(simulation.step + steps)
 
 
@@ -56,7 +57,7 @@ def test_at_rest_joint_torques_hold_the_force_by_the_transposed_jacobian() -> No
     before = simulation.log.of("lwr", "torques")[-1].copy()
     simulation = pushed(disturbances__push__begin=4.9, disturbances__push__end=4.95)
     pull(simulation, "lwr/link6", [0.12, -0.15, 0.1], 4000)
-    log, hand = simulation.log, simulation.hand
+    log, hand = simulation.log, simulation.drag_force
     assert hand is not None
     assert np.abs(log.of("lwr", "actual_velocities")[-1]).max() < 1e-5
     assert 60 < np.linalg.norm(hand.force) < LIMIT
@@ -74,13 +75,13 @@ def test_at_rest_joint_torques_hold_the_force_by_the_transposed_jacobian() -> No
 def test_it_does_not_oscillate_and_is_limited() -> None:
     simulation = pushed("hand_guiding")  # gravity compensation: nothing else pulls back
     pull(simulation, "lwr/link5", [0.0, 0.1, 0.0], 3000)
-    assert simulation.hand is not None
+    assert simulation.drag_force is not None
     y = simulation.log.signals["by_hand_frame"][1:, 1, 3]
-    overshoot = (y.max() - y[0]) / (simulation.hand.target[1] - y[0])
+    overshoot = (y.max() - y[0]) / (simulation.drag_force.target[1] - y[0])
     assert (y[-1] - y[0]) / 0.1 > 0.8
     assert overshoot < 1.25
     simulation = pushed()
-    simulation.hand.stiffness = 5000.0  # type: ignore[union-attr]
+    simulation.drag_force.stiffness = 5000.0  # type: ignore[union-attr]
     pull(simulation, "lwr/flange", [0.0, 0.4, 0.0], 100)
     sizes = np.linalg.norm(simulation.log.signals["by_hand_force"], axis=1)
     assert sizes.max() == pytest.approx(LIMIT, abs=1e-2)
@@ -88,7 +89,7 @@ def test_it_does_not_oscillate_and_is_limited() -> None:
 
 @pytest.mark.parametrize("timestep", [0.001, 0.02])
 def test_stiffness_and_damping_are_what_a_step_holds(timestep: float) -> None:
-    hand = pushed(run__timestep=timestep, run__physics_timestep=0.001).hand
+    hand = pushed(run__timestep=timestep, run__physics_timestep=0.001).drag_force
     assert hand is not None
     hand.stiffness = 5000.0
     for mass in (0.05, 1.0, 30.0):
@@ -104,10 +105,10 @@ def test_what_is_saved_repeats_the_run_to_the_last_bit(tmp_path: Path) -> None:
     simulation = pushed(lwr__show_axes=True, controllers__lwr__damping=0.6)
     for begin, frame in ((100, "lwr/link4"), (990, "lwr/flange"), (1010, "lwr/link3")):
         simulation.advance(begin)  # 1.0 s is when the scenario itself begins to push
-        simulation.hand.release()  # type: ignore[union-attr]
+        simulation.drag_force.release()  # type: ignore[union-attr]
         pull(simulation, frame, [0.05, -0.2, 0.1], 5)
     simulation.advance(1300)
-    simulation.hand.release()  # type: ignore[union-attr]
+    simulation.drag_force.release()  # type: ignore[union-attr]
     simulation.advance(1500)
     path = save_pushes(simulation, tmp_path)
     assert path == tmp_path / "impedance_push_pushed.toml"
@@ -136,9 +137,9 @@ def test_what_cannot_be_saved_or_grabbed_is_told(tmp_path: Path) -> None:
     simulation = pushed()
     with pytest.raises(UsageError, match="nothing was pushed yet: drag a link with Ctrl held"):
         save_pushes(simulation, tmp_path)
-    assert simulation.hand is not None
+    assert simulation.drag_force is not None
     with pytest.raises(UsageError, match="lwr/base cannot move: nothing to pull"):
-        simulation.hand.grab("lwr/base", np.zeros(3))
+        simulation.drag_force.grab("lwr/base", np.zeros(3))
     pull(simulation, "lwr/link4", [0.0, 0.1, 0.0], 10)
     simulation.scenario.file = None
     with pytest.raises(UsageError, match="made in Python has no file"):
@@ -216,29 +217,29 @@ def test_what_is_under_the_pointer_is_grabbed_and_what_cannot_be_says_why() -> N
         HeadlessRenderer(mirror.world, 320, 240) as renderer,
     ):
         clock, toggles = Clock(mirror), renderer.toggles
-        pulling = Pulling(mirror, clock, toggles)
+        pulling = Pulling(Shown(mirror, toggles=toggles, clock=clock, decor=renderer.decor))
         mirror.advance(0.0)
         renderer.render(mirror.data)
         decor = renderer.decor
-        assert pulling.begin(decor, (3.0, 3.0)) is None  # the floor
+        assert pulling.grab((3.0, 3.0)) is None  # the floor
         elbow = mirror.data.site_xpos[mirror.world.joints.centre_site[3]]
         at = tuple(decor.view.project(elbow)[0])
-        text, is_bad = pulling.begin(decor, at)  # type: ignore[misc]
+        text, is_bad = pulling.grab(at)  # type: ignore[misc]
         assert (text, is_bad) == ("pulls lwr/link4 with 500 N/m, at most 150 N", False)
         pulling.move((at[0] + 30, at[1]))
-        pulling.update(decor)
+        pulling.drag()
         mirror.advance(0.2)
         clock.seek(0.2)
-        hand = mirror.sources["simulation"].hand  # type: ignore[attr-defined]
+        hand = mirror.sources["simulation"].drag_force  # type: ignore[attr-defined]
         assert np.linalg.norm(hand.force) > 20
         assert abs(hand.force @ decor.view.forward) < 0.3 * np.linalg.norm(hand.force)
         card = mirror.world.arrows.names.index("by_hand")
         assert toggles.cards[card]
-        assert pulling.stronger(1.0) == "pulls with 625 N/m, at most 150 N"
+        assert pulling.wheel(1.0) == "pulls with 625 N/m, at most 150 N"
         clock.seek(0.1)
-        pulling.update(decor)  # back in the past
+        pulling.drag()  # back in the past
         assert not (pulling.is_on or toggles.cards[card])
-        text, is_bad = pulling.begin(decor, at)  # type: ignore[misc]
+        text, is_bad = pulling.grab(at)  # type: ignore[misc]
         assert is_bad
         assert text == "the past cannot be pushed: go on from 0.20 s, where the run is"
 
@@ -251,11 +252,11 @@ def test_what_is_under_the_pointer_is_grabbed_and_what_cannot_be_says_why() -> N
 def test_what_is_not_simulated_is_not_pushed(name: str, why: str) -> None:
     scene = load_scene(name, {"sources.udp.port": 0} if name == "lwr_udp" else {})
     with Mirror(scene) as mirror, HeadlessRenderer(mirror.world, 320, 240) as renderer:
-        pulling = Pulling(mirror, Clock(mirror), renderer.toggles)
+        pulling = Pulling(Shown(mirror, decor=renderer.decor))
         renderer.render(mirror.data)
         elbow = mirror.data.site_xpos[mirror.world.joints.centre_site[3]]
         at = tuple(renderer.decor.view.project(elbow)[0])
-        text, is_bad = pulling.begin(renderer.decor, at)  # type: ignore[misc]
+        text, is_bad = pulling.grab(at)  # type: ignore[misc]
         assert (text, is_bad) == (f"{why}; only simulated robots can be pushed", True)
         assert not pulling.is_on
 
@@ -281,14 +282,14 @@ def test_a_drag_with_control_pulls_in_a_window(display: str, tmp_path: Path) -> 
         window.tool("mousemove", round(x), round(y))
         window.tool("keydown", "ctrl", "mousedown", 1)
         window.tool("mousemove", round(x) - 40, round(y) - 30)
-        window.until("w.pulling.is_on")
+        window.until("w.tools['pulling'].is_on")
         assert window.ask(shown)
-        window.until("__import__('numpy').linalg.norm(w.pulling._hand.force) > 20")
+        window.until("__import__('numpy').linalg.norm(w.tools['pulling']._force.force) > 20")
         assert window.ask("w.notice.text").startswith("pulls lwr/link4 with 500 N/m")
         window.tool("click", 4)
-        window.until("w.pulling._hand.stiffness > 600")
+        window.until("w.tools['pulling']._force.stiffness > 600")
         window.tool("mouseup", 1, "keyup", "ctrl")
-        window.until("not w.pulling.is_on")
+        window.until("not w.tools['pulling'].is_on")
         assert window.ask(camera) == seen  # neither turned nor moved nor zoomed
         window.key("k")
         window.until("w.notice.text.startswith('kept: impedance_push_pushed.toml')")

@@ -51,10 +51,12 @@ def test_a_dragged_handle_moves_the_target_and_the_robot_follows(
         window.tool("mousedown", 1)
         window.settle()
         window.tool("mousemove", (x + to[0]) // 2, (y + to[1]) // 2, "mousemove", *to)
-        window.until("abs(w.steering.goals['lwr'].flange(np.eye(4))[2, 3] - start[2, 3]) > 0.04")
+        window.until(
+            "abs(w.tools['steering'].goals['lwr'].flange(np.eye(4))[2, 3] - start[2, 3]) > 0.04"
+        )
         window.settle()
         window.tool("mouseup", 1)
-        moved = "(w.steering.goals['lwr'].flange(np.eye(4)) - start)[:3, 3]"
+        moved = "(w.tools['steering'].goals['lwr'].flange(np.eye(4)) - start)[:3, 3]"
         way = np.array(window.ask(moved))
         along = np.array(window.ask("start[:3, 2]"))
         assert way @ along == pytest.approx(-0.06, abs=0.01)  # of a pixel or two
@@ -62,32 +64,34 @@ def test_a_dragged_handle_moves_the_target_and_the_robot_follows(
         assert window.ask(camera) == seen
         error = (
             "np.abs(w.world.frame(w.data, 'lwr/flange')[:3, 3]"
-            " - w.steering.goals['lwr'].flange(np.eye(4))[:3, 3]).max()"
+            " - w.tools['steering'].goals['lwr'].flange(np.eye(4))[:3, 3]).max()"
         )
         window.until(f"{error} < 2e-3")
         # While it holds its target it is pulled, and gives way as its springs do.
         window.tool("mousemove", *pixel(window, "w.data.xpos[w.world.robots['lwr'].bodies[4]]"))
         window.tool("keydown", "ctrl", "mousedown", 1, "mousemove_relative", 50, 20)
-        window.until("w.pulling.is_on")
-        window.until("np.linalg.norm(w.pulling._hand.force) > 10")
+        window.until("w.tools['pulling'].is_on")
+        window.until("np.linalg.norm(w.tools['pulling']._force.force) > 10")
         window.tool("mouseup", 1, "keyup", "ctrl")
-        window.until("not w.pulling.is_on")
+        window.until("not w.tools['pulling'].is_on")
         # The panel changes the controller; End comes back from the past.
         window.key("Tab")
         window.until("w.has_panel")
-        assert window.ask("w.steering._toggles.handles is not None")
+        assert window.ask("w.tools['steering']._toggles.handles is not None")
         left, *_ = window.until("places.get('of turning')")
         _, y = window.middle("of turning")
-        before = window.ask("w.steering.robots['lwr'].gains['cartesian'].stiffness[3, 3]")
+        before = window.ask("w.tools['steering'].robots['lwr'].controller.stiffness[3, 3]")
         window.tool("mousemove", round(left) + 12, round(y), "mousedown", 1)
         window.settle()
         window.tool("mouseup", 1)
-        window.until(f"w.steering.robots['lwr'].gains['cartesian'].stiffness[3, 3] < {before} - 20")
+        window.until(
+            f"w.tools['steering'].robots['lwr'].controller.stiffness[3, 3] < {before} - 20"
+        )
         window.ask("w.clock.seek(0.1)")
-        window.until("w.steering.is_past and w.toggles.handles is None")
+        window.until("w.tools['steering'].is_past and w.toggles.handles is None")
         window.key("End")
-        window.until("not w.steering.is_past")
-        assert window.ask("w.steering.error") == ""
+        window.until("not w.tools['steering'].is_past")
+        assert window.ask("w.tools['steering'].error") == ""
 
 
 def test_the_button_simulates_what_is_shown_from_where_it_is(display: str, tmp_path: Path) -> None:
@@ -106,13 +110,13 @@ def framed(window, **options):
         shown.append(window)
         print(len(shown), [*window.offers], window.data.qpos.round(3).tolist(), flush=True)
     if frames == 2 and len(shown) == 1:
-        window.jogging.goals["lwr"].set_all(np.array([0.5, 0.5, 0, -1, 0, 0.5, 0]))
+        window.tools['jogging'].goals["lwr"].set_all(np.array([0.5, 0.5, 0, -1, 0, 0.5, 0]))
     if frames > 3 and len(shown) == 1 and abs(window.data.qpos[0] - 0.5) < 1e-9:
         window.navigator.camera.distance = 1.25
         window.toggles.billboards[:7] = True
         window._go_on_with(window.offers["simulate"])
     if frames == 12 and len(shown) == 2:
-        print(window.navigator.camera.distance, window.steering.robots["lwr"].control,
+        print(window.navigator.camera.distance, window.tools['steering'].robots["lwr"].control,
               window.toggles.arrows[:7].all(), window.toggles.billboards[:7].all(), flush=True)
         window._go_on_with(window.offers["end the simulation"])
     if frames == 3 and len(shown) == 3:
@@ -129,6 +133,6 @@ sys.exit(main(["view", "lwr", "--window", "--size", "320x240"]))
     assert done.stdout.splitlines() == [
         "1 ['start page', 'simulate'] [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]",
         "2 ['start page', 'end the simulation'] [0.5, 0.5, 0.0, -1.0, 0.0, 0.5, 0.0]",
-        "1.25 joint True True",
+        "1.25 joint_impedance True True",
         "3 ['start page', 'simulate'] [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]",
     ]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.simulate.control.plan import TARGET_MOTIONS, target_motion_from
+from sero_mj.simulate.control.plan import target_motion_from, target_motion_kinds
 from sero_mj.simulate.control.target_motions import (
     Chirp,
     Constant,
@@ -324,7 +324,7 @@ def test_every_kind_comes_from_a_table() -> None:
     again = { kind = "recorded", times = [0, 1, 2], angles_deg = [[0, 0, 0], [1, 1, 0], [0, 0, 0]] }
     """)
     assert {table["kind"] for table in tables.values()} == {
-        kind for kind, law in TARGET_MOTIONS.items() if issubclass(law, JointTargetMotion)
+        kind for kind, law in target_motion_kinds().items() if issubclass(law, JointTargetMotion)
     }
     for table in tables.values():
         law = target_motion_from(table)

@@ -14,7 +14,7 @@ from sero_mj import World
 from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.source import Packets
 from sero_mj.load import load_scene
-from sero_mj.viewer.tools.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
+from sero_mj.viewer.session.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 from sero_mj.viewer.web.torque_plots import decimate
 from sero_mj.viewer.window.plots import TorquePlot, y_range
 

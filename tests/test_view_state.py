@@ -35,7 +35,6 @@ from sero_mj.viewer.session.view_state import (
     apply_state,
     apply_switches,
     camera_text,
-    rounded_camera,
     switches_text,
 )
 from sero_mj.viewer.tools.undo import Undo
@@ -119,16 +118,6 @@ def test_wrong_switches_and_cameras_are_refused(world: World) -> None:
             find_camera(world, wrong)
 
 
-def test_a_rounded_camera_is_that_of_its_text(world: World) -> None:
-    camera = find_camera(world)
-    camera.azimuth, camera.lookat = 123.456789, [0.123456, -0.00001, 1e-7]
-    rounded_camera(camera)
-    again = find_camera(world, camera_text(world, camera))
-    for name in ("azimuth", "elevation", "distance"):
-        assert getattr(camera, name) == getattr(again, name)
-    assert camera.lookat.tolist() == again.lookat.tolist()
-
-
 def test_what_is_taken_back_is_as_it_was_to_the_last_bit(world: World) -> None:
     camera, toggles = find_camera(world), Toggles(world)
     before = ViewSnapshot.of(camera, toggles, follows=False)
@@ -162,25 +151,6 @@ def test_a_view_is_kept_for_its_scene(
     file.parent.rmdir()
     file.parent.write_text("a file where the folder should be")
     keep_view(scene, state, {})  # is no reason to fail
-
-
-def test_what_the_user_did_not_change_is_no_step() -> None:
-    state = [0.25]
-    undo = Undo(lambda: state[0], lambda value: state.__setitem__(0, value))
-    state[0] = 0.2  # rounded, say
-    undo.overlook()
-    undo.watch(1.0)
-    undo.watch(2.0)
-    assert undo.undo() == "nothing to undo"
-    state[0] = 7.25
-    undo.watch(3.0)
-    state[0] = 7.2
-    undo.overlook()
-    undo.watch(3.1)
-    undo.watch(4.0)
-    assert undo.undo() == "undone; Ctrl+Y does it again" and state == [0.2]
-    assert undo.redo() == "done again" and state == [7.2]
-    assert undo.redo() == "nothing to do again"
 
 
 def test_what_changes_without_a_rest_is_one_step() -> None:
@@ -250,12 +220,12 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
     first = window.ask(picture)
     window.key("a")
     window.key("bracketright")
-    window.until("len(w._undo._past) > 0")
+    window.until("w.tools['undo'].undo.count > 0")
     window.tool("mousemove", 500, 60, "mousedown", 1)
     for x in range(490, 420, -10):
         window.tool("mousemove", x, 66)
     window.tool("mouseup", 1, "mousemove", 5, 200)
-    window.until("w._undo._kept == w._seen()")
+    window.until("w.tools['undo'].undo.is_settled")
     assert window.ask("w.toggles.selected") == 1
     window.ask("setattr(w, 'command', ['lwr'])")
     window.key("ctrl+c")
@@ -275,7 +245,7 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
     rendered = np.array(Image.open(out).convert("RGB"))
     assert shown.shape == rendered.shape
     assert np.abs(blocks(shown) - blocks(rendered)).max() < 45
-    for _ in range(window.ask("len(w._undo._past)")):
+    for _ in range(window.ask("w.tools['undo'].undo.count")):
         window.key("ctrl+z")
     assert window.ask("w.notice.text") == "undone; Ctrl+Y does it again"
     window.until("not w.toggles.arrows.any()")
@@ -288,9 +258,9 @@ def test_keys_take_back_and_do_again_and_the_copied_command_renders_the_picture(
     assert window.ask("w.notice.text").startswith("no panel: import of sero_mj.viewer.window.panel")
     window.ask("sys.modules.pop('sero_mj.viewer.window.panel_layer')")
     window.ask("w.toggle_panel() or w.toggle_plot()")
-    window.ask("w.keep_view()")
+    window.ask("keep(w)")
     window.ask("w.toggles.reset() or w.choose_camera(0) and w.toggle_panel() or w.toggle_plot()")
-    window.ask("w.restore_view()")
+    window.ask("restore(w)")
     assert window.ask("w.view_state().camera") in before[0]
     assert window.ask("[w.layout['panel'], w.layout['plot']]") == [True, True]
     window.until("w.toggles.arrows.all()")

@@ -48,11 +48,11 @@ def test_sliders_links_and_the_clipboard(browser: Any, tmp_path: Path) -> None:
         served.settle()
         visitor.hold()
         visitor.page.mouse.move(x + 30, y + 10, steps=3)
-        served.until("w.jogging.is_on")
+        served.until("w.tools['jogging'].is_on")
         served.until("np.abs(w.data.qpos - [0, 0.6, 0, -1.2, 0, 0.8, 0]).max() > 0.05")
         visitor.release()
         visitor.page.keyboard.up("Control")
-        served.until("not w.jogging.is_on")
+        served.until("not w.tools['jogging'].is_on")
         assert served.ask(camera) == seen
         visitor.close()
 
@@ -75,10 +75,10 @@ def test_a_handle_moves_the_target_and_the_robot_follows(browser: Any, tmp_path:
         served.until("w.toggles.handles.lit == 6")
         visitor.hold()
         visitor.page.mouse.move(x + 30, y - 20, steps=4)
-        goal = "w.steering.goals['lwr'].flange(np.eye(4))"
+        goal = "w.tools['steering'].goals['lwr'].flange(np.eye(4))"
         served.until(f"np.abs({goal} - start)[:3, 3].max() > 0.03")
         visitor.release()
-        served.until("not w.steering.is_on")
+        served.until("not w.tools['steering'].is_on")
         served.until(f"np.abs(w.world.frame(w.data, 'lwr/flange') - {goal}).max() < 5e-3")
         assert served.ask(camera) == seen
         visitor.close()

@@ -22,6 +22,7 @@ from sero_mj.viewer.decor.geom_buffer import MAX_GEOMS
 from sero_mj.viewer.decor.panels import labels_at
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.session.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER, help_columns
+from sero_mj.viewer.session.tool import tool_keys
 from sero_mj.viewer.web import studio_controls
 from sero_mj.viewer.web.guard import Guard
 from sero_mj.viewer.web.host import check_address, page_url
@@ -63,10 +64,10 @@ def test_every_key_of_the_table_is_one_of_the_page() -> None:
 
 
 def test_the_help_of_the_page_is_about_the_page() -> None:
-    rows = [row for column in help_columns(on_page=True) for row in column]
+    rows = [row for column in help_columns(tool_keys(), on_page=True) for row in column]
     assert ("t", "panel on or off") in rows
     assert not {how for how, _ in rows} & {"F11", "Ctrl+Q"}
-    assert {"F11", "Ctrl+Q"} <= {how for column in help_columns() for how, _ in column}
+    assert {"F11", "Ctrl+Q"} <= {how for column in help_columns(tool_keys()) for how, _ in column}
 
 
 def test_lines_are_as_wide_as_their_characters() -> None:

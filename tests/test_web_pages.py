@@ -148,13 +148,15 @@ def test_a_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path
         served.settle()
         visitor.hold()
         visitor.page.mouse.move(x - 48, y - 32, steps=3)
-        served.until("w.pulling.is_on and (w.pulling._hand.force ** 2).sum() > 20 ** 2")
+        served.until(
+            "w.tools['pulling'].is_on and (w.tools['pulling']._force.force ** 2).sum() > 20 ** 2"
+        )
         assert served.ask("w.notice.text").startswith("pulls lwr/link4 with 500 N/m")
         visitor.page.mouse.wheel(0, -100)
-        served.until("600 < w.pulling._hand.stiffness < 700")
+        served.until("600 < w.tools['pulling']._force.stiffness < 700")
         visitor.page.keyboard.up("Control")
         visitor.release()
-        served.until("not w.pulling.is_on")
+        served.until("not w.tools['pulling'].is_on")
         assert served.ask(camera) == seen
         x, y = served.joint(3)
         send = visitor.page.context.new_cdp_session(visitor.page).send
@@ -164,8 +166,8 @@ def test_a_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path
             if kind == "touchStart":
                 served.until("w.notice.text == 'drag to pull lwr/link4'")
             elif kind == "touchMove":
-                served.until("w.pulling.is_on")
-        served.until("not w.pulling.is_on and len(w.pulling._hand.pulls) == 2")
+                served.until("w.tools['pulling'].is_on")
+        served.until("not w.tools['pulling'].is_on and len(w.tools['pulling']._force.pulls) == 2")
         assert served.ask(camera) == seen
         assert served.ask("clicks") == []
         now = served.until("w.clock.time > 4 and w.clock.time")

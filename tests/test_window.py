@@ -329,12 +329,14 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
             assert window.ask("abs(w.data.time - w.clock.time)") < 0.3  # frames are slow here
             window.until(f"w.clock.end > {window.ask('w.clock.end') + 0.5}")  # it goes on
             window.key("e")
-            window.until("w.clock.time in [bookmark.time for bookmark in w.bookmarks.all()]")
-            assert window.ask("any(bookmark.is_mark for bookmark in w.bookmarks.all())")
+            window.until("w.clock.time in [each.time for each in w.tools['bookmarks'].all()]")
+            assert window.ask("any(bookmark.is_mark for bookmark in w.tools['bookmarks'].all())")
             window.key("k")
-            window.until("w.keeping._films._made is not None")
-            film = window.ask("w.keeping._films._made[0].args")
-            window.ask("w.keeping._films._made[0].kill()")  # it takes its time without a GPU
+            window.until("w.tools['rolling_recorder']._films._made is not None")
+            film = window.ask("w.tools['rolling_recorder']._films._made[0].args")
+            window.ask(
+                "w.tools['rolling_recorder']._films._made[0].kill()"
+            )  # it takes its time without a GPU
             window.until("w.notice.text.startswith('no film live_') and w.notice.is_bad")
             kept = tmp_path / next(each for each in film if each.endswith(".mcap"))
             run = read_run(kept)

@@ -10,10 +10,12 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from shown import Shown
 from source_slots import set_source
 
 from sero_mj import Mirror, Scene, SerialRobot, World
 from sero_mj.load import load_scene
+from sero_mj.simulate.tools.bookmarks import Bookmarks
 from sero_mj.viewer.session.capture import due_frames, unused_name
 from sero_mj.viewer.session.clock import SPEEDS, Clock, time_text
 from sero_mj.viewer.session.input import (
@@ -37,8 +39,8 @@ from sero_mj.viewer.session.interaction import (
 )  # fmt: skip
 from sero_mj.viewer.session.live import LiveHost
 from sero_mj.viewer.session.status_line import clock_text, source_text, status_pieces
-from sero_mj.viewer.tools.bookmarks import Bookmarks
-from sero_mj.viewer.tools.torque_history import TorqueHistory
+from sero_mj.viewer.session.tool import tool_keys
+from sero_mj.viewer.session.torque_history import TorqueHistory
 from sero_mj.viewer.window.glfw_window import spread_times
 from sero_mj.viewer.window.host import Pace
 from sero_mj.viewer.window.hud import TimeLine, arrange
@@ -291,6 +293,11 @@ def test_what_is_live_stands_still_where_it_was_paused() -> None:
 # ---- bookmarks
 
 
+def bare(mirror: Any, clock: Any) -> Shown:
+    """What bookmarks work in: nothing is drawn."""
+    return Shown(mirror, clock=clock, toggles=SimpleNamespace(), decor=SimpleNamespace())
+
+
 def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
     mirror = Live()
     world, robot = mirror.world, mirror.world.scene.robots["lwr"]
@@ -302,7 +309,7 @@ def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
     mirror.sources.clear()
     clock = Clock(mirror)  # type: ignore[arg-type]
     clock.is_live = True
-    bookmarks = Bookmarks(mirror, clock)  # type: ignore[arg-type]
+    bookmarks = Bookmarks(bare(mirror, clock))
     clock.on_moment = bookmarks.watch
     mirror.goes_on(clock, 1.0)
     assert bookmarks.all() == []
@@ -341,7 +348,7 @@ def test_packets_that_are_lost_are_found_once_while_they_are(lwr: SerialRobot) -
     data = world.make_data()
     mirror: Any = SimpleNamespace(world=world, data=data, sources={"arm": None})
     clock: Any = SimpleNamespace(begin=0.0)
-    bookmarks = Bookmarks(mirror, clock)
+    bookmarks = Bookmarks(bare(mirror, clock))
     counts = {"age": 0.0, "lost": 0, "malformed": 0}
     for step in range(400):
         data.time = 0.01 * step
@@ -357,7 +364,7 @@ def test_packets_that_are_lost_are_found_once_while_they_are(lwr: SerialRobot) -
 def test_what_a_monitor_finds_is_gone_to() -> None:
     with Mirror(load_scene("sensor_fault")) as mirror:
         clock = Clock(mirror)
-        bookmarks = Bookmarks(mirror, clock)
+        bookmarks = Bookmarks(bare(mirror, clock))
         (source,) = mirror.sources.values()
         source.run.advance(source.run.steps)  # type: ignore[attr-defined]
         findings = source.run.findings()  # type: ignore[attr-defined]
@@ -559,7 +566,7 @@ def test_keys_do_what_the_tables_say_in_every_host(
 
 
 def test_the_help_says_everything_that_the_tables_hold() -> None:
-    words = {meaning for column in help_columns() for _, meaning in column}
+    words = {meaning for column in help_columns(tool_keys()) for _, meaning in column}
     for table in (KEYS, CLICKS):
         for key, (meaning, _) in table.items():
             if key[0] != "shift" and key[1:] not in (("double",), ("check",)):
@@ -569,7 +576,7 @@ def test_the_help_says_everything_that_the_tables_hold() -> None:
 
 
 def test_what_finds_no_room_is_on_the_next_page() -> None:
-    columns = help_columns()
+    columns = help_columns(tool_keys())
     assert len(pages(columns, (100, 2))) == 1
     assert len(pages(columns, (100, 1))) == 2
     small = pages(columns, (10, 1))

@@ -1,7 +1,12 @@
 """What other packages add: entry points, by which sero-mj's own parts are found as well.
 
-    sero_mj.sources   kinds of sources in scenes, subclasses of `data.receive.source.Source`
-    sero_mj.decor     visual features, subclasses of `viewer.decor.feature.Feature`
+    sero_mj.importers       files of robots, see `robots.importers.importer.Importer`
+    sero_mj.sources         kinds of sources in scenes, see `data.receive.source.Source`
+    sero_mj.controllers     kinds of controllers, see `simulate.control.controller`
+    sero_mj.target_motions  kinds of targets, see `simulate.control.target_motions`
+    sero_mj.decor           visual features, see `viewer.decor.feature.Feature`
+    sero_mj.tools           what pointer, keys and panel do, see `viewer.session.tool.Tool`
+    sero_mj.commands        commands of `sero-mj`, see `cli`
 
 A package adds a kind in its pyproject.toml, and no line of sero-mj changes:
 
@@ -19,7 +24,9 @@ from typing import Any
 
 from .errors import PluginError, UnknownName
 
-SOURCES, DECOR = "sero_mj.sources", "sero_mj.decor"
+IMPORTERS, SOURCES = "sero_mj.importers", "sero_mj.sources"
+CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
+DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
 _OWN = "sero-mj"
 
 
@@ -37,6 +44,11 @@ def is_own(point: EntryPoint) -> bool:
     return point.dist is not None and point.dist.name == _OWN
 
 
+def is_own_class(kind: type) -> bool:
+    """Whether a class is part of sero-mj."""
+    return kind.__module__.partition(".")[0] == "sero_mj"
+
+
 def load_plugin(group: str, name: str) -> Any:
     """Imports what an entry point names.
 
@@ -46,7 +58,8 @@ def load_plugin(group: str, name: str) -> Any:
     """
     known = plugins(group)
     if name not in known:
-        raise UnknownName(group.rpartition(".")[2].removesuffix("s"), name, known)
+        what = group.rpartition(".")[2].removesuffix("s").replace("_", " ")
+        raise UnknownName(what, name, known)
     try:
         return known[name].load()
     except Exception as error:  # whatever another package raises when it is imported

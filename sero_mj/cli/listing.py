@@ -134,8 +134,8 @@ def scene_tables() -> dict[str, type[Declaration]]:
 
 def scenario_tables() -> dict[str, type[Declaration]]:
     """The tables that a scenario file has beside those of a scene, by their headers."""
-    from ..simulate.control.make_controller import CONTROLLERS
-    from ..simulate.control.plan import TARGET_MOTIONS
+    from ..simulate.control.make_controller import controller_kinds
+    from ..simulate.control.plan import target_motion_kinds
     from ..simulate.disturbances import DISTURBANCES, FAULTS
     from ..simulate.expect import Expect
     from ..simulate.runs.monitor import Monitor
@@ -143,8 +143,8 @@ def scenario_tables() -> dict[str, type[Declaration]]:
     from ..simulate.sensors import SIGNALS, SensorErrors
 
     kinds: dict[str, Mapping[str, type[Declaration]]] = {
-        "controllers.ROBOT": CONTROLLERS,
-        "targets.ROBOT": TARGET_MOTIONS,
+        "controllers.ROBOT": controller_kinds(),
+        "targets.ROBOT": target_motion_kinds(),
         "disturbances.NAME": DISTURBANCES,
         "faults.NAME": FAULTS,
     }

@@ -199,13 +199,13 @@ def _scene_sections(definitions: _Definitions) -> dict[str, Schema]:
 
 
 def _scenario_sections(definitions: _Definitions) -> dict[str, Schema]:
-    from ..simulate.control.make_controller import CONTROLLERS
-    from ..simulate.control.plan import TARGET_MOTIONS
+    from ..simulate.control.make_controller import controller_kinds
+    from ..simulate.control.plan import target_motion_kinds
     from ..simulate.disturbances import DISTURBANCES, FAULTS
     from ..simulate.sensors import SIGNALS
 
     table, of_kind = definitions.table, definitions.of_kind
-    laws = of_kind(TARGET_MOTIONS)
+    laws = of_kind(target_motion_kinds())
     for law in laws["oneOf"]:
         if law["title"] == "recorded":  # what the file says instead
             law["properties"] |= {"file": _TEXT, "of": _TEXT}
@@ -217,7 +217,7 @@ def _scenario_sections(definitions: _Definitions) -> dict[str, Schema]:
         "extends": {**_TEXT, "description": "another scenario's file, or a shipped one's name"},
         "set": {"type": "object", "description": "values by dotted keys, over what it extends"},
         "run": table("Run"),
-        "controllers": _each(of_kind(CONTROLLERS), "controllers"),
+        "controllers": _each(of_kind(controller_kinds()), "controllers"),
         "targets": _each(laws, "targets"),
         "sensors": _each(sensors, "sensors"),
         "disturbances": _each(of_kind(DISTURBANCES), "disturbances"),

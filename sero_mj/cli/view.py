@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING
 
 from ..base.errors import UsageError
 from ..base.frames import Array
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     from ..viewer.session.live import LiveHost
     from ..viewer.session.view_state import ViewState
 
-Control = Literal["gravity", "joint", "cartesian"]
-CONTROLS: tuple[Control, ...] = get_args(Control)
 _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"
 _EPILOG = """\
@@ -98,8 +96,9 @@ def add_to(commands: Commands) -> None:
     )
     parser.add_argument(
         "--control",
-        choices=CONTROLS,
-        help="with --simulate: gravity compensation, joint or Cartesian impedance; default joint",
+        metavar="KIND",
+        help="with --simulate: `gravity`, `joint` or `cartesian`, or another kind of a controller "
+        "that can do without declared gains; default joint",
     )
     parser.add_argument("--size", type=size, metavar="WxH", help="of the window; default 1280x800")
     parser.add_argument("--full-screen", action="store_true", help="cover the screen")
@@ -266,10 +265,14 @@ class Session:
 
     def _offer(self, host: LiveHost) -> None:
         """Offers to simulate the robots that are shown, to show them without, and to go back."""
+        from ..simulate.runs.run_source import RunSource
+        from ..viewer.tools.rolling_recorder import RollingRecorder
+
         host.offers["start page"] = self._go_back
-        if host.steering.robots:
+        simulated = [each for each in host.mirror.sources.values() if isinstance(each, RunSource)]
+        if any(each.live is not None for each in simulated):
             host.offers["end the simulation"] = lambda: self.plain
-        elif not host.pulling.can_pull and host.world.robots:
+        elif all(each.drag_force is None for each in simulated) and host.world.robots:
 
             def simulate() -> Scene:
                 parts, data = host.world.robots, host.data
@@ -285,7 +288,9 @@ class Session:
 
             host.offers["simulate"] = simulate
         host.opener = self.open
-        host.keeping.finishes_films = self.options.finish_films
+        for tool in host.tools.values():
+            if isinstance(tool, RollingRecorder):
+                tool.finishes_films = self.options.finish_films
         if self._warnings:
             more = f" (and {len(self._warnings) - 1} more)" if len(self._warnings) > 1 else ""
             folder = f"{Path(self.options.scene).parent}{os.sep}"  # what is wrong is behind it
@@ -312,13 +317,15 @@ class Session:
 
     def _run(self, host: LiveHost) -> None:
         """Shows it until it is closed, and remembers how it was left."""
+        from ..viewer.session.restoring import keep
+
         options, plain = self.options, self.plain
         view = RecentView(_absolute(options.scene), _absolute(options.replay))
         is_kept = options.over is None and not is_temporary(view)
         try:
             host.run()
         finally:
-            host.keep_view()
+            keep(host)
         if is_kept:
             # A page draws its pictures where it is served, which takes a while.
             is_pictured = self.on_page and (view.picture.is_file() or view.is_shipped)
@@ -329,6 +336,7 @@ class Session:
 
     def _open_window(self, scene: Scene) -> Scene | None:
         from ..data.drive.mirror import Mirror
+        from ..viewer.session.restoring import restore
         from ..viewer.window.host import Window
 
         options = self.options
@@ -355,12 +363,13 @@ class Session:
             if self._last is not None:
                 self._show_as_before(window, *self._last)
             elif not options.fresh:
-                window.restore_view(with_camera=options.camera is None)
+                restore(window, with_camera=options.camera is None)
             self._run(window)
             return window.next_scene
 
     def _serve(self, scene: Scene) -> Scene | None:
         from ..data.drive.mirror import Mirror
+        from ..viewer.session.restoring import restore
         from ..viewer.session.viewer import open_page
 
         options = self.options
@@ -381,7 +390,7 @@ class Session:
             if self._last is not None:
                 self._show_as_before(page, *self._last)
             elif not options.fresh:
-                page.restore_view(with_camera=options.camera is None)
+                restore(page, with_camera=options.camera is None)
             options.port, options.token = page.port, page.token or False  # as browsers know it
             self._run(page)
             return page.next_scene
@@ -420,7 +429,7 @@ def _absolute(name: Path | str | None) -> str:
     return str(Path(name).resolve()) if Path(name).exists() else str(name)
 
 
-def _simulated(scene: Scene, control: Control, angles: Mapping[str, Array] | None = None) -> Scene:
+def _simulated(scene: Scene, control: str, angles: Mapping[str, Array] | None = None) -> Scene:
     from ..simulate.endless_run import endless_scene
 
     return endless_scene(scene, control, angles)

@@ -11,7 +11,6 @@ import numpy as np
 from ..base.frames import Array
 from ..robots.assemble.robot import SerialRobot
 from .control.controller import ControllerDeclaration, Sensed, Target
-from .control.joint_control import GravityCompensation
 from .control.make_controller import LimitedController, make_controller
 from .control.observer import MomentumObserver
 from .control.plan import Plan
@@ -82,7 +81,7 @@ class ControlledRobot:
         if robot.elastic_joints and drives is not None and drives.loop:
             self._joint_stiffness = drives.gains[name].stiffness
         self.in_use: tuple[Any, LimitedController, HangingLinks | None]
-        self.use(scenario.controllers.get(name, GravityCompensation()), make_model)
+        self.use(scenario.controller_of(name), make_model)
         self._target = Target(robot.n)
         self._target.posture[:] = robot.home
         self._target.has_torques = False  # no target motion has any
@@ -171,7 +170,8 @@ class ControlledRobot:
             stiffness = self._joint_stiffness
             bends: Array = np.zeros((2, n))  # of elastic joints: at first, and now; else zero
             if stiffness is not None:
-                at_rest = controller.hold_links(stiffness)
+                hold_links = getattr(controller, "hold_links", None)
+                at_rest = model.gravity() if hold_links is None else hold_links(stiffness)
                 bends[:] = model.gravity() / stiffness
             for k, joint in product(range(2), range(n)):
                 for torque, move in zip(torques, (_MOVE, -_MOVE), strict=True):

@@ -11,7 +11,6 @@ import numpy as np
 from ..base.frames import Array
 from ..robots.assemble.robot import SerialRobot
 from ..robots.assemble.scene import Scene
-from .live_control import Control
 from .runs.run_source import RunSource
 from .scenario import Scenario
 from .simulated_scene import simulated_scene
@@ -77,7 +76,7 @@ class EndlessRun(RunSource):
 
 
 def endless_scene(
-    scene: Scene, control: Control = "joint", angles: Mapping[str, Array] | None = None
+    scene: Scene, control: str = "joint", angles: Mapping[str, Array] | None = None
 ) -> Scene:
     """Returns a scene whose robots are simulated without an end while it is shown.
 
@@ -87,7 +86,7 @@ def endless_scene(
 
     Args:
         scene: with robots.
-        control: of all of them, at first.
+        control: kind of the controller of all of them at first, or its short name, as `joint`.
         angles: where they begin, (n,), rad or m; others at the declared pose, see `bent_pose`.
 
     Raises:

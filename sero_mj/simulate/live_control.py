@@ -4,26 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
-from ..base.errors import DeclarationError
+from ..base.errors import DeclarationError, UnknownName
 from ..base.frames import Array
 from ..robots.assemble.robot import SerialRobot
-from .control.cartesian_control import CartesianImpedance
 from .control.controller import ControllerDeclaration, Target
-from .control.joint_control import GravityCompensation, JointImpedance, largest_share
+from .control.joint_control import largest_share
+from .control.make_controller import controller_kinds
 from .control.robot_model import RobotModel
 
-Control = Literal["gravity", "joint", "cartesian"]
-CONTROLS: tuple[Control, ...] = get_args(Control)
-CONTROL_NAMES = ("gravity compensation", "joint impedance", "Cartesian impedance")
-# Stiffness of joint impedance at first: by it the limit of a joint's torque is reached 0.2 rad (m)
-# off; where there is none, the joint alone would swing at so many 1/s.
-_PER_LIMIT, _SWINGS = 5.0, 13.0
-_TRANSLATION, _ROTATION, _NULLSPACE = 2000.0, 100.0, 10.0  # N/m, Nm/rad, Nm/rad
-_DAMPING = 0.7
 _HALVINGS = 8  # of a first stiffness that the step does not hold
 # The target goes to where it is wanted as a critically damped mass of this frequency would, 1/s,
 # and at most at this share of the joints' velocity limits: never jumps.
@@ -31,6 +23,19 @@ _FREQUENCY = 20.0
 _SHARE = 0.7
 _UNDECLARED = {"revolute": 1.5, "prismatic": 0.5}  # rad/s and m/s
 _RESTS = 1e-9  # rad and rad/s (m, m/s)
+
+
+def kind_of_control(name: str) -> str:
+    """The kind of a controller by that name or its short name.
+
+    Raises:
+        UnknownName: there is none.
+    """
+    kinds = controller_kinds()
+    by_name = {kind.short: key for key, kind in kinds.items() if kind.short}
+    if name not in kinds and name not in by_name:
+        raise UnknownName("controller", name, [*by_name, *kinds])
+    return by_name.get(name, name)
 
 
 @dataclass(eq=False)
@@ -46,8 +51,9 @@ class LiveRobot:
         speeds: likewise, per second.
         written: the log's columns of target angles, velocities and pose, (T, ...); views.
         use: changes its controller; raises DeclarationError where the step does not hold it.
-        control: which controller it has.
-        gains: declarations of all of them, with the gains of now.
+        controllers: declarations of all that it can have, by kind, with the gains of now.
+        control: the kind of the one it has.
+        first: the same with the gains at first.
         goal: where its target is wanted, (n,), rad or m.
     """
 
@@ -59,8 +65,7 @@ class LiveRobot:
     speeds: Array
     written: list[Array]
     use: Callable[[ControllerDeclaration], None]
-    control: Control = "gravity"
-    gains: dict[Control, Any] = field(default_factory=dict)
+    controllers: dict[str, ControllerDeclaration] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         robot = self.robot
@@ -69,51 +74,48 @@ class LiveRobot:
         limits = undeclared if robot.velocity_limits is None else robot.velocity_limits
         self._fastest: Array = _SHARE * np.minimum(limits, 1e3)
         self._is_moving = True
-        if not self.gains:
-            self.gains = {
-                "gravity": GravityCompensation(),
-                "joint": JointImpedance(stiffness=self._first_stiffness(), damping=_DAMPING),
-                "cartesian": CartesianImpedance(
-                    stiffness=[_TRANSLATION] * 3 + [_ROTATION] * 3,
-                    damping=_DAMPING,
-                    nullspace_stiffness=_NULLSPACE,
-                ),
-            }
+        self.model.update(self.measured, np.zeros(robot.n))
+        for name, kind in controller_kinds().items():
+            declared = kind.for_robot(robot, self.model)
+            if declared is not None:
+                self.controllers.setdefault(name, declared)
+        self.first = dict(self.controllers)
+        self.control = next(iter(self.controllers))
 
-    def _first_stiffness(self) -> Array:
-        self.model.update(self.measured, np.zeros(self.robot.n))
-        by_inertia = _SWINGS**2 * np.diagonal(self.model.mass())
-        stiffness = np.minimum(_PER_LIMIT * self.robot.torque_bounds, 5000.0)
-        stiffness = np.where(np.isfinite(self.robot.torque_bounds), stiffness, by_inertia)
-        digits = 10.0 ** np.floor(np.log10(np.maximum(stiffness, 1e-6)) - 1)
-        return np.asarray(np.minimum(np.round(stiffness / digits) * digits, 5000.0))
+    @property
+    def controller(self) -> ControllerDeclaration:
+        """The one that it has."""
+        return self.controllers[self.control]
 
-    def choose(self, control: Control) -> str:
+    def choose(self, control: str) -> str:
         """Changes the controller; the target is where the robot is then.
 
         Args:
-            control: one of `CONTROLS`.
+            control: its kind, one of `controllers`, or the short name of that.
 
         Returns:
             why it cannot be; empty where it is.
+
+        Raises:
+            UnknownName: no controller of that kind can be chosen.
         """
+        control = kind_of_control(control)
+        if control not in self.controllers:
+            raise UnknownName("controller to play with", control, self.controllers)
         self._stand()
-        before = self.gains[control]
-        for halving in range(_HALVINGS):
-            declared = self.gains[control]
-            if halving:
-                declared = _changed(declared, {"stiffness": declared.stiffness / 2})
+        declared: ControllerDeclaration | None = self.controllers[control]
+        why = ""
+        for _ in range(_HALVINGS):
+            if declared is None:
+                break
             try:
-                self.gains[control] = declared
                 self.use(declared)
             except DeclarationError as error:
-                if control == "gravity" or halving == _HALVINGS - 1:
-                    self.gains[control] = before
-                    return _reason(error)
+                why, declared = _reason(error), declared.softer()
                 continue
-            break
-        self.control = control
-        return ""
+            self.controllers[control], self.control = declared, control
+            return ""
+        return why
 
     def change(self, values: Mapping[str, Any], text: Callable[[Mapping[str, Any]], str]) -> str:
         """Changes gains of the controller in use, at once; refuses what the step cannot hold.
@@ -125,9 +127,9 @@ class LiveRobot:
         Returns:
             why they are refused, and the largest that the step holds; empty where they are not.
         """
-        now = self.gains[self.control]
+        now = self.controller
         try:
-            declared = _changed(now, values)
+            declared = now.changed(values)
             self.use(declared)
         except DeclarationError as error:
             if not all(np.isfinite(np.asarray(value)).all() for value in values.values()):
@@ -142,7 +144,7 @@ class LiveRobot:
 
             def holds(share: float) -> bool:
                 try:
-                    self.use(_changed(now, part(share)))
+                    self.use(now.changed(part(share)))
                 except DeclarationError:
                     return False
                 return True
@@ -150,7 +152,7 @@ class LiveRobot:
             largest = text(part(0.99 * largest_share(holds)))
             self.use(now)
             return f"refused: {_reason(error)}. At most {largest} holds here"
-        self.gains[self.control] = declared
+        self.controllers[self.control] = declared
         return ""
 
     def _stand(self) -> None:
@@ -166,7 +168,7 @@ class LiveRobot:
     def before(self, k: int) -> None:
         """Moves the target for the step that leads on from row k of the log."""
         target = self.target
-        if self.control == "gravity":
+        if not self.controller.needs_target:
             self.goal = self.measured.copy()
             target.angles[:], target.velocities[:] = self.measured, self.speeds
         elif self._is_moving or not np.array_equal(self.goal, target.angles):
@@ -215,19 +217,14 @@ class LiveControl:
         before, self.robots = self.robots, robots
         for name, robot in robots.items():
             if name in before:
-                robot.control, robot.gains = before[name].control, before[name].gains
+                robot.controllers, robot.first = before[name].controllers, before[name].first
+                robot.control = before[name].control
             robot.choose(robot.control)
 
     def before(self, k: int) -> None:
         """Moves all targets for the step that leads on from row k of the log."""
         for robot in self.robots.values():
             robot.before(k)
-
-
-def _changed(declared: ControllerDeclaration, values: Mapping[str, Any]) -> ControllerDeclaration:
-    """Returns a declaration with other gains; raises DeclarationError for what they cannot be."""
-    given = {key: getattr(declared, key) for key in declared.model_fields_set}
-    return type(declared)(**{**given, **values})
 
 
 def _reason(error: DeclarationError) -> str:

@@ -14,9 +14,9 @@ from pydantic import Field, model_validator
 from ..base.declaration import Declaration, by_kind, of_shape
 from ..base.errors import DeclarationError, Problem, collect, did_you_mean
 from ..base.frames import Array
+from ..robots.assemble.robot_dynamics import EARTH
 from ..robots.assemble.scene import Scene
 from ..robots.assemble.surroundings import Object
-from .control.compiler import EARTH
 from .control.controller import Controller, ControllerDeclaration, within
 from .control.joint_control import GravityCompensation
 from .control.make_controller import controller_from
@@ -301,8 +301,11 @@ class Scenario:
             for each in sections
         ):
             return True  # what is declared wrongly is told; that nothing is declared would be wrong
-        controller = self.controllers.get(robot, GravityCompensation())
-        return robot in self.targets or getattr(controller, "needs_target", True)
+        return robot in self.targets or getattr(self.controller_of(robot), "needs_target", True)
+
+    def controller_of(self, robot: str) -> Controller | ControllerDeclaration:
+        """The controller of a robot; gravity compensation where none is declared."""
+        return self.controllers.get(robot, GravityCompensation())
 
     def make_sensors(self, seed: int, rows: int | None = None) -> Sensors:
         """The sensors of all robots together, perhaps of many worlds.

@@ -15,10 +15,8 @@ from ..data.receive.structure import Structure
 from ..robots.assemble.mounts import base_frames, unmounted
 from ..robots.assemble.robot import SerialRobot
 from ..robots.assemble.scene import Scene
-from .control.cartesian_control import CartesianImpedance
 from .control.compiler import Compiler
 from .control.controller import ControllerDeclaration
-from .control.joint_control import GravityCompensation
 from .control.plan import Plan, make_plan
 from .control.robot_model import RobotModel
 from .control.whole_body import WholeBody
@@ -211,12 +209,19 @@ class Simulation:
             self.whole_body.update(start, self.plant.data)
 
         def plan(name: str) -> Plan:
-            controller = self.scenario.controllers.get(name, GravityCompensation())
+            controller = self.scenario.controller_of(name)
             robot, target = standing[name], targets.get(name)
             if self.live is not None:  # what is planned is replaced, but has its place in the log
-                any_target = CartesianImpedance()
-                return make_plan(robot, None, any_target, times[:1], self.compiler, angles[name])
-            return make_plan(robot, target, controller, times, self.compiler, angles[name])
+                return make_plan(robot, None, times[:1], self.compiler, angles[name])
+            return make_plan(
+                robot,
+                target,
+                times,
+                self.compiler,
+                angles[name],
+                needs_target=getattr(controller, "needs_target", True),
+                needs_pose=getattr(controller, "needs_pose", False),
+            )
 
         plans = self._of_robots("targets", plan)
         self._schedule = EventSchedule(self.scenario, self.plant, run.steps)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..base.frames import Array
+from ..base.reduction import peak, rms
 from ..data.receive.structure import Structure
 from ..data.record.csv_files import csv_table
 from ..robots.assemble.double import Double
@@ -20,7 +21,6 @@ from ..simulate.runs.run_log import TIME
 from ..simulate.runs.run_source import FinishedRun, RunSource
 from .align import Pair
 from .explanation import Explanation
-from .reduction import peak, rms
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..base.errors import RenderError, UsageError
 from ..base.frames import Array
-from .reduction import envelope
+from ..base.reduction import envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..base.errors import UsageError, did_you_mean
 from ..base.frames import Array
+from ..base.reduction import peak, rms
 from ..simulate.runs.run_log import RunLog, compared_signal, torque_error
 from .align import Pair
 from .compare import differ_most, one_unit, unit_of
@@ -28,7 +29,6 @@ from .figure import (
     save_figures,
     styled,
 )  # fmt: skip
-from .reduction import peak, rms
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

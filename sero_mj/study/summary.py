@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..base.frames import Array
+from ..base.reduction import peak, rms
 from ..simulate.runs.run_log import RunLog, torque_error
 from .compare import MANY_JOINTS, MOST_SHOWN, shown_as, unit_of
-from .reduction import peak, rms
 
 if TYPE_CHECKING:
     from rich.table import Table

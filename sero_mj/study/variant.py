@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from ..base.errors import DeclarationError, SeroError, SimulationError
+from ..base.reduction import rms
 from ..simulate.control.compiler import Compiler
 from ..simulate.runs.run_log import RunLog
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
 from ..simulate.simulation import Simulation
-from .reduction import rms
 
 # Of every robot, all in Nm but the share: of its worst joint, over the whole run.
 PER_ROBOT = ("peak_torque_error", "rms_torque_error", "peak_torque_share", "findings")

@@ -22,6 +22,7 @@ from .mjcf_elements import MESH, hull_asset, shape_geom
 from .robot import SerialRobot
 
 GRAVITY = 9.81  # m/s2, MuJoCo's default
+EARTH: Array = np.array([0.0, 0.0, -GRAVITY])  # m/s2
 
 # Estimates in proportion to a joint's rated effort: its torque limit, or _STRENGTH times the
 # effort that holds the stretched arm (the LWR's limit is 3.8 times that at joint 2). Per Nm of

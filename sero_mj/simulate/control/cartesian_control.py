@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from mujoco import mju_cholFactor, mju_cholSolve, mju_mat2Quat, mju_mulQuat
@@ -12,6 +13,7 @@ from pydantic import BeforeValidator, Field
 from ...base.declaration import numbers
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
+from ...robots.assemble.robot import SerialRobot
 from .controller import (
     DEFAULT_RATIO,
     SOFTEST,
@@ -19,10 +21,12 @@ from .controller import (
     PerJoint,
     Ratio,
     Sensed,
+    Slider,
     Target,
+    range_text,
     within,
 )  # fmt: skip
-from .joint_control import design_damping, too_stiff, unstable_joint
+from .joint_control import damping_slider, design_damping, too_stiff, unstable_joint
 from .robot_model import RobotModel
 
 # Least mobility J M^-1 J^T in any direction, as a share of its trace, with lengths in units in
@@ -34,6 +38,8 @@ _BLOCKED = 5e-6
 _LIMP = 1e-4  # for the damping, which is designed for poses some way around as well
 # Nm/rad; where the null space has less stiffness than that, it is damped as if it had that.
 _MIN_STIFFNESS = 1.0
+# Ends of sliders, N/m and Nm/rad.
+_MOST_TRANSLATION, _MOST_ROTATION, _MOST_NULLSPACE = 5000.0, 300.0, 200.0
 
 
 def _stiffness(value: Any) -> Any:
@@ -64,6 +70,9 @@ class CartesianImpedance(ControllerDeclaration):
     """
 
     needs_pose: ClassVar[bool] = True
+    title: ClassVar[str] = "Cartesian impedance"
+    short: ClassVar[str] = "cartesian"
+    order: ClassVar[int] = 30
 
     kind: Literal["cartesian_impedance"] = "cartesian_impedance"
     stiffness: Annotated[Array, BeforeValidator(_stiffness)] = np.diag([2e3] * 3 + [1e2] * 3)
@@ -72,6 +81,30 @@ class CartesianImpedance(ControllerDeclaration):
     nullspace_stiffness: Annotated[PerJoint, within(0.0, 5000.0, "Nm/rad")] = np.array([10.0])
     nullspace_damping: Ratio = DEFAULT_RATIO
     damping_every: float = Field(0.1, gt=0, le=1)
+
+    def softer(self) -> Self | None:
+        """Half as stiff."""
+        return self.changed({"stiffness": self.stiffness / 2})
+
+    def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
+        """Stiffness of moving and of turning, damping ratio, and stiffness of the null space."""
+        along, about = float(self.stiffness[0, 0]), float(self.stiffness[3, 3])
+
+        def words(fields: Mapping[str, Any]) -> str:
+            matrix = np.asarray(fields["stiffness"])
+            return f"{matrix[0, 0]:.4g} N/m and {matrix[3, 3]:.4g} Nm/rad"
+
+        return [
+            Slider("stiffness", along, _MOST_TRANSLATION, "%.0f N/m",
+                   lambda value: {"stiffness": np.diag([value] * 3 + [about] * 3)}, words),
+            Slider("of turning", about, _MOST_ROTATION, "%.0f Nm/rad",
+                   lambda value: {"stiffness": np.diag([along] * 3 + [value] * 3)}, words),
+            damping_slider(self.damping, lambda value: value),
+            Slider("null space", float(self.nullspace_stiffness[0]), _MOST_NULLSPACE, "%.0f Nm/rad",
+                   lambda value: {"nullspace_stiffness": np.array([value])},
+                   range_text("nullspace_stiffness", "Nm/rad"),
+                   "stiffness towards the posture, where it leaves the flange in place"),
+        ]  # fmt: skip
 
     def make(self, model: RobotModel, timestep: float) -> CartesianImpedanceController:
         """The controller, without torque limits."""

@@ -11,12 +11,11 @@ import numpy as np
 from ...base.declaration import Declaration
 from ...base.frames import Array
 from ...robots.assemble.robot import SerialRobot
-from ...robots.assemble.robot_dynamics import GRAVITY
+from ...robots.assemble.robot_dynamics import EARTH
 from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World
 from .robot_model import RobotModel, world_without_meshes
 
-EARTH: Array = np.array([0.0, 0.0, -GRAVITY])  # m/s2
 _MAX_WORLDS = 8  # worlds that are remembered; a sweep over masses has a new one every time
 
 

@@ -1,9 +1,17 @@
-"""What controllers share: what they get, the method that computes torques, and their gains."""
+"""What controllers share: what they get, the method that computes torques, and their gains.
+
+A package adds a kind by an entry point in the group `sero_mj.controllers`:
+
+    [project.entry-points."sero_mj.controllers"]
+    pd = "my_package:PD"
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Annotated, Any, ClassVar, Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Protocol, Self
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator
@@ -11,6 +19,7 @@ from pydantic import AfterValidator, BeforeValidator
 from ...base.declaration import Declaration, numbers
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
+from ...robots.assemble.robot import SerialRobot
 from .robot_model import RobotModel
 
 
@@ -218,24 +227,70 @@ class LinkHolder(Controller, Protocol):
         """
 
 
+@dataclass(frozen=True)
+class Slider:
+    """A gain that can be changed while a robot is controlled.
+
+    Attributes:
+        label: what a user reads.
+        value: of now.
+        most: the greatest; the least is 0.
+        text: printf's format of the value, `%.1f Nm s/rad`.
+        fields: returns the declaration's fields that have another value then.
+        words: writes these fields for a message.
+        tip: what it is, where the label does not say it.
+        group: label of the folded group that it stands in; empty for none.
+    """
+
+    label: str
+    value: float
+    most: float
+    text: str
+    fields: Callable[[float], dict[str, Any]]
+    words: Callable[[Mapping[str, Any]], str]
+    tip: str = ""
+    group: str = ""
+
+
+def range_text(key: str, unit: str = "") -> Callable[[Mapping[str, Any]], str]:
+    """Returns what writes the smallest to the largest number of a field, with their unit."""
+
+    def text(fields: Mapping[str, Any]) -> str:
+        array = np.atleast_1d(fields[key])
+        low, high = array.min(), array.max()
+        numbers = f"{low:.4g}" if high - low < 1e-9 else f"{low:.4g} to {high:.4g}"
+        return f"{numbers} {unit}".strip()
+
+    return text
+
+
 class ControllerDeclaration(Declaration, ABC):
-    """Base of the declarations of controllers; numbers per joint may be one for all.
+    """Base of the declarations of controllers, one class for each kind.
+
+    A kind is an entry point in the group `sero_mj.controllers`; its class has a field `kind`, a
+    `Literal` of that name, and its gains. Numbers per joint may be one for all.
 
     Attributes:
         torque_limits: (n,), Nm or N, where they are below those of the robot.
         torque_rate_limits: (n,), Nm/s or N/s; None for none.
         needs_target: whether it holds a pose, so that a robot without a target stays where it is.
         needs_pose: whether it follows the flange's pose, and not only joint angles.
+        title: what a user reads who chooses among controllers; its `kind` when empty.
+        short: another name for it on the command line; none when empty.
+        order: among those that can be chosen, lowest first; sero-mj's own have 10 to 90.
     """
 
     needs_target: ClassVar[bool] = True
     needs_pose: ClassVar[bool] = False
+    title: ClassVar[str] = ""
+    short: ClassVar[str] = ""
+    order: ClassVar[int] = 100
 
     torque_limits: MaybePerJoint = None
     torque_rate_limits: MaybePerJoint = None
 
     @abstractmethod
-    def make(self, model: RobotModel, timestep: float) -> LinkHolder:
+    def make(self, model: RobotModel, timestep: float) -> Controller:
         """The controller, without torque limits.
 
         Args:
@@ -245,6 +300,43 @@ class ControllerDeclaration(Declaration, ABC):
         Raises:
             DeclarationError: gains that do not fit the robot's joints.
         """
+
+    @classmethod
+    def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
+        """The controller that a robot to play with has at first.
+
+        Args:
+            robot: as it stands in the world.
+            model: of it, in the pose it has at first.
+
+        Returns:
+            one with default gains; None where it cannot be chosen there, as where gains have no
+            defaults.
+        """
+        needed = any(field.is_required() for field in cls.model_fields.values())
+        return None if needed else cls()
+
+    def softer(self) -> Self | None:
+        """One that a longer time step holds; None where nothing can be done about that."""
+        return None
+
+    def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
+        """The gains that can be changed while it runs.
+
+        Args:
+            robot: that is controlled.
+            first: the controller as it was at first.
+        """
+        return []
+
+    def changed(self, fields: Mapping[str, Any]) -> Self:
+        """A declaration with other gains.
+
+        Raises:
+            DeclarationError: what they cannot be.
+        """
+        declared = {key: getattr(self, key) for key in self.model_fields_set}
+        return type(self)(**{**declared, **fields})
 
     def per_joint(self, key: str, n: int) -> Array:
         """A field as (n,) numbers.

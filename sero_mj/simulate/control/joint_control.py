@@ -7,13 +7,14 @@ command then has the rows as its first axis.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
 
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Bools
+from ...robots.assemble.robot import SerialRobot
 from .controller import (
     DEFAULT_RATIO,
     SOFTEST,
@@ -21,13 +22,18 @@ from .controller import (
     PerJoint,
     Ratio,
     Sensed,
+    Slider,
     Target,
+    range_text,
     within,
 )  # fmt: skip
 from .model_rows import ModelRows
 from .robot_model import RobotModel
 
 MAX_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
+_PER_LIMIT, _SWINGS = 5.0, 13.0  # 1/rad and 1/s, see `JointImpedance.for_robot`
+# Ends of sliders: Nm s/rad, of ratios, and of a stiffness at first.
+_MOST_DAMPING, _MOST_RATIO, _MOST_OF_FIRST = 50.0, 2.0, 6.0
 
 
 class GravityCompensation(ControllerDeclaration):
@@ -38,9 +44,20 @@ class GravityCompensation(ControllerDeclaration):
     """
 
     needs_target: ClassVar[bool] = False
+    title: ClassVar[str] = "gravity compensation"
+    short: ClassVar[str] = "gravity"
+    order: ClassVar[int] = 10
 
     kind: Literal["gravity_compensation"] = "gravity_compensation"
     damping: Annotated[PerJoint, within(0.0, 1e4, "Nm s/rad")] = np.zeros(1)
+
+    def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
+        """Damping of all joints."""
+        damping = float(self.damping[0])
+        return [
+            Slider("damping", damping, _MOST_DAMPING, "%.1f Nm s/rad",
+                   lambda value: {"damping": np.array([value])}, range_text("damping", "Nm s/rad"))
+        ]  # fmt: skip
 
     def make(self, model: RobotModel | ModelRows, timestep: float) -> GravityCompensator:
         """The controller, without torque limits."""
@@ -56,10 +73,16 @@ class Torque(ControllerDeclaration):
     """
 
     needs_target: ClassVar[bool] = False
+    order: ClassVar[int] = 50
 
     kind: Literal["torque"] = "torque"
     torques: PerJoint = np.zeros(1)
     compensate_gravity: bool = True
+
+    @classmethod
+    def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
+        """None: it has nothing to play with."""
+        return None
 
     def make(self, model: RobotModel | ModelRows, timestep: float) -> GravityCompensator:
         """The controller, without torque limits."""
@@ -82,6 +105,9 @@ class JointImpedance(ControllerDeclaration):
     """
 
     at_links: ClassVar[bool] = True
+    title: ClassVar[str] = "joint impedance"
+    short: ClassVar[str] = "joint"
+    order: ClassVar[int] = 20
 
     kind: Literal["joint_impedance"] = "joint_impedance"
     stiffness: Annotated[
@@ -91,6 +117,55 @@ class JointImpedance(ControllerDeclaration):
     damping: Ratio = DEFAULT_RATIO
     feed_forward: bool = False
     damping_every: float = Field(0.1, gt=0, le=1)
+
+    @classmethod
+    def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
+        """Springs that reach a joint's torque limit 0.2 rad (m) off.
+
+        Where there is no limit, the joint alone would swing at 13 rad/s.
+        """
+        bounds = robot.torque_bounds
+        by_inertia = _SWINGS**2 * np.diagonal(model.mass())
+        stiffness = np.where(
+            np.isfinite(bounds), np.minimum(_PER_LIMIT * bounds, MAX_STIFFNESS), by_inertia
+        )
+        digits = 10.0 ** np.floor(np.log10(np.maximum(stiffness, 1e-6)) - 1)
+        rounded = np.minimum(np.round(stiffness / digits) * digits, MAX_STIFFNESS)
+        return cls(stiffness=rounded, damping=DEFAULT_RATIO)
+
+    def softer(self) -> Self | None:
+        """Half as stiff."""
+        return self.changed({"stiffness": self.stiffness / 2})
+
+    def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
+        """Stiffness of all joints together and one by one, and the damping ratio."""
+        of_first = np.broadcast_to(first.stiffness, robot.n)
+        stiffness = np.broadcast_to(self.stiffness, robot.n)
+        words = range_text("stiffness", "Nm/rad")
+        share = 100.0 * float(np.median(stiffness / np.maximum(of_first, 1e-9)))
+
+        def of_joint(joint: int) -> Callable[[float], dict[str, Any]]:
+            def fields(value: float) -> dict[str, Any]:
+                wanted = stiffness.copy()
+                wanted[joint] = value
+                return {"stiffness": wanted}
+
+            return fields
+
+        found = [
+            Slider("stiffness", share, 100.0 * _MOST_OF_FIRST, "%.0f %%",
+                   lambda value: {"stiffness": of_first * value / 100.0}, words,
+                   "of all joints, of what it was at first"),
+            damping_slider(float(self.damping[0]), lambda value: np.array([value])),
+        ]  # fmt: skip
+        for joint, name in enumerate(robot.names):
+            unit = "Nm/rad" if robot.types[joint] == "revolute" else "N/m"
+            most = _MOST_OF_FIRST * float(of_first[joint])
+            found.append(
+                Slider(name, float(stiffness[joint]), most, f"%.0f {unit}", of_joint(joint), words,
+                       group="stiffness of the joints")
+            )  # fmt: skip
+        return found
 
     def make(self, model: RobotModel | ModelRows, timestep: float) -> JointImpedanceController:
         """The controller, without torque limits."""
@@ -121,11 +196,32 @@ class JointPosition(JointImpedance):
     """
 
     at_links: ClassVar[bool] = False
+    title: ClassVar[str] = "joint position"
+    short: ClassVar[str] = ""
+    order: ClassVar[int] = 40
 
     kind: Literal["joint_position"] = "joint_position"  # type: ignore[assignment]
     stiffness: Annotated[PerJoint, within(1.0, 1e6, "Nm/rad")] = np.array([10000.0])
     damping: Ratio = np.ones(1)
     feed_forward: bool = True
+
+    @classmethod
+    def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
+        """None: who plays with a robot wants to feel it give way."""
+        return None
+
+
+def damping_slider(ratio: float, value_of: Callable[[float], Any]) -> Slider:
+    """The slider of a field `damping`, a ratio."""
+    return Slider(
+        "damping",
+        ratio,
+        _MOST_RATIO,
+        "%.2f",
+        lambda value: {"damping": value_of(value)},
+        range_text("damping"),
+        "ratio: 0.7 overshoots by 4.6 %, 1 not at all",
+    )
 
 
 class GravityCompensator:

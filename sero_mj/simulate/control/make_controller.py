@@ -1,9 +1,10 @@
-"""From a declaration to a controller whose torques are limited; the table of all kinds."""
+"""From a declaration to a controller whose torques are limited."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,8 @@ import numpy as np
 from ...base.declaration import by_kind
 from ...base.errors import DeclarationError, Problem, SimulationError
 from ...base.frames import Array, Bools
-from .cartesian_control import CartesianImpedance
+from ...base.plugins import CONTROLLERS, load_plugin, plugins
 from .controller import Controller, ControllerDeclaration, Sensed, Target
-from .joint_control import GravityCompensation, JointImpedance, JointPosition, Torque
 from .robot_model import RobotModel
 
 
@@ -140,13 +140,15 @@ def _limit_problems(key: str, limits: Array, unit: str, names: Sequence[str]) ->
     ]
 
 
-CONTROLLERS: dict[str, type[ControllerDeclaration]] = {
-    "gravity_compensation": GravityCompensation,
-    "joint_position": JointPosition,
-    "joint_impedance": JointImpedance,
-    "cartesian_impedance": CartesianImpedance,
-    "torque": Torque,
-}
+@cache
+def controller_kinds() -> dict[str, type[ControllerDeclaration]]:
+    """All installed kinds of controllers by name.
+
+    Raises:
+        PluginError: the package of one cannot be imported.
+    """
+    kinds = {name: load_plugin(CONTROLLERS, name) for name in plugins(CONTROLLERS)}
+    return dict(sorted(kinds.items(), key=lambda each: (each[1].order, each[0])))
 
 
 def controller_from(table: Any) -> ControllerDeclaration:
@@ -158,7 +160,7 @@ def controller_from(table: Any) -> ControllerDeclaration:
     Raises:
         DeclarationError: there is no such kind, or fields are wrong.
     """
-    return by_kind(table, CONTROLLERS, ControllerDeclaration)  # type: ignore[type-abstract]
+    return by_kind(table, controller_kinds(), ControllerDeclaration)  # type: ignore[type-abstract]
 
 
 def make_controller(

@@ -1,13 +1,12 @@
 """Targets of robots at every step of a run, computed before it begins.
 
-Here are all kinds of target motions by name, and inverse kinematics along a motion of the flange.
+A motion of the flange is followed by inverse kinematics, pose by pose.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -15,38 +14,31 @@ import numpy as np
 from ...base.declaration import by_kind
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
+from ...base.plugins import TARGET_MOTIONS, load_plugin, plugins
+from ...robots.assemble.inverse_kinematics import Reached, reach
 from ...robots.assemble.robot import SerialRobot
 from .compiler import Compiler
-from .controller import Controller, ControllerDeclaration
-from .inverse_kinematics import Reached, reach
 from .robot_model import RobotModel
 from .target_motions import (
-    CartesianConstant,
     CartesianMotion,
     CartesianTargetMotion,
-    Chirp,
     Constant,
     JointTargetMotion,
     Motion,
-    Recorded,
-    Sine,
-    Step,
     TargetMotion,
-)  # fmt: skip
-from .way_points import CartesianWayPoints, WayPoints
-
-TARGET_MOTIONS: Mapping[str, type[TargetMotion]] = {
-    "constant": Constant,
-    "way_points": WayPoints,
-    "sine": Sine,
-    "chirp": Chirp,
-    "step": Step,
-    "recorded": Recorded,
-    "cartesian_constant": CartesianConstant,
-    "cartesian_way_points": CartesianWayPoints,
-}
+)
 
 _EVERY = 0.02  # s between two poses that are tried
+
+
+@cache
+def target_motion_kinds() -> dict[str, type[TargetMotion]]:
+    """All installed kinds of target motions by name.
+
+    Raises:
+        PluginError: the package of one cannot be imported.
+    """
+    return {name: load_plugin(TARGET_MOTIONS, name) for name in plugins(TARGET_MOTIONS)}
 
 
 def target_motion_from(table: Any) -> TargetMotion:
@@ -58,7 +50,7 @@ def target_motion_from(table: Any) -> TargetMotion:
     Raises:
         DeclarationError: there is no such kind, or fields are wrong.
     """
-    return by_kind(table, TARGET_MOTIONS, TargetMotion)
+    return by_kind(table, target_motion_kinds(), TargetMotion)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,10 +82,12 @@ class Plan:
 def make_plan(
     robot: SerialRobot,
     target: TargetMotion | None,
-    controller: ControllerDeclaration | Controller,
     times: Array,
     compiler: Compiler,
     start: Array | None = None,
+    *,
+    needs_target: bool = True,
+    needs_pose: bool = True,
 ) -> Plan:
     """The target of a robot over a run.
 
@@ -103,16 +97,17 @@ def make_plan(
     Args:
         robot: with its limits.
         target: the motion; None stays where it starts, or has no target where there is no spring.
-        controller: that is to follow it.
         times: (T,), s.
         compiler: of the model with which a flange's way is followed.
         start: (n,), where the robot stands at first, rad or m; as it is declared when None.
+        needs_target: see `ControllerDeclaration`.
+        needs_pose: likewise.
 
     Raises:
         DeclarationError: the motion leaves the robot's limits or reach.
     """
     start = np.asarray(robot.home if start is None else start, np.float64)
-    if target is None and not getattr(controller, "needs_target", True):
+    if target is None and not needs_target:
         return Plan(None, None, moves=False)
     if isinstance(target, CartesianTargetMotion):
         first = robot.base_frame @ robot.fwd_kin_base_to_flange(start)
@@ -124,9 +119,7 @@ def make_plan(
     assert isinstance(target, JointTargetMotion)
     joints = target.sample(times, robot, start)
     moves = bool(np.ptp(joints.angles, axis=0).max() > 0)
-    return Plan(
-        joints, _poses(robot, joints) if getattr(controller, "needs_pose", False) else None, moves
-    )
+    return Plan(joints, _poses(robot, joints) if needs_pose else None, moves)
 
 
 def _motion(times: Array, angles: Array) -> Motion:

@@ -8,10 +8,11 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array
+from ...base.plugins import is_own_class
 from ...robots.assemble.double import fade_in, spread_out
 from ...robots.assemble.world_view import WorldView
 from .cards import LEADER_RGBA, CardLayout, Outline, owner_groups
-from .feature import Feature, Frame, make_features
+from .feature import Drawn, Frame, make_features
 from .geom_buffer import CAPACITY, GeomBuffer
 from .panels import Panels, clear_of, draw_panels, labels_at, panel_sizes
 from .picture_view import PictureView
@@ -48,7 +49,7 @@ class Decor:
         self, world: WorldView, capacity: int = CAPACITY, arrow_geoms: int = ARROW_GEOMS
     ) -> None:
         self.buffer = GeomBuffer(capacity)
-        self.features = make_features(world)
+        self.features: list[Drawn] = [*make_features(world)]
         self.panels: list[Panels] = []
         self._world = world
         self._arrow_geoms = arrow_geoms
@@ -114,7 +115,7 @@ class Decor:
             try:
                 getattr(feature, step)(frame)
             except Exception:
-                if _is_own(feature):
+                if is_own_class(type(feature)):
                     raise
                 log.exception("%s cannot be drawn and is disabled", type(feature))
                 self.features.remove(feature)
@@ -137,10 +138,6 @@ def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
         if part.path is not None:
             factors[links] *= spread_out(data.xpos[links], part.robot.arrow_radii)
     return np.asarray(factors[world.model.geom_bodyid])
-
-
-def _is_own(feature: Feature) -> bool:
-    return type(feature).__module__.startswith(__package__)
 
 
 def _hover_panel(toggles: Toggles, view: PictureView, others: list[Panels]) -> list[Panels]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 from ...base.errors import PluginError
 from ...base.frames import Array, Bools
@@ -66,6 +66,16 @@ class Frame:
     def is_stale(self, names: list[str]) -> Bools:
         """Returns which of these names have no fresh data, (k,) bool."""
         return stale_mask(names, self.stale)
+
+
+class Drawn(Protocol):
+    """What is drawn with every frame."""
+
+    def lay_out(self, frame: Frame) -> None:
+        """Adds cards, corner panels and panels to the frame."""
+
+    def draw(self, frame: Frame) -> None:
+        """Adds geoms to the frame's buffer."""
 
 
 class Feature:

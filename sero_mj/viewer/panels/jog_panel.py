@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -10,7 +10,6 @@ from ...base.frames import Array, frame, inverse, rotation_from_rpy, rpy_from_ro
 from ...robots.assemble.world_view import WorldView
 from ..decor.card_names import card_names
 from ..session.pose_text import as_command, as_python, as_toml
-from ..tools.jogging import Jogging
 from ..tools.joint_goal import JointGoal
 from .widgets import Widgets
 
@@ -129,20 +128,28 @@ class JogPanel:
 
     Args:
         world: that is shown.
-        jogging: moves them.
+        goals: where the robots are wanted, by name.
+        base: returns T_world_base (4, 4) of a robot.
     """
 
-    def __init__(self, world: WorldView, jogging: Jogging) -> None:
-        self._world, self._jogging = world, jogging
+    def __init__(
+        self, world: WorldView, goals: Mapping[str, JointGoal], base: Callable[[str], Array]
+    ) -> None:
+        self._world, self._goals, self._base = world, goals, base
         self._sliders, self._flange = JointSliders(), FlangeFields()
         self._copied = ""
 
-    def build(self, ui: Widgets) -> None:
-        """Builds a section for every robot, of many a tree in one section."""
-        goals = self._jogging.goals
-        build_each(ui, "Move", goals, lambda name: self._robot(ui, name, goals[name]))
+    def build(self, ui: Widgets, note: str) -> None:
+        """Builds a section for every robot, of many a tree in one section.
 
-    def _robot(self, ui: Widgets, name: str, goal: JointGoal) -> None:
+        Args:
+            ui: takes them.
+            note: for each of them.
+        """
+        goals = self._goals
+        build_each(ui, "Move", goals, lambda name: self._robot(ui, name, goals[name], note))
+
+    def _robot(self, ui: Widgets, name: str, goal: JointGoal, note: str) -> None:
         self._sliders.build(ui, goal)
         if ui.button("home"):
             goal.set_all(goal.robot.home)
@@ -154,10 +161,10 @@ class JogPanel:
             self._sliders.unit = unit
         if goal.trouble:
             ui.text(goal.trouble, "bad")
-        if self._jogging.note:
-            ui.text(self._jogging.note, "quiet")
+        if note:
+            ui.text(note, "quiet")
         if ui.tree("flange"):
-            base = self._jogging.base(name)
+            base = self._base(name)
             pose = self._flange.build(ui, goal, base)
             if pose is not None:
                 goal.hold_posture()

@@ -12,7 +12,7 @@ from ...robots.assemble.robot_parts import ARROW_QUANTITIES
 from ...robots.assemble.world_view import WorldView
 from ..decor.quantities import QUANTITY_NAMES
 from ..decor.toggles import Toggles
-from ..tools.torque_history import joint_name
+from ..session.torque_history import joint_name
 from .widgets import Widgets
 
 _MOST_WITHOUT_SEARCH = 8  # joints

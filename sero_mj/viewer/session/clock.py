@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ...data.drive.mirror import LiveWorld
-from ..tools.live_history import LiveHistory
-from ..tools.torque_history import SPAN
+from .live_history import LiveHistory
+from .torque_history import SPAN
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 _STEP = 1.0 / 60.0  # s, of a recording that has no time step

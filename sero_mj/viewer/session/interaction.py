@@ -6,7 +6,7 @@ generated from the tables.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -264,17 +264,12 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "left": ("back", "1 s back"),
     "right": ("on", "1 s on"),
     "end": ("end", "to the end; what is live again"),
-    "m": ("mark", "mark this moment"),
-    "e": ("next_event", "next mark or fault, w the last one"),
     "0": ("camera", "0 initial view, 1 to 9 cameras"),
     "f": ("follow", "follow the item under the pointer"),
     "p": ("plot", "torques of the selected joint"),
     "]": ("next_joint", "select the next joint, [ the previous"),
-    "k": ("keep", "keep the last minute of what is live, or what was pushed"),
     "t": ("status_line", "status line on or off"),
     "tab": ("panel", "panel with switches and sizes on or off"),
-    "ctrl+z": ("undo", "undo: switches, camera, selection; Ctrl+Y redo"),
-    "ctrl+c": ("copy", "copy the command that renders this picture"),
     "f2": ("screenshot", "screenshot of the scene"),
     "f3": ("film", "film on or off"),
     "f11": ("full_screen", "full screen"),
@@ -289,8 +284,6 @@ MORE_KEYS: dict[str, str] = {
     "=": "faster",
     "_": "slower",
     "[": "last_joint",
-    "w": "last_event",
-    "ctrl+y": "redo",
     "home": "reset",
     **{str(number): "camera" for number in range(1, 10)},
 }
@@ -368,15 +361,18 @@ _KINDS = {
 }
 
 
-def help_columns(*, on_page: bool = False) -> list[list[Row]]:
+def help_columns(
+    of_tools: Mapping[str, tuple[str, str]], *, on_page: bool = False
+) -> list[list[Row]]:
     """Returns columns of rows of input and effect; headings have no effect.
 
     Args:
+        of_tools: see `tool.tool_keys`.
         on_page: whether to omit actions that a browser provides itself.
     """
-    of_host = HOST_KEYS
+    of_host = {**HOST_KEYS, **{key: entry for key, entry in of_tools.items() if entry[1]}}
     if on_page:
-        of_host = {key: action for key, action in HOST_KEYS.items() if key not in OF_BROWSER}
+        of_host = {key: action for key, action in of_host.items() if key not in OF_BROWSER}
         of_host |= {"t": ("panel", "panel on or off"), "h": ("help", "this help")}
     view: list[Row] = [("View", "")]
     view += [(how, words) for how, words in HOST_MOUSE.items()]

@@ -2,59 +2,38 @@
 
 from __future__ import annotations
 
-import shlex
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple, Self
 
 import mujoco
 import numpy as np
 
-from ...base.errors import SeroError, UsageError
+from ...base.errors import SeroError
 from ...base.frames import Array
 from ...base.paths import without_temporary
 from ...data.drive.mirror import LiveWorld
 from ...data.receive.source import Packets
 from ...robots.assemble.scene import Scene
-from ..camera import copy_camera
 from ..decor.toggles import Toggles
 from ..headless.film import Pixels
-from ..panels.jog_panel import JogPanel
 from ..panels.robot_panel import RobotPanel
-from ..panels.steering_panel import SteeringPanel
 from ..panels.widgets import Widgets
-from ..tools import live_history
-from ..tools.bookmarks import Bookmarks
-from ..tools.jogging import Jogging
-from ..tools.joint_goal import JointGoal
-from ..tools.pulling import Pulling
-from ..tools.rolling_recorder import RollingRecorder
-from ..tools.steering import Steering
-from ..tools.torque_history import SPAN, TorqueHistory, joint_name
-from ..tools.undo import Undo
+from . import live_history
 from .capture import Capture
 from .clock import Clock
+from .dragging import Dragging
 from .input import Clicked, Moved
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
-from .kept_views import find_view, keep_view
 from .picking import Picked, Pixel
-from .pose_text import setting
 from .scene_decor import SceneDecor
-from .view_state import (
-    MODELLED,
-    ViewSnapshot,
-    ViewState,
-    apply_state,
-    camera_text,
-    rounded_camera,
-    switches_text,
-)
+from .tool import Action, Tools
+from .torque_history import SPAN, TorqueHistory, joint_name
+from .view_state import ViewState, view_state_of
 
 OnClick = Callable[[Picked | None, str], None]
-Action = Callable[[], str | None]  # returns a message for the user
 
 _OF_JOINTS = ("link", "double", "arrow", "billboard")  # kinds of items
 _REPEATED = (
@@ -87,7 +66,7 @@ class Message(NamedTuple):
 
 
 class LiveHost(ABC):
-    """Shows a mirror and handles clicks and keys, by the tables of `interaction`.
+    """Shows a mirror, and hands what the user does to clock, switches and tools.
 
     Args:
         mirror: must be open; is driven by the host's clock.
@@ -100,15 +79,11 @@ class LiveHost(ABC):
         toggles: what is shown.
         clock: pause, speed and time line.
         history: the torques of the last seconds.
-        bookmarks: what was marked and found, on the time line.
-        keeping: keeps what live sources sent in the last minute.
+        tools: what the user does to the world, by name.
         opener: returns the scene of a file that is dropped; None where none is opened.
         offers: other scenes that may be shown instead of this one, by the label of a button; None
             for what is no scene.
         next_scene: that which its user has chosen, and this host has ended for.
-        pulling: pulls links of simulated robots by the pointer.
-        jogging: moves robots by hand that nothing else moves.
-        steering: moves the targets of robots that are simulated without an end.
         folder: as given.
         capture: writes screenshots and films.
         wants_picture: whether the next frame is to be a screenshot.
@@ -139,34 +114,25 @@ class LiveHost(ABC):
         self.history = TorqueHistory(world, mirror.routes if mirror.is_live else (), kept)
         if mirror.is_live:
             mirror.listen(self._hear, to_all=True)
-        self.bookmarks = Bookmarks(mirror, clock)
-        self.keeping = RollingRecorder(mirror)
-        self.pulling = Pulling(mirror, clock, self.toggles)
-        self.jogging = Jogging(mirror, self.toggles)
-        self._drag: Jogging | Pulling | Steering | None = None  # what the drag that goes on moves
-        self._trouble = ""  # what was said of it last
-        self._tried: Pixel | None = None  # where handles were looked for
         # A scene to show instead of this one, which its user has asked for; and what offers that.
         self.next_scene: Scene | None = None
         self.offers: dict[str, Callable[[], Scene | None]] = {}
         self.opener: Callable[[Path], Scene] | None = None
-        self._advanced = time.monotonic()
-        self._robots = RobotPanel(world, self.toggles)
-        self._robots.on_select = self.select
-        self._jog_panel = JogPanel(world, self.jogging)
-        self.steering = Steering(mirror, clock, self.toggles)
-        self._steering_panel = SteeringPanel(self.steering, self.say)
         self.folder = folder
         self.capture, self.wants_picture = Capture(world.scene.name, folder), False
-        self._is_refused = False  # whether the drag that goes on cannot pull
         self.joint = 0
         self.command: Sequence[str] | None = None
         self.notice = Message()
         self.shows_status, self.shows_plot, self.shows_help = True, False, False
         self.work = 0.0
         self.on_click: OnClick | None = None
+        self._advanced = time.monotonic()
         self._clicks = ClickDetector(world, self.toggles)
-        # By the names in `interaction.HOST_KEYS`; hosts add their own.
+        self._robots = RobotPanel(world, self.toggles)
+        self._robots.on_select = self.select
+        self.tools = Tools(self)
+        self._dragging = Dragging(self.tools, lambda text, is_bad: self.say(text, is_bad=is_bad))
+        # By the names in `interaction.HOST_KEYS` and of tools; hosts add their own.
         self._actions: dict[str, Action] = {
             "pause": clock.pause,
             "step": clock.step,
@@ -177,21 +143,19 @@ class LiveHost(ABC):
             "back": lambda: clock.seek(clock.time - _JUMP),
             "on": lambda: clock.seek(clock.time + _JUMP),
             "end": clock.go_live,
-            "mark": self.bookmarks.mark,
-            "next_event": lambda: self.bookmarks.go(1),
-            "last_event": lambda: self.bookmarks.go(-1),
             "next_joint": lambda: self._select(1),
             "last_joint": lambda: self._select(-1),
             "follow": self._follow_under_pointer,
             "plot": self.toggle_plot,
             "status_line": self.toggle_status,
-            "keep": self._keep,
-            "undo": self._take_back,
-            "redo": self._do_again,
-            "copy": self._copy_command,
             "screenshot": self._take_screenshot,
             "film": self._toggle_film,
         }
+        for actions in self.tools.ask(lambda tool: tool.actions()):
+            self._actions = {**actions, **self._actions}
+        self._keys = {key: name for key, (name, _) in HOST_KEYS.items()} | MORE_KEYS
+        for tool in self.tools.values():
+            self._keys = {key: name for key, (name, _) in tool.keys.items()} | self._keys
 
     @property
     @abstractmethod
@@ -240,26 +204,83 @@ class LiveHost(ABC):
     def centre(self, point: Array) -> None:
         """Makes a point (3,), m, the camera's look-at point."""
 
+    @property
+    @abstractmethod
+    def view_camera(self) -> mujoco.MjvCamera:
+        """The camera of the view; can be changed."""
+
+    @property
+    @abstractmethod
+    def is_following(self) -> bool:
+        """Whether the camera goes along with a frame."""
+
+    @abstractmethod
+    def to_clipboard(self, text: str) -> None:
+        """Puts a text onto the user's clipboard."""
+
     @abstractmethod
     def request_close(self) -> None:
         """Lets the next frame be the last."""
 
-    @abstractmethod
     def close(self) -> None:
-        """Closes the host."""
+        """Closes the host, after pictures and films are written."""
+        self.tools.ask(lambda tool: tool.close())
+        self.capture.close()
 
     @abstractmethod
     def _pointer(self) -> Pixel | None:
         """Returns the pixel of the pointer; None if it is not over the picture."""
+
+    # ---- frames
 
     def run(self) -> None:
         """Shows frames until the user closes it."""
         while self.frame():
             pass
 
+    def _use(self, decor: SceneDecor) -> None:
+        """Draws tools with a decor; to be called when it is made."""
+        for tool in self.tools.values():
+            decor.add(tool)
+
+    def _advance(self, advance: Callable[[], object]) -> None:
+        """Brings the mirror to the current time; an error pauses and is shown."""
+        now = time.monotonic()
+        passed, self._advanced = now - self._advanced, now
+        self._dragging.advance()
+        self.tools.ask(lambda tool: tool.advance(passed))
+        try:
+            advance()
+        except SeroError as error:  # for example a deleted file; the display does not change
+            self.clock.is_paused = True
+            self.say(str(error), is_bad=True)
+        if not (self.clock.is_live or self.clock.is_paused):
+            self._sample()
+        found = self.tools.first(lambda tool: tool.next_message())
+        message = self.capture.next_message() if found is None else found[1]
+        if message is not None:
+            self.say(message[0], is_bad=message[1])
+        self.history.until = self.clock.time if self.clock.is_past else None
+
+    def _hear(self, source: str, packets: Packets) -> None:
+        now = self.mirror.sources[source].now()
+        self.history.add_packets(self.data, source, packets, now)
+
+    def _sample(self) -> None:
+        self.history.add(self.data)
+        if self.clock.is_live:
+            self.tools.ask(lambda tool: tool.watch())
+
+    @property
+    def ticks(self) -> list[tuple[float, bool]]:
+        """Marks on the time line: their times, s, and whether the user has set them."""
+        return [tick for ticks in self.tools.ask(lambda tool: tool.ticks()) for tick in ticks]
+
+    # ---- messages, panel and keys
+
     def say(self, text: str, *, is_bad: bool = False) -> None:
-        """Shows a message for a few seconds; errors are shown longer."""
-        seconds = _ERROR_TIME if is_bad else _MESSAGE_TIME
+        """Shows a message for a few seconds; errors are shown longer, an empty one not at all."""
+        seconds = (_ERROR_TIME if is_bad else _MESSAGE_TIME) if text else 0.0
         self.notice = Message(without_temporary(text), is_bad, time.monotonic() + seconds)
 
     def toggle_plot(self) -> str:
@@ -271,14 +292,76 @@ class LiveHost(ABC):
         """Shows or hides status line or panel."""
         self.shows_status = not self.shows_status
 
+    @property
+    def has_plot(self) -> bool:
+        """Whether torques are plotted and there are joints."""
+        return self.shows_plot and len(self.world.joints.names) > 0
+
     def build_panel(self, ui: Widgets) -> None:
         """Builds what the panels of all hosts have in common."""
         for label, make in self.offers.items():
             if ui.button(label):
                 self._go_on_with(make)
-        self._steering_panel.build(ui)
-        self._jog_panel.build(ui)
+        self.tools.ask(lambda tool: tool.build(ui))
         self._robots.build(ui)
+
+    def press(self, key: str, *, is_repeat: bool = False) -> None:
+        """Performs the action of a key, if it has one.
+
+        Args:
+            key: see `input.Event`.
+            is_repeat: whether it is an automatic repetition.
+        """
+        name = self._keys.get(key)
+        if is_repeat and name not in _REPEATED:
+            return
+        if key in KEYS:
+            self.say(press_toggle(key, self.world, self.data, self.toggles))
+        elif name == "camera":
+            self.say(self.choose_camera(int(key)))
+        elif name in self._actions:
+            self.perform(name)
+
+    def perform(self, action: str) -> None:
+        """Performs an action by its name; an error is shown."""
+        try:
+            message = self._actions[action]()
+        except SeroError as error:
+            self.say(str(error), is_bad=True)
+            return
+        if message:
+            self.say(message)
+
+    def _select(self, places: int) -> str:
+        names = self.world.joints.names
+        if not names:
+            return "no joint"
+        self.select((self.joint + places) % len(names))
+        return f"selected: {joint_name(self.world, self.joint)}"
+
+    def select(self, joint: int) -> None:
+        """Selects a joint: it is lit, and its torques are plotted."""
+        self.joint = self.toggles.selected = joint
+
+    def _take_screenshot(self) -> None:
+        self.wants_picture = True
+
+    def _toggle_film(self) -> str:
+        if self.capture.is_filming:
+            self.capture.stop()
+            return "the film is complete"
+        return self.capture.start(self.picture_size, time.monotonic())
+
+    def _take_pictures(self, now: float, draw: Callable[[], Pixels]) -> None:
+        """Hands on what is drawn, if a screenshot or the film wants it now, s."""
+        if self.wants_picture or self.capture.wants(now):
+            pixels = draw()
+            if self.wants_picture:
+                self.capture.picture(pixels)
+            self.capture.add(pixels, now)
+            self.wants_picture = False
+
+    # ---- other scenes
 
     def open_file(self, path: Path) -> None:
         """Shows the scene, robot or recording in a file instead, or says why it cannot be."""
@@ -297,122 +380,7 @@ class LiveHost(ABC):
         else:
             self.request_close()
 
-    @property
-    def has_plot(self) -> bool:
-        """Whether torques are plotted and there are joints."""
-        return self.shows_plot and len(self.world.joints.names) > 0
-
-    def _advance(self, advance: Callable[[], object]) -> None:
-        """Brings the mirror to the current time; an error pauses and is shown."""
-        now = time.monotonic()
-        passed, self._advanced = now - self._advanced, now
-        if self._drag is not None:
-            trouble = self._drag.update(self.decor)
-            if trouble:
-                self.say(trouble, is_bad=True)
-            elif self._trouble:
-                self.notice = Message()  # it is over
-            self._trouble = trouble
-        self.jogging.advance(passed)
-        self.steering.advance()
-        self._undo.watch()
-        try:
-            advance()
-        except SeroError as error:  # for example a deleted file; the display does not change
-            self.clock.is_paused = True
-            self.say(str(error), is_bad=True)
-        if not (self.clock.is_live or self.clock.is_paused):
-            self._sample()
-        message = self.keeping.next_message() or self.capture.next_message()
-        if message is not None:
-            self.say(message[0], is_bad=message[1])
-        self.history.until = self.clock.time if self.clock.is_past else None
-
-    def _hear(self, source: str, packets: Packets) -> None:
-        now = self.mirror.sources[source].now()
-        self.history.add_packets(self.data, source, packets, now)
-
-    def _sample(self) -> None:
-        self.history.add(self.data)
-        if self.clock.is_live:
-            self.bookmarks.watch()
-
-    def press(self, key: str, *, is_repeat: bool = False) -> None:
-        """Performs the action of a key, if it has one.
-
-        Args:
-            key: see `input.Event`.
-            is_repeat: whether it is an automatic repetition.
-        """
-        name = HOST_KEYS[key][0] if key in HOST_KEYS else MORE_KEYS.get(key)
-        if is_repeat and name not in _REPEATED:
-            return
-        if key in KEYS:
-            self.say(press_toggle(key, self.world, self.data, self.toggles))
-        elif name == "camera":
-            self.say(self.choose_camera(int(key)))
-        elif name in self._actions:
-            self.perform(name)
-
-    def perform(self, action: str) -> None:
-        """Performs an action by its name in `interaction.HOST_KEYS`."""
-        message = self._actions[action]()
-        if message:
-            self.say(message)
-
-    def _select(self, places: int) -> str:
-        names = self.world.joints.names
-        if not names:
-            return "no joint"
-        self.select((self.joint + places) % len(names))
-        return f"selected: {joint_name(self.world, self.joint)}"
-
-    def _take_back(self) -> str:
-        return self._undo.undo()
-
-    def _do_again(self) -> str:
-        return self._undo.redo()
-
-    @cached_property
-    def _undo(self) -> Undo[ViewSnapshot]:
-        return Undo(self._seen, self._show)
-
-    def select(self, joint: int) -> None:
-        """Selects a joint: it is lit, and its torques are plotted."""
-        self.joint = self.toggles.selected = joint
-
-    def _seen(self) -> ViewSnapshot:
-        """What the user can take back."""
-        seen = ViewSnapshot.of(self.view_camera, self.toggles, follows=self.is_following)
-        poses = ((name, goal.angles.tobytes()) for name, goal in self._goals.items())
-        return seen._replace(poses=tuple(poses))
-
-    @property
-    def _goals(self) -> dict[str, JointGoal]:
-        """Where robots are wanted by hand: those without data, and targets of simulated ones."""
-        return {**self.jogging.goals, **self.steering.own_goals}
-
-    def _show(self, seen: ViewSnapshot) -> None:
-        seen.show(self.view_camera, self.toggles)
-        goals = self._goals
-        for name, pose in seen.poses:
-            if name in goals and goals[name].angles.tobytes() != pose:
-                goals[name].set_all(np.frombuffer(pose))
-        if self.toggles.selected is not None:
-            self.joint = self.toggles.selected
-
-    def view_state(self) -> ViewState:
-        """What the user has set of the view, as text; of a free camera to 0.1 mm and 1e-4 deg."""
-        camera, selected = self.view_camera, self.toggles.selected
-        self._undo.watch()
-        rounded_camera(camera)
-        self._undo.overlook()
-        return ViewState(
-            camera_text(self.world, camera),
-            switches_text(self.world, self.toggles),
-            "" if selected is None else joint_name(self.world, selected),
-            None if self.clock.is_live else round(self.clock.time, 6),  # arrows turn with it
-        )
+    # ---- the view, as it is kept
 
     @property
     def layout(self) -> dict[str, bool]:
@@ -424,83 +392,24 @@ class LiveHost(ABC):
         self.shows_status = layout.get("status", self.shows_status)
         self.shows_plot = layout.get("plot", self.shows_plot)
 
-    def restore_view(self, *, with_camera: bool = True) -> None:
-        """Shows the scene as its user left it, if that was kept; see `keep_view`.
+    def view_state(self) -> ViewState:
+        """What the user has set of the view, as text; of a free camera to 0.1 mm and 1e-4 deg."""
+        return view_state_of(self.world, self.view_camera, self.toggles, self.clock)
 
-        Args:
-            with_camera: whether its camera as well.
-        """
-        try:
-            found = find_view(self.world.scene)
-        except UsageError as error:
-            self.say(str(error), is_bad=True)
-            return
-        if found is not None:
-            state, layout = found
-            self.show_state(state if with_camera else state._replace(camera=""))
-            self.show_layout(layout)
-
-    def keep_view(self) -> None:
-        """Keeps camera, switches, selection and layout for the next time."""
-        keep_view(self.world.scene, self.view_state(), self.layout)
-
-    def show_state(self, state: ViewState) -> None:
-        """Shows a view as it was, as far as it fits the scene; says what does not."""
-        camera, joint, wrong = apply_state(self.world, self.toggles, state)
-        if camera is not None:
-            copy_camera(camera, self.view_camera)
-        if joint is not None:
-            self.select(joint)
-        if state.time is not None and self.mirror.sources and not self.clock.is_live:
-            self.clock.seek(state.time)
-            self.clock.is_paused = True
-        if wrong:
-            self.say(f"of the view before: {wrong[0]}", is_bad=True)
-
-    def _copy_command(self) -> str:
-        if self.decor.fixed:
-            return f"{self.decor.fixed}; no command makes this picture, F2 keeps it"
-        state, clock = self.view_state(), self.clock
-        words = ["sero-mj", "render", *self._render_words(state)]
-        words += ["--select", state.joint] * bool(state.joint)
-        words += [] if state.time is None else ["--at", f"{state.time:g}"]
-        width, height = self.picture_size
-        words += ["--size", f"{width}x{height}", "-o", "picture.png"]
-        self.to_clipboard(shlex.join(words))
-        live = "; what is live will have gone on" if clock.is_live else ""
-        return f"copied: the command that renders this picture{live}"
-
-    def _render_words(self, state: ViewState) -> list[str]:
+    def render_words(self) -> list[str]:
         """Scene, camera and switches as arguments of `sero-mj render`."""
         words = [*(self.command or [self.world.scene.argument])]
         if self.decor.fixed:  # by a photo that is drawn over
             return words
-        for name, goal in self.jogging.goals.items():
-            if not np.array_equal(goal.angles, goal.robot.home):
-                words += ["--set", setting(name, goal.angles)]
-        for name, torques in self.jogging.torques.items():
-            words += ["--set", setting(name, torques, "torques")]
+        state = self.view_state()
+        for of_tool in self.tools.ask(lambda tool: tool.render_words()):
+            words += of_tool
         words += ["--camera", state.camera]
-        switches = dict(state.switches)
-        if self.jogging.torques:
-            switches[MODELLED] = "".join(map(str, self.toggles.modelled.astype(int).tolist()))
-        for name, digits in switches.items():
+        for name, digits in state.switches.items():
             words += ["--show", f"{name}={digits}"]
         return words
 
-    @property
-    @abstractmethod
-    def view_camera(self) -> mujoco.MjvCamera:
-        """The camera of the view; can be changed."""
-
-    @property
-    @abstractmethod
-    def is_following(self) -> bool:
-        """Whether the camera goes along with a frame."""
-
-    @abstractmethod
-    def to_clipboard(self, text: str) -> None:
-        """Puts a text onto the user's clipboard."""
+    # ---- the pointer
 
     def _follow_under_pointer(self) -> str:
         picked = self.pick_under_pointer()
@@ -526,6 +435,10 @@ class LiveHost(ABC):
             self._centre(at)
             return
         picked = self.decor.pick(self.data, at)
+        taken = self.tools.first(lambda tool: tool.click(picked, at))
+        if taken is not None:
+            self.say(taken[1])
+            return
         gesture = self._clicks.press(picked, at, clicked.time, shift=clicked.shift)
         if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
             self.select(picked.index)
@@ -537,13 +450,13 @@ class LiveHost(ABC):
             self.on_click(picked, gesture)
 
     def hover_handle(self, at: Pixel | None) -> bool:
-        """Lights the handle of a target at a pixel; returns whether there is one."""
-        return self.steering.hover(self.decor, at)
+        """Lights the handle at a pixel; returns whether there is one."""
+        return any(self.tools.ask(lambda tool: tool.hover(at)))
 
     def drag(
         self, moved: Moved, at: Pixel | None, begin: Pixel | None, pressed: Pixel | None
     ) -> bool:
-        """Pulls or moves a link, if a drag or a turn of the wheel does.
+        """Hands a drag or a turn of the wheel to the tools.
 
         Args:
             moved: the drag, or turn.
@@ -554,73 +467,15 @@ class LiveHost(ABC):
         Returns:
             whether it does not move the camera.
         """
-        if self.pulling.is_on and moved.how == "zoom":
-            self.say(self.pulling.stronger(moved.down))
-            return True
-        if self._drag is None and pressed is not None and self._tried != moved.pressed:
-            self._tried = moved.pressed  # the drag began there, and only there is a handle grabbed
-            if self.steering.begin_handle(self.decor, pressed) is not None:
-                self._drag = self.steering
-        if moved.pulls_from is None and self._drag is None:
-            return False
-        if self._drag is None and not self._is_refused and begin is not None:
-            for each in (self.steering, self.jogging, self.pulling):
-                found = each.begin(self.decor, begin)
-                if found is not None:
-                    self._is_refused = found[1]
-                    self.say(found[0], is_bad=found[1])
-                    self._drag = None if found[1] else each
-                    break
-        if self._drag is not None and at is not None:
-            self._drag.move(at)
-        return self._drag is not None or self._is_refused
+        return self._dragging.take(moved, at, begin, pressed)
 
     def hold(self, at: Pixel) -> bool:
         """Says what a finger that is held at a pixel would drag; returns whether anything."""
-        for each in (self.steering, self.jogging, self.pulling):
-            found = each.announce(self.decor, at)
-            if found is not None:
-                self.say(found[0], is_bad=found[1])
-                return not found[1]
-        return False
+        return self._dragging.announce(at)
 
     def let_go(self) -> None:
         """Ends a drag."""
-        if self._drag is not None:
-            self._drag.end()
-        self._drag, self._trouble, self._is_refused, self._tried = None, "", False, None
-
-    def _take_screenshot(self) -> None:
-        self.wants_picture = True
-
-    def _toggle_film(self) -> str:
-        if self.capture.is_filming:
-            self.capture.stop()
-            return "the film is complete"
-        try:
-            return self.capture.start(self.picture_size, time.monotonic())
-        except SeroError as error:
-            self.say(str(error), is_bad=True)
-            return ""
-
-    def _take_pictures(self, now: float, draw: Callable[[], Pixels]) -> None:
-        """Hands on what is drawn, if a screenshot or the film wants it now, s."""
-        if self.wants_picture or self.capture.wants(now):
-            pixels = draw()
-            if self.wants_picture:
-                self.capture.picture(pixels)
-            self.capture.add(pixels, now)
-            self.wants_picture = False
-
-    def _keep(self) -> str:
-        folder = self.folder or Path()
-        try:
-            if self.keeping.is_on:
-                return self.keeping.keep(folder, self._render_words(self.view_state()))
-            return self.pulling.keep(folder)
-        except SeroError as error:
-            self.say(str(error), is_bad=True)
-            return ""
+        self._dragging.release()
 
     def _centre(self, at: Pixel) -> None:
         point = self.decor.point_at(self.data, at)

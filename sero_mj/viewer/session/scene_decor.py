@@ -9,6 +9,7 @@ import mujoco
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
 from ..decor.draw import Decor
+from ..decor.feature import Drawn
 from ..decor.geom_buffer import CAPACITY, GeomBuffer
 from ..decor.panels import Panels
 from ..decor.picture_view import PictureView
@@ -60,6 +61,10 @@ class SceneDecor:
     def buffer(self) -> GeomBuffer:
         """The geoms of the last frame."""
         return self._decor.buffer
+
+    def add(self, feature: Drawn) -> None:
+        """Draws something more in every frame, after its own features."""
+        self._decor.features.append(feature)
 
     @property
     def fixed(self) -> str:

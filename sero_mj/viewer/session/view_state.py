@@ -14,7 +14,8 @@ from ...robots.assemble.robot_parts import ARROW_QUANTITIES
 from ...robots.assemble.world_view import WorldView
 from ..camera import find_camera
 from ..decor.toggles import Toggles
-from ..tools.torque_history import joint_name
+from .clock import Clock
+from .torque_history import joint_name
 
 # Fields of `Toggles` that are switches.
 SWITCH_NAMES = (
@@ -68,12 +69,16 @@ class ViewState(NamedTuple):
         return cls(str(state.camera), switches, str(state.joint), time)
 
 
-def rounded_camera(camera: mujoco.MjvCamera) -> None:
-    """Rounds a free camera's numbers to those of its text; nobody sees that."""
-    camera.azimuth = round(camera.azimuth, _DECIMALS)
-    camera.elevation = round(camera.elevation, _DECIMALS)
-    camera.distance = max(round(camera.distance, _DECIMALS), 10.0**-_DECIMALS)
-    camera.lookat = np.round(camera.lookat, _DECIMALS) + 0.0
+def view_state_of(
+    world: WorldView, camera: mujoco.MjvCamera, toggles: Toggles, clock: Clock
+) -> ViewState:
+    """What a user has set of a view, as text."""
+    return ViewState(
+        camera_text(world, camera),
+        switches_text(world, toggles),
+        "" if toggles.selected is None else joint_name(world, toggles.selected),
+        None if clock.is_live else round(clock.time, 6),  # arrows turn with it
+    )
 
 
 def camera_text(world: WorldView, camera: mujoco.MjvCamera) -> str:
@@ -181,14 +186,12 @@ class ViewSnapshot(NamedTuple):
         lookat: (3,), m; None where the camera goes along with something.
         switches: of `SWITCH_NAMES`, then which billboards were clicked on, as bytes.
         selected: joint.
-        poses: names of the robots that are moved by hand, and their joint angles as bytes.
     """
 
     camera: tuple[float, ...]
     lookat: tuple[float, ...] | None
     switches: tuple[bytes, ...]
     selected: int | None
-    poses: tuple[tuple[str, bytes], ...] = ()
 
     @classmethod
     def of(cls, camera: mujoco.MjvCamera, toggles: Toggles, *, follows: bool) -> ViewSnapshot:

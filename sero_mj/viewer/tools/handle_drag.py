@@ -8,7 +8,6 @@ from ...base.frames import Array
 from ..decor.handles import CUBE, ring_radius
 from ..decor.picture_view import PictureView
 from ..session.picking import Pixel
-from .pulling import target_of
 
 _EDGE_ON = 0.2  # of a ring's axis along the line of sight; below it the ring is seen from the side
 _HEAD_ON = 0.05  # of 1 - the same for an arrow; below it the arrow points at the camera
@@ -88,3 +87,16 @@ def _rotation(axis: Array, angle: float) -> Array:
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
+
+
+def target_of(eye: Array, forward: Array, point: Array, ray: Array) -> Array:
+    """Returns where a ray meets the plane through a point that is parallel to the picture.
+
+    Args:
+        eye: position of the camera, (3,), m.
+        forward: its direction, unit vector (3,).
+        point: of the plane, (3,), m.
+        ray: any other point of the ray from the eye, (3,), m.
+    """
+    depth = (point - eye) @ forward
+    return eye + (ray - eye) * (depth / ((ray - eye) @ forward))

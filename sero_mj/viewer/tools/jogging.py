@@ -7,39 +7,45 @@ torques are received either, those that hold the robot against gravity are shown
 from __future__ import annotations
 
 import threading
+from typing import ClassVar
 
 import numpy as np
 
 from ...base.errors import SeroError
 from ...base.frames import Array
-from ...data.drive.mirror import LiveWorld
+from ...robots.assemble.gravity_torques import GravityTorques
 from ...robots.assemble.robot import SerialRobot
-from ...simulate.control.gravity_torques import GravityTorques
-from ..decor.toggles import Handles, Toggles
+from ..decor.toggles import Handles
+from ..panels.jog_panel import JogPanel
+from ..panels.widgets import Widgets
 from ..session.picking import Pixel
-from ..session.scene_decor import SceneDecor
-from .joint_goal import JointGoal
-from .pulling import target_of
+from ..session.pose_text import setting
+from ..session.tool import Grab, Shown, Tool
+from ..session.view_state import MODELLED
+from .handle_drag import target_of
+from .joint_goal import JointGoal, set_goals
 
 _TIME = 0.04  # s, in which 63 % of the way is made
 _SPEED = {"revolute": 4.0, "prismatic": 1.0}  # at most, rad/s and m/s
 
 
-class Jogging:
+class Jogging(Tool):
     """The robots of a mirror that are moved by hand.
 
     Args:
-        mirror: what is shown.
-        toggles: of it; says whose torques are the model's.
+        shown: where it works.
 
     Attributes:
         goals: where the robots are wanted, by name; empty where all have data.
-        is_on: whether a link is dragged.
         note: why no gravity torque is shown; empty where it is.
     """
 
-    def __init__(self, mirror: LiveWorld, toggles: Toggles) -> None:
-        self._mirror, self._toggles = mirror, toggles
+    order: ClassVar[int] = 20
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        mirror = shown.mirror
+        self._mirror, self._toggles = mirror, shown.toggles
         world, data = mirror.world, mirror.data
         routed = {route.to.target for route in mirror.routes}
         self.goals = {
@@ -64,6 +70,7 @@ class Jogging:
         self.note = ""
         self._dragged: tuple[str, int, Array] | None = None  # robot, link, point in its frame
         self._at: Pixel = (0.0, 0.0)
+        self._panel = JogPanel(world, self.goals, self.base)
 
     @property
     def torques(self) -> dict[str, Array]:
@@ -142,9 +149,9 @@ class Jogging:
         self._compiling = threading.Thread(target=make, name="gravity", daemon=True)
         self._compiling.start()
 
-    def begin(self, decor: SceneDecor, at: Pixel) -> tuple[str, bool] | None:
-        """Grabs the link at a pixel of the picture, see `Pulling.begin`."""
-        found = self._found(decor, at)
+    def grab(self, at: Pixel) -> Grab | None:
+        """Grabs the link at a pixel."""
+        found = self._found(at)
         if found is None:
             return None
         name, link, frame_name, point = found
@@ -154,16 +161,16 @@ class Jogging:
         self._dragged = (name, link, rotation.T @ (point - data.xpos[body]))
         self._at = at
         self.goals[name].hold_posture()
-        return f"moves {frame_name}", False
+        return Grab(f"moves {frame_name}")
 
-    def announce(self, decor: SceneDecor, at: Pixel) -> tuple[str, bool] | None:
+    def announce(self, at: Pixel) -> Grab | None:
         """Says what a drag from there would move."""
-        found = self._found(decor, at)
-        return None if found is None else (f"drag to move {found[2]}", False)
+        found = self._found(at)
+        return None if found is None else Grab(f"drag to move {found[2]}")
 
-    def _found(self, decor: SceneDecor, at: Pixel) -> tuple[str, int, str, Array] | None:
+    def _found(self, at: Pixel) -> tuple[str, int, str, Array] | None:
         """Returns robot, link, frame and point at a pixel; None where nothing is moved by hand."""
-        found = decor.link_at(self._mirror.data, at)
+        found = self.shown.decor.link_at(self._mirror.data, at)
         if found is None:
             return None
         frame_name, point = found
@@ -176,9 +183,9 @@ class Jogging:
         """Moves the pointer."""
         self._at = at
 
-    def update(self, decor: SceneDecor) -> str:
+    def drag(self) -> str:
         """Moves the dragged link to the pointer; returns why it cannot, or nothing."""
-        view = decor.view
+        view = self.shown.decor.view
         if self._dragged is None or view is None:
             return ""
         name, link, point = self._dragged
@@ -191,12 +198,45 @@ class Jogging:
         self._toggles.handles = None if goal.mark is None else Handles(mark=goal.mark)
         return goal.trouble
 
-    def end(self) -> None:
+    def release(self) -> None:
         """Lets go."""
         if self._dragged is not None:
             self.goals[self._dragged[0]].let_go()
             self._dragged = None
             self._toggles.handles = None
+
+    def build(self, ui: Widgets) -> None:
+        """Builds the sliders of all robots."""
+        self._panel.build(ui, self.note)
+
+    @property
+    def state(self) -> tuple[tuple[str, bytes], ...]:
+        """Where the robots are wanted."""
+        return tuple((name, goal.angles.tobytes()) for name, goal in self.goals.items())
+
+    def restore(self, state: tuple[tuple[str, bytes], ...]) -> None:
+        """Wants the robots to be there again."""
+        set_goals(self.goals, state)
+
+    def render_words(self) -> list[str]:
+        """Angles that differ from the declared ones, and torques of the model."""
+        words: list[str] = []
+        for name, goal in self.goals.items():
+            if not np.array_equal(goal.angles, goal.robot.home):
+                words += ["--set", setting(name, goal.angles)]
+        torques = self.torques
+        for name, each in torques.items():
+            words += ["--set", setting(name, each, "torques")]
+        if torques:
+            digits = "".join(map(str, self._toggles.modelled.astype(int).tolist()))
+            words += ["--show", f"{MODELLED}={digits}"]
+        return words
+
+    def goal(self) -> tuple[str, JointGoal, Array] | None:
+        """The first robot."""
+        for name, goal in self.goals.items():
+            return name, goal, self.base(name)
+        return None
 
 
 def approached(shown: Array, wanted: Array, passed: float, fastest: Array) -> Array:

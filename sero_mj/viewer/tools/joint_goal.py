@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
 import numpy as np
 
 from ...base.frames import Array, frame
-from ...robots.assemble.robot import SerialRobot
-from ...simulate.control.inverse_kinematics import (
+from ...robots.assemble.inverse_kinematics import (
     ITERATIONS,
     Reached,
     frame_place,
     independent_limits,
     reach,
 )
+from ...robots.assemble.robot import SerialRobot
 
 _FAR = 0.005  # m, from which on it is shown where a frame was wanted
 _TURNED = np.deg2rad(2.0)  # rad, likewise
@@ -174,3 +176,10 @@ class JointGoal:
     def let_go(self) -> None:
         """Forgets what could not be reached, at the end of a drag."""
         self.trouble, self.mark = "", None
+
+
+def set_goals(goals: Mapping[str, JointGoal], angles: Iterable[tuple[str, bytes]]) -> None:
+    """Sets the angles of goals to those of before, float64 as bytes, where they are others."""
+    for name, wanted in angles:
+        if name in goals and goals[name].angles.tobytes() != wanted:
+            goals[name].set_all(np.frombuffer(wanted))

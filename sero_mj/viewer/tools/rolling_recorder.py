@@ -10,17 +10,18 @@ import shlex
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
+from typing import ClassVar
 
 from ...base.errors import SeroError
-from ...data.drive.mirror import LiveWorld
 from ...data.drive.record_sources import record_last
 from ...data.record.triggered_recorder import RecordedEvent
 from ..session.capture import unused_name
-from .live_history import SPAN
+from ..session.live_history import SPAN
+from ..session.tool import Action, Shown, Tool
 
 log = logging.getLogger(__name__)
 
@@ -40,21 +41,26 @@ main()
 _SIGNALS_RATE = 100.0  # Hz of decoded values: of a minute they would take seconds at more
 
 
-class RollingRecorder:
+class RollingRecorder(Tool):
     """Remembers the packets of a mirror's live sources, and writes those of the last minute.
 
     Args:
-        mirror: whose sources these are.
+        shown: where it works.
 
     Attributes:
-        is_on: whether there are such sources.
+        is_on: whether there are live sources.
         finishes_films: whether `close` waits for the films that are not finished.
     """
 
+    order: ClassVar[int] = 25  # before what is pulled is kept
+    keys: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "k": ("keep", "keep the last minute of what is live, or what was pushed")
+    }
     finishes_films = False
 
-    def __init__(self, mirror: LiveWorld) -> None:
-        self._mirror = mirror
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        mirror = self._mirror = shown.mirror
         self._stack = ExitStack()
         self._said: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
         self._films = Films()
@@ -69,12 +75,12 @@ class RollingRecorder:
         )
         self._recorder.on_event = self._on_event
 
-    def keep(self, folder: Path, view: Sequence[str]) -> str:
-        """Writes what came in the last minute; returns what to tell the user.
+    def actions(self) -> Mapping[str, Action]:
+        """See `Tool`."""
+        return {"keep": self._keep} if self.is_on else {}
 
-        Args:
-            folder: of the recording and the film.
-            view: the film's scene, camera and switches, as arguments of `sero-mj render`.
+    def _keep(self) -> str:
+        """Writes what came in the last minute; returns what to tell the user.
 
         Raises:
             SeroError: an earlier one could not be written; nothing is remembered since.
@@ -83,8 +89,9 @@ class RollingRecorder:
             raise SeroError(f"nothing is kept any more: {self._recorder.error}")
         if not self._recorder.statistics.packets:
             return "nothing has come yet that could be kept"
-        name = self._mirror.world.scene.name
-        self._path, self._view = unused_name(folder, name, ".mcap", datetime.now()), view
+        name, folder = self._mirror.world.scene.name, self.shown.folder or Path()
+        self._path = unused_name(folder, name, ".mcap", datetime.now())
+        self._view = self.shown.render_words()
         self._recorder.record_now("kept by hand")
         return f"keeps the last minute: {self._path.name}"
 

@@ -1,10 +1,14 @@
-"""`Undo`: takes back what a user has changed, and does it again."""
+"""`UndoTool`: takes back what a user has changed, and does it again."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import Generic, TypeVar
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import Any, ClassVar, Generic, TypeVar
+
+from ..session.tool import Action, Tool
+from ..session.view_state import ViewSnapshot
 
 State = TypeVar("State")
 
@@ -27,6 +31,16 @@ class Undo(Generic[State]):
         self._kept = self._seen = read()  # that a step leads back to, and that of the last frame
         self._changed = float("-inf")
 
+    @property
+    def count(self) -> int:
+        """How many steps can be taken back."""
+        return len(self._past)
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether nothing has changed since the last step."""
+        return self._read() == self._kept
+
     def watch(self, now: float | None = None) -> None:
         """Looks at the state; call it in every frame.
 
@@ -39,13 +53,6 @@ class Undo(Generic[State]):
             self._seen, self._changed = state, now
         elif state != self._kept and now - self._changed > _RESTS:
             self._settle()
-
-    def overlook(self) -> None:
-        """Takes the state as it is now for that of the last frame: the user did not change it."""
-        is_settled = self._seen == self._kept
-        self._seen = self._read()
-        if is_settled:
-            self._kept = self._seen
 
     def _settle(self) -> None:
         """Makes a step of what has changed since the last one."""
@@ -77,3 +84,46 @@ class Undo(Generic[State]):
     def _go(self, state: State) -> None:
         self._write(state)
         self._kept = self._seen = self._read()
+
+
+class UndoTool(Tool):
+    """Ctrl+Z and Ctrl+Y: for camera, switches, selection, and the state of other tools."""
+
+    order: ClassVar[int] = 80
+    keys: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "ctrl+z": ("undo", "undo: switches, camera, selection; Ctrl+Y redo"),
+        "ctrl+y": ("redo", ""),
+    }
+
+    def actions(self) -> Mapping[str, Action]:
+        """See `Tool`."""
+        return {"undo": self._take_back, "redo": self._do_again}
+
+    def _take_back(self) -> str:
+        return self.undo.undo()
+
+    def _do_again(self) -> str:
+        return self.undo.redo()
+
+    @cached_property
+    def undo(self) -> Undo[tuple[ViewSnapshot, dict[str, Any]]]:
+        """Watches from the first frame on."""
+        return Undo(self._read, self._write)
+
+    def advance(self, passed: float) -> None:
+        """Looks at what has changed."""
+        self.undo.watch()
+
+    def _read(self) -> tuple[ViewSnapshot, dict[str, Any]]:
+        shown = self.shown
+        view = ViewSnapshot.of(shown.view_camera, shown.toggles, follows=shown.is_following)
+        return view, {name: tool.state for name, tool in shown.tools.items() if tool is not self}
+
+    def _write(self, state: tuple[ViewSnapshot, dict[str, Any]]) -> None:
+        view, of_tools = state
+        view.show(self.shown.view_camera, self.shown.toggles)
+        for name, tool in self.shown.tools.items():
+            if name in of_tools and tool.state != of_tools[name]:
+                tool.restore(of_tools[name])
+        if view.selected is not None:
+            self.shown.select(view.selected)

@@ -19,6 +19,7 @@ from ..camera import find_camera, list_cameras, needed_aspect, standing_back
 from ..headless.film import Pixels
 from ..session.live import LiveHost
 from ..session.picking import Pixel
+from ..session.restoring import show_state
 from ..session.view_state import ViewState
 from .guard import is_loopback, make_token
 from .page_windows import PageWindows
@@ -76,6 +77,7 @@ class WebHost(LiveHost):
         world = self.world
         self.clock.on_moment = self._sample
         self.decor = WebDecor(world, self.toggles)
+        self._use(self.decor)
         self._is_closed = False
         self._under: Pixel | None = None
         self._start_camera = camera
@@ -203,7 +205,7 @@ class WebHost(LiveHost):
         if text is None:
             return
         try:
-            self.show_state(ViewState.from_text(text))
+            show_state(self, ViewState.from_text(text))
         except UsageError as error:
             self.say(str(error), is_bad=True)
 
@@ -315,8 +317,7 @@ class WebHost(LiveHost):
         if self._is_closed:
             return
         self._is_closed, WebHost._is_any_open = True, False
-        self.keeping.close()
-        self.capture.close()
+        super().close()
         self._end_renderer()
         with contextlib.suppress(RuntimeError):  # already closed from the page
             self._handle.close()

@@ -15,6 +15,7 @@ from ..session.clock import SPEEDS, time_text
 from ..session.interaction import help_columns
 from ..session.live import LiveHost
 from ..session.status_line import clock_text, source_text
+from ..session.tool import tool_keys
 from .studio_controls import StudioApp
 from .studio_decor import CUT_OFF, WebDecor
 from .studio_widgets import StudioWidgets, write_line
@@ -281,7 +282,7 @@ class PageWindows(plugin.ViewerPlugin):
         imgui.SetNextWindowSizeConstraints(imgui.Vec2(0.0, 0.0), room)
         host = self._host
         _, host.shows_help = imgui.Begin("Mouse and keys###help", host.shows_help, _PANEL_FLAGS)
-        columns = help_columns(on_page=True)
+        columns = help_columns(tool_keys(), on_page=True)
         if size.x < _TWO_COLUMNS:
             columns = [[row for column in columns for row in (*column, ("", ""))]]
             imgui.PushTextWrapPos(room.x - 3 * _MARGIN)

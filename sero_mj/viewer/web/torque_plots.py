@@ -10,9 +10,9 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
 
 from ...base.frames import Array
+from ...base.reduction import envelope
 from ...robots.assemble.world_view import WorldView
-from ...study.reduction import envelope
-from ..tools.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
+from ..session.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 
 # Limits of update rate and points: plots would be most of the data sent to the browser.
 _INTERVAL = 1.0 / 15.0  # s

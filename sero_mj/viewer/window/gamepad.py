@@ -151,15 +151,8 @@ class Gamepad:
 
     def _goal(self) -> tuple[str, JointGoal, Array] | None:
         """What the sticks move: the target of a simulated robot, else a robot without data."""
-        steering, jogging = self._host.steering, self._host.jogging
-        if steering.goals:
-            robot = steering.selected if steering.selected in steering.goals else ""
-            robot = robot or next(iter(steering.goals))
-            return f"the target of {robot}", steering.goals[robot], steering.base(robot)
-        if jogging.goals:
-            robot = next(iter(jogging.goals))
-            return robot, jogging.goals[robot], jogging.base(robot)
-        return None
+        found = self._host.tools.first(lambda tool: tool.goal())
+        return None if found is None else found[1]
 
     def _stick(self, sticks: Array, zoom: float) -> None:
         goal = self._goal() if self.steers else None

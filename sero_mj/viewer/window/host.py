@@ -29,6 +29,7 @@ from ..session.live import LiveHost
 from ..session.picking import Pixel
 from ..session.scene_decor import SceneDecor
 from ..session.status_line import Piece, status_pieces
+from ..session.tool import tool_keys
 from ..stereo import EYE_DISTANCE, Stereo, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter
 from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
@@ -238,6 +239,7 @@ class Window(LiveHost):
         made = (world, self.toggles, self.gl.context)
         make = make_viewport or partial(Viewport, stereo=stereo, eye_distance=eye_distance)
         self.decor = make(*made)
+        self._use(self.decor)
         self.decor.needed = self.navigator.needed
         self._hud = Hud(self.gl)
         self._panel: PanelLayer | None = None  # until it is opened for the first time
@@ -249,7 +251,7 @@ class Window(LiveHost):
         }
         self._plot = TorquePlot(world)
         self.gamepad = Gamepad(self, self._turn)
-        self._help = help_columns()
+        self._help = help_columns(tool_keys())
         self._help.append([("Gamepad", ""), *PAD_STICKS.items(),
                            *((name, words) for name, (_, words) in PAD_KEYS.items())])  # fmt: skip
         self._line: TimeLine | None = None
@@ -359,7 +361,7 @@ class Window(LiveHost):
         if self.capture.is_filming:
             hud.filming(f"filming {time_text(self.capture.seconds)}", picture.width, height)
         if self._line is not None:
-            hud.draw_time_line(self._line, self.clock.time, width, self.bookmarks.ticks())
+            hud.draw_time_line(self._line, self.clock.time, width, self.ticks)
         if self.shows_status:
             hud.status(pieces, _HINT, width)
         if self.notice.is_shown:
@@ -551,8 +553,7 @@ class Window(LiveHost):
 
     def close(self) -> None:
         """Closes the window after pictures and films are written."""
-        self.keeping.close()
-        self.capture.close()
+        super().close()
         if self._panel is not None:
             self._panel.close()
         self.gl.close()

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
-from ..tools.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
+from ..session.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 from ..typesetting import Rgb, Text
 from .hud import BAR, DIM, TEXT, Hud, shortened
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...base.frames import Array, Bools
-from ...robots.assemble.robot import SerialRobot
+from .robot import SerialRobot
 
 ITERATIONS = 60
 CLOSE = 1e-3  # m, or rad; what is nearer is reached

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from ...base.errors import SeroError
 from ...base.frames import Array, Bools
-from ...data.drive.mirror import LiveWorld
 from ...data.receive.source import QUIET_AFTER
 from ...robots.assemble.inputs import SOURCE_FIELDS
-from ...simulate.runs.monitor import Monitor
-from ...simulate.runs.run_recording import read_run
-from ..decor.quantities import joint_values
-from ..session.clock import Clock, time_text
-from .torque_history import joint_name
+from ...viewer.decor.quantities import joint_values
+from ...viewer.session.clock import time_text
+from ...viewer.session.tool import Action, Shown, Tool
+from ...viewer.session.torque_history import joint_name
+from ..runs.monitor import Monitor
+from ..runs.run_recording import read_run
 
 _MOST = 1000  # of each kind
 _APART = 0.5  # s between two of the same kind at a joint, below which they are one
@@ -42,7 +43,7 @@ class Bookmark(NamedTuple):
     is_mark: bool
 
 
-class Bookmarks:
+class Bookmarks(Tool):
     """Marks of the user, and faults: of simulations and recordings what a monitor finds in them.
 
     What is live is watched as it comes: joints beyond their limits of torque or angle, torque
@@ -50,12 +51,20 @@ class Bookmarks:
     or not applied.
 
     Args:
-        mirror: what is shown.
-        clock: of it.
+        shown: where it works.
     """
 
-    def __init__(self, mirror: LiveWorld, clock: Clock) -> None:
-        self._mirror, self._clock = mirror, clock
+    order: ClassVar[int] = 60
+    keys: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "m": ("mark", "mark this moment"),
+        "e": ("next_event", "next mark or fault, w the last one"),
+        "w": ("last_event", ""),
+    }
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        mirror = self._mirror = shown.mirror
+        self._clock = shown.clock
         self._marks: list[float] = []
         self._watched: deque[Bookmark] = deque(maxlen=_MOST)
         self._of_recordings: list[Bookmark] | None = None
@@ -73,6 +82,14 @@ class Bookmarks:
         self._silent: set[str] = set()
         # By source: how many packets were lost and so on, and when that was seen last, s.
         self._counts: dict[str, tuple[Array, Array]] = {}
+
+    def actions(self) -> Mapping[str, Action]:
+        """See `Tool`."""
+        return {
+            "mark": self.mark,
+            "next_event": lambda: self.go(1),
+            "last_event": lambda: self.go(-1),
+        }
 
     def mark(self) -> str:
         """Marks what is shown; returns what to tell the user."""
@@ -130,7 +147,7 @@ class Bookmarks:
         found += self._watched
         for source in self._mirror.sources.values():
             findings = getattr(getattr(source, "run", None), "findings", None)
-            found += [] if findings is None else map(_moment_of, findings())
+            found += [] if findings is None else map(_bookmark_of, findings())
         found += self._of_recordings or ()
         return sorted(moment for moment in found if moment.time >= self._clock.begin)
 
@@ -168,11 +185,11 @@ class Bookmarks:
             start = float(getattr(source, "start", None) or 0.0)
             speed = float(getattr(source, "speed", 1.0))
             for finding in Monitor().find(log)[:_MOST]:
-                moment = _moment_of(finding)
+                moment = _bookmark_of(finding)
                 found.append(moment._replace(time=(moment.time - start) / speed))
         return found
 
 
-def _moment_of(finding: Any) -> Bookmark:
+def _bookmark_of(finding: Any) -> Bookmark:
     text = str(finding).partition("  ")[2].replace("  ", " ")
     return Bookmark(finding.time, text, is_mark=False)

@@ -9,10 +9,10 @@ import numpy as np
 
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
-from ...robots.assemble.robot import SerialRobot
-from ...robots.assemble.scene import Scene
-from ...robots.assemble.world import World, dynamics_of
-from .compiler import EARTH
+from .robot import SerialRobot
+from .robot_dynamics import EARTH
+from .scene import Scene
+from .world import World, dynamics_of
 
 
 class GravityTorques:

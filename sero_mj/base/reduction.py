@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..base.frames import Array
+from .frames import Array
 
 
 def envelope(times: Array, values: Array, bins: int) -> tuple[Array, Array]:

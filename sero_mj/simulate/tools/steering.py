@@ -6,33 +6,31 @@ joints by sliders. The robot follows with the compliance of its controller.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...base.frames import Array
-from ...data.drive.mirror import LiveWorld
-from ...simulate.live_control import CONTROL_NAMES, CONTROLS, Control, LiveRobot
-from ..decor.toggles import Handles, Toggles
-from ..session.clock import Clock
-from ..session.picking import Pixel
-from ..session.scene_decor import SceneDecor
-from .handle_drag import dragged
-from .jogging import link_number
-from .joint_goal import JointGoal
-from .pulling import target_of
+from ...viewer.decor.toggles import Handles
+from ...viewer.panels.widgets import Widgets
+from ...viewer.session.picking import Pixel
+from ...viewer.session.tool import Grab, Shown, Tool
+from ...viewer.tools.handle_drag import dragged, target_of
+from ...viewer.tools.jogging import link_number
+from ...viewer.tools.joint_goal import JointGoal, set_goals
+from ..live_control import LiveRobot
+from ..runs.run_source import RunSource
+from .steering_panel import SteeringPanel
 
 _PAST = 0.1  # s behind the newest moment, from which on the past is shown
 _NEAR = 5.0  # pixels by which a handle may be missed
 
 
-class Steering:
+class Steering(Tool):
     """The targets of the robots of a mirror.
 
     Args:
-        mirror: what is shown.
-        clock: of it.
-        toggles: of it; shows the handles.
+        shown: where it works.
 
     Attributes:
         robots: whose controllers and targets are changed, by name; empty where none is.
@@ -42,9 +40,17 @@ class Steering:
         is_on: whether a target is dragged.
     """
 
-    def __init__(self, mirror: LiveWorld, clock: Clock, toggles: Toggles) -> None:
-        self._mirror, self._clock, self._toggles = mirror, clock, toggles
-        found = [each for each in mirror.sources.values() if getattr(each, "live", None)]
+    order: ClassVar[int] = 10
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        mirror = self._mirror = shown.mirror
+        self._clock, self._toggles = shown.clock, shown.toggles
+        found = [
+            each
+            for each in mirror.sources.values()
+            if isinstance(each, RunSource) and each.live is not None
+        ]
         self.source: Any = found[0] if found else None
         self.robots: dict[str, LiveRobot] = {}
         self.goals: dict[str, JointGoal] = {}
@@ -64,17 +70,36 @@ class Steering:
             for name, part in world.doubles.items()
             if part.double.path is None and part.double.of in self.robots
         }
+        self._panel = SteeringPanel(self, shown.say)
 
     def _find_robots(self) -> None:
         live = None if self.source is None else self.source.live
         self.robots = {} if live is None else live.robots
         self.goals = {name: JointGoal(each.robot, each.goal) for name, each in self.robots.items()}
 
+    def build(self, ui: Widgets) -> None:
+        """Builds the panel."""
+        self._panel.build(ui)
+
     @property
-    def own_goals(self) -> dict[str, JointGoal]:
-        """Those that do not follow their robots, by name."""
-        return {name: each for name, each in self.goals.items()
-                if self.robots[name].control != "gravity"}  # fmt: skip
+    def state(self) -> tuple[tuple[str, bytes], ...]:
+        """Where targets are wanted that do not follow their robots."""
+        return tuple(
+            (name, goal.angles.tobytes())
+            for name, goal in self.goals.items()
+            if self.robots[name].controller.needs_target
+        )
+
+    def restore(self, state: tuple[tuple[str, bytes], ...]) -> None:
+        """Wants the targets to be there again."""
+        set_goals(self.goals, state)
+
+    def goal(self) -> tuple[str, JointGoal, Array] | None:
+        """The target of the selected robot."""
+        if not self.goals:
+            return None
+        name = self.selected if self.selected in self.goals else next(iter(self.goals))
+        return f"the target of {name}", self.goals[name], self.base(name)
 
     @property
     def is_past(self) -> bool:
@@ -93,30 +118,30 @@ class Steering:
         self._clock.go_to_start()
         return "from the declared pose"
 
-    def choose(self, robot: str, control: Control) -> str:
+    def choose(self, robot: str, control: str) -> str:
         """Changes the controller of a robot; returns what to tell the user."""
         self.selected = robot
         why = self.robots[robot].choose(control)
         self.goals[robot].follow(self.robots[robot].goal)
-        return why or f"{robot}: {CONTROL_NAMES[CONTROLS.index(control)]}"
+        return why or f"{robot}: {self.robots[robot].controller.title or control}"
 
     def base(self, robot: str) -> Array:
         """T_world_base (4, 4) of a robot as it is shown."""
         world = self._mirror.world
         return world.frame(self._mirror.data, world.robots[robot].base_name)
 
-    def advance(self) -> None:
+    def advance(self, passed: float) -> None:
         """Hands the wished targets on, and shows the handles; before the mirror moves."""
         if not self.robots:
             return
         for name, robot in self.robots.items():
             goal = self.goals[name]
-            if robot.control == "gravity":
+            if not robot.controller.needs_target:
                 goal.follow(robot.goal)
             elif not np.array_equal(goal.angles, robot.goal):
                 robot.goal = goal.angles
         goal = self.goals[self.selected]
-        is_shown = self.robots[self.selected].control != "gravity" and not self.is_past
+        is_shown = self.robots[self.selected].controller.needs_target and not self.is_past
         if not is_shown:
             self._toggles.handles = None
             return
@@ -127,29 +152,29 @@ class Steering:
             lit = self._handle[0] if self._handle is not None else self._lit
             self._toggles.handles = Handles(pose, lit, goal.mark)
 
-    def hover(self, decor: SceneDecor, at: Pixel | None) -> bool:
+    def hover(self, at: Pixel | None) -> bool:
         """Lights the handle under the pointer; returns whether there is one."""
-        found = None if at is None else decor.handle_at(at, _NEAR)
+        found = None if at is None else self.shown.decor.handle_at(at, _NEAR)
         self._lit = -1 if found is None else found
         return found is not None
 
-    def begin_handle(self, decor: SceneDecor, at: Pixel) -> tuple[str, bool] | None:
-        """Grabs the handle at a pixel, see `Pulling.begin`; None where there is none."""
+    def grab_handle(self, at: Pixel) -> Grab | None:
+        """Grabs the handle at a pixel."""
         handles = self._toggles.handles
-        handle = None if handles is None else decor.handle_at(at, _NEAR)
+        handle = None if handles is None else self.shown.decor.handle_at(at, _NEAR)
         if handle is None or handles is None or handles.pose is None:
             return None
         self._handle, self._at, self.is_on = (handle, handles.pose, at), at, True
         self.goals[self.selected].hold_posture()
-        return "", False
+        return Grab("")
 
-    def begin(self, decor: SceneDecor, at: Pixel) -> tuple[str, bool] | None:
-        """Grabs the link of a target's double at a pixel, see `Pulling.begin`."""
-        found = self._found(decor, at)
+    def grab(self, at: Pixel) -> Grab | None:
+        """Grabs the link of a target's double at a pixel."""
+        found = self._found(at)
         if found is None:
             return None
         robot, link, label = found
-        point = decor.point_at(self._mirror.data, at)
+        point = self.shown.decor.point_at(self._mirror.data, at)
         if point is None:
             return None
         frames = self._frames(robot)
@@ -157,15 +182,15 @@ class Steering:
         self._point = (robot, link, R.T @ (point - p))
         self._at, self.is_on, self.selected = at, True, robot
         self.goals[robot].hold_posture()
-        return f"moves {label}", False
+        return Grab(f"moves {label}")
 
-    def announce(self, decor: SceneDecor, at: Pixel) -> tuple[str, bool] | None:
+    def announce(self, at: Pixel) -> Grab | None:
         """Says what a drag from there would move."""
-        found = self._found(decor, at)
-        return None if found is None else (f"drag to move {found[2]}", False)
+        found = self._found(at)
+        return None if found is None else Grab(f"drag to move {found[2]}")
 
-    def _found(self, decor: SceneDecor, at: Pixel) -> tuple[str, int, str] | None:
-        picked = decor.pick(self._mirror.data, at) if self._doubles else None
+    def _found(self, at: Pixel) -> tuple[str, int, str] | None:
+        picked = self.shown.decor.pick(self._mirror.data, at) if self._doubles else None
         if picked is None or picked.kind != "double" or picked.owner not in self._doubles:
             return None
         robot = self._doubles[picked.owner]
@@ -181,9 +206,9 @@ class Steering:
         """Moves the pointer."""
         self._at = at
 
-    def update(self, decor: SceneDecor) -> str:
+    def drag(self) -> str:
         """Moves the target to the pointer; returns why it cannot be, or nothing."""
-        view = decor.view
+        view = self.shown.decor.view
         if view is None or not self.is_on:
             return ""
         if self.is_past:
@@ -203,7 +228,7 @@ class Steering:
             return goal.trouble
         return ""
 
-    def end(self) -> None:
+    def release(self) -> None:
         """Lets go."""
         for goal in self.goals.values():
             goal.let_go()

@@ -1,0 +1,135 @@
+"""`SteeringPanel`: controllers, gains and targets of robots that are simulated without an end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol
+
+import numpy as np
+
+from ...base.frames import Array
+from ...viewer.panels.jog_panel import FlangeFields, JointSliders, build_each
+from ...viewer.panels.widgets import Widgets
+from ...viewer.tools.joint_goal import JointGoal
+from ..control.controller import Slider
+from ..live_control import LiveRobot
+
+_SLIDER = 9.5  # wide, of the text's height
+
+
+class Steered(Protocol):
+    """What the panel changes, see `Steering`."""
+
+    robots: dict[str, LiveRobot]
+    goals: dict[str, JointGoal]
+    selected: str
+    has_handles: bool
+
+    @property
+    def error(self) -> str: ...  # noqa: D102
+    def start_again(self) -> str: ...  # noqa: D102
+    def choose(self, robot: str, control: str) -> str: ...  # noqa: D102
+    def base(self, robot: str) -> Array: ...  # noqa: D102
+
+
+class SteeringPanel:
+    """The panel of robots whose targets and controllers are changed while they run.
+
+    Args:
+        steering: changes them.
+        say: tells the user something.
+    """
+
+    def __init__(self, steering: Steered, say: Callable[[str], None]) -> None:
+        self._steering, self._say = steering, say
+        self._sliders, self._flange = JointSliders(), FlangeFields()
+        self._refused: dict[str, str] = {}
+        self._asked: Any = None  # what was refused last: a slider asks for it in every frame
+
+    def build(self, ui: Widgets) -> None:
+        """Builds a section for every robot."""
+        steering = self._steering
+        if steering.error:
+            ui.text(f"stopped: {steering.error}", "bad")
+            if ui.button("start again"):
+                self._say(steering.start_again())
+        robots = steering.robots
+        build_each(ui, "Control", robots, lambda name: self._robot(ui, name, robots[name]))
+
+    def _robot(self, ui: Widgets, name: str, robot: LiveRobot) -> None:
+        kinds = [*robot.controllers]
+        titles = [each.title or kind for kind, each in robot.controllers.items()]
+        now = kinds.index(robot.control)
+        ui.width(_SLIDER + 2.0)
+        changed, chosen = ui.choose("##control", now, titles)
+        if changed and chosen != now:
+            self._refused.pop(name, None)
+            self._say(self._steering.choose(name, kinds[chosen]))
+        self._sliders_of(ui, name, robot)
+        if name in self._refused:
+            ui.text(self._refused[name], "bad")
+        if not robot.controller.needs_target:
+            ui.text("it stays where it is put: Ctrl+drag pulls a link", "quiet")
+            return
+        self._target(ui, name)
+
+    def _target(self, ui: Widgets, name: str) -> None:
+        steering, goal = self._steering, self._steering.goals[name]
+        if goal.trouble:
+            ui.text(goal.trouble, "bad")
+        changed, is_on = ui.check("handles", steering.has_handles and steering.selected == name)
+        if changed:
+            steering.has_handles, steering.selected = is_on, name
+        ui.tip("drag arrows, rings and cube to move the target's flange; Ctrl+drag its links")
+        ui.same_line()
+        if ui.button("target to robot"):
+            goal.follow(steering.robots[name].measured)
+        ui.tip("the target is where the robot is now")
+        if ui.tree("target's joints"):
+            self._sliders.build(ui, goal)
+            ui.width(4.2)
+            changed, unit = ui.choose("##unit", self._sliders.unit, ("deg", "rad"))
+            if changed:
+                self._sliders.unit = unit
+            if ui.button("home"):
+                goal.set_all(goal.robot.home)
+            ui.end_tree()
+        if ui.tree("target's flange"):
+            base = steering.base(name)
+            pose = self._flange.build(ui, goal, base)
+            if pose is not None:
+                goal.hold_posture()
+                goal.move_flange(base, pose, at_once=True)
+            ui.end_tree()
+
+    def _sliders_of(self, ui: Widgets, name: str, robot: LiveRobot) -> None:
+        """Builds the sliders of a robot's controller, those of a group in a tree."""
+        found = robot.controller.sliders(robot.robot, robot.first[robot.control])
+        for slider in (each for each in found if not each.group):
+            self._slider(ui, name, slider)
+        for group in dict.fromkeys(each.group for each in found if each.group):
+            if ui.tree(group):
+                for slider in (each for each in found if each.group == group):
+                    self._slider(ui, name, slider)
+                ui.end_tree()
+
+    def _slider(self, ui: Widgets, name: str, slider: Slider) -> None:
+        ui.width(_SLIDER)
+        moved, value = ui.slide(slider.label, slider.value, 0.0, slider.most, slider.text)
+        if slider.tip:
+            ui.tip(slider.tip)
+        if moved:
+            self._change(name, slider.fields(value), slider.words)
+
+    def _change(
+        self, name: str, values: dict[str, Any], text: Callable[[Mapping[str, Any]], str]
+    ) -> None:
+        asked = (name, [(key, np.asarray(value).tobytes()) for key, value in values.items()])
+        if asked == self._asked:
+            return
+        self._asked = asked
+        why = self._steering.robots[name].change(values, text)
+        if why:
+            self._refused[name] = why
+        else:
+            self._refused.pop(name, None)

@@ -1,0 +1,77 @@
+"""`Dragging`: which tool a drag belongs to, from its press until it is let go."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from .input import Moved
+from .picking import Pixel
+from .tool import Grab, Tool, Tools
+
+
+class Dragging:
+    """Hands drags on to the tools.
+
+    Args:
+        tools: are asked in their order.
+        say: tells the user something, and whether it is bad; an empty text takes the last one back.
+    """
+
+    def __init__(self, tools: Tools, say: Callable[[str, bool], None]) -> None:
+        self._tools, self._say = tools, say
+        self._tool: Tool | None = None  # whose drag goes on
+        self._trouble = ""  # what was said of it last
+        self._tried: Pixel | None = None  # where handles were looked for
+        self._is_refused = False
+
+    def take(
+        self, moved: Moved, at: Pixel | None, begin: Pixel | None, pressed: Pixel | None
+    ) -> bool:
+        """Takes a drag or a turn of the wheel, if a tool does; see `LiveHost.drag`."""
+        if self._tool is not None and moved.how == "zoom":
+            said = self._tool.wheel(moved.down)
+            if said is not None:
+                self._say(said, False)
+                return True
+        if self._tool is None and pressed is not None and self._tried != moved.pressed:
+            self._tried = moved.pressed  # the drag began there, and only there is a handle grabbed
+            self._begin(self._tools.first(lambda tool: tool.grab_handle(pressed)))
+        if moved.pulls_from is None and self._tool is None:
+            return False
+        if self._tool is None and not self._is_refused and begin is not None:
+            self._begin(self._tools.first(lambda tool: tool.grab(begin)))
+        if self._tool is not None and at is not None:
+            self._tool.move(at)
+        return self._tool is not None or self._is_refused
+
+    def _begin(self, found: tuple[Tool, Grab] | None) -> None:
+        if found is None:
+            return
+        tool, grab = found
+        self._is_refused = grab.is_refused
+        self._tool = None if grab.is_refused else tool
+        if grab.text:
+            self._say(grab.text, grab.is_refused)
+
+    def announce(self, at: Pixel) -> bool:
+        """Says what a finger that is held at a pixel would drag; returns whether anything."""
+        found = self._tools.first(lambda tool: tool.announce(at))
+        if found is None:
+            return False
+        self._say(*found[1])
+        return not found[1].is_refused
+
+    def advance(self) -> None:
+        """Lets the drag act, once for each frame."""
+        if self._tool is None:
+            return
+        trouble = self._tool.drag()
+        if trouble or self._trouble:
+            self._say(trouble, True)
+        self._trouble = trouble
+
+    def release(self) -> None:
+        """Ends the drag."""
+        if self._tool is not None:
+            self._tool.release()
+        self._tool, self._trouble, self._is_refused, self._tried = None, "", False, None

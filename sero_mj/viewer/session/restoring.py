@@ -1,0 +1,46 @@
+"""A window or page as its user left it: kept at the end, shown at the next start."""
+
+from __future__ import annotations
+
+from ...base.errors import UsageError
+from ..camera import copy_camera
+from .kept_views import find_view, keep_view
+from .live import LiveHost
+from .view_state import ViewState, apply_state
+
+
+def keep(host: LiveHost) -> None:
+    """Keeps camera, switches, selection and layout for the next time."""
+    keep_view(host.world.scene, host.view_state(), host.layout)
+
+
+def restore(host: LiveHost, *, with_camera: bool = True) -> None:
+    """Shows a scene as its user left it, if that was kept.
+
+    Args:
+        host: that shows it.
+        with_camera: whether its camera as well.
+    """
+    try:
+        found = find_view(host.world.scene)
+    except UsageError as error:
+        host.say(str(error), is_bad=True)
+        return
+    if found is not None:
+        state, layout = found
+        show_state(host, state if with_camera else state._replace(camera=""))
+        host.show_layout(layout)
+
+
+def show_state(host: LiveHost, state: ViewState) -> None:
+    """Shows a view as it was, as far as it fits the scene; says what does not."""
+    camera, joint, wrong = apply_state(host.world, host.toggles, state)
+    if camera is not None:
+        copy_camera(camera, host.view_camera)
+    if joint is not None:
+        host.select(joint)
+    if state.time is not None and host.mirror.sources and not host.clock.is_live:
+        host.clock.seek(state.time)
+        host.clock.is_paused = True
+    if wrong:
+        host.say(f"of the view before: {wrong[0]}", is_bad=True)

@@ -1,0 +1,58 @@
+"""What tools work in, without a window: mirror, clock, switches, decor, and what was said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.session.clock import Clock
+from sero_mj.viewer.session.scene_decor import SceneDecor
+
+
+class Shown:
+    """See `sero_mj.viewer.session.tool.Shown`.
+
+    Attributes:
+        said: the messages, and whether they are bad.
+        copied: what is on the clipboard.
+    """
+
+    picture_size = (640, 480)
+    is_following = False
+
+    def __init__(
+        self,
+        mirror: Any,
+        *,
+        toggles: Any = None,
+        clock: Any = None,
+        decor: Any = None,
+        folder: Path | None = None,
+    ) -> None:
+        self.mirror, self.folder = mirror, folder
+        self.world, self.data = mirror.world, mirror.data
+        self.toggles = Toggles(self.world) if toggles is None else toggles
+        self.clock = Clock(mirror) if clock is None else clock
+        self.decor = SceneDecor(self.world, self.toggles) if decor is None else decor
+        self.view_camera = mujoco.MjvCamera()
+        self.tools: dict[str, Any] = {}
+        self.said: list[tuple[str, bool]] = []
+        self.copied = ""
+
+    def say(self, text: str, *, is_bad: bool = False) -> None:
+        self.said.append((text, is_bad))
+
+    def select(self, joint: int) -> None:
+        self.toggles.selected = joint
+
+    def view_state(self) -> Any:
+        raise NotImplementedError
+
+    def render_words(self) -> list[str]:
+        return [self.world.scene.name]
+
+    def to_clipboard(self, text: str) -> None:
+        self.copied = text
