@@ -16,7 +16,7 @@ from .robots.assemble.robot import SerialRobot
 from .robots.assemble.scene import Scene
 from .robots.assemble.scene_file import read_scene_file
 from .robots.importers.imported_tables import NoJoints
-from .robots.importers.robot_file import is_urdf
+from .robots.importers.importer import find_importer
 from .simulate.sections import is_scenario
 
 
@@ -55,13 +55,16 @@ def load_scene(
                 available = [*paths.list_scenes(), *paths.list_scenarios(), *models]
                 hint = paths.file_hint(name)
                 raise UnknownName("scene or robot", name, available, hint) from error
-    if path.name == paths.ROBOT_FILE or path.suffix in paths.ROBOT_ENDINGS:
+    if path.name == paths.ROBOT_FILE or path.suffix in paths.robot_endings():
         own = paths.model_name(path)
         try:
             robot = load_robot(str(path), overrides)
         except NoJoints:
-            kind = "mjcf" if path.suffix == ".xml" and not is_urdf(path) else "urdf"
-            tables = {"name": own, "floor": "below", "objects": {own: {kind: path.name}}}
+            importer = find_importer(path)
+            if importer is None or not importer.object_key:
+                raise
+            body = {importer.object_key: path.name}
+            tables = {"name": own, "floor": "below", "objects": {own: body}}
             return _checked(*read_scene_file(path, overrides, tables=tables))
         # The base of a robot may be its trunk.
         return Scene(robots=[robot], floor="below", name=own)

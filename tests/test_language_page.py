@@ -67,7 +67,7 @@ def test_the_other_commands_of_the_page_are_understood() -> None:
     from sero_mj.cli import _parser
 
     for line in "\n".join(blocks("bash")).splitlines():
-        options = _parser().parse_args(shlex.split(line, comments=True)[1:])
+        options = _parser("").parse_args(shlex.split(line, comments=True)[1:])
         assert options.sniff == 32000
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from .errors import DeclarationError, Problem, UnknownName, nearest
+from .plugins import IMPORTERS, load_plugin, plugins
 
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
 # Of robot files in other formats than TOML.
@@ -23,8 +24,6 @@ _TELLS_NOTHING = ("robot", "model", "scene", "main")
 # In folders of others: what shows a robot on a floor, and where models are if not in the folder.
 _SCENE_FILE, _INNER = "scene.xml", ("mjcf", "urdf", "robots")
 _MODELS = ("a URDF file", "an MJCF file")
-ROBOT_ENDINGS: tuple[str, ...] = (".urdf", ".xacro", ".xml")
-SCENE_ENDINGS = (".x3d", ".x3dv", ".wrl")  # of scene files in other formats
 _PACKAGE = Path(__file__).resolve().parents[1]
 _KINDS = (
     (stat.S_ISFIFO, "a pipe"),
@@ -60,6 +59,23 @@ def models_dir() -> Path:
 def scenes_dir() -> Path:
     """Folder with the shipped scene files."""
     return _shipped("scenes")
+
+
+def robot_endings() -> tuple[str, ...]:
+    """Endings of robot files in formats of others, see `robots.importers.importer`."""
+    return _endings(of_scenes=False)
+
+
+def scene_endings() -> tuple[str, ...]:
+    """Endings of scene files in formats of others."""
+    return _endings(of_scenes=True)
+
+
+@cache
+def _endings(*, of_scenes: bool) -> tuple[str, ...]:
+    kinds = [load_plugin(IMPORTERS, name) for name in plugins(IMPORTERS)]
+    kinds = sorted((kind for kind in kinds if kind.is_scene == of_scenes), key=lambda k: k.order)
+    return tuple(dict.fromkeys(ending for kind in kinds for ending in kind.endings))
 
 
 def list_models() -> list[str]:
@@ -101,7 +117,7 @@ def find_model(name: str, beside: Path | None = None) -> Path:
 
     Args:
         name: a shipped robot's name, a folder with a `robot.toml`, or a file: TOML, or one of
-            `ROBOT_ENDINGS`. Of another folder it is the file `scene.xml`, else its one URDF or
+            `robot_endings()`. Of another folder it is the file `scene.xml`, else its one URDF or
             MJCF.
         beside: folder that relative paths start from; the working directory when None.
 
@@ -127,7 +143,7 @@ def find_group_model(name: str, beside: Path | None = None) -> Path:
 
 def _find_model(kind: str, name: str, beside: Path | None, file: str) -> Path:
     local = (beside or Path.cwd()) / name
-    endings = (".toml", *(ROBOT_ENDINGS if file == ROBOT_FILE else ()))
+    endings = (".toml", *(robot_endings() if file == ROBOT_FILE else ()))
     for candidate in (local / file, local, models_dir() / name / file):
         if candidate.suffix in endings and os.path.isfile(candidate):
             return _plain(candidate)
@@ -152,7 +168,7 @@ def _model_in(folder: Path) -> Path | None:
     if os.path.isfile(folder / _SCENE_FILE):
         return folder / _SCENE_FILE
     for inner in (folder, *(folder / each for each in _INNER)):
-        named = [inner / each for ending in ROBOT_ENDINGS for each in _files(inner, ending)]
+        named = [inner / each for ending in robot_endings() for each in _files(inner, ending)]
         found = [path for path in named if path.is_file() and format_of_file(path) in _MODELS]
         if len(found) > 1:
             names = ", ".join(sorted(str(path.relative_to(folder)) for path in found))
@@ -181,7 +197,7 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     ending = path.suffix.lower()
     if "\0" in name:
         return
-    is_read = ending in (read := (".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS))
+    is_read = ending in (read := (".toml", *robot_endings(), *scene_endings()))
     if not is_read and os.path.exists(path) and not os.path.isdir(path):
         try:
             with open_file(path) as file:
@@ -224,13 +240,18 @@ def format_of(contents: bytes) -> str | None:
     return None if root is None else _ROOTS.get(tag := root[1].decode(), f"XML <{tag}>")
 
 
-def format_of_file(path: Path) -> str | None:
-    """As `format_of`; None for a file that cannot be read, too."""
+def read_head(path: Path) -> bytes:
+    """The first 100 kB of a file; nothing of one that cannot be read."""
     try:
         with open_file(path) as file:
-            return format_of(file.read(_HEAD))
+            return file.read(_HEAD)
     except (OSError, ValueError):
-        return None
+        return b""
+
+
+def format_of_file(path: Path) -> str | None:
+    """As `format_of`; None for a file that cannot be read, too."""
+    return format_of(read_head(path))
 
 
 def _files(folder: Path, ending: str) -> list[str]:
@@ -292,7 +313,7 @@ def find_scene(name: str) -> Path:
 def _find(kind: str, name: str, folder: Path, shipped: Callable[[], list[str]]) -> Path:
     """A file, or a shipped one of that name."""
     for candidate in (Path(name), folder / f"{name}.toml"):
-        if candidate.suffix not in ROBOT_ENDINGS and os.path.isfile(candidate):
+        if candidate.suffix not in robot_endings() and os.path.isfile(candidate):
             return candidate
     _refuse_path(name)
     raise UnknownName(kind, name, shipped(), file_hint(name))

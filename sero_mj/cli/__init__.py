@@ -1,4 +1,7 @@
-"""The command line: `sero-mj COMMAND ...`, one file per command."""
+"""The command line: `sero-mj COMMAND ...`, one file per command.
+
+A package adds one by an entry point in the group `sero_mj.commands`, see `Command`.
+"""
 
 from __future__ import annotations
 
@@ -6,35 +9,12 @@ import argparse
 import logging
 import os
 import sys
+from typing import Any, Protocol
 
 from .. import __version__
-from ..base.errors import DeclarationError, SeroError
+from ..base.errors import DeclarationError, PluginError, SeroError
+from ..base.plugins import COMMANDS, load_plugin, plugins
 from ..viewer.headless.backend import choose_backend
-from . import (
-    calibrate,
-    check,
-    compare,
-    convert,
-    demo,
-    doctor,
-    export,
-    export_csv,
-    fk,
-    identify,
-    import_robot,
-    listing,
-    new,
-    plot,
-    record,
-    render,
-    schema,
-    send,
-    simulate,
-    status,
-    structure,
-    sweep,
-    view,
-)
 from ._arguments import OneLineParser, join_negative_values
 
 _DESCRIPTION = """\
@@ -66,8 +46,8 @@ def main(arguments: list[str] | None = None) -> None:
     given = sys.argv[1:] if arguments is None else arguments
     if not given or (given[0].startswith("--") and given[0] not in ("--help", "--version")):
         given = ["view", *given]  # the start page
-    options = _parser().parse_args(join_negative_values(given))
     try:
+        options = _parser(given[0]).parse_args(join_negative_values(given))
         status = options.run(options)
         sys.stdout.flush()
     except DeclarationError as error:
@@ -86,7 +66,34 @@ def main(arguments: list[str] | None = None) -> None:
     sys.exit(status)
 
 
-def _parser() -> argparse.ArgumentParser:
+class Command(Protocol):
+    """What an entry point in the group `sero_mj.commands` names: a module, or any such object.
+
+    Attributes:
+        ORDER: in the help, lowest first; sero-mj's own have 10 to 90.
+    """
+
+    ORDER: int
+
+    def add_to(self, commands: Any) -> None:
+        """Adds the command to the subparsers of argparse, see `_arguments.add_command`."""
+
+
+def _commands(wanted: str) -> list[Command]:
+    """The command of that name, which is then all that is loaded; of another name all of them."""
+    known = plugins(COMMANDS)
+    if wanted in known:
+        return [load_plugin(COMMANDS, wanted)]
+    found: list[Command] = []
+    for name in known:
+        try:
+            found.append(load_plugin(COMMANDS, name))
+        except PluginError as error:
+            logging.warning("%s; left out", error)
+    return sorted(found, key=lambda command: command.ORDER)
+
+
+def _parser(wanted: str) -> argparse.ArgumentParser:
     parser = OneLineParser(
         prog="sero-mj",
         description=_DESCRIPTION,
@@ -95,30 +102,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"sero-mj {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (
-        view,
-        render,
-        calibrate,
-        send,
-        simulate,
-        sweep,
-        status,
-        structure,
-        record,
-        export_csv,
-        plot,
-        compare,
-        identify,
-        fk,
-        check,
-        export,
-        convert,
-        listing,
-        new,
-        import_robot,
-        schema,
-        doctor,
-        demo,
-    ):
-        module.add_to(commands)
+    for command in _commands(wanted):
+        command.add_to(commands)
     return parser

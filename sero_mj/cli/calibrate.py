@@ -53,6 +53,7 @@ frame or a joint (the middle of its axis), perhaps with an offset in m along the
 With intrinsics (--camera-file, OpenCV's or ROS's) 4 points do, 8 are better; without them the focal
 length is found from 6 or more, for a lens without distortion.
 """
+ORDER = 16  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -21,6 +21,7 @@ _EPILOG = """\
 Reads and compiles the scene and opens nothing. Prints every problem at once, with file and line,
 and exits with 2; else prints what the scene holds.
 """
+ORDER = 52  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

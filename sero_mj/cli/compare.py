@@ -45,6 +45,7 @@ the difference: sign, gain, bias, delay or noise of a torque sensor or a drive, 
 a joint that is stuck. The exit status is 1 when a tolerance is exceeded, 2 when they cannot be
 compared.
 """
+ORDER = 43  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..base.errors import UsageError
-from ..base.paths import SCENE_ENDINGS
+from ..robots.importers.known_formats import X3d
 from ._arguments import Commands, add_command, check_ending, read_scene
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ unless they are such files already.
 """
 # Fields of robots in other units or orders, which are converted when a robot is built.
 _OTHER_FORMS = ("name", "dh_params", "dh_columns", "length_unit")
+ORDER = 58  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:
@@ -47,10 +48,10 @@ def add_to(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Writes the file; returns 0."""
     output: Path = options.output
-    to_x3d = output.suffix.lower() in SCENE_ENDINGS
+    to_x3d = output.suffix.lower() in X3d.endings
     if not to_x3d:
-        check_ending(str(output), output, (".toml", *SCENE_ENDINGS))
-    is_x3d = Path(options.scene).suffix.lower() in SCENE_ENDINGS
+        check_ending(str(output), output, (".toml", *X3d.endings))
+    is_x3d = Path(options.scene).suffix.lower() in X3d.endings
     if to_x3d == is_x3d:
         both = "X3D" if to_x3d else "TOML"
         raise UsageError(f"{options.scene} and {output}: both are {both}; expected one of each")

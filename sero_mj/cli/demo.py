@@ -16,6 +16,7 @@ _EPILOG = """\
 Starts `sero-mj send` as another process, which plays a motion to a free UDP port at 1 kHz, and
 writes OUT/lwr.png and OUT/lwr.mp4 of the LWR that mirrors it.
 """
+ORDER = 76  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

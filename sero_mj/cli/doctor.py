@@ -63,6 +63,7 @@ for quality in ("normal", "draft"):
         print(quality, (time.perf_counter() - start) / frames)
 """
 _SMOOTH = 0.04  # s, of a frame
+ORDER = 73  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -17,6 +17,7 @@ frame "home" has the joint angles that the scene declares. It is what is viewed,
 motor inertia and friction, which are what `simulate` adds, but with the masses of simulation. A
 comment in the file says which of these are estimated.
 """
+ORDER = 55  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

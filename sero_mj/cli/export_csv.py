@@ -17,6 +17,7 @@ examples:
 A row for every good packet: its time in s since the recording began, then all of its numbers, to
 the last digit. With several sources, --source chooses one.
 """
+ORDER = 37  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -22,6 +22,7 @@ examples:
   sero-mj fk justin --of justin_left_arm
   sero-mj fk my_scene.toml
 """
+ORDER = 49  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -30,6 +30,7 @@ measured torque, payload and offsets by measured torque less that of the robot's
 its standard error. What the motion does not tell is said, and not guessed: all joints should move,
 to and fro, slowly and faster, and the wrist far enough that gravity changes.
 """
+ORDER = 46  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from ..base.declaration import is_name
 from ..base.errors import UsageError
-from ..base.paths import SCENE_ENDINGS, format_of_file, model_name
-from ..robots.importers.robot_file import is_urdf
+from ..base.paths import format_of_file, model_name
+from ..robots.importers.importer import find_importer
+from ..robots.importers.known_formats import Mjcf, X3d
 from ._arguments import Commands, add_command, add_package_option, check_ending
 from .new import scene_text
 from .schema import schema_text
@@ -37,6 +38,7 @@ _BESIDE = re.compile(
     rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<|^[ \t]*(?:mtllib|map_Kd)[ \t]+([^\r\n]+)",
     re.MULTILINE,
 )
+ORDER = 67  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:
@@ -118,7 +120,7 @@ def _read(options: argparse.Namespace) -> _Source:
     from ..robots.importers.urdf import UrdfFile
 
     path: Path = options.file
-    if path.suffix == ".xml" and not is_urdf(path):
+    if isinstance(find_importer(path), Mjcf):
         described = read_mjcf(path)
         described.tables.update({"name": model_name(path), "directory": str(path.parent)})
 
@@ -180,7 +182,7 @@ def _comment(items: Sequence[str]) -> list[str]:
 def _check_format(path: Path) -> None:
     """Raises UsageError for what is no robot in URDF or MJCF, and says what takes it."""
     ending = path.suffix.lower()
-    if ending in SCENE_ENDINGS:
+    if ending in X3d.endings:
         raise UsageError(
             f"{path}: found a scene in X3D; expected a robot in URDF or MJCF. `sero-mj convert "
             f"{path} {path.stem}.toml` writes it as a scene of ours, `sero-mj view {path}` shows it"

@@ -8,11 +8,23 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from ..base import paths
-from ..base.plugins import DECOR, SOURCES, is_own, load_plugin, plugins
+from ..base.plugins import (
+    COMMANDS,
+    CONTROLLERS,
+    DECOR,
+    IMPORTERS,
+    SOURCES,
+    TARGET_MOTIONS,
+    TOOLS,
+    is_own,
+    load_plugin,
+    plugins,
+)
 from ._arguments import Commands, add_command
 
 if TYPE_CHECKING:
     from ..base.declaration import Declaration
+ORDER = 61  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:
@@ -66,8 +78,19 @@ def _print_environments() -> None:
     print("  and every scenario, with an agent in the place of its controller")
 
 
+_KINDS = {
+    IMPORTERS: "files of robots and scenes in formats of others",
+    SOURCES: "kinds of sources",
+    CONTROLLERS: "kinds of controllers",
+    TARGET_MOTIONS: "kinds of target motions",
+    DECOR: "visual features",
+    TOOLS: "tools of windows and pages",
+    COMMANDS: "commands",
+}
+
+
 def _print_plugins() -> None:
-    for group, about in ((SOURCES, "kinds of sources"), (DECOR, "visual features")):
+    for group, about in _KINDS.items():
         print(f"{about} (entry points {group})")
         for name, point in plugins(group).items():
             package = "" if is_own(point) else f", of {point.dist.name}" if point.dist else ""

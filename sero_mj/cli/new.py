@@ -80,6 +80,7 @@ structure = "{n}F{n}F"             # `sero-mj structure {n}F{n}F` says what stan
 "{name}.joint_angles" = "udp.values0"
 "{name}.torques" = "udp.values1"
 """
+ORDER = 64  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

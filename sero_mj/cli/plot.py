@@ -31,6 +31,7 @@ A row for each joint: commanded and measured torque with the limit, and beside t
 commanded less measured. Recordings of simulations and of robots alike; time counts from the start
 of a simulation, or from the first packet of a robot. `sero-mj compare` shows two in one figure.
 """
+ORDER = 40  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

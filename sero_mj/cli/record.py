@@ -51,6 +51,7 @@ min, max, norm, any, all. On several joints it holds where it holds for any of t
 """
 
 _EVERY = 0.25  # s
+ORDER = 34  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -54,6 +54,7 @@ calibrate finds it. Needs `pip install 'sero-mj[camera]'`.
 """
 
 _OF_OTHERS = "the picture is as large as the photo or video, seen by its camera"
+ORDER = 13  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -26,6 +26,7 @@ examples:
 Visual Studio Code with the extension Even Better TOML, and every other editor with Taplo, then
 complete keys, say what they mean, and underline what is wrong. `sero-mj new` writes such a line.
 """
+ORDER = 70  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

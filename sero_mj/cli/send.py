@@ -39,6 +39,7 @@ like the numbers of the packet (`values0[0]`, as export-csv has them), or are al
 
 FASTEST = 1e5  # packets/s; a Python loop does not send faster
 _FRI_CYCLE = 0.005  # s; as in many a laboratory, and no burden for one core
+ORDER = 19  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

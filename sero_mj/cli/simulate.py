@@ -42,6 +42,7 @@ A scenario is a scene with [controllers], [targets], [disturbances], [faults], [
 when Ctrl+C ended it; what was recorded until then is kept. The same seed gives the same run, bit
 for bit.
 """
+ORDER = 22  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -26,6 +26,7 @@ Every cause for which packets are not applied is counted. Exits with 1 when a so
 """
 
 _EVERY = 0.25  # s
+ORDER = 28  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -47,6 +47,7 @@ examples:
 A port can be listened to by one program only: close the viewer while you sniff. Ctrl-C ends it
 with a summary.
 """
+ORDER = 31  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

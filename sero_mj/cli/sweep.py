@@ -41,6 +41,7 @@ combinations than --samples. A variant that is unstable or cannot be built is a 
 error. Rows are written as they come: what was interrupted goes on with --resume. Exits with 1 when
 not every variant held.
 """
+ORDER = 25  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -61,6 +61,7 @@ H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the w
 the page. Browsers on other machines reach it through `ssh -L 8080:localhost:8080 MACHINE`, or with
 --host 0.0.0.0 under the printed address, which has a token; nothing is encrypted.
 """
+ORDER = 10  # in the help of `sero-mj`
 
 
 def add_to(commands: Commands) -> None:

@@ -469,7 +469,7 @@ class SerialRobot(Declaration):
 
         Args:
             model: a shipped robot's name (`lwr`), a folder with a `robot.toml`, or a file: TOML,
-                or one of `paths.ROBOT_ENDINGS`.
+                or what an importer takes.
             **overrides: any field of this class.
 
         Raises:
@@ -579,7 +579,7 @@ class SerialRobot(Declaration):
     def is_foreign(self) -> bool:
         """Whether it comes from URDF or MJCF, where bases are anywhere in a robot."""
         return self.mjcf is not None or (
-            self._model is not None and self._model.suffix in paths.ROBOT_ENDINGS
+            self._model is not None and self._model.suffix in paths.robot_endings()
         )
 
     @property

@@ -15,8 +15,8 @@ from ...base.dotted_keys import lacking, parts_of, with_value
 from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean, nearest
 from ...base.toml_file import key_lines, located, read_toml
 from ..importers.imported_tables import ImportedTables
+from ..importers.importer import find_importer
 from ..importers.robot_file import read_robot_file
-from ..importers.x3d import read_x3d
 from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
 from .group_model import Expanded, expand_groups, where
@@ -83,9 +83,10 @@ def _refuse_excess(problems: Sequence[Problem], path: Path, described: ImportedT
 
 def _described(path: Path) -> ImportedTables:
     """The tables of a file, whatever its format; what is not in them is logged."""
-    if path.suffix.lower() not in paths.SCENE_ENDINGS:
+    importer = find_importer(path)
+    if importer is None:
         return ImportedTables(read_toml(path))
-    described = read_x3d(path)
+    described = importer.read(path)
     for warning in described.warnings:
         log.warning("%s: %s", path, warning)
     return described

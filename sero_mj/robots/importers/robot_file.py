@@ -8,13 +8,7 @@ from typing import Any
 
 from ...base.toml_file import read_toml
 from .imported_tables import ImportedTables
-from .mjcf_robot import read_mjcf
-from .xml_file import root_name
-
-
-def is_urdf(path: Path) -> bool:
-    """Whether a file that ends in .xml is a URDF: its first element is `<robot>`."""
-    return path.suffix == ".xml" and root_name(path) == "robot"
+from .importer import find_importer
 
 
 def read_robot_file(
@@ -25,18 +19,14 @@ def read_robot_file(
     """Returns a robot's tables; file names in them are relative to the file's folder.
 
     Args:
-        path: of the file, whose ending says its format: TOML, or one of `paths.ROBOT_ENDINGS`;
-            of XML the first element does.
+        path: of the file: TOML, or what an importer takes.
         packages: folders of ROS packages by name, for URDF.
         arguments: of xacro by name.
 
     Raises:
         DeclarationError: the file cannot be read.
     """
-    if path.suffix in (".urdf", ".xacro") or is_urdf(path):
-        from .urdf import read_urdf
-
-        return read_urdf(path, packages, arguments)
-    if path.suffix == ".xml":
-        return read_mjcf(path)
-    return ImportedTables(read_toml(path), None)
+    importer = find_importer(path)
+    if importer is None:
+        return ImportedTables(read_toml(path), None)
+    return importer.read(path, packages, arguments)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
-from ...base.paths import SCENE_ENDINGS
+from ...base.paths import scene_endings
 from .vrml import read_document
 from .vrml_nodes import Node, Problems, get, instance, is_text, read_field
 from .wrl_geometry import GEOMETRIES, Triangles
@@ -209,8 +209,8 @@ def kind_of(node: Node) -> str:
 
 
 def _nodes_of(file: Path, node: Node, problems: Problems) -> list[Node]:
-    if file.suffix.lower() not in SCENE_ENDINGS:
-        message = f"found '{file.name}'; expected a file that ends in {', '.join(SCENE_ENDINGS)}"
+    if file.suffix.lower() not in scene_endings():
+        message = f"found '{file.name}'; expected a file that ends in {', '.join(scene_endings())}"
         problems.add(f"{node.label}.url", message, node.line)
         return []
     try:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import codecs
 import re
-from pathlib import Path
 from typing import Any, TypeAlias
 
 from lxml import etree
-
-from ...base.paths import open_file
 
 Element: TypeAlias = Any  # lxml has no types
 _MOST_HEAD = 100_000  # bytes in which a file's first element begins
@@ -37,13 +34,8 @@ class XmlError(ValueError):
         super().__init__("; ".join(reason for _, reason in reasons))
 
 
-def root_name(path: Path) -> str | None:
-    """Returns the name of a file's first element; None for a file that cannot be read."""
-    try:
-        with open_file(path) as file:
-            head = file.read(_MOST_HEAD)
-    except (OSError, ValueError):
-        return None
+def first_element(head: bytes) -> str | None:
+    """Returns the name of a file's first element; None where its beginning has none."""
     found = _ELEMENT.search(_NO_ELEMENT.sub(b"", head))
     return None if found is None else found[1].decode()
 

@@ -28,7 +28,7 @@ from ...data.record.recording import Recording
 from ...robots.assemble.group_model import Expanded, expand_groups
 from ...robots.assemble.robot import SerialRobot, build_robot
 from ...robots.assemble.scene import MOST_ENTRIES, Scene
-from ...robots.importers.x3d import read_x3d
+from ...robots.importers.robot_file import read_robot_file
 from ._recorded_signals import Series, follow_routes, read_events, receiver_of, series_of
 from .run_csv import columns_of_events, run_of_columns
 from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
@@ -350,12 +350,12 @@ def _read_tables(recording: Recording) -> dict[str, dict[str, Any]]:
             except ValueError as error:
                 reason = f"file '{name}' in it is no TOML: {error}"
                 raise RecordingError(recording.path, reason) from error
-        elif name.lower().endswith(paths.SCENE_ENDINGS):
+        elif name.lower().endswith(paths.scene_endings()):
             with TemporaryDirectory() as directory:
                 path = Path(directory) / name.split("/")[-1]
                 path.write_bytes(recording.read_attachment(name))
                 try:
-                    found[name] = read_x3d(path).tables
+                    found[name] = read_robot_file(path).tables
                 except DeclarationError as error:
                     reason = f"file '{name}' in it cannot be read: {error.problems[0].message}"
                     raise RecordingError(recording.path, reason) from error

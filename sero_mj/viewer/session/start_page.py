@@ -17,7 +17,7 @@ from typing import NamedTuple, Self
 from ...base import paths
 from ...base.errors import SeroError
 from ...base.frames import Array, Ints
-from ...base.paths import SCENE_ENDINGS, model_name
+from ...base.paths import model_name
 from ...data.receive.source import QUIET_AFTER, Source, make_source
 from ...data.receive.structure import Rows
 from ...robots.assemble.scene import Scene
@@ -263,7 +263,7 @@ def listening() -> PortMonitor:
 def _sources(scene: str) -> list[Source]:
     """What a scene's file declares; nothing where it is wrong, which opening it says."""
     path = paths.shipped_file(scene) or Path(scene)
-    if path.suffix != ".toml" or path.suffix in SCENE_ENDINGS:
+    if path.suffix != ".toml":
         return []
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8")).get("sources", {})

@@ -19,17 +19,17 @@ from websockets.http11 import Request
 from ...base.errors import UsageError
 from ...base.paths import (
     GROUP_FILE,
-    ROBOT_ENDINGS,
     ROBOT_FILE,
-    SCENE_ENDINGS,
     make_temporary_folder,
+    robot_endings,
+    scene_endings,
 )
 
 FILES = "/sero-mj/files"  # where the script sends them
 SCRIPT = Path(__file__).with_name("uploads.html").read_text("utf-8").rstrip("\n")
 MOST_BYTES, MOST_FILES = 500_000_000, 2000
 _LONGEST_PATH = 400
-_OPENED = (".toml", *ROBOT_ENDINGS, *SCENE_ENDINGS, ".mcap")
+_OPENED = (".toml", *robot_endings(), *scene_endings(), ".mcap")
 
 
 def is_for_files(request: Request) -> bool:

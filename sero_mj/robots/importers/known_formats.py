@@ -1,0 +1,73 @@
+"""The formats of others that sero-mj reads: URDF and xacro, MJCF, X3D."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+from .imported_tables import ImportedTables
+from .importer import Importer
+from .xml_file import first_element
+
+
+class Urdf(Importer):
+    """Robots of ROS."""
+
+    endings: ClassVar[tuple[str, ...]] = (".urdf", ".xacro", ".xml")
+    object_key: ClassVar[str] = "urdf"
+    order: ClassVar[int] = 10
+
+    @classmethod
+    def takes(cls, path: Path, head: bytes) -> bool:
+        """See `Importer`: of .xml whatever begins with `<robot>`."""
+        return path.suffix.lower() != ".xml" or first_element(head) == "robot"
+
+    def read(
+        self,
+        path: Path,
+        packages: Mapping[str, Path | str] | None = None,
+        arguments: Mapping[str, Any] | None = None,
+    ) -> ImportedTables:
+        """See `Importer`."""
+        from .urdf import read_urdf
+
+        return read_urdf(path, packages, arguments)
+
+
+class Mjcf(Importer):
+    """Robots of MuJoCo."""
+
+    endings: ClassVar[tuple[str, ...]] = (".xml",)
+    object_key: ClassVar[str] = "mjcf"
+    order: ClassVar[int] = 20
+
+    def read(
+        self,
+        path: Path,
+        packages: Mapping[str, Path | str] | None = None,
+        arguments: Mapping[str, Any] | None = None,
+    ) -> ImportedTables:
+        """See `Importer`."""
+        from .mjcf_robot import read_mjcf
+
+        return read_mjcf(path)
+
+
+class X3d(Importer):
+    """Scenes of the paper, in X3D's classic encoding, and VRML 97."""
+
+    endings: ClassVar[tuple[str, ...]] = (".x3d", ".x3dv", ".wrl")
+    is_scene: ClassVar[bool] = True
+    order: ClassVar[int] = 30
+
+    def read(
+        self,
+        path: Path,
+        packages: Mapping[str, Path | str] | None = None,
+        arguments: Mapping[str, Any] | None = None,
+    ) -> ImportedTables:
+        """See `Importer`."""
+        from .x3d import read_x3d
+
+        return read_x3d(path)

@@ -1,0 +1,229 @@
+"""Importers, controllers, tools and commands of other packages, found by entry points."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from plugin_tools import PLUGINS, install
+
+from sero_mj.base.plugins import COMMANDS, CONTROLLERS, IMPORTERS, TOOLS
+
+SDF = PLUGINS / "two_links.sdf"
+
+
+def run(folder: Path, program: str, *arguments: str, code: int = 0) -> str:
+    """What a program says that has the packages of a folder; `-m sero_mj` where it is empty."""
+    how = ["-c", program] if program else ["-m", "sero_mj", *arguments]
+    root = Path(__file__).resolve().parent.parent
+    path = os.pathsep.join([str(folder), str(root), str(root / "tests")])
+    done = subprocess.run(
+        [sys.executable, *how], cwd=folder, env={**os.environ, "PYTHONPATH": path},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == code, done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.fixture
+def sdf(tmp_path: Path) -> Path:
+    install(tmp_path, "sdf_importer", IMPORTERS, "sdf", "Sdf")
+    (tmp_path / SDF.name).write_bytes(SDF.read_bytes())
+    return tmp_path
+
+
+def test_a_file_of_another_format_is_a_robot(sdf: Path) -> None:
+    printed = run(sdf, """
+import numpy as np, sero_mj
+robot = sero_mj.load_scene("two_links.sdf").robots["two_links"]
+print(robot.names, robot.link_names, robot.position_limits.round(3).tolist())
+at = robot.kinematics.frames(np.array([0.5, -0.25]), np.eye(4))
+print(at[:, :3, 3].round(6).tolist(), at[2, :3, 2].round(6).tolist())
+""")  # fmt: skip
+    names, positions = printed.splitlines()
+    assert names == (
+        "['shoulder', 'elbow'] ['foot', 'upper_arm', 'fore_arm'] [[-2.0, 2.0], [-3.142, 3.142]]"
+    )
+    # The elbow is 0.5 m from the shoulder, which turns it by 0.5 rad.
+    assert positions == (
+        "[[0.0, 0.0, 0.0], [0.0, 0.0, 0.4], [0.438791, 0.239713, 0.4]] [-0.479426, 0.877583, 0.0]"
+    )
+
+
+def test_it_is_opened_by_its_ending_and_stands_in_scenes(sdf: Path) -> None:
+    (sdf / "scene.toml").write_text(
+        '[robots.arm]\nmodel = "two_links.sdf"\njoint_angles = [1, 0]\n'
+    )
+    assert "arm" in run(sdf, "", "check", "scene.toml")
+    assert "robot is right" in run(sdf, "", "check", SDF.name)
+    (sdf / "wrong.sdf").write_text("<robot name='x'/>")
+    said = run(sdf, "", "check", "wrong.sdf", code=2)
+    assert said.endswith("/wrong.sdf: is a URDF file; expected Sdf\n")
+
+
+def test_without_the_package_it_is_named_as_what_it_is(tmp_path: Path) -> None:
+    (tmp_path / SDF.name).write_bytes(SDF.read_bytes())
+    said = run(tmp_path, "", "check", SDF.name, code=2)
+    assert said.startswith(f"sero-mj: {SDF.name}: is an SDF file; expected a TOML file")
+
+
+@pytest.fixture
+def pd(tmp_path: Path) -> Path:
+    install(tmp_path, "pd_controller", CONTROLLERS, "pd", "PD")
+    return tmp_path
+
+
+SCENARIO = """
+[robots.lwr]
+model = "lwr"
+joint_angles = [0, 0.5, 0, -1.0, 0, 0.6, 0]
+[run]
+duration = 1.0
+[controllers.lwr]
+kind = "pd"
+bandwidth = {bandwidth}
+[targets.lwr]
+kind = "step"
+amplitude = [0.1, 0, 0, 0, 0, 0, 0]
+time = 0.1
+"""
+
+
+def test_a_controller_runs_in_scenarios_and_is_declared_like_ours(pd: Path) -> None:
+    (pd / "s.toml").write_text(SCENARIO.format(bandwidth=20))
+    printed = run(pd, """
+import numpy as np
+from sero_mj.simulate.scenario_file import read_scenario
+from sero_mj.simulate.simulation import Simulation
+simulation = Simulation(read_scenario("s.toml"))
+simulation.advance(simulation.steps)
+log = simulation.log
+moved = log.of("lwr", "joint_angles")[:, 0]
+times = log.times - 0.1
+print(np.abs(moved - np.where(times > 0, 0.1 * (1 - (1 + 20*times) * np.exp(-20*times)), 0)).max())
+""")  # fmt: skip
+    assert float(printed) < 2e-3  # the oscillator in closed form; motors are held for a step
+    (pd / "s.toml").write_text(SCENARIO.format(bandwidth=-1))
+    said = run(pd, "", "check", "s.toml", code=2)
+    assert "controllers.lwr.bandwidth: found -1; expected greater than 0" in said
+    assert 'kind = "pd"' in run(pd, "", "list", "--fields", "scenarios")
+
+
+def test_a_controller_is_chosen_and_tuned_while_a_robot_is_played_with(pd: Path) -> None:
+    printed = run(pd, """
+import sero_mj
+from scripted_widgets import ScriptedWidgets
+from shown import Shown
+from sero_mj import Mirror
+from sero_mj.simulate.endless_run import endless_scene
+from sero_mj.simulate.tools.steering import Steering
+with Mirror(endless_scene(sero_mj.load_scene("lwr"), "pd")) as mirror:
+    steering = Steering(Shown(mirror))
+    robot = steering.robots["lwr"]
+    print(robot.control, [*robot.controllers])
+    steering.goals["lwr"].set_joint(0, robot.goal[0] + 0.3)
+    for k in range(100):
+        steering.advance(0.02)
+        mirror.advance(0.02 * k)
+    print(abs(robot.measured[0] - robot.goal[0]) < 1e-3, mirror.sources["simulation"].error)
+    steering.build(ScriptedWidgets({"bandwidth": 33.0}))
+    print(robot.controller.bandwidth)
+    ui = ScriptedWidgets({"bandwidth": 1000.0})
+    steering.build(ui)
+    ui = ScriptedWidgets()
+    steering.build(ui)
+    print([text for text in ui.texts() if text.startswith("refused")])
+""")  # fmt: skip
+    control, there, tuned, refused = printed.splitlines()
+    kinds = ["gravity_compensation", "joint_impedance", "cartesian_impedance", "pd"]
+    assert control == f"pd {kinds}"
+    assert (there, tuned) == ("True None", "33.0")
+    assert "found 1000.0; expected less than or equal to 100" in refused
+
+
+def test_a_tool_takes_keys_and_clicks_draws_and_has_a_panel(tmp_path: Path) -> None:
+    install(tmp_path, "distance_tool", TOOLS, "distance", "Distance")
+    printed = run(tmp_path, """
+import numpy as np
+from decor_tools import view_at
+from scripted_widgets import ScriptedWidgets
+from sero_mj import Mirror, Scene, SerialRobot
+from sero_mj.viewer.session.interaction import help_columns
+from sero_mj.viewer.session.tool import Tools, tool_keys
+from shown import Shown
+with Mirror(Scene(robots=[SerialRobot.from_model("lwr")])) as mirror:
+    mirror.advance(0.0)
+    shown = Shown(mirror)
+    shown.tools = tools = Tools(shown)
+    decor = shown.decor
+    tool = tools["distance"]
+    decor.add(tool)
+    decor.lay_out(mirror.data, view_at())
+    before = decor.buffer.count
+    helped = [row for column in help_columns(tool_keys()) for row in column]
+    print(tool_keys()["g"], any("measure" in words for _, words in helped))
+    print(tool.actions()["measure"]())
+    at = [tuple(decor.view.project(mirror.data.site_xpos[s])[0])
+          for s in mirror.world.joints.centre_site[[2, 5]]]
+    print(tool.click(None, at[0]))
+    said = tool.click(None, at[1])
+    points = [decor.point_at(mirror.data, each) for each in at]
+    print(said == f"{1e3 * np.linalg.norm(points[1] - points[0]):.1f} mm")
+    decor.lay_out(mirror.data, view_at())
+    drawn = decor.buffer.rows[before:decor.buffer.count]
+    print(said.encode() in [line for p in decor.panels for t in p.texts for line in t])
+    row = next(row for row in decor.buffer.rows[:decor.buffer.count] if row["type"] == 3)
+    ends = row["pos"] + np.outer([-1, 1], row["mat"][:, 2]) * row["size"][2]
+    print(np.abs(np.sort(ends, 0) - np.sort(points, 0)).max() < 1e-6)
+    ui = ScriptedWidgets({"stop measuring": True})
+    tool.build(ui)
+    print(shown.said[-1], tool.is_on)
+""")  # fmt: skip
+    assert printed.splitlines() == [
+        "('measure', 'measure: click on two points') True",
+        "click on the first point",
+        "click on the second point",
+        "True",
+        "True",
+        "True",
+        "('no longer measures', False) False",
+    ]
+
+
+def test_a_tool_that_fails_is_told_and_taken_out(tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text(
+        "from sero_mj.viewer.session.tool import Tool\n"
+        "class Broken(Tool):\n"
+        "    def advance(self, passed):\n"
+        "        raise ZeroDivisionError('a fault')\n"
+    )
+    about = tmp_path / "broken-0.1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 0.1\n")
+    (about / "entry_points.txt").write_text(
+        f"[{TOOLS}]\nbroken = broken:Broken\nmissing = broken:Missing\n"
+    )
+    printed = run(tmp_path, """
+from sero_mj import Mirror, load_scene
+from sero_mj.viewer.session.tool import Tools
+from shown import Shown
+with Mirror(load_scene("lwr")) as mirror:
+    shown = Shown(mirror)
+    tools = Tools(shown)
+    print("broken" in tools, "missing" in tools, "jogging" in tools)
+    tools.ask(lambda tool: tool.advance(0.1))
+    print("broken" in tools, shown.said)
+""")  # fmt: skip
+    assert "True False True\nFalse [('broken fails and is taken out: a fault', True)]" in printed
+
+
+def test_a_command_is_run_and_in_the_help(tmp_path: Path) -> None:
+    install(tmp_path, "payload_command", COMMANDS, "carry", "Carry")
+    assert run(tmp_path, "", "carry", "lwr").startswith("lwr: at most ")
+    assert "carry     say what a robot can carry" in run(tmp_path, "", "--help")
+    assert "carry              payload_command:Carry, of payload-command" in run(
+        tmp_path, "", "list"
+    )
