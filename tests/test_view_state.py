@@ -322,7 +322,7 @@ def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path
     warning, *_ = session._warnings
     assert "gone.stl" in warning  # which the window or page then says, too
     urdf.write_text(urdf_text)
-    scene = session.open(urdf)
+    scene = session.open(urdf).world.scene
     assert not any("gone" in each for each in session._warnings)
     assert list(scene.robots) == ["two"]
     assert (options.scene, session.plain) == (str(urdf), scene)
@@ -339,7 +339,7 @@ def test_a_file_dropped_on_a_window_ends_it_for_another_scene(window: Driven) ->
     window.ask("setattr(w, 'opener', lambda path: load('no such scene'))")
     window.ask(drop)
     window.until("\"no scene or robot 'no such scene'\" in w.notice.text and w.notice.is_bad")
-    assert window.ask("w.is_open and w.next_scene is None")
-    window.ask("setattr(w, 'opener', lambda path: load('justin'))")
+    assert window.ask("w.is_open and w.next_mirror is None")
+    window.ask("setattr(w, 'opener', lambda path: Mirror(load('justin')))")
     window.ask(f"{drop} or setattr(w, 'request_close', lambda: None)")  # else it cannot be asked
-    assert window.until("w.next_scene is not None and w.next_scene.name") == "justin"
+    assert window.until("w.next_mirror is not None and w.next_mirror.world.scene.name") == "justin"

@@ -39,6 +39,7 @@ from ._opening import is_temporary, view_of_file
 if TYPE_CHECKING:
     import mujoco
 
+    from ..data.drive.mirror import Mirror
     from ..viewer.photo.camera_feed import CameraFeed, VideoFeed
     from ..viewer.session.live import LiveHost
     from ..viewer.session.view_state import ViewState
@@ -137,16 +138,16 @@ def run(options: argparse.Namespace) -> int:
     if options.simulate and options.replay is not None:
         raise UsageError("--simulate and --replay: a recording is played, and not simulated")
     session = Session(options, on_page=on_page)
-    scene = session.first()
+    mirror = session.first()
     if on_page and not (options.web or _of_page(options)):
         print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
     with until_ended():  # as good as closing it
         while True:
-            if scene is None and session.is_at_start:
-                scene = session.choose()
-            if scene is None:
+            if mirror is None and session.is_at_start:
+                mirror = session.choose()
+            if mirror is None:
                 return 0
-            scene = session.show(scene)
+            mirror = session.show(mirror)
     return 0
 
 
@@ -173,8 +174,8 @@ class Session:
         self._is_announced = False
         self._warnings: list[str] = []  # of the files of what is shown next
 
-    def first(self) -> Scene | None:
-        """Returns the scene of the command; None for the start page."""
+    def first(self) -> Mirror | None:
+        """Returns what shows the scene of the command; None for the start page."""
         options = self.options
         if not self.is_at_start:
             with self._noting_warnings():
@@ -185,15 +186,16 @@ class Session:
             raise UsageError("--set is for a scene; name one: sero-mj view SCENE --set ...")
         return None
 
-    def _begin(self, scene: Scene, *, is_replayed: bool = False) -> Scene:
-        """Returns what is shown of a scene that was read: it, or its simulation."""
+    def _begin(self, scene: Scene, *, is_replayed: bool = False) -> Mirror:
+        """Returns what shows a scene that was read, or its simulation; compiled, and checked."""
         is_simulated = self.options.simulate and not is_replayed
-        shown = _simulated(scene, self.options.control or "joint") if is_simulated else scene
+        control = self.options.control or "joint"
+        mirror = _simulated(scene, control) if is_simulated else _mirror_of(scene)
         self.plain, self._last = scene, None
-        return shown
+        return mirror
 
-    def choose(self) -> Scene | None:
-        """Shows the start page; returns the scene that was chosen there."""
+    def choose(self) -> Mirror | None:
+        """Shows the start page; returns what shows the scene that was chosen there."""
         options = self.options
         self.is_at_start = False  # unless its user goes back to it
         from ..viewer.session.start_page import listening
@@ -222,14 +224,11 @@ class Session:
         ):
             return window.run()
 
-    def open(self, what: RecentView | Path) -> Scene:
-        """Returns the scene that a user has chosen, or of a file that was dropped, checked.
+    def open(self, what: RecentView | Path) -> Mirror:
+        """Returns what shows the scene that a user has chosen, or a file that was dropped.
 
         The options are then those of the new scene; nothing changes where it is wrong.
         """
-        from ..data.drive.wiring import wire
-        from ..robots.assemble.world import World
-
         view = what
         if isinstance(view, Path):
             is_shown = self.options.scene is not None
@@ -240,8 +239,6 @@ class Session:
                 scene.view.look = self.options.look
             if view.replay:
                 replay_instead(scene, Path(view.replay), None)
-            wire(scene).check(scene)
-            World(scene)
             shown = self._begin(scene, is_replayed=bool(view.replay))
         vars(self.options).update(
             scene=view.scene, replay=Path(view.replay) if view.replay else None, settings=[],
@@ -249,9 +246,9 @@ class Session:
         )  # fmt: skip
         return shown
 
-    def show(self, scene: Scene) -> Scene | None:
+    def show(self, mirror: Mirror) -> Mirror | None:
         """Shows a scene until it is closed; returns what is to be shown then, if anything."""
-        return self._serve(scene) if self.on_page else self._open_window(scene)
+        return self._serve(mirror) if self.on_page else self._open_window(mirror)
 
     @contextmanager
     def _noting_warnings(self) -> Iterator[None]:
@@ -272,10 +269,10 @@ class Session:
         host.offers["start page"] = self._go_back
         simulated = [each for each in host.mirror.sources.values() if isinstance(each, RunSource)]
         if any(each.live is not None for each in simulated):
-            host.offers["end the simulation"] = lambda: self.plain
+            host.offers["end the simulation"] = lambda: _mirror_of(self.plain)
         elif all(each.drag_force is None for each in simulated) and host.world.robots:
 
-            def simulate() -> Scene:
+            def simulate() -> Mirror:
                 parts, data = host.world.robots, host.data
                 shown = {name: data.qpos[part.qpos].copy() for name, part in parts.items()}
                 # A robot that nobody has posed starts where it can be moved.
@@ -335,8 +332,7 @@ class Session:
             panel = host.layout.get("panel", False)
             self._last = copy.copy(host.view_camera), panel, host.view_state()
 
-    def _open_window(self, scene: Scene) -> Scene | None:
-        from ..data.drive.mirror import Mirror
+    def _open_window(self, mirror: Mirror) -> Mirror | None:
         from ..viewer.session.restoring import restore
         from ..viewer.window.host import Window
 
@@ -346,10 +342,10 @@ class Session:
             if options.over is not None:
                 from ..viewer.window.photo_viewport import PhotoViewport
 
-                feed = _feed(scene, options)
+                feed = _feed(mirror, options)
                 stack.callback(feed.close)
                 make_viewport = partial(PhotoViewport, feed=feed)
-            mirror = stack.enter_context(Mirror(scene))
+            stack.enter_context(mirror)
             window = Window(
                 mirror,
                 size=options.size or _SIZE,
@@ -366,17 +362,16 @@ class Session:
             elif not options.fresh:
                 restore(window, with_camera=options.camera is None)
             self._run(window)
-            return window.next_scene
+            return window.next_mirror
 
-    def _serve(self, scene: Scene) -> Scene | None:
-        from ..data.drive.mirror import Mirror
+    def _serve(self, mirror: Mirror) -> Mirror | None:
         from ..viewer.session.restoring import restore
         from ..viewer.session.viewer import open_page
 
         options = self.options
         host = options.host or _LOOPBACK
         with (
-            Mirror(scene) as mirror,
+            mirror,
             open_page(
                 mirror,
                 camera=options.camera,
@@ -387,14 +382,14 @@ class Session:
             ) as page,
         ):
             self._offer(page)
-            self._announce(scene.name, page.urls, host, is_private=page.is_private)
+            self._announce(mirror.world.scene.name, page.urls, host, is_private=page.is_private)
             if self._last is not None:
                 self._show_as_before(page, *self._last)
             elif not options.fresh:
                 restore(page, with_camera=options.camera is None)
             options.port, options.token = page.port, page.token or False  # as browsers know it
             self._run(page)
-            return page.next_scene
+            return page.next_mirror
 
     def _announce(self, name: str, urls: list[str], host: str, *, is_private: bool) -> None:
         """Says once where the page is, and who else may see it."""
@@ -430,10 +425,16 @@ def _absolute(name: Path | str | None) -> str:
     return str(Path(name).resolve()) if Path(name).exists() else str(name)
 
 
-def _simulated(scene: Scene, control: str, angles: Mapping[str, Array] | None = None) -> Scene:
+def _mirror_of(scene: Scene) -> Mirror:
+    from ..data.drive.mirror import Mirror
+
+    return Mirror(scene)
+
+
+def _simulated(scene: Scene, control: str, angles: Mapping[str, Array] | None = None) -> Mirror:
     from ..simulate.endless_run import endless_scene
 
-    return endless_scene(scene, control, angles)
+    return _mirror_of(endless_scene(scene, control, angles))
 
 
 def wants_page(options: argparse.Namespace) -> bool:
@@ -467,12 +468,11 @@ def _of_page(options: argparse.Namespace) -> list[str]:
     return given + ["token"] * options.token
 
 
-def _feed(scene: Scene, options: argparse.Namespace) -> CameraFeed | VideoFeed:
+def _feed(mirror: Mirror, options: argparse.Namespace) -> CameraFeed | VideoFeed:
     """The camera, or the video, that the scene is drawn over."""
-    from ..data.drive.wiring import wire
     from ..viewer.photo.camera_feed import CameraFeed, VideoFeed
 
-    sources = wire(scene).check(scene).sources.values()
+    sources, scene = mirror.sources.values(), mirror.world.scene
     file = Path(options.over)
     if not file.is_file() or not sources or any(source.is_live for source in sources):
         if options.offset is not None:

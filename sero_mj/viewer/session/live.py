@@ -14,9 +14,8 @@ import numpy as np
 from ...base.errors import SeroError
 from ...base.frames import Array
 from ...base.paths import without_temporary
-from ...data.drive.mirror import LiveWorld
+from ...data.drive.mirror import LiveWorld, Mirror
 from ...data.receive.source import Packets
-from ...robots.assemble.scene import Scene
 from ..decor.toggles import Toggles
 from ..headless.film import Pixels
 from ..panels.robot_panel import RobotPanel
@@ -80,10 +79,10 @@ class LiveHost(ABC):
         clock: pause, speed and time line.
         history: the torques of the last seconds.
         tools: what the user does to the world, by name.
-        opener: returns the scene of a file that is dropped; None where none is opened.
-        offers: other scenes that may be shown instead of this one, by the label of a button; None
-            for what is no scene.
-        next_scene: that which its user has chosen, and this host has ended for.
+        opener: returns what shows a file that is dropped; None where none is opened.
+        offers: what may be shown instead of this, by the label of a button; None for what is no
+            scene.
+        next_mirror: that which its user has chosen, and this host has ended for.
         folder: as given.
         capture: writes screenshots and films.
         wants_picture: whether the next frame is to be a screenshot.
@@ -115,9 +114,9 @@ class LiveHost(ABC):
         if mirror.is_live:
             mirror.listen(self._hear, to_all=True)
         # A scene to show instead of this one, which its user has asked for; and what offers that.
-        self.next_scene: Scene | None = None
-        self.offers: dict[str, Callable[[], Scene | None]] = {}
-        self.opener: Callable[[Path], Scene] | None = None
+        self.next_mirror: Mirror | None = None
+        self.offers: dict[str, Callable[[], Mirror | None]] = {}
+        self.opener: Callable[[Path], Mirror] | None = None
         self.folder = folder
         self.capture, self.wants_picture = Capture(world.scene.name, folder), False
         self.joint = 0
@@ -371,10 +370,10 @@ class LiveHost(ABC):
         else:
             self._go_on_with(lambda: opener(path))
 
-    def _go_on_with(self, make: Callable[[], Scene | None]) -> None:
+    def _go_on_with(self, make: Callable[[], Mirror | None]) -> None:
         """Ends, so that another scene is shown, if any; or says why it cannot be."""
         try:
-            self.next_scene = make()
+            self.next_mirror = make()
         except SeroError as error:
             self.say(str(error), is_bad=True)
         else:

@@ -18,14 +18,14 @@ from ...base import paths
 from ...base.errors import SeroError
 from ...base.frames import Array, Ints
 from ...base.paths import model_name
+from ...data.drive.mirror import Mirror
 from ...data.receive.source import QUIET_AFTER, Source, make_source
 from ...data.receive.structure import Rows
-from ...robots.assemble.scene import Scene
 from .recent_views import RecentView, recent_views
 from .status_line import Mood
 
 # Returns the scene of what was chosen; raises SeroError, which the page then shows.
-Opener = Callable[[RecentView | Path], Scene]
+Opener = Callable[[RecentView | Path], Mirror]
 
 TITLE = "sero-mj"
 TAGLINE = "shows what a torque-controlled robot feels"

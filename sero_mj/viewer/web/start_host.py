@@ -18,7 +18,7 @@ from websockets.http11 import Request, Response
 
 from ...base.errors import RenderError, SeroError
 from ...base.paths import without_temporary
-from ...robots.assemble.scene import Scene
+from ...data.drive.mirror import Mirror
 from ..session.recent_views import RecentView
 from ..session.start_page import (
     DROP_HINT,
@@ -45,7 +45,7 @@ class StartHost:
     """Shows on a web page what can be opened, until something is.
 
     Args:
-        opener: returns the scene of what was chosen.
+        opener: returns what shows what was chosen.
         listening: hears the data that is awaited.
         host: address to listen on.
         port: 0 for the first free one from 8080 on.
@@ -103,8 +103,8 @@ class StartHost:
         """Whether only browsers on this machine can reach it."""
         return self._is_private
 
-    def run(self) -> Scene | None:
-        """Returns the scene that was chosen; None when the server has ended."""
+    def run(self) -> Mirror | None:
+        """Returns what shows the scene that was chosen; None when the server has ended."""
         while self._thread.is_alive():
             try:
                 what = self._wanted.get(timeout=_LOOKS)

@@ -12,6 +12,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from PIL import Image
 
 from ...base.errors import SeroError
+from ...data.drive.mirror import Mirror
 from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World
 from ..session.live import Message
@@ -56,7 +57,7 @@ class StartWindow:
     """Shows what can be opened, until something is.
 
     Args:
-        opener: returns the scene of what was chosen.
+        opener: returns what shows what was chosen.
         listening: hears the data that is awaited.
         size: of the window, in screen coordinates.
         full_screen: whether it covers the screen.
@@ -77,7 +78,7 @@ class StartWindow:
     ) -> None:
         self._opener = opener
         self.notice = Message()
-        self.chosen: Scene | None = None
+        self.chosen: Mirror | None = None
         self.places: dict[str, tuple[float, float, float, float]] = {}
         self.gl = GlWindow(World(Scene(floor=False)), size, TITLE, full_screen=full_screen)
         self._layer = _WholeWindow(self.gl)
@@ -87,7 +88,7 @@ class StartWindow:
         self._typed = ""
         self._listening = listening
 
-    def run(self) -> Scene | None:
+    def run(self) -> Mirror | None:
         """Shows frames until something is opened; returns None when the window was closed."""
         while self.frame():
             pass
