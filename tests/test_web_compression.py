@@ -18,10 +18,10 @@ from websockets.sync.client import connect
 
 from sero_mj import Mirror
 from sero_mj.load import load_scene
+from sero_mj.viewer.mujoco_private import page_files
 from sero_mj.viewer.web import browsers
 from sero_mj.viewer.web.compression import CompressedResponses
 from sero_mj.viewer.web.host import WebHost
-from sero_mj.viewer.web.studio import find_files
 
 # Studio's server ends without closing the connection of its user interface.
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
@@ -59,7 +59,7 @@ def test_files_and_models_are_compressed_for_who_can_read_it(page: WebHost, path
 
 def test_a_file_that_a_browser_has_is_not_sent_again(page: WebHost) -> None:
     first, body = get(page, "/web_client.js")
-    assert body == (find_files() / "web_client.js").read_bytes()
+    assert body == (page_files() / "web_client.js").read_bytes()
     again, nothing = get(page, "/web_client.js", If_None_Match=first.headers["ETag"])
     assert (again.status, nothing) == (304, b"")
     other, whole = get(page, "/web_client.js", If_None_Match='"of an older version"')
@@ -87,7 +87,7 @@ def test_a_slow_link_is_waited_for_and_a_silent_one_is_not(
     page: WebHost, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(browsers, "_REQUEST_TIMEOUT", 0.2)
-    expected = (find_files() / "web_client.wasm").read_bytes()
+    expected = (page_files() / "web_client.wasm").read_bytes()
     with socket.socket() as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
         slow.settimeout(10)

@@ -118,7 +118,7 @@ def test_a_page_says_where_it_is_and_keeps_its_port(page: WebHost) -> None:
 
 
 def test_a_page_is_for_this_machine_only(page: WebHost) -> None:
-    for listening in (page.viewer._http_sock, page.viewer._tcp_sock):
+    for listening in (page.viewer.listening, page.viewer._tcp_sock):
         assert listening.getsockname()[0] == "127.0.0.1"
 
 

@@ -21,6 +21,7 @@ from sero_mj.viewer.decor.font import DEFAULT_FONT, Font
 from sero_mj.viewer.decor.geom_buffer import MAX_GEOMS
 from sero_mj.viewer.decor.panels import labels_at
 from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.mujoco_private import page_files
 from sero_mj.viewer.session.interaction import HOST_KEYS, KEYS, MORE_KEYS, OF_BROWSER, help_columns
 from sero_mj.viewer.session.tool import tool_keys
 from sero_mj.viewer.web import studio_controls
@@ -30,7 +31,6 @@ from sero_mj.viewer.web.studio import (
     _DISCONNECT_FILTER,
     ChangesOnlyServer,
     ThrottledUi,
-    find_files,
     read_page,
     with_head,
 )
@@ -130,7 +130,7 @@ def test_studios_page_gets_a_title_and_fingers_that_click_once() -> None:
 
 def test_the_page_has_its_title_and_studios_files() -> None:
     assert b"<title>lwr - sero-mj</title>" in read_page("lwr - sero-mj")
-    assert (find_files() / "web_client.wasm").is_file()
+    assert (page_files() / "web_client.wasm").is_file()
 
 
 def test_a_state_is_sent_once(monkeypatch: pytest.MonkeyPatch) -> None:

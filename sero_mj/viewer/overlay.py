@@ -24,6 +24,7 @@ from .decor.toggles import Toggles
 from .headless.backend import adopt_backend
 from .headless.film import Picture
 from .headless.render import DEFAULT_SIZE, HeadlessRenderer
+from .mujoco_private import context_of
 from .session.interaction import Gesture
 from .session.picking import Picked, Pixel
 from .session.scene_decor import SceneDecor
@@ -254,9 +255,12 @@ def _canvas_of(target: Any) -> tuple[mujoco.MjvScene, Font, Any, tuple[int, int]
     if isinstance(target, mujoco.MjvScene):
         return target, DEFAULT_FONT, None, _SCENE_SIZE
     if isinstance(target, mujoco.Renderer):
-        context = getattr(target, "_mjr_context", None)
-        font = DEFAULT_FONT if context is None else Font.of_context(context)
-        return target.scene, font, None, (target.width, target.height)
+        return (
+            target.scene,
+            Font.of_context(context_of(target)),
+            None,
+            (target.width, target.height),
+        )
     if getattr(target, "user_scn", None) is not None and hasattr(target, "cam"):
         view = target.viewport
         size = _SCENE_SIZE if view is None else (int(view.width), int(view.height))

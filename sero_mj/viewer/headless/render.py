@@ -30,6 +30,7 @@ from ..camera import bounding_sphere, find_camera, needed_aspect, stand_back
 from ..decor.font import line_height
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
+from ..mujoco_private import context_of
 from ..session.interaction import Gesture
 from ..session.picking import TOUCH_TOLERANCE, Picked, Pixel
 from ..session.scene_decor import SceneDecor
@@ -156,7 +157,7 @@ class HeadlessRenderer:
         if quality == "draft":
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         # A new renderer's OpenGL context is the current one.
-        self._surroundings = added_surroundings(world, self._renderer._mjr_context)
+        self._surroundings = added_surroundings(world, context_of(self._renderer))
         self._typesetter = Typesetter(line_height(world, *self._half))
 
     @property
@@ -296,7 +297,7 @@ def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) 
                 return mujoco.Renderer(model, height, width)
             with without_textures(model) as textures:
                 renderer = mujoco.Renderer(model, height, width)
-        upload_textures(model, renderer._mjr_context, textures)
+        upload_textures(model, context_of(renderer), textures)
         return renderer
     except Exception as error:  # every GL backend raises errors of its own
         raise RenderError(

@@ -25,17 +25,16 @@ import secrets
 import socket
 import stat
 import threading
-import types
 import urllib.parse
 from collections.abc import Callable
 from typing import Any
 
-from mujoco.studio.web import web_server
 from websockets.asyncio.server import serve
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
 from ...base.errors import RenderError
+from ..mujoco_private import server_program
 from .browsers import BrowserConnection, Browsers
 from .compression import DEFLATE, CompressedResponses
 from .uploads import is_for_files, take_files
@@ -230,9 +229,8 @@ def _token_of(query: str) -> str:
 class GuardedRun:
     """Runs Studio's server with a guard that checks every connection, and compresses what it sends.
 
-    Studio has no option for additional request handlers. So its server function runs in a
-    namespace whose `serve` calls the guard first; Studio itself is not changed. If another version
-    of Studio does not call this `serve`, the page is not served at all.
+    The server calls a `serve` that asks the guard first, see `server_program`. If another version
+    of Studio does not call it, the page is not served at all.
 
     Args:
         guard: checks requests.
@@ -247,17 +245,7 @@ class GuardedRun:
 
     def __call__(self, server: Any, stop: threading.Event) -> None:
         """Runs until `stop` is set."""
-        theirs = web_server._run_server
-        namespace = {
-            **theirs.__globals__,
-            "serve": self._serve,
-            "_MAX_SPECTATORS_DEFAULT": _MOST_BROWSERS,
-            "_MAX_SPECTATOR_HARD_CAP": _MOST_BROWSERS,
-            "_STATE_MAX_IN_FLIGHT": _MOST_STATES,
-        }
-        run = types.FunctionType(
-            theirs.__code__, namespace, theirs.__name__, theirs.__defaults__, theirs.__closure__
-        )
+        run = server_program(_MOST_BROWSERS, _MOST_STATES, self._serve)
         try:
             run(server, stop)
         except OSError as error:  # another program has taken the port meanwhile, say

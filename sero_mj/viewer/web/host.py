@@ -144,7 +144,7 @@ class WebHost(LiveHost):
     @property
     def is_private(self) -> bool:
         """Whether only browsers on this machine can reach it."""
-        return is_loopback(str(self.viewer._http_sock.getsockname()[0]))
+        return is_loopback(str(self.viewer.listening.getsockname()[0]))
 
     @property
     def is_open(self) -> bool:

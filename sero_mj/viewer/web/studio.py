@@ -22,6 +22,7 @@ from mujoco.studio.web import state_payload, web_server
 from websockets.exceptions import ConnectionClosed
 
 from ...base.errors import RenderError
+from ..mujoco_private import PrivateViewer, page_files
 from .browsers import Browsers
 from .guard import Guard, GuardedRun, SameProcessSocket
 from .uploads import SCRIPT
@@ -146,8 +147,8 @@ class ThrottledUi:
         return int(self._ui.upload_image(*image))
 
 
-class StudioViewer(web_viewer.WebViewer):
-    """Studio's `WebViewer` on a given address; Studio 4.0 binds to all interfaces.
+class StudioViewer(PrivateViewer, web_viewer.WebViewer):
+    """Studio's `WebViewer` on a given address.
 
     Args:
         endpoint: see Studio.
@@ -159,15 +160,14 @@ class StudioViewer(web_viewer.WebViewer):
         plugins: of the viewer.
         camera: the initial camera; the browser moves it.
 
+    Attributes:
+        server: of the page.
+
     Raises:
         RuntimeError: the port is taken.
         OSError: this machine does not have the address.
         RenderError: this MuJoCo does not include the files for browsers.
     """
-
-    _web_server: ChangesOnlyServer | None
-    _headless_ui: Any
-    _tcp_sock: socket.socket
 
     def __init__(
         self,
@@ -181,60 +181,32 @@ class StudioViewer(web_viewer.WebViewer):
         plugins: list[Any],
         camera: mujoco.MjvCamera,
     ) -> None:
-        self.address, self._wanted_port = address, port
+        self.address, self.wanted_port = address, port
         self._token = token
         self._page = read_page(title, fingerprint(model, title))
         config = viewer_protocol.ViewerConfig(title=title, http_port=port)
         with suppress_output():  # of Studio's banner, which has not the right address
             super().__init__(config, endpoint, model=model, plugins=plugins, camera=camera)
-        self._headless_ui = ThrottledUi(self._headless_ui)
+        self.ui = ThrottledUi(self.ui)
         # Connections are shown by the panel and need not be logged.
         logging.getLogger("WebServer").setLevel(logging.WARNING)
         # Killed browsers and port scanners are not worth a traceback.
         logging.getLogger("websockets").setLevel(logging.CRITICAL)
         logging.getLogger("asyncio").addFilter(_DISCONNECT_FILTER)
 
-    @property
-    def _host(self) -> str:
-        return self.address
-
-    @_host.setter
-    def _host(self, value: str) -> None:
-        """Ignores the value of Studio's constructor, which is all interfaces."""
-
-    @property
-    def _http_sock(self) -> socket.socket:
-        return self._listening
-
-    @_http_sock.setter
-    def _http_sock(self, bound: socket.socket) -> None:
-        """Listens at once: until somebody does, other pages that start can bind the same port."""
-        while True:
-            try:
-                bound.listen()
-            except OSError:  # another one has been faster
-                bound.close()
-                bound = web_server.bind_public_socket(self.address, self._wanted_port)
-            else:
-                self._listening = bound
-                return
-
-    def _start_server(self) -> None:
-        self._tcp_sock = SameProcessSocket(fileno=self._tcp_sock.detach())
-        bound = self._http_sock.getsockname()[0]
-        self._web_server = ChangesOnlyServer(
-            Guard(self._page, bound, self.address, self._token),
-            http_sock=self._http_sock,
-            tcp_sock=self._tcp_sock,
-            static_files_dir=str(find_files()),
+    def make_server(self, http: socket.socket, tcp: socket.socket) -> ChangesOnlyServer:
+        """See `PrivateViewer`."""
+        self.server = ChangesOnlyServer(
+            Guard(self._page, http.getsockname()[0], self.address, self._token),
+            http_sock=http,
+            tcp_sock=tcp,
+            static_files_dir=str(page_files()),
         )
-        self._update_model()
-        try:
-            self._web_server.start()
-        except RenderError:
-            self._http_sock.close()
-            self._tcp_sock.close()
-            raise
+        return self.server
+
+    def guarded(self, tcp: socket.socket) -> socket.socket:
+        """See `PrivateViewer`: nobody else takes the place of the user interface."""
+        return SameProcessSocket(fileno=tcp.detach())
 
     def prepare_next_frame(self) -> bool:
         """Starts the next frame; keeps the camera while the mouse drags a window of the page.
@@ -260,7 +232,7 @@ class StudioViewer(web_viewer.WebViewer):
         io = imgui.GetIO()
         return bytes(
             state_payload.serialize_state_payload(
-                self._model_crc32,
+                self.model_checksum,
                 int(spec),
                 state.tobytes(),
                 self.camera,
@@ -281,34 +253,13 @@ class StudioViewer(web_viewer.WebViewer):
     @property
     def has_ui(self) -> bool:
         """Whether the current frame includes the user interface."""
-        return bool(self._headless_ui.is_due)
-
-    @property
-    def port(self) -> int:
-        """Port of the page."""
-        return int(self._http_port)
-
-    @property
-    def server(self) -> ChangesOnlyServer:
-        """The server of the page."""
-        assert self._web_server is not None
-        return self._web_server
+        return bool(self.ui.is_due)
 
     def close(self) -> None:
         """Closes the page."""
         super().close()
         # Another viewer in this process would crash while this one's user interface exists.
-        self._headless_ui = None
-
-    def change_model(self, bundle: bytes, crc32: int) -> None:
-        """Switches browsers to a model that differs only in colours.
-
-        Args:
-            bundle: the model as Studio sends it.
-            crc32: checksum of the bundle.
-        """
-        self._model_crc32 = crc32
-        self.server.update_model(bundle, crc32)
+        self.ui = None
 
     def get_drop_file(self) -> str:
         """Returns no file: those that are dropped on the page do not go through Studio."""
@@ -350,21 +301,6 @@ def with_head(page: str, title: str, scene: str = "") -> str:
     return page.replace("  </head>", head, 1)
 
 
-def find_files() -> Path:
-    """Returns the folder with the files of Studio's page.
-
-    Raises:
-        RenderError: this MuJoCo has none.
-    """
-    found = web_server._find_static_files_dir()
-    if found is None:
-        raise RenderError(
-            "no web page: this MuJoCo does not include the files of Studio's web client; "
-            "`sero-mj view SCENE --window` needs none"
-        )
-    return Path(found)
-
-
 def read_page(title: str, scene: str = "") -> bytes:
     """Returns the page, which refers to Studio's files.
 
@@ -375,4 +311,4 @@ def read_page(title: str, scene: str = "") -> bytes:
     Raises:
         RenderError: this MuJoCo has no page.
     """
-    return with_head((find_files() / "index.html").read_text("utf-8"), title, scene).encode()
+    return with_head((page_files() / "index.html").read_text("utf-8"), title, scene).encode()
