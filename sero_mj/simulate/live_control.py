@@ -10,6 +10,7 @@ import numpy as np
 
 from ..base.errors import DeclarationError, UnknownName
 from ..base.frames import Array
+from ..robots.assemble.joint_speeds import joint_speeds
 from ..robots.assemble.robot import SerialRobot
 from .control.controller import ControllerDeclaration, Target
 from .control.joint_control import largest_share
@@ -21,7 +22,6 @@ _HALVINGS = 8  # of a first stiffness that the step does not hold
 # and at most at this share of the joints' velocity limits: never jumps.
 _FREQUENCY = 20.0
 _SHARE = 0.7
-_UNDECLARED = {"revolute": 1.5, "prismatic": 0.5}  # rad/s and m/s
 _RESTS = 1e-9  # rad and rad/s (m, m/s)
 
 
@@ -70,9 +70,7 @@ class LiveRobot:
     def __post_init__(self) -> None:
         robot = self.robot
         self.goal: Array = self.measured.copy()
-        undeclared = [_UNDECLARED[kind] for kind in robot.types]
-        limits = undeclared if robot.velocity_limits is None else robot.velocity_limits
-        self._fastest: Array = _SHARE * np.minimum(limits, 1e3)
+        self._fastest: Array = _SHARE * np.minimum(joint_speeds(robot, "target"), 1e3)
         self._is_moving = True
         self.model.update(self.measured, np.zeros(robot.n))
         for name, kind in controller_kinds().items():

@@ -12,6 +12,7 @@ import numpy as np
 from ..base.errors import DeclarationError, Problem, SimulationError, collect
 from ..base.frames import Array, frame, rotation_from_quat
 from ..data.receive.structure import Structure
+from ..robots.assemble.joint_speeds import joint_speeds
 from ..robots.assemble.mounts import base_frames, unmounted
 from ..robots.assemble.robot import SerialRobot
 from ..robots.assemble.scene import Scene
@@ -36,8 +37,6 @@ T = TypeVar("T")
 
 # s; half of the observer's time constant at its default gain, at a tenth of the cost of every step.
 OBSERVED_EVERY = 0.01
-# rad/s and m/s, what counts as the velocity limit of a joint that has none: as fast as any drives.
-_UNDECLARED_SPEED = {"revolute": 20.0, "prismatic": 5.0}
 MAX_BYTES = 2 * 2**30  # of a log; longer runs need a longer timestep
 
 
@@ -147,12 +146,7 @@ class Simulation:
 
     def _limit_speeds(self) -> None:
         """Finds at which speeds a joint has run away."""
-        limits = [
-            [_UNDECLARED_SPEED[kind] for kind in robot.types]
-            if robot.velocity_limits is None
-            else robot.velocity_limits
-            for robot in self.robots.values()
-        ]
+        limits = [joint_speeds(robot, "runaway") for robot in self.robots.values()]
         share = self.scenario.run.runaway_speed
         self._fastest: Array = np.concatenate(limits) * (share or np.inf)
         # While all speeds together, squared, are below this none can be above its own limit.

@@ -10,6 +10,7 @@ from dm_env import specs
 
 from ...base.errors import DeclarationError, Problem, SimulationError
 from ...base.frames import Array
+from ...robots.assemble.joint_speeds import joint_speeds
 from ...robots.assemble.robot import SerialRobot
 from ...simulate.control.controller import Sensed, Target
 from ...simulate.control.joint_control import JointImpedance, Torque
@@ -17,8 +18,6 @@ from ...simulate.control.make_controller import make_controller
 from ...simulate.control.robot_model import RobotModel
 
 Kind = Literal["torque", "impedance"]
-
-USUAL_SPEED = {"revolute": 1.0, "prismatic": 0.25}  # rad/s, m/s; where a robot has no limits
 
 
 class Action(ABC):
@@ -131,12 +130,9 @@ class ImpedanceAction(Action):
         stiffness: Any,
         damping: Any,
     ) -> None:
-        speeds = robot.velocity_limits
-        if speeds is None:
-            speeds = np.array([USUAL_SPEED[kind] for kind in robot.types])
         self._substeps = max(round(control_timestep / timestep), 1)
         self._duration = self._substeps * timestep
-        most = np.asarray(speeds, np.float64) * self._duration
+        most = joint_speeds(robot, "agent") * self._duration
         limits = robot.position_limits
         far = np.full(robot.n, np.inf)
         self._low: Array = -far if limits is None else limits[:, 0]

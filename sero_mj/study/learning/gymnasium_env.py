@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from ...base.errors import DeclarationError, Problem, did_you_mean
 from ...base.frames import Array
+from ...robots.assemble.joint_speeds import joint_speeds
 from ...robots.assemble.robot import SerialRobot
-from .actions import USUAL_SPEED
 from .environment import Environment
 from .make import make_environment
 
@@ -228,8 +228,7 @@ def observation_bounds(environment: Environment) -> dict[str, tuple[Array, Array
 def _bounds(robot: SerialRobot, signal: str, spec: specs.Array) -> tuple[Array, Array]:
     """Low and high of a signal: as its spec has them, or what is far beyond the robot's limits."""
     if signal.endswith("velocities"):
-        usual = np.array([USUAL_SPEED[kind] for kind in robot.types])
-        most = _BEYOND * (usual if robot.velocity_limits is None else robot.velocity_limits)
+        most = _BEYOND * joint_speeds(robot, "agent")
     elif signal.endswith("torques"):
         usual = np.full(robot.n, _USUAL_TORQUE)
         most = _BEYOND * (usual if robot.torque_limits is None else robot.torque_limits)

@@ -14,6 +14,7 @@ import numpy as np
 from ...base.errors import SeroError
 from ...base.frames import Array
 from ...robots.assemble.gravity_torques import GravityTorques
+from ...robots.assemble.joint_speeds import undeclared_speeds
 from ...robots.assemble.robot import SerialRobot
 from ..decor.toggles import Handles
 from ..panels.jog_panel import JogPanel
@@ -26,7 +27,6 @@ from .handle_drag import target_of
 from .joint_goal import JointGoal, set_goals
 
 _TIME = 0.04  # s, in which 63 % of the way is made
-_SPEED = {"revolute": 4.0, "prismatic": 1.0}  # at most, rad/s and m/s
 
 
 class Jogging(Tool):
@@ -55,8 +55,7 @@ class Jogging(Tool):
         }
         self._written = {name: self._shown(name) for name in self.goals}
         self._fastest = {
-            name: np.array([_SPEED[kind] for kind in goal.robot.types])
-            for name, goal in self.goals.items()
+            name: undeclared_speeds(goal.robot, "shown") for name, goal in self.goals.items()
         }
         # Whose torques are shown, and what was written of them: others may set them, too.
         self._modelled: dict[str, Array | None] = {

@@ -1,0 +1,36 @@
+"""Speeds of joints: the declared limits, and what stands for them where there are none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+
+from ...base.frames import Array
+from .robot import SerialRobot
+
+Use = Literal["shown", "target", "agent", "runaway"]
+
+# rad/s of a joint that turns, and m/s of one that slides, by what the speed is for: of a robot that
+# is only shown; of a target that a controller follows; of an agent's actions; and from which on a
+# simulated joint has run away.
+UNDECLARED: Mapping[Use, tuple[float, float]] = {
+    "shown": (4.0, 1.0),
+    "target": (1.5, 0.5),
+    "agent": (1.0, 0.25),
+    "runaway": (20.0, 5.0),
+}
+
+
+def undeclared_speeds(robot: SerialRobot, use: Use) -> Array:
+    """Speeds (n,), rad/s or m/s, as if the robot declared no velocity limits."""
+    turns, slides = UNDECLARED[use]
+    return np.array([turns if kind == "revolute" else slides for kind in robot.types])
+
+
+def joint_speeds(robot: SerialRobot, use: Use) -> Array:
+    """The velocity limits (n,), rad/s or m/s, or what stands for them."""
+    if robot.velocity_limits is None:
+        return undeclared_speeds(robot, use)
+    return np.asarray(robot.velocity_limits, np.float64)
