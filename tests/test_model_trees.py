@@ -11,6 +11,7 @@ import sero_mj
 from sero_mj.robots.assemble.decor_sizes import measure
 from sero_mj.robots.assemble.solids import Solids
 from sero_mj.robots.external._model_trees import Tree, find_trees, without_scope
+from sero_mj.robots.external.model_world import ModelWorld
 from sero_mj.robots.importers.mjcf_tree import torque_limits
 
 
@@ -283,3 +284,41 @@ def test_a_root_that_is_called_by_its_part_gives_way_to_the_model(
 def test_two_robots_do_not_take_the_models_name() -> None:
     two = body("base", "<joint name='a'/>") + body("base_link", "<joint name='b'/>")
     assert list(robots_of(two, "a b", "lab")) == ["base", "base_link"]
+
+
+BRANCHED = """
+<mujoco><compiler autolimits="true"/><worldbody>
+  <body name="trunk" pos="0.1 -0.2 0.5" euler="10 20 30"><geom size=".05"/>
+    <joint name="lift" type="slide" axis="0 0 1" ref="0.2"/>
+    <body name="arm" pos="0.2 0 0.1" euler="0 45 0"><geom size=".05"/>
+      <joint name="yaw" axis="0 0 1" pos="0.01 0.02 0"/>
+      <joint name="pitch" axis="0 1 0.2" ref="15"/>
+      <body name="hand" pos="0.3 0 0"><geom size=".05"/><joint name="roll" axis="1 0 0"/></body>
+    </body>
+    <body name="head" pos="-0.1 0 0.3"><geom size=".05"/><joint name="nod" axis="0 -1 0"/></body>
+  </body>
+</worldbody></mujoco>
+"""
+
+
+def test_kinematics_of_a_robot_are_those_of_its_model() -> None:
+    model, data = compiled(BRANCHED)
+    world = ModelWorld(model, data)
+    (part,) = world.robots.values()
+    robot = part.robot
+    assert robot.names == ["lift", "yaw", "pitch", "roll", "nod"]
+    joints, rng = part.tree.joints, np.random.default_rng(3)
+    for _ in range(20):
+        q = rng.uniform(-1.0, 1.0, robot.n)
+        data.qpos[part.qpos] = q
+        mujoco.mj_kinematics(model, data)
+        frames = robot.kinematics.frames(q, np.eye(4))
+        base = part.tree.bodies[0]  # the trunk, which the first joint moves
+        lifted = frames[0]
+        assert base == model.body("trunk").id and lifted.shape == (4, 4)
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = data.xmat[base].reshape(3, 3), data.xpos[base]
+        T = T @ np.linalg.inv(frames[1]) @ frames  # seen from the lifted trunk
+        np.testing.assert_allclose(T[2:, :3, 2], data.xaxis[joints[1:]], atol=1e-12)
+        turned = T[2:, :3, 3] - data.xanchor[joints[1:]]
+        np.testing.assert_allclose(turned, 0.0, atol=1e-12)

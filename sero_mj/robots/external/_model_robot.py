@@ -1,4 +1,4 @@
-"""Robots found in an external model, `SerialRobot`s without a DH table, and the named frames."""
+"""Robots in an external model, `SerialRobot`s with frames of joints, and the named frames."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from ..assemble.double import AXES_OPACITY, Double
 from ..assemble.parts import RobotPart
 from ..assemble.robot import SerialRobot
 from ..assemble.robot_dynamics import GRAVITY
-from ..importers.mjcf_tree import torque_limits
+from ..importers.mjcf_tree import frames_at_zero, link_poses, torque_limits
 from ._model_trees import Tree, without_scope
 
-# Fields that a user can set for a found robot; the others come from the model.
+# Fields that a user can set for a robot of a model; the others come from the model.
 FIELDS = (
     "torque_limits",
     "acceleration_limits",
@@ -63,30 +63,27 @@ PerJoint = Annotated[Array, BeforeValidator(_positive)]
 
 
 class ModelRobot(SerialRobot):
-    """The declaration of a robot found in an external model.
+    """The declaration of a robot in an external model.
 
-    It has no DH table: the model has the joint poses, and `dh` only tells revolute from
-    prismatic joints. Some fields have one value per joint where a `SerialRobot` has one for all.
+    Some fields have one value per joint where a `SerialRobot` has one for all, and it may have any
+    number of joints.
 
     Attributes:
+        joint_frames: (n, 4, 4), of the model's joints.
         joint_names: as in the model, of any characters.
         torque_limits: (n,), Nm or N, inf where unknown.
         arrow_radius: (n,) or one for all, m.
     """
 
+    joint_frames: Array | None = None
     joint_names: Annotated[list[str], AfterValidator(list)] = []
     torque_limits: PerJoint | None = None
     arrow_radius: PerJoint = np.array(0.1)  # type: ignore[assignment]
 
-    @field_validator("dh_params")
-    @classmethod
-    def _joint_count(cls, rows: Array, info: ValidationInfo) -> Array:
-        return rows  # any number of joints
-
     @field_validator("arrow_radius")
     @classmethod
     def _one_or_all(cls, value: Array, info: ValidationInfo) -> Array:
-        rows = info.data.get("dh_params")
+        rows = info.data.get("joint_frames")
         if rows is not None and value.ndim and len(value) != len(rows):
             raise ValueError(f"found {len(value)} entries; expected {len(rows)}, one per joint")
         return value
@@ -130,7 +127,7 @@ class ModelRobot(SerialRobot):
 
 @dataclass(frozen=True, eq=False)
 class ModelPart(RobotPart):
-    """Indices of a found robot in the model.
+    """Indices of a robot of a model in the model.
 
     Attributes:
         tree: its bodies and joints.
@@ -171,7 +168,7 @@ class ModelPart(RobotPart):
         return self.size
 
 
-def found_part(
+def model_part(
     model: mujoco.MjModel,
     rest: mujoco.MjData,
     tree: Tree,
@@ -242,8 +239,7 @@ def _model_robot(
         fields["torque_limits"] = [fields["torque_limits"]] * n
     robot = ModelRobot(
         name=tree.name,
-        dh_convention="craig",
-        dh_params=np.zeros((n, 4)),
+        joint_frames=_joint_frames(model, tree),
         joint_types=["revolute" if turns else "prismatic" for turns in revolute],
         joint_names=tree.joint_names,
         torques=np.zeros(n),  # provided by the model; billboards have to show it
@@ -258,7 +254,15 @@ def _model_robot(
     return robot
 
 
-def list_found_frames(
+def _joint_frames(model: mujoco.MjModel, tree: Tree) -> Array:
+    """See `SerialRobot.joint_frames`."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    poses = link_poses(model, data, tree.joints, int(tree.bodies[0]))
+    return frames_at_zero(model, tree.joints, tree.carriers(model), poses)
+
+
+def list_model_frames(
     model: mujoco.MjModel,
     robots: Mapping[str, ModelPart],
     doubles: Mapping[str, Double],

@@ -26,7 +26,7 @@ from ..assemble.scene import Scene, SceneToggles
 from ..assemble.solids import geom_boxes, is_shown
 from ..assemble.surroundings import View
 from ..assemble.world_view import WorldView
-from ._model_robot import ModelPart, found_part, list_found_frames
+from ._model_robot import ModelPart, list_model_frames, model_part
 from ._model_state import JointPoses, ModelDoubles, ModelState, Sites
 from ._model_trees import find_trees
 
@@ -119,12 +119,12 @@ class ModelWorld(WorldView):
         found: dict[str, ModelPart] = {}
         start = 0
         for tree in trees:
-            found[tree.name] = found_part(model, rest, tree, overrides.get(tree.name, {}), start)
+            found[tree.name] = model_part(model, rest, tree, overrides.get(tree.name, {}), start)
             start += len(tree.joints)
         self._trees = trees
         self.robots = dict(found)
         wanted = {double.name: double for double in doubles if double.of in found}
-        named, places = list_found_frames(model, found, wanted, frames)
+        named, places = list_model_frames(model, found, wanted, frames)
         self.scene = ModelScene(
             named,
             robots=[part.robot for part in found.values()],

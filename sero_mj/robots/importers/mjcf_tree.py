@@ -55,13 +55,7 @@ class MjcfTree:
     @property
     def joint_frames(self) -> Array:
         """T_parent_i of every joint at joint value zero, (n, 4, 4), m."""
-        fixed: Array = inverse(self.poses[self.parents]) @ self.poses[1:]
-        back = np.tile(np.eye(4), (len(self.joints), 1, 1))  # MuJoCo's joint values start at `ref`
-        ref = self.model.qpos0[self.model.jnt_qposadr[self.joints]]
-        turns = self.model.jnt_type[self.joints] == _HINGE
-        back[:, :3, :3] = rotation_about(2, np.where(turns, -ref, 0.0))
-        back[:, 2, 3] = np.where(turns, 0.0, -ref)
-        return np.asarray(fixed @ back)
+        return frames_at_zero(self.model, self.joints, self.parents, self.poses)
 
     @property
     def geoms(self) -> Ints:
@@ -96,12 +90,44 @@ def find_tree(model: mujoco.MjModel) -> MjcfTree:
     bodies[:, :3, :3], bodies[:, :3, 3] = data.xmat.reshape(-1, 3, 3), data.xpos
     base_body = int(model.jnt_bodyid[free]) if free >= 0 else 0
     links, parents, axes = _links(model, chosen, joints, base_body)
-    poses = [bodies[base_body]]
-    for joint, body in zip(axes, model.jnt_bodyid[axes], strict=True):
-        rotation = rotation_to_z(bodies[body, :3, :3], data.xaxis[joint])
-        poses.append(frame(rotation, data.xanchor[joint]))
+    poses = link_poses(model, data, axes, base_body)
     left_out = _left_out(model, mine, links)
-    return MjcfTree(model, joints, parents, links, bodies, np.array(poses), free, left_out)
+    return MjcfTree(model, joints, parents, links, bodies, poses, free, left_out)
+
+
+def link_poses(model: mujoco.MjModel, data: mujoco.MjData, joints: Ints, base_body: int) -> Array:
+    """T_world_link (n + 1, 4, 4), m, of a base and of links whose z is the axis of their joint.
+
+    Args:
+        model: compiled.
+        data: in the reference pose, after `mj_kinematics`.
+        joints: ids of hinges and slides, (n,).
+        base_body: id of the base.
+    """
+    rotations = data.xmat.reshape(-1, 3, 3)
+    poses = [frame(rotations[base_body], data.xpos[base_body])]
+    for joint, body in zip(joints, model.jnt_bodyid[joints], strict=True):
+        rotation = rotation_to_z(rotations[body], data.xaxis[joint])
+        poses.append(frame(rotation, data.xanchor[joint]))
+    return np.array(poses)
+
+
+def frames_at_zero(model: mujoco.MjModel, joints: Ints, parents: Ints, poses: Array) -> Array:
+    """T_parent_i of joints at joint value zero, (n, 4, 4), m; see `SerialRobot.joint_frames`.
+
+    Args:
+        model: compiled.
+        joints: ids of hinges and slides, (n,).
+        parents: index of the link that carries each, (n,), 0 for the base.
+        poses: of base and links in the reference pose, see `link_poses`.
+    """
+    fixed: Array = inverse(poses[parents]) @ poses[1:]
+    back = np.tile(np.eye(4), (len(joints), 1, 1))  # MuJoCo's joint values start at `ref`
+    ref = model.qpos0[model.jnt_qposadr[joints]]
+    turns = model.jnt_type[joints] == _HINGE
+    back[:, :3, :3] = rotation_about(2, np.where(turns, -ref, 0.0))
+    back[:, 2, 3] = np.where(turns, 0.0, -ref)
+    return np.asarray(fixed @ back)
 
 
 def _chosen_roots(model: mujoco.MjModel, roots: Ints, is_axis: Array) -> tuple[set[int], int]:
