@@ -10,7 +10,7 @@ import pytest
 from polling import until
 
 from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver
-from sero_mj.data.receive.source import Packets
+from sero_mj.data.receive.mailbox import Packets
 
 
 @pytest.mark.parametrize("lossless", [True, False])

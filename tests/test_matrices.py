@@ -20,7 +20,8 @@ from polling import until
 from sero_mj.base.errors import DeclarationError, UnknownName
 from sero_mj.base.frames import nearest_rotation, rotation_from_rpy
 from sero_mj.data.receive.intake import Counters, find_not_frame
-from sero_mj.data.receive.source import Packet, make_source
+from sero_mj.data.receive.mailbox import Packet
+from sero_mj.data.receive.source import make_source
 from sero_mj.data.receive.structure import are_frames
 from sero_mj.data.receive.udp import UdpReceiver
 

@@ -12,7 +12,7 @@ from source_slots import set_source
 
 from sero_mj import World
 from sero_mj.data.drive.wiring import wire
-from sero_mj.data.receive.source import Packets
+from sero_mj.data.receive.mailbox import Packets
 from sero_mj.load import load_scene
 from sero_mj.viewer.session.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
 from sero_mj.viewer.web.torque_plots import decimate

@@ -21,7 +21,7 @@ from polling import until
 
 from sero_mj.base.errors import SeroError, SourceError
 from sero_mj.data.receive.intake import Counters, Intake
-from sero_mj.data.receive.source import Packet
+from sero_mj.data.receive.mailbox import Packet
 from sero_mj.data.receive.udp import UdpReceiver
 
 LINUX = sys.platform == "linux"

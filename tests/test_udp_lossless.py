@@ -16,7 +16,7 @@ import pytest
 from polling import until
 
 from sero_mj.base.errors import DeclarationError
-from sero_mj.data.receive import source as source_module
+from sero_mj.data.receive import mailbox
 from sero_mj.data.receive.udp import UdpReceiver
 
 LINUX = sys.platform == "linux"
@@ -107,7 +107,7 @@ def test_taking_twice_gives_nothing_twice(send: Send) -> None:
 def test_a_reader_that_does_not_take_holds_the_kernel_up_and_nothing_is_thrown_away(
     send: Send, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(source_module, "QUEUE_BYTES", 100)  # ten packets
+    monkeypatch.setattr(mailbox, "QUEUE_BYTES", 100)  # ten packets
     with UdpReceiver(structure=NUMBERED, only_latest_packet=False) as receiver:
         got: list[float] = []
         for k in range(0, 300, 10):
@@ -120,7 +120,7 @@ def test_a_reader_that_does_not_take_holds_the_kernel_up_and_nothing_is_thrown_a
 def test_closing_does_not_wait_for_a_reader_that_does_not_take(
     send: Send, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(source_module, "QUEUE_BYTES", 0)
+    monkeypatch.setattr(mailbox, "QUEUE_BYTES", 0)
     receiver = UdpReceiver(structure=NUMBERED, only_latest_packet=False)
     receiver.open()
     send(receiver, 1)

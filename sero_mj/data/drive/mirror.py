@@ -16,7 +16,8 @@ from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.external.model_world import ModelWorld
 from ..receive.intake import Counters
-from ..receive.source import QUIET_AFTER, Packet, Packets, Source, age
+from ..receive.mailbox import Packet, Packets
+from ..receive.source import QUIET_AFTER, Source, age
 from .place import Placer, Router, follow
 from .route import Route
 from .wiring import wire

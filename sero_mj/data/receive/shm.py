@@ -10,8 +10,9 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 
 from ...base.errors import SourceError
 from .language import Item
+from .mailbox import Packet, Packets
 from .shm_block import Block, block_path
-from .source import Packet, Packets, Source, log
+from .source import Source, log
 
 _LOOK_EVERY = 0.02  # s; how soon a block that is made, or made anew, is noticed
 _BUSY = 2e-3  # s; how long a picture waits while the block is being read for others
@@ -141,7 +142,7 @@ class ShmReader(Source):
     def close(self) -> None:
         """Stops the thread and closes the block; harmless when it is not open."""
         if self._thread is not None:
-            self._closing.set()
+            self.closing.set()
             self._wake.release()
             self._thread.join()
         with self._reading:
@@ -172,7 +173,7 @@ class ShmReader(Source):
         # The thread may be reading, which takes less, or calling back somebody who waits for us.
         if self._reading.acquire(timeout=_BUSY):
             try:
-                if not self._closing.is_set():
+                if not self.closing.is_set():
                     self._poll()
                     self._check()
             finally:
@@ -196,7 +197,7 @@ class ShmReader(Source):
 
     def _receive(self) -> None:
         period, reading, wake = 1.0 / self.poll_rate, self._reading, self._wake
-        while not self._closing.is_set():
+        while not self.closing.is_set():
             with reading:
                 self._poll()
                 if self._gathered and clock.monotonic() - self._checked >= _GATHER:
@@ -248,7 +249,7 @@ class ShmReader(Source):
         except FileNotFoundError:
             # The one without a name is kept: its writer may be alive, and a new one cannot
             # have the same identity meanwhile.
-            is_gone = old is not None or self._number
+            is_gone = old is not None or self.receive_trigger
             self._trouble = f"{self.about} is gone" if is_gone else f"no {self.about} yet"
             return
         if old is not None and found.identity == old.identity and any(found.identity):

@@ -9,9 +9,7 @@ import logging
 import threading
 import time as clock
 from abc import abstractmethod
-from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Self
 
@@ -31,6 +29,7 @@ from ...base.frames import Array, Ints
 from ...base.plugins import SOURCES, load_plugin, plugin_name, plugins
 from ._tracking import Timing
 from .intake import Counters, Intake, pad_packets
+from .mailbox import Mailbox, Packet, Packets
 from .structure import Alignment, Rows, Structure
 
 log = logging.getLogger(__name__)
@@ -39,8 +38,6 @@ log = logging.getLogger(__name__)
 # come, else 0; and 1 in a tick in which new ones were applied, else 0.
 SIGNALS: dict[str, tuple[int, ...]] = {"receiving": (1,), "receive_trigger": (1,)}
 QUIET_AFTER = 0.5  # s without a packet until a source counts as silent
-HEARD_BYTES = 16 * 2**20  # of packets that wait for `take_all`; the oldest are dropped
-QUEUE_BYTES = 64 * 2**20  # of packets that wait to be taken when none may be lost
 _WARN_EVERY = 10.0  # s
 # The fields that decide what packets mean; those that say where they come from do not matter.
 _DECODING = (
@@ -49,46 +46,6 @@ _DECODING = (
 )  # fmt: skip
 # Gets packets as they came: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
 Tap = Callable[[Rows, Ints, Array], object]
-
-
-@dataclass(frozen=True, eq=False)
-class Packet:
-    """One good packet.
-
-    Attributes:
-        values: event name to its array, float64, in the source's shapes. Finite, but for the
-            events in which NaN is allowed; matrices are rigid frames.
-        arrival: when it arrived, on the clock of `Source.now`, s.
-        number: 1 for the first good packet of the source.
-    """
-
-    values: Mapping[str, Array]
-    arrival: float
-    number: int
-
-
-@dataclass(frozen=True, eq=False)
-class Packets:
-    """Good packets, one after the other.
-
-    Attributes:
-        values: event name to its arrays, (n, ...), float64, n >= 1.
-        arrivals: when they arrived, (n,), s, on the clock of `Source.now`.
-        number: of the last one.
-    """
-
-    values: Mapping[str, Array]
-    arrivals: Array
-    number: int
-
-    def __len__(self) -> int:
-        return len(self.arrivals)
-
-    @cached_property
-    def last(self) -> Packet:
-        """The newest one."""
-        values = {event: array[-1] for event, array in self.values.items()}
-        return Packet(values, float(self.arrivals[-1]), self.number)
 
 
 class Source(Declaration):
@@ -129,18 +86,7 @@ class Source(Declaration):
     _structure_is: ClassVar[str] = ""
     _intake: Intake | None = PrivateAttr(None)
     _nan_allowed: frozenset[str] = PrivateAttr(frozenset())
-    _number: int = PrivateAttr(0)  # of good packets so far
-    _last: tuple[Rows, Array, int] | None = PrivateAttr(None)
-    _heard: deque[tuple[Rows, Array]] | None = PrivateAttr(None)  # see `keep_all`
-    _heard_bytes: int = PrivateAttr(0)
-    _decoded: Packets | None = PrivateAttr(None)
-    _looked: int = PrivateAttr(0)
-    _taken: int = PrivateAttr(0)
-    _queue: deque[tuple[Rows, Array]] = PrivateAttr(default_factory=deque)
-    _queued_bytes: int = PrivateAttr(0)
-    _room: threading.Condition = PrivateAttr(default_factory=threading.Condition)
-    _first: threading.Event = PrivateAttr(default_factory=threading.Event)
-    _closing: threading.Event = PrivateAttr(default_factory=threading.Event)
+    _kept: Mailbox | None = PrivateAttr(None)
     _callbacks: list[Callable[[], None]] = PrivateAttr(default_factory=list)
     _tap: Tap | None = PrivateAttr(None)
     _warned: float = PrivateAttr(-np.inf)
@@ -274,13 +220,13 @@ class Source(Declaration):
     @property
     def receiving(self) -> bool:
         """Whether a good packet came within the last half second."""
-        last = self._last
-        return last is not None and self.now() - float(last[1][-1]) < QUIET_AFTER
+        last = self._mail.last_arrival
+        return last is not None and self.now() - last < QUIET_AFTER
 
     @property
     def receive_trigger(self) -> int:
         """How many good packets have come: it changes with every one."""
-        return self._number
+        return self._mail.number
 
     @property
     def is_live(self) -> bool:
@@ -385,26 +331,38 @@ class Source(Declaration):
         self.close()
 
     @property
+    def _mail(self) -> Mailbox:
+        """The good packets that nobody has taken yet."""
+        if self._kept is None:
+            self._kept = Mailbox(
+                self._decode_rows,
+                self._note_superseded,
+                is_lossless=not self.only_latest_packet,
+            )
+        return self._kept
+
+    def _decode_rows(self, rows: Rows) -> Mapping[str, Array]:
+        return self.intake.decode(rows)
+
+    def _note_superseded(self, count: int) -> None:
+        self.counters.superseded += count
+
+    @property
     def closing(self) -> threading.Event:
         """Set while it is being closed: `accept` then no longer waits for room."""
-        return self._closing
+        return self._mail.closing
 
     def reset(self) -> None:
         """Forgets all packets and counters, and takes a changed declaration into account."""
         self.__dict__.pop("layout", None)
         self._intake = self._new_intake()
-        self._number = self._looked = self._taken = self._queued_bytes = 0
-        self._last = self._decoded = None
-        self._queue.clear()
-        if self._heard is not None:
-            self.keep_all()
-        self._first.clear()
-        self._closing.clear()
+        self._mail.is_lossless = not self.only_latest_packet
+        self._mail.empty()
         self._warned = -np.inf
 
     def latest(self) -> Packet | None:
         """Returns the newest good packet, or None when there was none yet."""
-        packets = self._newest()
+        packets = self._mail.newest()
         return None if packets is None else packets.last
 
     def take(self) -> Packets | None:
@@ -412,62 +370,22 @@ class Source(Declaration):
 
         Only the newest one, unless `only_latest_packet` is false.
         """
-        if self.only_latest_packet:
-            packets = self._newest()
-            if packets is None or packets.number == self._taken:
-                return None
-            self._taken = packets.number
-            return packets
-        with self._room:
-            batches = list(self._queue)
-            self._queue.clear()
-            self._queued_bytes = 0
-            self._taken = self._looked = self._number
-            self._room.notify()
-        if not batches:
-            return None
-        return self._joined(batches, self._taken)
+        return self._mail.take()
 
     def keep_all(self) -> None:
         """Begins to keep all good packets for `take_all`, whatever `take` returns."""
-        with self._room:
-            self._heard, self._heard_bytes = deque(), 0
+        self._mail.keep_all()
 
     def take_all(self) -> Packets | None:
         """Returns all good packets since the last call, or None when there is none.
 
         After `keep_all`. They are kept up to 16 MB, then the oldest are dropped.
         """
-        with self._room:
-            batches, self._heard_bytes = [*(self._heard or ())], 0
-            if batches:
-                self._heard = deque()
-            number = self._number
-        if not batches:
-            return None
-        return self._joined(batches, number)
-
-    def _joined(self, batches: Sequence[tuple[Rows, Array]], number: int) -> Packets:
-        rows = np.concatenate([rows for rows, _ in batches])
-        arrivals = np.concatenate([arrivals for _, arrivals in batches])
-        return Packets(self.intake.decode(rows), arrivals, number)
-
-    def _newest(self) -> Packets | None:
-        last, decoded = self._last, self._decoded
-        if last is None:
-            return None
-        rows, arrivals, number = last
-        if decoded is None or decoded.number != number:
-            decoded = self._decoded = Packets(self.intake.decode(rows), arrivals, number)
-        if number > self._looked:
-            if self.only_latest_packet:
-                self.counters.superseded += number - self._looked - 1
-            self._looked = number
-        return decoded
+        return self._mail.take_all()
 
     def wait(self, timeout: float) -> bool:
         """Waits up to `timeout` s until a good packet has come; returns whether one has."""
-        return self._first.wait(timeout)
+        return self._mail.wait(timeout)
 
     def accept(self, packets: Sequence[bytes], arrivals: Sequence[float] | None = None) -> None:
         """Accepts packets as they came, the malformed too; only for the source's own thread.
@@ -495,7 +413,7 @@ class Source(Declaration):
         before = (intake.counters.restarts, intake.counters.lost)
         rows, arrivals = intake.take(rows, lengths, arrivals, senders)
         if len(rows):
-            self._hand_on(rows, arrivals)
+            self._mail.put(rows, arrivals)
         intake.count()
         if self.debug_level >= 2:
             self._log_batch(before, len(rows))
@@ -505,28 +423,6 @@ class Source(Declaration):
     def _call_back(self) -> None:
         for callback in self._callbacks:
             callback()
-
-    def _hand_on(self, rows: Rows, arrivals: Array) -> None:
-        """Keeps good packets until they are taken."""
-        last = rows[-1:].copy()
-        if self._heard is not None:
-            with self._room:
-                self._heard.append((rows.copy(), arrivals.copy()))
-                self._heard_bytes += rows.size
-                while self._heard_bytes > HEARD_BYTES:
-                    self._heard_bytes -= self._heard.popleft()[0].size
-        if self.only_latest_packet:
-            self._number = number = self._number + len(rows)
-            self._last = (last, arrivals[-1:].copy(), number)
-        else:
-            with self._room:
-                while self._queued_bytes > QUEUE_BYTES and not self._closing.is_set():
-                    self._room.wait(0.1)
-                self._queue.append((rows.copy(), arrivals.copy()))
-                self._queued_bytes += rows.size
-                self._number += len(rows)
-                self._last = (last, arrivals[-1:].copy(), self._number)
-        self._first.set()
 
     def _warn(self, fault: str) -> None:
         """Logs a fault, but not each of a flood."""

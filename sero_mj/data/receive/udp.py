@@ -119,7 +119,7 @@ class UdpReceiver(Source):
     def close(self) -> None:
         """Stops the thread and closes the socket; harmless when it is not open."""
         if self._thread is not None and self._wake is not None:
-            self._closing.set()
+            self.closing.set()
             self._wake[1].send(b"x")
             self._thread.join()
             for end in self._wake:
@@ -141,13 +141,13 @@ class UdpReceiver(Source):
         with selectors.DefaultSelector() as selector:
             selector.register(sock, selectors.EVENT_READ)
             selector.register(wake[0], selectors.EVENT_READ)
-            while not self._closing.is_set():
+            while not self.closing.is_set():
                 try:
                     count = datagrams.read()
                 except OSError as error:
                     # An ICMP answer to somebody else's packet may surface here; go on receiving.
                     self.counters.last_fault = f"socket: {error.strerror}"
-                    self._closing.wait(0.01)  # an error that stays must not take a whole core
+                    self.closing.wait(0.01)  # an error that stays must not take a whole core
                     continue
                 if answers and datagrams.waiting < BATCH:
                     # The next answer is more urgent than what is there to be looked at.
@@ -165,7 +165,7 @@ class UdpReceiver(Source):
                     self.counters.dropped = batch.dropped
                 self._take_in(batch)
                 if _BUSY <= len(batch) < BATCH and not answers:
-                    self._closing.wait(_GATHER)
+                    self.closing.wait(_GATHER)
         if (batch := datagrams.take()) is not None:
             self._take_in(batch)
 

@@ -20,7 +20,8 @@ from ...base.errors import (
 )
 from ...base.plugins import SOURCES, load_plugin, plugins
 from ..receive.intake import Intake
-from ..receive.source import Packets, Source, log
+from ..receive.mailbox import Packets
+from ..receive.source import Source, log
 from ..receive.structure import Structure
 from .recording import RecordedSource, Recording
 
@@ -273,7 +274,6 @@ class Replay(Source):
     def _go_to(self, position: float) -> None:
         """Seeks: discards what was played, and plays the last packet before that time."""
         assert self._recording is not None
-        number = self._number
         self._intake = self._new_intake()
         self._position, self._beyond = position, 0.0
         name = self.recorded.name
@@ -282,8 +282,7 @@ class Replay(Source):
         after = position if before is None else before[0] + 1e-9
         self._coming = self._recording.packets(name, after)
         self._held = None
-        self._last = None
-        self._number = number  # goes on: whoever takes packets must see that these are new
+        self._mail.forget_last()
         if before is not None:
             self._hand_in([before])
         self._log_faults()

@@ -15,7 +15,8 @@ from ...base.frames import Array
 from ...data.drive.route import Affine, Origin
 from ...data.drive.wiring import wire
 from ...data.receive.intake import pad_packets
-from ...data.receive.source import SIGNALS, Packets, Source
+from ...data.receive.mailbox import Packets
+from ...data.receive.source import SIGNALS, Source
 from ...data.record.recording import Recording
 from ...data.record.replay import Replay
 from ...robots.assemble.double import Double

@@ -15,7 +15,7 @@ from ...base.errors import SeroError
 from ...base.frames import Array
 from ...base.paths import without_temporary
 from ...data.drive.mirror import LiveWorld, Mirror
-from ...data.receive.source import Packets
+from ...data.receive.mailbox import Packets
 from ..decor.toggles import Toggles
 from ..headless.film import Pixels
 from ..panels.robot_panel import RobotPanel

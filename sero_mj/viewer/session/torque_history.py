@@ -9,7 +9,7 @@ import numpy as np
 
 from ...base.frames import Array, Ints
 from ...data.drive.route import Route
-from ...data.receive.source import Packets
+from ...data.receive.mailbox import Packets
 from ...robots.assemble.world_view import WorldView
 from ..decor.quantities import joint_values
 from ..decor.staleness import Staleness
