@@ -93,8 +93,8 @@ def endless_scene(
         DeclarationError: what only shows when robots are simulated: starts beyond limits, no
             masses.
     """
-    runs: list[Any] = [getattr(source, "run", None) for source in scene.sources.values()]
-    declared = [run.scenario for run in runs if hasattr(run, "scenario")]
+    runs = [each.run for each in scene.sources.values() if isinstance(each, RunSource)]
+    declared = [run.scenario for run in runs if isinstance(run, Simulation)]
     shown = copy.copy(declared[0].scene if declared else scene)
     shown.sources, shown.routes = {}, {}
     starts = angles or {}
@@ -109,7 +109,7 @@ def endless_scene(
         for name, robot in shown.robots.items()
     }
     has_loops = all("torque_control" in robot.model_fields_set for robot in shown.robots.values())
-    given = {"gravity": declared[0].run.gravity} if declared else {}
+    given: dict[str, Any] = {"gravity": declared[0].run.gravity} if declared else {}
     scenario = Scenario(
         shown, name=scene.name, duration=_LONGEST, torque_control=has_loops, **given
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from pydantic import Field, PrivateAttr
@@ -13,6 +13,42 @@ from ...base.errors import SimulationError
 from ...base.frames import Array
 from ...data.receive.source import Source
 from ...data.receive.structure import Structure
+from .monitor import Finding
+
+
+class Run(Protocol):
+    """What a `RunSource` shows: a `FinishedRun`, or a `Simulation`, which computes rows.
+
+    Attributes:
+        about: what it is, for people.
+        structure: of a row as a packet; its first number is the time, s.
+        rows: (T, width), float64, in the order of their times.
+        times: of the rows, (T,), s; those of later rows have to be right.
+        step: the last row that is there.
+        drag_force: pulls the robots by hand while they are simulated; None where nothing does.
+        live: changes targets and controllers while they run; None where nothing does.
+    """
+
+    @property
+    def about(self) -> str: ...  # noqa: D102
+    @property
+    def structure(self) -> Structure: ...  # noqa: D102
+    @property
+    def rows(self) -> Array: ...  # noqa: D102
+    @property
+    def times(self) -> Array: ...  # noqa: D102
+    @property
+    def step(self) -> int: ...  # noqa: D102
+    @property
+    def drag_force(self) -> Any: ...  # noqa: D102
+    @property
+    def live(self) -> Any: ...  # noqa: D102
+
+    def advance(self, to_step: int) -> None:
+        """Computes the rows up to a step."""
+
+    def findings(self) -> list[Finding]:
+        """What a monitor finds in the rows until now."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +64,8 @@ class FinishedRun:
     about: str
     structure: Structure
     rows: Array
+    drag_force: None = None
+    live: None = None
 
     @cached_property
     def times(self) -> Array:
@@ -42,6 +80,10 @@ class FinishedRun:
     def advance(self, to_step: int) -> None:
         """Nothing is left to be computed."""
 
+    def findings(self) -> list[Finding]:
+        """None: its rows alone do not say what they are."""
+        return []
+
 
 class RunSource(Source):
     """The rows of a run as packets, handed on when the clock reaches their times.
@@ -50,8 +92,7 @@ class RunSource(Source):
     rendering takes. A simulation that cannot go on stays where it is: `error` says why.
 
     Attributes:
-        run: what is shown: a `FinishedRun`, or what has the same attributes and computes rows when
-            it is asked to `advance`, as a `Simulation`; of later rows the times have to be right.
+        run: what is shown.
         error: why it cannot go on; None while it can.
         end: time of the last row, s.
         step: median time between two rows, s.
@@ -98,13 +139,13 @@ class RunSource(Source):
 
     @property
     def drag_force(self) -> Any:
-        """What pulls the robots by hand while they are simulated; None where nothing does."""
-        return getattr(self.run, "drag_force", None)
+        """See `Run`."""
+        return self.run.drag_force
 
     @property
     def live(self) -> Any:
-        """What changes targets and controllers while they run; None where nothing does."""
-        return getattr(self.run, "live", None)
+        """See `Run`."""
+        return self.run.live
 
     @property
     def about(self) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from ...base.errors import SeroError
 from ...base.frames import Array, Bools
 from ...data.receive.source import QUIET_AFTER
+from ...data.record.replay import Replay
 from ...robots.assemble.inputs import SOURCE_FIELDS
 from ...viewer.decor.quantities import joint_values
 from ...viewer.session.clock import time_text
@@ -19,6 +19,7 @@ from ...viewer.session.tool import Action, Shown, Tool
 from ...viewer.session.torque_history import joint_name
 from ..runs.monitor import Monitor
 from ..runs.run_recording import read_run
+from ..runs.run_source import RunSource
 
 _MOST = 1000  # of each kind
 _APART = 0.5  # s between two of the same kind at a joint, below which they are one
@@ -146,8 +147,8 @@ class Bookmarks(Tool):
         found = [Bookmark(time, "mark", is_mark=True) for time in self._marks]
         found += self._watched
         for source in self._mirror.sources.values():
-            findings = getattr(getattr(source, "run", None), "findings", None)
-            found += [] if findings is None else map(_bookmark_of, findings())
+            if isinstance(source, RunSource):
+                found += map(_bookmark_of, source.run.findings())
         found += self._of_recordings or ()
         return sorted(moment for moment in found if moment.time >= self._clock.begin)
 
@@ -175,15 +176,13 @@ class Bookmarks(Tool):
         """What a monitor finds in the recordings that are played; nothing in what is no run."""
         found: list[Bookmark] = []
         for source in self._mirror.sources.values():
-            file: Any = getattr(source, "file", None)
-            if not isinstance(file, Path) or source.end is None:
+            if not isinstance(source, Replay) or source.end is None:
                 continue
             try:
-                log = read_run(file, scene=self._mirror.world.scene)
+                log = read_run(source.file, scene=self._mirror.world.scene)
             except SeroError:
                 continue
-            start = float(getattr(source, "start", None) or 0.0)
-            speed = float(getattr(source, "speed", 1.0))
+            start, speed = source.start or 0.0, source.speed
             for finding in Monitor().find(log)[:_MOST]:
                 moment = _bookmark_of(finding)
                 found.append(moment._replace(time=(moment.time - start) / speed))
