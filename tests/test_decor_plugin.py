@@ -14,7 +14,7 @@ from decor_tools import GEOM, of_kind, view_at
 from plugin_tools import install
 
 from sero_mj import Scene, SerialRobot, World
-from sero_mj.base.plugins import plugins
+from sero_mj.base.plugins import forget_plugins
 from sero_mj.viewer.decor import feature
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.toggles import Toggles
@@ -30,11 +30,11 @@ def world() -> World:
 
 @pytest.fixture
 def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    plugins.cache_clear()
+    forget_plugins()
     install(tmp_path, "temperature_gauge", GROUP, "temperature", "TemperatureGauge")
     monkeypatch.syspath_prepend(str(tmp_path))
     yield tmp_path
-    plugins.cache_clear()
+    forget_plugins()
     sys.modules.pop("temperature_gauge", None)
 
 

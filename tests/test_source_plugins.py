@@ -15,7 +15,7 @@ from pydantic import PrivateAttr
 
 from sero_mj import Mirror, Recording, Replay, Scene, SerialRobot, load_scene, record_sources
 from sero_mj.base.errors import DeclarationError, SourceError
-from sero_mj.base.plugins import SOURCES, plugins
+from sero_mj.base.plugins import SOURCES, forget_plugins, plugins
 from sero_mj.cli import main
 from sero_mj.data.receive.source import Source
 from sero_mj.viewer.session.clock import Clock
@@ -64,9 +64,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
     )
     (info / "entry_points.txt").write_text(ENTRY_POINTS)
     monkeypatch.syspath_prepend(site)
-    plugins.cache_clear()
+    forget_plugins()
     yield
-    plugins.cache_clear()
+    forget_plugins()
     for name in [name for name in sys.modules if name.startswith("json_lines_example")]:
         del sys.modules[name]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence, Set
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import mujoco
 import numpy as np
@@ -14,13 +14,15 @@ from ...base.frames import Array
 from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
-from ...robots.external.model_world import ModelWorld
 from ..receive.intake import Counters
 from ..receive.mailbox import Packet, Packets
 from ..receive.source import QUIET_AFTER, Source, age
 from .place import Placer, Router, follow
 from .route import Route
 from .wiring import wire
+
+if TYPE_CHECKING:  # what only overlays need
+    from ...robots.external.model_world import ModelWorld
 
 Listener = Callable[[str, Packets], None]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION

@@ -10,14 +10,16 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import av
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from ...base.errors import RenderError, reason_of
+
+if TYPE_CHECKING:  # it takes 0.1 s to import, which pictures need not wait for
+    import av
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,8 @@ class FilmWriter:
                 f"{path}: found {fps:g} frames per second; expected at most {kind.most_fps:g}: "
                 "programs show a faster GIF slowly"
             )
+        import av
+
         check_writable(path)
         with _writing(path):
             self._container = av.open(str(self._part), "w")
@@ -150,6 +154,8 @@ class FilmWriter:
 
     def add(self, pixels: Pixels) -> None:
         """Appends a frame, (height, width, 3), uint8."""
+        import av
+
         frame = av.VideoFrame.from_ndarray(
             np.ascontiguousarray(pixels[: self._height, : self._width]), format="rgb24"
         )
@@ -196,6 +202,8 @@ class _Palettes:
     """
 
     def __init__(self, width: int, height: int, rate: Fraction) -> None:
+        import av
+
         self._graph = graph = av.filter.Graph()
         self._step = 1 / rate
         self._count = 0
@@ -214,6 +222,8 @@ class _Palettes:
 
     def follow(self, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:
         """Adds a frame, or the end (None), and yields the frames that are ready."""
+        import av
+
         if frame is not None:
             frame.pts, frame.time_base = self._count, self._step
             self._count += 1
