@@ -374,7 +374,7 @@ def test_commands_import_only_what_they_run_with() -> None:
         "import sys; from sero_mj.cli import main\n"
         "try:\n    main(['--help'])\n"
         "except SystemExit:\n"
-        "    heavy = {'mujoco', 'av', 'matplotlib', 'rich', 'cv2', 'PIL', 'lxml', 'trimesh'}\n"
+        "    heavy = {'mujoco', 'av', 'matplotlib', 'rich', 'cv2', 'PIL', 'trimesh'}\n"
         "    print(heavy & sys.modules.keys(), file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
