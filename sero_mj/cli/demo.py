@@ -39,7 +39,7 @@ def run(options: DemoOptions) -> int:
     """Renders; returns 0."""
     from ..base import paths
     from ..load import load_scene
-    from ..viewer.headless.render import make_picture
+    from ..viewer.headless.render import render_picture
     from .render import film_with_progress
 
     shown = {"lwr.show_billboards": True}
@@ -56,7 +56,7 @@ def run(options: DemoOptions) -> int:
             size=options.size, duration=options.duration, camera=_CAMERA, wait=30.0
         )
         silent = film_with_progress(scene, film, chosen)
-        silent += make_picture(scene, picture, chosen)
+        silent += render_picture(scene, picture, chosen)
     finally:
         sender.terminate()
         sender.wait()

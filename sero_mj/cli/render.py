@@ -85,17 +85,17 @@ class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOp
 def run(options: RenderOptions) -> int:
     """Renders; returns 0."""
     if options.clicks:  # what was hit is worth a line
-        logging.getLogger("sero_mj.viewer.headless.render").setLevel(logging.INFO)
+        logging.getLogger("sero_mj.viewer.headless.painter").setLevel(logging.INFO)
     if options.over is not None:
         silent = _render_over(options, Path(options.over))
     elif options.is_film:
         scene = options.read(options.scene)
         silent = film_with_progress(scene, options.output, options, quiet=options.quiet)
     else:
-        from ..viewer.headless.render import make_picture
+        from ..viewer.headless.render import render_picture
 
         scene = options.read(options.scene)
-        silent = make_picture(scene, options.output, options, at=options.at or 0.0)
+        silent = render_picture(scene, options.output, options, at=options.at or 0.0)
     for name in silent:
         print(
             f"sero-mj: no good packet for source '{name}' within {options.wait:g} s; "
@@ -112,7 +112,7 @@ add_to = command("render", run, RenderOptions, _EPILOG)
 
 def _render_over(options: RenderOptions, over: Path) -> list[str]:
     """Renders over a photo or a video; returns the silent sources."""
-    from ..viewer.headless.over import make_film_over, make_picture_over
+    from ..viewer.headless.over import render_film_over, render_picture_over
     from ..viewer.photo.footage import is_photo
 
     assert options.camera_file is not None
@@ -129,12 +129,12 @@ def _render_over(options: RenderOptions, over: Path) -> list[str]:
             raise UsageError("--offset is for recordings and scenarios; the scene has no sources")
         offset = offset_of_video(scene, over, options.camera_file, options.offset, options.quiet)
     if not options.is_film:
-        return make_picture_over(
+        return render_picture_over(
             scene, options.output, options, over=over, camera_file=options.camera_file,
             at=options.at, offset=offset,
         )  # fmt: skip
     make_film = partial(
-        make_film_over, over=over, camera_file=options.camera_file, offset=offset,
+        render_film_over, over=over, camera_file=options.camera_file, offset=offset,
         duration=options.duration if options.given("duration") else None,
     )  # fmt: skip
     return film_with_progress(scene, options.output, options, quiet=options.quiet, make=make_film)
@@ -155,12 +155,12 @@ def film_with_progress(
         output: the film's file.
         options: of the film.
         quiet: without the bar.
-        make: `render.make_film`, the default, or another of its kind.
+        make: `render.render_film`, the default, or another of its kind.
 
     Returns:
         the silent sources.
     """
-    from ..viewer.headless.render import make_film
+    from ..viewer.headless.render import render_film
 
     frames = 0
 
@@ -171,7 +171,7 @@ def film_with_progress(
 
     try:
         with progress_bar("rendering", quiet=quiet, stays=True) as show:
-            return (make or make_film)(scene, output, options, on_progress=update)
+            return (make or render_film)(scene, output, options, on_progress=update)
     except KeyboardInterrupt:
         if frames:
             print(f"sero-mj: {output} holds the {frames} frames so far", file=sys.stderr)

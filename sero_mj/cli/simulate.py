@@ -183,7 +183,7 @@ def _simulate(
 
 def _render(simulation: Simulation, options: SimulateOptions, output: Path) -> None:
     from ..simulate.simulated_scene import simulated_scene
-    from ..viewer.headless.render import make_picture
+    from ..viewer.headless.render import render_picture
 
     scene, film = simulated_scene(simulation), FilmOptions.taken_from(options)
     if not options.is_picture:
@@ -193,7 +193,7 @@ def _render(simulation: Simulation, options: SimulateOptions, output: Path) -> N
     at = simulation.time if options.at is None else options.at
     if at > simulation.time:
         raise UsageError(f"--at {at:g}: the run ends at {simulation.time:g} s")
-    make_picture(scene, output, film, at=at)
+    render_picture(scene, output, film, at=at)
 
 
 def _print(

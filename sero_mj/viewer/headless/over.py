@@ -23,16 +23,15 @@ from ..session.scene_decor import SceneDecor
 from ..typesetting import Typesetter, compose
 from .film import check_film, default_fps
 from .film_kinds import FILMS
+from .painter import Painter, perform_clicks
 from .picture_options import PictureOptions, Quality
 from .render import (
     MAX_SIDE,
     QUALITIES,
     SUPERSAMPLING,
     OnProgress,
-    Painter,
-    make_picture,
     make_renderer,
-    perform_clicks,
+    render_picture,
     write_film,
 )
 
@@ -84,7 +83,7 @@ class PhotoRenderer(Painter):
         return self._painter.look(self._renderer.scene, self._typesetter.font)
 
 
-def make_picture_over(
+def render_picture_over(
     scene: Scene,
     path: Path,
     options: PictureOptions,
@@ -124,10 +123,10 @@ def make_picture_over(
         renderer.photo = pixels
         return renderer
 
-    return make_picture(scene, path, options, at=now, painter=painter)
+    return render_picture(scene, path, options, at=now, painter=painter)
 
 
-def make_film_over(
+def render_film_over(
     scene: Scene,
     path: Path,
     options: PictureOptions,

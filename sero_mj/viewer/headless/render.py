@@ -11,7 +11,6 @@ import logging
 import queue
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,16 +29,15 @@ from ..added_surroundings import added_surroundings
 from ..camera import bounding_sphere, find_camera, needed_aspect, stand_back
 from ..decor.font import line_height
 from ..decor.picture_view import PictureView
-from ..decor.toggles import Toggles
 from ..mujoco_private import context_of
-from ..session.interaction import Gesture
-from ..session.picking import TOUCH_TOLERANCE, Picked, Pixel
+from ..session.picking import Pixel
 from ..session.scene_decor import SceneDecor
 from ..session.view_state import apply_switches
 from ..stereo import anaglyph, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter, compose
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
+from .painter import Painter, perform_clicks
 from .picture_options import (
     DEFAULT_SIZE,
     EYE_DISTANCE,
@@ -105,92 +103,6 @@ def offscreen_size(
         yield
     finally:
         size.offwidth, size.offheight, quality.offsamples, quality.shadowsize = before
-
-
-class Painter(ABC):
-    """What draws a world into pictures, and can be clicked on; a context manager.
-
-    Attributes:
-        world: the world.
-        decor: of the last frame.
-        size: width and height, pixels.
-    """
-
-    world: WorldView
-    decor: SceneDecor
-    size: tuple[int, int]
-    _renderer: Any
-
-    @property
-    def toggles(self) -> Toggles:
-        """What is shown; can be set to the toggles of another host."""
-        return self.decor.toggles
-
-    @toggles.setter
-    def toggles(self, toggles: Toggles) -> None:
-        self.decor.toggles = toggles
-
-    def pick(
-        self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
-    ) -> Picked | None:
-        """Returns the item at a pixel, counted from the upper left corner; None for no item.
-
-        Args:
-            data: the world's state, with frames up to date.
-            x: to the right, 0 to width.
-            y: down, 0 to height.
-            tolerance: see `picking.pick`.
-        """
-        return self._lay_out(data).pick(data, self._pixel(x, y), tolerance)
-
-    def click(
-        self,
-        data: mujoco.MjData,
-        x: float,
-        y: float,
-        gesture: Gesture = "click",
-        tolerance: float = 0.0,
-    ) -> Picked | None:
-        """Clicks on a pixel, see `pick`, and returns the item there.
-
-        Args:
-            data: the world's state, with frames up to date.
-            x: to the right, 0 to width.
-            y: down, 0 to height.
-            gesture: a click, one with Shift held, or a double click.
-            tolerance: see `picking.pick`.
-        """
-        return self._lay_out(data).click(data, self._pixel(x, y), gesture, tolerance)
-
-    def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
-        """Moves the pointer to a pixel, see `pick`; the next frames name the item there."""
-        return self._lay_out(data).hover(data, self._pixel(x, y))
-
-    def _pixel(self, x: float, y: float) -> Pixel:
-        """The pixel of decor at one of the picture."""
-        return self.decor.from_above(x, y)
-
-    def _lay_out(self, data: mujoco.MjData) -> SceneDecor:
-        self.decor.lay_out(data, self._look(data))
-        return self.decor
-
-    @abstractmethod
-    def render(self, data: mujoco.MjData) -> Pixels:
-        """Renders one frame of a world's state, with frames up to date."""
-
-    @abstractmethod
-    def _look(self, data: mujoco.MjData) -> PictureView:
-        """Updates the renderer's scene; returns how it is seen."""
-
-    def close(self) -> None:
-        """Frees the OpenGL context."""
-        self._renderer.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 class HeadlessRenderer(Painter):
@@ -355,15 +267,25 @@ MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is probably a typing error
 OnProgress = Callable[[int, int], None]
 
 
-def render_picture(scene: Scene, path: Path | str, *, at: float = 0.0, **options: Any) -> list[str]:
+def render_picture(
+    scene: Scene,
+    path: Path | str,
+    options: PictureOptions | None = None,
+    *,
+    at: float = 0.0,
+    painter: Callable[[Mirror, PictureOptions], Painter] = HeadlessRenderer.of_scene,
+    **keywords: Any,
+) -> list[str]:
     """Renders a picture of the current state of a scene.
 
     Args:
         scene: what to show.
         path: the file; .png, or another format of Pillow.
+        options: of the picture; when None they are made of keywords.
         at: time of recordings and simulations, s after their start.
-        **options: what differs from the defaults of `PictureOptions`: `size` (width, height),
-            `quality`, `camera`, `stereo`, `eye_distance`, `clicks`, `shown`, `selected`, `wait`.
+        painter: makes what draws the world of a mirror.
+        **keywords: of `PictureOptions`: `size` (width, height), `quality`, `camera`, `stereo`,
+            `eye_distance`, `clicks`, `shown`, `selected`, `wait`.
 
     Returns:
         names of the sources without data; their robots have the declared pose.
@@ -371,29 +293,7 @@ def render_picture(scene: Scene, path: Path | str, *, at: float = 0.0, **options
     Raises:
         SeroError: a problem of the scene, its sources, the camera, an option or the file.
     """
-    return make_picture(scene, Path(path), PictureOptions(**options), at=at)
-
-
-def make_picture(
-    scene: Scene,
-    path: Path,
-    options: PictureOptions,
-    *,
-    at: float = 0.0,
-    painter: Callable[[Mirror, PictureOptions], Painter] = HeadlessRenderer.of_scene,
-) -> list[str]:
-    """Renders a picture as `render_picture` does.
-
-    Args:
-        scene: what to show.
-        path: the file.
-        options: of the picture.
-        at: time of recordings and simulations, s after their start.
-        painter: makes what draws the world of a mirror.
-
-    Returns:
-        names of the sources without data.
-    """
+    path, options = Path(path), options or PictureOptions(**keywords)
     with Mirror(scene) as mirror:
         check_writable(path)
         with painter(mirror, options) as drawn:
@@ -407,16 +307,22 @@ def make_picture(
 
 
 def render_film(
-    scene: Scene, path: Path | str, *, on_progress: OnProgress | None = None, **options: Any
+    scene: Scene,
+    path: Path | str,
+    options: FilmOptions | None = None,
+    *,
+    on_progress: OnProgress | None = None,
+    **keywords: Any,
 ) -> list[str]:
     """Renders a film of a scene, in real time when it has live sources.
 
     Args:
         scene: what to show.
         path: the file; .mp4, .webm or .gif.
+        options: of the film; when None they are made of keywords.
         on_progress: called with the number of rendered frames and of all frames.
-        **options: what differs from the defaults of `FilmOptions`: `duration` (s), `fps`, and all
-            that `render_picture` takes. Clicks are performed before the first frame.
+        **keywords: of `FilmOptions`: `duration` (s), `fps`, and all of `render_picture`; clicks are
+            performed before the first frame.
 
     Returns:
         names of the sources without data.
@@ -424,13 +330,7 @@ def render_film(
     Raises:
         SeroError: a problem of the scene, its sources, the camera, an option or the file.
     """
-    return make_film(scene, Path(path), FilmOptions(**options), on_progress=on_progress)
-
-
-def make_film(
-    scene: Scene, path: Path, options: FilmOptions, *, on_progress: OnProgress | None = None
-) -> list[str]:
-    """Renders a film as `render_film` does, with its options in one object."""
+    path, options = Path(path), options or FilmOptions(**keywords)
     fps = options.fps or default_fps(path)
     count = max(round(options.duration * fps), 1)
     if count > MAX_FRAMES:
@@ -476,18 +376,6 @@ def write_film(
             if on_progress is not None:
                 on_progress(film.frames, max(count, film.frames))
     return silent
-
-
-def perform_clicks(painter: Painter, data: mujoco.MjData, clicks: Sequence[Click]) -> None:
-    """Clicks on pixels in their order, and logs what was there."""
-    for x, y, gesture, finger in clicks:
-        if gesture == "hover":
-            picked = painter.hover(data, x, y)
-        else:
-            tolerance = TOUCH_TOLERANCE if finger else 0.0
-            picked = painter.click(data, x, y, gesture, tolerance)  # type: ignore[arg-type]
-        what = "nothing there" if picked is None else f"{picked.kind} {picked.name}"
-        log.info("%s at %g,%g: %s", gesture, x, y, what)
 
 
 def _frames(
