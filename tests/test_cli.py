@@ -63,8 +63,8 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         ),
         (
             ["render", "lwr", "-o", "x.svg"],
-            "-o x.svg: expected a name that ends in .png, .jpg, .jpeg, .webp for a picture, or in "
-            ".mp4, .webm, .gif for a film",
+            "--output: found 'x.svg'; expected a name that ends in .png, .jpg, .jpeg, .webp for a "
+            "picture, or in .mp4, .webm, .gif for a film",
         ),
         (["render", "lwr", "-o", "x.png", "--fps", "3"], "--duration and --fps are for films"),
         (["render", "lwr", "-o", "x.png", "--size", "12"], "expected WIDTHxHEIGHT, e.g. 1280x800"),
@@ -369,6 +369,44 @@ def test_doctor_tries_every_backend_and_says_what_to_install(
         assert "apt install" in text
 
 
+def test_commands_import_only_what_they_run_with() -> None:
+    code = (
+        "import sys; from sero_mj.cli import main\n"
+        "try:\n    main(['--help'])\n"
+        "except SystemExit:\n"
+        "    heavy = {'mujoco', 'av', 'matplotlib', 'rich', 'cv2', 'PIL', 'trimesh'}\n"
+        "    print(heavy & sys.modules.keys(), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "examples" in done.stdout or "Try it" in done.stdout
+    assert done.stderr == "set()\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["new", "arm"], "cannot write arm: No such file or directory"),
+        (["schema", "robot", "-o", "no/robot.json"], "cannot write no: No such file or directory"),
+    ],
+)
+def test_where_nothing_can_be_written_a_line_says_so(
+    arguments: list[str], said: str, capsys, monkeypatch
+) -> None:
+    monkeypatch.chdir("/proc")
+    status, _, err = run(capsys, *arguments)
+    assert (status, err) == (2, f"sero-mj: {said}\n")
+
+
+def test_all_that_is_wrong_with_options_is_said_at_once(capsys) -> None:
+    status, _, err = run(capsys, "render", "lwr", "-o", "x.png", "--size", "9", "--wait", "x")
+    assert status == 2
+    assert err.splitlines() == [
+        "sero-mj: 2 things are wrong:",
+        "  --size: found '9'; expected WIDTHxHEIGHT, e.g. 1280x800",
+        "  --wait: found 'x'; expected 0 or a number above",
+    ]
+
+
 def test_a_closed_pipe_ends_quietly() -> None:
     command = f"{sys.executable} -m sero_mj list --fields | head -1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
@@ -416,12 +454,13 @@ def test_check_names_what_no_route_takes(
 
 def test_without_a_command_the_start_page_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = []
-    monkeypatch.setattr(view, "run", lambda options: shown.append(options.scene) or 0)
+    monkeypatch.setattr(view.Session, "choose", lambda session: shown.append(session.options))
+    monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: True)
     for arguments in ([], ["view"]):
         with pytest.raises(SystemExit) as ended:
             main(arguments)
         assert ended.value.code == 0
-    assert shown == [None, None]
+    assert [each.scene for each in shown] == [None, None]
     with pytest.raises(SystemExit):
         main(["--web", "--port", "8177"])
-    assert shown == [None] * 3
+    assert shown[2].port == 8177

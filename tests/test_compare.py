@@ -237,8 +237,8 @@ def test_the_command_is_0_for_the_same_and_1_beyond_a_tolerance(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--plot", "x.jpg"], "--plot x.jpg: expected a name that ends in .png, .pdf, .svg"),
-        (["--render", "x.avi"], "--render x.avi: expected a name that ends in .mp4, .webm, .gif"),
+        (["--plot", "x.jpg"], "--plot: found 'x.jpg'; expected a name that ends in .png, .pdf"),
+        (["--render", "x.avi"], "--render: found 'x.avi'; expected a name that ends in .mp4"),
         (["--offset", "soon"], "found 'soon'; expected a number of seconds, or auto"),
         (["--robot", "lwx"], "--robot: no robot 'lwx' in soft; did you mean 'lwr'?"),
         (["--offset", "30"], "they overlap"),

@@ -269,7 +269,7 @@ size = [0.1, 0.2]
         (["fig7.x3d", "b.x3d"], "fig7.x3d and b.x3d: both are X3D; expected one of each"),
         (["lwr_udp", "b.toml"], "lwr_udp and b.toml: both are TOML; expected one of each"),
         (["lwr_udp", "b.xml"],
-         "b.xml: expected a name that ends in .toml or .x3d or .x3dv or .wrl"),
+         "OUT: found 'b.xml'; expected a name that ends in .toml, .x3d, .x3dv, .wrl"),
         (["fig7.x3d", "there.toml"], "there.toml is there already; --overwrite writes over it"),
         (["fig7.x3d", "no/b.toml"], "cannot write no/b.toml: No such file or directory"),
         (["scara", "b.x3d"], "scara: nothing of it can be said in X3D; left out: robots."),

@@ -212,8 +212,8 @@ def test_the_command_writes_lines_and_a_figure(
     ("arguments", "said"),
     [
         (["--robot", "lwx"], "--robot: no robot 'lwx' in run; did you mean 'lwr'?"),
-        (["--plot", "x.jpg"], "--plot x.jpg: expected a name that ends in .png, .pdf, .svg"),
-        (["-o", "x.txt"], "-o x.txt: expected a name that ends in .toml"),
+        (["--plot", "x.jpg"], "--plot: found 'x.jpg'; expected a name that ends in .png, .pdf"),
+        (["-o", "x.txt"], "--output: found 'x.txt'; expected a name that ends in .toml"),
         (["--from", "3", "--to", "2"], "--to: found 2; expected more than 3 s"),
         (["--to", "0.2"], "run has 0.2 s of 'lwr'; expected at least 0.5 s"),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import random
 import re
 import shlex
@@ -11,7 +12,8 @@ from importlib import resources
 import pytest
 
 from sero_mj.base.errors import StructureError
-from sero_mj.cli import main
+from sero_mj.cli import main, structure
+from sero_mj.cli.options import read_options
 from sero_mj.data.receive.fri import FriLayout
 from sero_mj.data.receive.language import KINDS, MAX_PACKET_BYTES, TYPES, parse
 from sero_mj.data.receive.sniffer import KNOWN
@@ -64,11 +66,11 @@ def test_the_fri_packet_on_the_page_is_that_of_the_receiver() -> None:
 
 
 def test_the_other_commands_of_the_page_are_understood() -> None:
-    from sero_mj.cli import _parser
-
+    parser = argparse.ArgumentParser()
+    structure.add_to(parser.add_subparsers())
     for line in "\n".join(blocks("bash")).splitlines():
-        options = _parser("").parse_args(shlex.split(line, comments=True)[1:])
-        assert options.sniff == 32000
+        given = parser.parse_args(shlex.split(line, comments=True)[1:])
+        assert read_options(structure.StructureOptions, vars(given)).sniff == 32000
 
 
 class Grammar:

@@ -110,7 +110,7 @@ def test_what_is_no_figure_or_no_table_is_told(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for arguments, said in (
-        (["swing.mcap", "-o", "x.jpg"], "found '.jpg'; expected a name that ends in .png"),
+        (["swing.mcap", "-o", "x.jpg"], "x.jpg'; expected a name that ends in .png"),
         (["swing.csv", "-o", "x.png"], "does not say what its robots are: give --scene SCENE"),
         (["none.mcap", "-o", "x.png"], "none.mcap"),
     ):

@@ -93,7 +93,7 @@ def test_a_table_that_is_there_is_kept(
     table = tmp_path / "t.csv"
     table.write_text("mine")
     refused("export-csv", recording, table)
-    said = f"sero-mj: {table}: exists already; choose another name, or --overwrite\n"
+    said = f"sero-mj: {table} is there already; choose another name, or --overwrite\n"
     assert capsys.readouterr().err == said
     assert table.read_text() == "mine"
     with pytest.raises(SystemExit) as caught:

@@ -268,8 +268,11 @@ def test_what_came_before_an_error_is_kept(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--record", "run.txt"], "--record run.txt: expected a name that ends in .mcap"),
-        (["--render", "run.avi"], "--render run.avi: expected a name that ends in .png, .jpg"),
+        (["--record", "run.txt"], "--record: found 'run.txt'; expected a name that ends in .mcap"),
+        (
+            ["--render", "run.avi"],
+            "--render: found 'run.avi'; expected a name that ends in .png",
+        ),
         (["--at", "1"], "--at is for a picture: --render OUT.png"),
         (["--render", "x.png", "--at", "9"], "--at 9: the run ends at 0.4 s"),
         (["--set", "controllers.lwr.stifness=1"], "stifness: unknown key; did you mean"),

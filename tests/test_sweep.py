@@ -376,8 +376,8 @@ def test_the_command_writes_table_and_picture_and_says_what_came_of_it(
     ("arguments", "message"),
     [
         (["--resume"], "--resume: expected the file to go on with, -o OUT.csv"),
-        (["-o", "out.txt"], "--out out.txt: expected a name that ends in .csv"),
-        (["--plot", "out.csv"], "--plot out.csv: expected a name that ends in .png"),
+        (["-o", "out.txt"], "--out: found 'out.txt'; expected a name that ends in .csv"),
+        (["--plot", "out.csv"], "--plot: found 'out.csv'; expected a name that ends in .png"),
         (["--resume", "--overwrite", "-o", "a.csv"], "--resume and --overwrite: expected one"),
         (["--samples", "0"], "found '0'; expected a whole number from 1 to 200000"),
         (["--jobs", "two"], "found 'two'; expected a whole number from 1"),

@@ -6,6 +6,7 @@ import re
 import socket
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -185,8 +186,8 @@ def find(name: str, rows: Any, lengths: Any) -> Any:
 
 
 def recorder(folder: Path, **options: Any) -> TriggeredRecorder:
-    fields = {"before": 0.5, "after": 0.3, "now": None, **options}
-    made = TriggeredRecorder(lambda n, _: folder / f"{n}.mcap", find, about={}, **fields)
+    fields = {"before": 0.5, "after": 0.3, "now": None, "find": find, **options}
+    made = TriggeredRecorder(lambda n, _: folder / f"{n}.mcap", about={}, **fields)
     made.add_source(
         "udp", kind="udp", declared={"structure": LAYOUT.text}, events=LAYOUT.events,
         size=LAYOUT.size, decode=LAYOUT.decode,
@@ -216,6 +217,32 @@ def test_each_event_has_what_came_before_and_after_it(tmp_path: Path, at_once: i
         assert recording.about["event"] == "A3 is 25"
         assert float(recording.about["event_time"]) == pytest.approx(0.5, abs=1e-6)
     assert made.statistics.packets == 1000
+
+
+def test_waiting_lasts_until_all_packets_have_been_looked_at(tmp_path: Path) -> None:
+    looking, goes_on = threading.Event(), threading.Event()
+
+    def find_slowly(name: str, rows: Any, lengths: Any) -> Any:
+        looking.set()
+        assert goes_on.wait(60)
+        return find(name, rows, lengths)
+
+    packets, times = numbered(30, {})
+    rows, lengths = pad_packets(packets, LAYOUT.size)
+    seen: list[int] = []
+    with recorder(tmp_path, find=find_slowly) as made:
+        assert made.take("udp", rows, lengths, times)
+        assert looking.wait(60)  # the queue is empty, and nothing has been seen
+
+        def wait() -> None:
+            made.wait_until_seen()
+            seen.append(made.statistics.packets)
+
+        waiting = threading.Thread(target=wait)
+        waiting.start()
+        goes_on.set()
+        waiting.join()
+    assert seen == [30]
 
 
 def test_memory_holds_no_more_than_the_last_seconds(tmp_path: Path) -> None:

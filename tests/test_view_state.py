@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
 import subprocess
 import sys
@@ -287,16 +286,9 @@ def test_a_selected_joint_has_a_ring_about_its_axis() -> None:
 # ---- files that are dropped
 
 
-def options_of(scene: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    view.add_to(parser.add_subparsers())
-    return parser.parse_args(["view", scene])
-
-
 def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path) -> None:
-    options = options_of("lwr_udp")
+    options = view.ViewOptions(scene="lwr_udp")
     session = view.Session(options, on_page=False)
-    before = dict(vars(options))
     for name, text, expected in (
         ("notes.txt", "", "notes.txt"),
         ("scene.toml", "[robots.lwr]\nmodle = 'lwr'\n", "did you mean 'model'"),
@@ -307,7 +299,7 @@ def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path
         with pytest.raises(SeroError) as caught:
             session.open(tmp_path / name)
         assert expected in str(caught.value)
-        assert vars(options) == before
+        assert session.options is options
     urdf = tmp_path / "two.urdf"
     urdf.write_text(
         '<robot name="two"><link name="a"/><link name="b"/><joint name="j" type="revolute">'
@@ -325,7 +317,7 @@ def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path
     scene = session.open(urdf).world.scene
     assert not any("gone" in each for each in session._warnings)
     assert list(scene.robots) == ["two"]
-    assert (options.scene, session.plain) == (str(urdf), scene)
+    assert (session.options.scene, session.plain) == (str(urdf), scene)
 
 
 @pytest.mark.gl

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import re
 import socket
@@ -14,9 +13,9 @@ import pytest
 from mujoco.studio.web import state_payload
 from websockets.exceptions import ConnectionClosedError
 
-from sero_mj.base.errors import RenderError, UsageError
+from sero_mj.base.errors import DeclarationError, RenderError, UsageError
 from sero_mj.cli import main
-from sero_mj.cli.view import wants_page
+from sero_mj.cli.view import ViewOptions, wants_page
 from sero_mj.viewer.decor.font import DEFAULT_FONT, Font
 from sero_mj.viewer.decor.geom_buffer import MAX_GEOMS
 from sero_mj.viewer.decor.panels import labels_at
@@ -200,20 +199,14 @@ def test_an_address_of_others_is_refused(host: str) -> None:
     check_address("localhost")
 
 
-def options(**given: Any) -> argparse.Namespace:
-    nothing = dict.fromkeys(("port", "host", "size", "stereo", "over"))
-    switches = dict.fromkeys(("window", "web", "full_screen", "token"), False)
-    return argparse.Namespace(**switches | nothing | given)
-
-
 def test_there_is_a_page_where_there_is_no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: True)
-    assert not wants_page(options())
-    assert wants_page(options(web=True))
-    assert wants_page(options(port=8081))
-    assert wants_page(options(host="0.0.0.0"))
+    assert not wants_page(ViewOptions(scene="lwr"))
+    assert wants_page(ViewOptions(scene="lwr", web=True))
+    assert wants_page(ViewOptions(scene="lwr", port=8081))
+    assert wants_page(ViewOptions(scene="lwr", host="0.0.0.0"))
     monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: False)
-    assert wants_page(options())
+    assert wants_page(ViewOptions(scene="lwr"))
 
 
 def test_it_says_why_it_is_a_page_once_there_is_a_scene(
@@ -244,8 +237,8 @@ def test_options_of_the_other_host_are_refused(
     monkeypatch: pytest.MonkeyPatch, given: dict[str, Any], expected: str
 ) -> None:
     monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: False)
-    with pytest.raises(UsageError, match=expected):
-        wants_page(options(**given))
+    with pytest.raises((UsageError, DeclarationError), match=expected):
+        wants_page(ViewOptions(scene="lwr", **given))
 
 
 def test_a_browser_that_is_there_when_the_page_ends_is_no_error() -> None:

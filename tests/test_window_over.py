@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from window_tools import MISSING, SIZE, Driven, screen
 from sero_mj.base.errors import DeclarationError, RenderError, UsageError
 from sero_mj.cli import main
 from sero_mj.cli._arguments import read_scene
+from sero_mj.cli.shared_options import OverOptions
 from sero_mj.cli.view import _feed
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.viewer.headless.film import FilmWriter
@@ -107,7 +107,7 @@ def test_a_video_goes_with_the_time_of_a_scenario_and_is_a_camera_for_what_is_li
 ) -> None:
     write_camera(tmp_path / "c.toml", camera("none", (320, 180)))
     video = write_video(tmp_path / "v.mp4", [40, 80, 120])
-    options = Namespace(over=video, camera_file=tmp_path / "c.toml", offset=1.5)
+    options = OverOptions(over=str(video), camera_file=tmp_path / "c.toml", offset=1.5)
     feed = _feed(Mirror(read_scene("impedance_push")), options)
     assert isinstance(feed, VideoFeed)
     feed.latest(1.0)
@@ -116,7 +116,7 @@ def test_a_video_goes_with_the_time_of_a_scenario_and_is_a_camera_for_what_is_li
     for scene in ("lwr_udp", "lwr"):  # live, and without sources
         with pytest.raises(UsageError, match="--offset is for a video over a recording"):
             _feed(Mirror(read_scene(scene)), options)
-        feed = _feed(Mirror(read_scene(scene)), Namespace(**{**vars(options), "offset": None}))
+        feed = _feed(Mirror(read_scene(scene)), options.model_copy(update={"offset": None}))
         assert isinstance(feed, CameraFeed)
         feed.close()
 

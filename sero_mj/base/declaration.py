@@ -6,6 +6,7 @@ with its fields into `Problem`s that say what was found and what would be right.
 
 from __future__ import annotations
 
+import inspect
 import re
 import reprlib
 from collections.abc import Callable, Collection, Mapping
@@ -22,7 +23,15 @@ from typing import (
 )
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+)
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -104,6 +113,27 @@ class Declaration(_Model):
         self.__dict__.clear()  # computed properties go as well
         self.__dict__.update(checked.__dict__)
         self.__pydantic_fields_set__.add(name)
+
+
+def meanings(declaration: type[Declaration]) -> dict[str, str]:
+    """What the docstrings of a declaration and its bases say of each of its fields."""
+    found: dict[str, str] = {}
+    for kind in reversed(declaration.__mro__):
+        text = inspect.cleandoc(kind.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
+        found |= dict(re.findall(r"^    (\w+): ((?:.|\n {8})*)", text, re.MULTILINE))
+    return {name: re.sub(r"\s+", " ", about) for name, about in found.items()}
+
+
+def expecting(what: str) -> WrapValidator:
+    """Returns a validator that says of every wrong value what would be right."""
+
+    def validate(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
+        try:
+            return handler(value)
+        except ValidationError:
+            raise ValueError(f"found {reprlib.repr(value)}; expected {what}") from None
+
+    return WrapValidator(validate)
 
 
 def numbers(value: Any) -> Array:

@@ -76,7 +76,7 @@ class Command(Protocol):
     ORDER: int
 
     def add_to(self, commands: Any) -> None:
-        """Adds the command to the subparsers of argparse, see `_arguments.add_command`."""
+        """Adds the command to the subparsers of argparse, see `_arguments.command`."""
 
 
 def _commands(wanted: str) -> list[Command]:

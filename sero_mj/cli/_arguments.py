@@ -1,4 +1,4 @@
-"""What several commands have in common: options, the scene they name, and how they end."""
+"""What several commands have in common: their parser, the scene they name, and how they end."""
 
 from __future__ import annotations
 
@@ -6,20 +6,19 @@ import argparse
 import contextlib
 import json
 import math
-import os
 import re
 import signal
 import threading
 import tomllib
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..base.errors import DeclarationError, Problem, RecordingError, UsageError
-from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
+from ..base.options import Options
+from .options import add_options, read_options
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -30,11 +29,7 @@ if TYPE_CHECKING:
 
 # Subparsers have no public type.
 Commands = Any
-LOOKS = ("light", "dark")
-QUALITIES = ("draft", "normal", "fine")
-STEREO = ("side-by-side", "anaglyph")  # as in `viewer.stereo`, which takes a while to import
-EYE_DISTANCE = 0.065
-DEFAULT_SIZE = (1280, 800)
+T = TypeVar("T", bound=Options)
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -57,232 +52,115 @@ def join_negative_values(arguments: list[str]) -> list[str]:
     return joined
 
 
-def add_command(commands: Commands, name: str, run: Any, summary: str, epilog: str) -> Any:
-    """Adds a command whose help shows its summary and its epilog as they are written.
+def command(
+    name: str, run: Callable[[T], int], kind: type[T], epilog: str
+) -> Callable[[Commands], None]:
+    """Returns what adds a command to the parser of all.
 
-    `run` gets the parsed options and returns the exit status; the summary has no full stop.
+    Args:
+        name: of the command.
+        run: gets the options and returns the exit status.
+        kind: what declares the options; its docstring's first line is what the command does.
+        epilog: what help says at the end, as it is written.
     """
-    parser = commands.add_parser(
-        name,
-        help=summary,
-        description=summary[0].upper() + summary[1:] + ".",
-        epilog=epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.set_defaults(run=run)
-    return parser
+    summary, *_ = str(kind.__doc__).splitlines()
+
+    def run_with(given: argparse.Namespace) -> int:
+        options = read_options(kind, vars(given))
+        options.apply()
+        return run(options)
+
+    def add_to(commands: Commands) -> None:
+        parser = commands.add_parser(
+            name,
+            help=summary[0].lower() + summary[1:].removesuffix("."),
+            description=summary,
+            epilog=epilog,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        add_options(parser, kind)
+        parser.set_defaults(run=run_with)
+
+    return add_to
 
 
-def positive(text: str) -> float:
-    """A finite number above 0, for argparse."""
-    return _number(text, "a number above 0", lambda value: value > 0)
-
-
-def not_negative(text: str) -> float:
-    """A finite number from 0, for argparse."""
-    return _number(text, "0 or a number above", lambda value: value >= 0)
-
-
-def _number(text: str, expected: str, fits: Callable[[float], bool]) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and fits(value)):
-        raise argparse.ArgumentTypeError(f"found '{text}'; expected {expected}")
-    return value
-
-
-def check_whole(text: str, expected: str, least: int, most: int = 10**15 - 1) -> int:
-    """A whole number in a range, for argparse; `expected` says which."""
-    if text.isdecimal() and len(text) <= 15 and least <= int(text) <= most:
-        return int(text)
-    raise argparse.ArgumentTypeError(f"found '{text}'; expected {expected}")
-
-
-def port(text: str) -> int:
-    """A port from 1 to 65535, for argparse."""
-    return check_whole(text, "a port from 1 to 65535", 1, 65535)
-
-
-def seed(text: str) -> int:
-    """A seed of random numbers, for argparse."""
-    return check_whole(text, "a whole number from 0", 0, 2**32 - 1)
-
-
-def size(text: str) -> tuple[int, int]:
-    """WIDTHxHEIGHT in pixels, for argparse."""
-    width, _, height = text.lower().partition("x")
-    if width.isdecimal() and height.isdecimal() and int(width) and int(height):
-        return int(width), int(height)
-    raise argparse.ArgumentTypeError(f"found '{text}'; expected WIDTHxHEIGHT, e.g. 1280x800")
-
-
-def numbers(text: str, what: str) -> NDArray[np.float64]:
-    """Comma-separated finite numbers; raises UsageError."""
-    try:
-        values = np.array([float(part) for part in text.strip("[] ").split(",")])
-    except ValueError:
-        values = np.array([np.nan])
-    if not np.isfinite(values).all():
-        raise UsageError(f"{what}: found '{text}'; expected numbers with commas, e.g. 0,0.5,-1.2")
-    return values
-
-
-def refuse(options: argparse.Namespace, names: Sequence[str], why: str) -> None:
-    """Raises UsageError where one of these options is given: its name, and why not."""
-    for name in names:
-        if getattr(options, name) is not None:
-            raise UsageError(f"--{name}{why}")
-
-
-def check_ending(given: str, path: Path, endings: Collection[str], between: str = " or ") -> None:
+def check_ending(given: str, path: Path, endings: Collection[str]) -> None:
     """Raises UsageError for a file name that ends otherwise; `given` is what is cited."""
     if path.suffix.lower() not in endings:
-        raise UsageError(f"{given}: expected a name that ends in {between.join(endings)}")
+        raise UsageError(f"{given}: expected a name that ends in {', '.join(endings)}")
 
 
-def add_scene_options(parser: argparse.ArgumentParser) -> None:
-    """Adds `--camera`, `--look`, `--package`, `--set`, `--replay` and `--start`."""
-    parser.add_argument(
-        "--camera",
-        metavar="CAM",
-        help="name of a camera, or azimuth,elevation,distance in degrees and m",
+def check_new(paths: Iterable[Path], hint: str) -> None:
+    """Raises UsageError where one of these files is there; `hint` says what to do then."""
+    for path in paths:
+        if path.exists():
+            raise UsageError(f"{path} is there already; {hint}")
+
+
+@contextlib.contextmanager
+def writing() -> Iterator[None]:
+    """Raises UsageError for a file that cannot be written in its context."""
+    try:
+        yield
+    except OSError as error:
+        raise UsageError(f"cannot write {error.filename}: {error.strerror}") from error
+
+
+@contextlib.contextmanager
+def progress_bar(
+    what: str, *, quiet: bool, stays: bool = False
+) -> Iterator[Callable[[int, int], None]]:
+    """Shows on a terminal how much is done; yields what is told, and of how much.
+
+    Args:
+        what: is done.
+        quiet: whether nothing is shown.
+        stays: when all is done.
+    """
+    from rich import progress as bars
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    bar = bars.Progress(
+        bars.TextColumn("{task.description}"),
+        bars.BarColumn(),
+        bars.MofNCompleteColumn(),
+        bars.TimeRemainingColumn(),
+        console=console,
+        disable=quiet or not (stays or console.is_terminal),
+        transient=not stays,
     )
-    parser.add_argument("--look", choices=LOOKS, help="over the scene's; default light")
-    add_package_option(parser)
-    add_set_option(parser, "ROBOT.FIELD=VALUE", "set a field over the scene's; may be repeated")
-    parser.add_argument(
-        "--replay", type=Path, metavar="REC", help="play a recording instead of the live sources"
-    )
-    parser.add_argument(
-        "--start",
-        type=not_negative,
-        metavar="S",
-        help="where in the recording to begin (default: its first packet)",
-    )
+    task = bar.add_task(what, total=None)
+
+    def update(done: int, total: int) -> None:
+        bar.start()  # only now: an error before leaves no empty bar
+        bar.update(task, completed=done, total=total)
+
+    try:
+        yield update
+    finally:
+        if bar.live.is_started:
+            bar.stop()
 
 
-class _Package(argparse.Action):
-    """Tells this process, and those that it starts, where a package is."""
+def offset_of_video(
+    scene: Scene,
+    video: Path,
+    camera_file: Path,
+    offset: float | Literal["auto"] | None = None,
+    quiet: bool = False,
+) -> float:
+    """When in a recording or scenario a video begins, s: as given, else found, and said so.
 
-    def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
-        """Checks and adds one."""
-        name, equals, folder = str(values).partition("=")
-        if not (name and equals and Path(folder).is_dir()):
-            found = f"'{folder}', which is no folder" if equals else f"'{values}'"
-            parser.error(f"--package: found {found}; expected NAME=DIR, the package's folder")
-        known = os.environ.get(PACKAGES_VARIABLE)
-        own = f"{name}={Path(folder).resolve()}"
-        os.environ[PACKAGES_VARIABLE] = f"{own}{os.pathsep}{known}" if known else own
-
-
-class _Argument(argparse.Action):
-    """Tells this process, and those that it starts, an argument of xacro."""
-
-    def __call__(self, parser: Any, namespace: Any, values: Any, option: Any = None) -> None:
-        """Checks and adds one."""
-        name, equals, value = str(values).partition("=")
-        if not (name and equals):
-            parser.error(f"--arg: found '{values}'; expected NAME=VALUE, an argument of xacro")
-        known = json.loads(os.environ.get(ARGUMENTS_VARIABLE) or "{}")
-        os.environ[ARGUMENTS_VARIABLE] = json.dumps({**known, name: value})
-
-
-def add_package_option(parser: argparse.ArgumentParser) -> None:
-    """Adds `--package` and `--arg`, for robots from URDF files and xacro."""
-    parser.add_argument(
-        "--package",
-        action=_Package,
-        metavar="NAME=DIR",
-        help="folder of a ROS package that a URDF names; may be repeated",
-    )
-    parser.add_argument(
-        "--arg",
-        action=_Argument,
-        metavar="NAME=VALUE",
-        help="argument of a robot in xacro, e.g. ur_type=ur5e; may be repeated",
-    )
-
-
-def add_picture_options(parser: argparse.ArgumentParser) -> None:
-    """Adds `--size` and `--quality` of pictures and films."""
-    parser.add_argument(
-        "--size", type=size, default=DEFAULT_SIZE, metavar="WxH", help="pixels (default 1280x800)"
-    )
-    parser.add_argument(
-        "--quality",
-        choices=QUALITIES,
-        default="normal",
-        help="draft: neither shadows nor smooth edges, in a fraction of the time where OpenGL is "
-        "software; fine: for print, with 300 dots per inch",
-    )
-
-
-def add_stereo_options(parser: argparse.ArgumentParser) -> None:
-    """Adds `--stereo` and `--eye-distance`."""
-    parser.add_argument(
-        "--stereo",
-        choices=STEREO,
-        help="for two eyes: a half of the picture for each, or for red-cyan glasses",
-    )
-    parser.add_argument(
-        "--eye-distance",
-        type=positive,
-        default=EYE_DISTANCE,
-        metavar="M",
-        help=f"between the eyes, m (default {EYE_DISTANCE}); more shows more depth",
-    )
-
-
-def check_stereo_options(options: argparse.Namespace) -> None:
-    """Raises UsageError where `--eye-distance` is given without `--stereo`."""
-    if options.stereo is None and options.eye_distance != EYE_DISTANCE:
-        raise UsageError("--eye-distance is for --stereo side-by-side or anaglyph; give it as well")
-
-
-def add_over_options(parser: argparse.ArgumentParser, *, is_live: bool = False) -> None:
-    """Adds `--over`, `--camera-file` and `--offset`."""
-    if is_live:
-        parser.add_argument(
-            "--over", metavar="CAMERA",
-            help="draw over the pictures of a camera: its number, 0 say, an address, or a video",
-        )  # fmt: skip
-    else:
-        parser.add_argument(
-            "--over", type=Path, metavar="FILE",
-            help="draw over a photo or a video of the real robot",
-        )  # fmt: skip
-    parser.add_argument(
-        "--camera-file", type=Path, metavar="FILE", help="the camera that took it; YAML or TOML"
-    )
-    parser.add_argument(
-        "--offset",
-        type=_offset,
-        metavar="S",
-        help="time of the recording when the video begins, s since the recording began; auto (the "
-        "default) finds it from the motion in both",
-    )
-
-
-def _offset(text: str) -> float | str:
-    return text if text == "auto" else _number(text, "s, or auto", lambda value: True)
-
-
-def check_over_options(options: argparse.Namespace) -> None:
-    """Raises UsageError where one of the options of `add_over_options` lacks another."""
-    if options.over is not None and options.camera_file is None:
-        raise UsageError(
-            "--over needs the camera that took it: --camera-file CAMERA.yaml or .toml; "
-            "`sero-mj calibrate` writes one"
-        )
-    for name in ("camera_file", "offset"):
-        if getattr(options, name, None) is not None and options.over is None:
-            raise UsageError(f"--{name.replace('_', '-')} is for --over; give it as well")
-
-
-def offset_of_video(scene: Scene, video: Path, camera_file: Path, *, quiet: bool = False) -> float:
-    """Finds when in a recording or scenario a video begins, s, and says so unless `quiet`."""
+    Args:
+        scene: with the recording.
+        video: the file.
+        camera_file: see `camera_file`.
+        offset: as given; found by the motion in both when it is not.
+        quiet: nothing is said.
+    """
+    if isinstance(offset, float) or not scene.sources:
+        return float(offset or 0.0)
     from rich.console import Console
 
     from ..viewer.photo.camera_file import read_camera
@@ -299,13 +177,6 @@ def offset_of_video(scene: Scene, video: Path, camera_file: Path, *, quiet: bool
     if not quiet:
         print(found, flush=True)
     return found.offset
-
-
-def add_set_option(parser: argparse.ArgumentParser, metavar: str, about: str) -> None:
-    """Adds `--set`, for `overrides`."""
-    parser.add_argument(
-        "--set", action="append", default=[], dest="settings", metavar=metavar, help=about
-    )
 
 
 def overrides(settings: Sequence[str]) -> dict[str, Any]:
@@ -370,24 +241,6 @@ def _as_set(problem: Problem, given: Mapping[str, Any], option: str) -> Problem:
     return problem
 
 
-def read_shown_scene(options: argparse.Namespace, *, by_hand: bool = False) -> Scene:
-    """The scene that a command with `add_scene_options` names, with what these set.
-
-    Args:
-        options: of the command.
-        by_hand: see `load_scene`.
-    """
-    by_hand &= options.replay is None
-    scene = read_scene(options.scene, options.settings, by_hand=by_hand)
-    if options.look is not None:
-        scene.view.look = options.look
-    if options.replay is not None:
-        replay_instead(scene, options.replay, options.start)
-    elif options.start is not None:
-        raise UsageError("--start is for recordings; give --replay REC.mcap as well")
-    return scene
-
-
 def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
     """Lets a recording play every source of a scene that it has.
 
@@ -441,26 +294,6 @@ def print_table(table: Table) -> None:
     endless = console.options.update_width(10_000)
     console.width = max(console.width, console.measure(table, options=endless).maximum)
     console.print(table)
-
-
-def add_part_options(parser: argparse.ArgumentParser) -> None:
-    """Adds `--from`, `--to`, `--scene` and `--source`: what of a recording is looked at."""
-    parser.add_argument(
-        "--from", type=not_negative, dest="begin", metavar="S", help="from this time on"
-    )
-    parser.add_argument("--to", type=positive, dest="end", metavar="S", help="up to this time")
-    parser.add_argument(
-        "--scene",
-        metavar="SCENE",
-        help="robots and routes, where a recording has none, or of tables (default: what is in it)",
-    )
-    parser.add_argument("--source", metavar="NAME", help="which source (default: all)")
-
-
-def check_part(options: argparse.Namespace) -> None:
-    """Raises UsageError where `--to` is not after `--from`."""
-    if options.begin is not None and options.end is not None and options.end <= options.begin:
-        raise UsageError(f"--to: found {options.end:g}; expected more than {options.begin:g} s")
 
 
 def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> RunLog:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 from ..base.errors import SimulationError, UsageError
-from ._arguments import port, read_scene
+from ..base.options import Option, Options, Port
+from ._arguments import read_scene
 
 if TYPE_CHECKING:
     from ..data.receive.source import Source
@@ -19,31 +19,37 @@ if TYPE_CHECKING:
 _EVERY = 0.05  # s between two looks at the clock, where nobody waits for packets
 
 
-def add_sink_options(parser: Any) -> None:
-    """Adds which source to feed, and where to send to."""
-    parser.add_argument("--source", metavar="NAME", help="which source of that scene to feed")
-    parser.add_argument("--structure", metavar="S", help="packet layout instead of that scene's")
-    parser.add_argument("--host", help="where to (default 127.0.0.1)")
-    parser.add_argument("--port", type=port, help="UDP port (default: that scene's)")
-    parser.add_argument(
-        "--shm", metavar="NAME", help="write to this shared memory (default: that scene's)"
-    )
+class SinkOptions(Options):
+    """What is sent, and where to.
+
+    Attributes:
+        source: which source of that scene to feed.
+        structure: packet layout instead of that scene's.
+        host: where to (default 127.0.0.1).
+        port: UDP port (default: that scene's).
+        shm: write to this shared memory (default: that scene's).
+    """
+
+    title: ClassVar[str] = "where packets go"
+    source: Annotated[str | None, Option("NAME")] = None
+    structure: Annotated[str | None, Option("S")] = None
+    host: str | None = None
+    port: Port | None = None
+    shm: Annotated[str | None, Option("NAME")] = None
 
 
-def goes_to_shm(options: argparse.Namespace, source: Source) -> bool:
+def goes_to_shm(options: SinkOptions, source: Source) -> bool:
     """Whether packets go to shared memory: by `--shm`, or for a source that reads it."""
     return options.shm is not None or (source.memory is not None and options.port is None)
 
 
-def make_sink(
-    options: argparse.Namespace, source: Source, structure: Structure
-) -> UdpSink | ShmWriter:
+def make_sink(options: SinkOptions, source: Source, structure: Structure) -> UdpSink | ShmWriter:
     """Where the packets go: what the command line says, else where the source receives."""
     from ..data.send.sender import ShmWriter, UdpSink
 
     if goes_to_shm(options, source):
         if source.memory is None:
-            return ShmWriter(options.shm, structure)
+            return ShmWriter(options.shm or "", structure)
         if options.host is not None:
             raise UsageError(f"source '{source.name}' is {source.about}; --host needs --port")
         block, lock, offset = source.memory
@@ -75,13 +81,19 @@ def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
 
 
 class Sender:
-    """Sends a simulation while it runs."""
+    """Sends a simulation while it runs.
 
-    def __init__(self, simulation: Simulation, options: argparse.Namespace) -> None:
+    Args:
+        simulation: is advanced.
+        name: of the scene that is sent to.
+        options: where to.
+    """
+
+    def __init__(self, simulation: Simulation, name: str, options: SinkOptions) -> None:
         from ..data.send.play import MotionPackets
         from ..simulate.log_output import LogSignals
 
-        scene = read_scene(options.send)
+        scene = read_scene(name)
         players = {name: LogSignals(simulation, name) for name in simulation.scenario.scene.robots}
         self._packets = MotionPackets(scene, options.source, options.structure, players=players)
         self._sink: Any = make_sink(options, self._packets.source, self._packets.structure)

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from ..base.errors import UsageError
+from ..base.options import JointValues, Option, positional
 from ._arguments import (
-    Commands,
-    add_command,
-    add_package_option,
-    add_set_option,
     check_ending,
-    not_negative,
-    numbers,
+    command,
     print_json,
     print_table,
     read_scene,
     replay_instead,
     until_ended,
 )
+from .shared_options import File, JsonOptions, ReplayOptions, SettingOptions
 
 if TYPE_CHECKING:
     from ..robots.assemble.scene import Scene
@@ -56,37 +52,31 @@ length is found from 6 or more, for a lens without distortion.
 ORDER = 16  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    summary = "find where a camera is, from points of the robot in a photo"
-    parser = add_command(commands, "calibrate", run, summary, _EPILOG)
-    parser.add_argument("photo", metavar="PHOTO", type=Path, help="what the camera has taken")
-    parser.add_argument(
-        "--robot", required=True, metavar="SCENE", help="robot or scene: a file, or a shipped name"
-    )
-    parser.add_argument(
-        "--joint-angles", metavar="Q", help="of the robot in the photo, with commas, rad or m"
-    )
-    parser.add_argument("--replay", type=Path, metavar="REC", help="take the pose from a recording")
-    parser.add_argument(
-        "--start", type=not_negative, metavar="S", help="when in the recording (default: first)"
-    )
-    parser.add_argument(
-        "--points", type=Path, metavar="FILE", help="which pixel shows which point; .csv or .toml"
-    )
-    parser.add_argument(
-        "--camera-file", type=Path, metavar="FILE", help="the camera's intrinsics; YAML or TOML"
-    )
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="OUT", help="camera file to write; .yaml or .toml"
-    )
-    parser.add_argument("--names", action="store_true", help="print the points' names, and end")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    add_package_option(parser)
-    add_set_option(parser, "ROBOT.FIELD=VALUE", "set a field over the scene's; may be repeated")
+class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
+    """Find where a camera is, from points of the robot in a photo.
+
+    Attributes:
+        photo: what the camera has taken.
+        robot: robot or scene: a file, or a shipped name.
+        joint_angles: of the robot in the photo, with commas, rad or m.
+        replay: take the pose from a recording.
+        start: when in the recording, s (default: first).
+        points: which pixel shows which point; .csv or .toml.
+        camera_file: the camera's intrinsics; YAML or TOML.
+        output: camera file to write; .yaml or .toml.
+        names: print the points' names, and end.
+    """
+
+    photo: Annotated[Path, positional("PHOTO")]
+    robot: Annotated[str, Option("SCENE")]
+    joint_angles: JointValues | None = None
+    points: File | None = None
+    camera_file: File | None = None
+    output: Annotated[Path | None, Option("OUT", ("-o", "--output"))] = None
+    names: bool = False
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: CalibrateOptions) -> int:
     """Finds the camera; returns 0."""
     from ..viewer.headless.backend import has_display
 
@@ -140,7 +130,10 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _scene_of_photo(options: argparse.Namespace) -> Scene:
+add_to = command("calibrate", run, CalibrateOptions, _EPILOG)
+
+
+def _scene_of_photo(options: CalibrateOptions) -> Scene:
     """The scene with the joint angles, or the recording, that options say."""
     scene = read_scene(options.robot, options.settings)
     if options.joint_angles is not None:
@@ -151,12 +144,10 @@ def _scene_of_photo(options: argparse.Namespace) -> Scene:
                 "--set ROBOT.joint_angles=..."
             )
         (name,) = scene.robots
-        angles = numbers(options.joint_angles, "--joint-angles").tolist()
-        scene = read_scene(options.robot, [*options.settings, f"{name}.joint_angles={angles}"])
+        angles = f"{name}.joint_angles={[*options.joint_angles]}"
+        scene = read_scene(options.robot, [*options.settings, angles])
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start)
-    elif options.start is not None:
-        raise UsageError("--start is for recordings; give --replay REC.mcap as well")
     return scene
 
 
@@ -193,7 +184,7 @@ def _points_beside(output: Path) -> Path:
 
 
 def _click(
-    options: argparse.Namespace, world: Any, data: Any, pixels: Any, lens: PhotoCamera
+    options: CalibrateOptions, world: Any, data: Any, pixels: Any, lens: PhotoCamera
 ) -> list[ClickedPoint]:
     """Lets the user click points in a window."""
     from ..viewer.photo.calibration import ClickedPoint, point_of, points_apart
@@ -213,9 +204,9 @@ def _click(
     ]
 
 
-def _report(options: argparse.Namespace, clicked: list[ClickedPoint], found: Calibration) -> None:
+def _report(options: CalibrateOptions, clicked: list[ClickedPoint], found: Calibration) -> None:
     T, off = found.camera.T_world_camera, np.linalg.norm(found.errors, axis=1)
-    if options.json:
+    if options.as_json:
         print_json(_plain(clicked, found))
         return
     from rich.table import Table

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Set
 from textwrap import fill
 from typing import TYPE_CHECKING
@@ -10,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..base.frames import rpy_from_rotation
-from ._arguments import Commands, add_command, add_package_option, read_scene
+from ._arguments import command, read_scene
+from .shared_options import PackageOptions, SceneArgument
 
 if TYPE_CHECKING:
     from ..data.receive.source import Source
@@ -24,16 +24,11 @@ and exits with 2; else prints what the scene holds.
 ORDER = 52  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands, "check", run, "check a scene file and print what it holds", _EPILOG
-    )
-    parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
-    add_package_option(parser)
+class CheckOptions(SceneArgument, PackageOptions):
+    """Check a scene file and print what it holds."""
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: CheckOptions) -> int:
     """Prints; returns 0."""
     from ..data.drive.wiring import wire
     from ..robots.assemble.scene import parts_of_origin
@@ -84,6 +79,9 @@ def run(options: argparse.Namespace) -> int:
     model = world.model
     print(f"  model   {model.nbody} bodies, {model.ngeom} geoms, {model.nmeshface} mesh triangles")
     return 0
+
+
+add_to = command("check", run, CheckOptions, _EPILOG)
 
 
 def _kind(robot: SerialRobot) -> str:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from ..base.errors import UsageError
+from ..base.options import Options, ending, positional
 from ..robots.importers.known_formats import X3d
-from ._arguments import Commands, add_command, check_ending, read_scene
+from ._arguments import check_new, command, read_scene, writing
 
 if TYPE_CHECKING:
     from ..base.declaration import Declaration
@@ -36,21 +36,24 @@ _OTHER_FORMS = ("name", "dh_params", "dh_columns", "length_unit")
 ORDER = 58  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    summary = "convert a scene of X3D to TOML, or the other way round"
-    parser = add_command(commands, "convert", run, summary, _EPILOG)
-    parser.add_argument("scene", metavar="SCENE", help="a scene's file, or a shipped name")
-    parser.add_argument("output", metavar="OUT", type=Path, help=".toml, or .x3d, .x3dv, .wrl")
-    parser.add_argument("--overwrite", action="store_true", help="write over a file that exists")
+class ConvertOptions(Options):
+    """Convert a scene of X3D to TOML, or the other way round.
+
+    Attributes:
+        scene: a scene's file, or a shipped name.
+        output: .toml, or .x3d, .x3dv, .wrl.
+        overwrite: write over a file that exists.
+    """
+
+    scene: Annotated[str, positional("SCENE")]
+    output: Annotated[Path, ending(".toml", *X3d.endings), positional("OUT")]
+    overwrite: bool = False
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: ConvertOptions) -> int:
     """Writes the file; returns 0."""
-    output: Path = options.output
+    output = options.output
     to_x3d = output.suffix.lower() in X3d.endings
-    if not to_x3d:
-        check_ending(str(output), output, (".toml", *X3d.endings))
     is_x3d = Path(options.scene).suffix.lower() in X3d.endings
     if to_x3d == is_x3d:
         both = "X3D" if to_x3d else "TOML"
@@ -61,21 +64,21 @@ def run(options: argparse.Namespace) -> int:
     else:
         text, lost = _as_toml(options.scene, output), []
     files[output] = text
-    for path in (output, *files):
-        if path.exists() and not options.overwrite:
-            raise UsageError(f"{path} is there already; --overwrite writes over it")
-    for path, contents in files.items():
-        try:
+    if not options.overwrite:
+        check_new(files, "--overwrite writes over it")
+    with writing():
+        for path, contents in files.items():
             if path is not output:
                 path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(contents, encoding="utf-8")
-        except OSError as error:
-            raise UsageError(f"cannot write {path}: {error.strerror}") from error
     if lost:
         line = f"sero-mj: left out, as X3D or its protos have no word for it: {', '.join(lost)}"
         print(fill(line, 100, subsequent_indent="  ", break_on_hyphens=False), file=sys.stderr)
     print(output)
     return 0
+
+
+add_to = command("convert", run, ConvertOptions, _EPILOG)
 
 
 def _as_toml(name: str, output: Path) -> str:

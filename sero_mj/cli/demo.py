@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import Annotated
 
-from ._arguments import Commands, add_command, positive, size
+from ..base.options import Duration, Option, Options, Size
+from ..viewer.headless.picture_options import DEFAULT_SIZE, FilmOptions
+from ._arguments import command
 
 _SCENE = "lwr_udp"
 _CAMERA = "150,-12,2.0"
@@ -19,17 +21,21 @@ writes OUT/lwr.png and OUT/lwr.mp4 of the LWR that mirrors it.
 ORDER = 76  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands, "demo", run, "film an LWR that is mirrored from UDP packets", _EPILOG
-    )
-    parser.add_argument("--out", type=Path, default=Path("out"), help="folder (default out)")
-    parser.add_argument("--duration", type=positive, default=6.0, metavar="S", help="default 6")
-    parser.add_argument("--size", type=size, default=(1280, 800), metavar="WxH")
+class DemoOptions(Options):
+    """Film an LWR that is mirrored from UDP packets.
+
+    Attributes:
+        out: folder (default out).
+        duration: of the film, s.
+        size: width and height, pixels.
+    """
+
+    out: Annotated[Path, Option("OUT")] = Path("out")
+    duration: Duration = 6.0
+    size: Size = DEFAULT_SIZE
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: DemoOptions) -> int:
     """Renders; returns 0."""
     from ..base import paths
     from ..load import load_scene
@@ -46,10 +52,11 @@ def run(options: argparse.Namespace) -> int:
         stdout=subprocess.DEVNULL,
     )
     try:
-        silent = film_with_progress(
-            scene, film, duration=options.duration, size=options.size, camera=_CAMERA, wait=30.0
+        chosen = FilmOptions(
+            size=options.size, duration=options.duration, camera=_CAMERA, wait=30.0
         )
-        silent += render_picture(scene, picture, size=options.size, camera=_CAMERA)
+        silent = film_with_progress(scene, film, chosen)
+        silent += render_picture(scene, picture, chosen)
     finally:
         sender.terminate()
         sender.wait()
@@ -58,6 +65,9 @@ def run(options: argparse.Namespace) -> int:
         return 1
     print(f"an LWR mirrored from UDP packets of another process:\n  {film}\n  {picture}")
     return 0
+
+
+add_to = command("demo", run, DemoOptions, _EPILOG)
 
 
 def _free_port() -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib.metadata
 import json
 import os
@@ -13,7 +12,8 @@ import sys
 from typing import Any
 
 from ..viewer.headless.backend import BACKENDS, PACKAGES, has_display, has_osmesa
-from ._arguments import Commands, add_command
+from ._arguments import command
+from .shared_options import JsonOptions
 
 _EPILOG = """\
 Renders a small picture with every backend, each in a process of its own, because a backend is
@@ -66,15 +66,11 @@ _SMOOTH = 0.04  # s, of a frame
 ORDER = 73  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands, "doctor", run, "say which OpenGL backends work and what to install", _EPILOG
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON")
+class DoctorOptions(JsonOptions):
+    """Say which OpenGL backends work and what to install."""
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: DoctorOptions) -> int:
     """Prints; returns 0 when a backend works, else 1."""
     versions = {name: _version(name) for name in ("sero-mj", "mujoco", "numpy", "av")}
     versions["dm-control"] = _version("dm-control")
@@ -84,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
     works = [name for name, found in backends.items() if found["works"]]
     used = chosen if chosen in works else next(iter(works), None)
     speed = None if used is None else frame_times(used)
-    if options.json:
+    if options.as_json:
         found = {"versions": versions, "python": platform.python_version(), "backends": backends}
         print(json.dumps({**found, "chosen": chosen, "live": live, "frame_times": speed}, indent=2))
         return 0 if works else 1
@@ -108,6 +104,9 @@ def run(options: argparse.Namespace) -> int:
     if not works:
         print("no backend works: pictures cannot be rendered on this machine")
     return 0 if works else 1
+
+
+add_to = command("doctor", run, DoctorOptions, _EPILOG)
 
 
 def _version(distribution: str) -> str | None:
@@ -134,17 +133,22 @@ def page_problem() -> str | None:
 def frame_times(backend: str) -> dict[str, float] | None:
     """Times of a frame of an LWR, 1280x800, s, by quality; None where it cannot be drawn."""
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _SPEED],
-            env={**os.environ, "MUJOCO_GL": backend},
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=True,
-        )
+        done = _python(_SPEED, backend)
     except subprocess.SubprocessError:
         return None
+    if done.returncode:
+        return None
     return {name: float(time) for name, time in map(str.split, done.stdout.splitlines())}
+
+
+def _python(code: str, backend: str) -> subprocess.CompletedProcess[str]:
+    """Runs Python in a process of its own, with one backend."""
+    environment = {**os.environ, "MUJOCO_GL": backend}
+    environment.pop("PYOPENGL_PLATFORM", None)
+    command = [sys.executable, "-c", code]
+    return subprocess.run(
+        command, env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
 
 
 def _about_speed(backend: str, times: dict[str, float]) -> str:
@@ -161,17 +165,8 @@ def _about_speed(backend: str, times: dict[str, float]) -> str:
 
 def try_backend(name: str) -> dict[str, Any]:
     """Renders with one backend in a process of its own."""
-    environment = {**os.environ, "MUJOCO_GL": name}
-    environment.pop("PYOPENGL_PLATFORM", None)
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _TRIAL],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=60,
-            check=False,
-        )
+        done = _python(_TRIAL, name)
     except subprocess.TimeoutExpired:
         return {"works": False, "reason": "no answer within 60 s"}
     if done.returncode == 0:

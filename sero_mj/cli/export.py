@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
-from ..base.errors import UsageError
-from ._arguments import Commands, add_command, add_package_option, check_ending, read_scene
+from ..base.options import ending, positional
+from ._arguments import command, read_scene, writing
+from .shared_options import PackageOptions, SceneArgument
 
 _EPILOG = """\
 example:
@@ -20,23 +21,25 @@ comment in the file says which of these are estimated.
 ORDER = 55  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(commands, "export", run, "write a scene as MJCF with its meshes", _EPILOG)
-    parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
-    add_package_option(parser)
-    parser.add_argument("output", metavar="OUT.xml", type=Path)
+class ExportOptions(SceneArgument, PackageOptions):
+    """Write a scene as MJCF with its meshes.
+
+    Attributes:
+        output: the file to write.
+    """
+
+    output: Annotated[Path, ending(".xml"), positional("OUT.xml")]
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: ExportOptions) -> int:
     """Writes; returns 0."""
     from ..robots.assemble.world import World
 
-    check_ending(str(options.output), options.output, (".xml",))
     world = World(read_scene(options.scene))
-    try:
+    with writing():
         written = world.export(options.output)
-    except OSError as error:
-        raise UsageError(f"cannot write {error.filename}: {error.strerror}") from error
     print(f"{written[0]} and {len(written) - 1} mesh files")
     return 0
+
+
+add_to = command("export", run, ExportOptions, _EPILOG)

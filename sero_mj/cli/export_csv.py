@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from pathlib import Path
+from typing import Annotated
 
-from ..base.errors import UsageError
-from ._arguments import Commands, add_command, check_span, not_negative
+from ..base.options import Option, Options, Time, positional
+from ._arguments import check_new, check_span, command
 
 _EPILOG = """\
 examples:
@@ -20,25 +20,34 @@ the last digit. With several sources, --source chooses one.
 ORDER = 37  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(commands, "export-csv", run, "write a recording as a table", _EPILOG)
-    parser.add_argument("recording", type=Path, metavar="REC.mcap", help="a recording")
-    parser.add_argument("output", type=Path, metavar="OUT.csv", help="where to")
-    parser.add_argument("--source", metavar="NAME", help="which source (default: the only one)")
-    parser.add_argument("--start", type=not_negative, metavar="S", help="from this time on")
-    parser.add_argument("--stop", type=not_negative, metavar="S", help="until before this time")
-    parser.add_argument("--overwrite", action="store_true", help="write over a file that exists")
+class ExportCsvOptions(Options):
+    """Write a recording as a table.
+
+    Attributes:
+        recording: a recording.
+        output: where to.
+        source: which source (default: the only one).
+        start: from this time on, s.
+        stop: until before this time, s.
+        overwrite: write over a file that exists.
+    """
+
+    recording: Annotated[Path, positional("REC.mcap")]
+    output: Annotated[Path, positional("OUT.csv")]
+    source: Annotated[str | None, Option("NAME")] = None
+    start: Time | None = None
+    stop: Time | None = None
+    overwrite: bool = False
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: ExportCsvOptions) -> int:
     """Writes; returns 0, or 1 where there are packets and none could be read."""
     from ..data.record.csv_files import export_csv
     from ..data.record.recording import Recording
     from ..data.record.replay import Replay
 
-    if options.output.exists() and not options.overwrite:
-        raise UsageError(f"{options.output}: exists already; choose another name, or --overwrite")
+    if not options.overwrite:
+        check_new([options.output], "choose another name, or --overwrite")
     with Recording(options.recording) as recording:
         name = recording.choose_source(options.source or "")
         check_span(recording, options.start, options.stop)
@@ -54,3 +63,6 @@ def run(options: argparse.Namespace) -> int:
     left_out = f", {written.malformed} malformed packets left out" if written.malformed else ""
     print(f"{options.output}: {written.rows} rows{left_out}")
     return 1 if (damaged or written.malformed) and not written.rows else 0
+
+
+add_to = command("export-csv", run, ExportCsvOptions, _EPILOG)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import json
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from ..base.errors import UsageError, did_you_mean
-from ._arguments import Commands, add_command, add_package_option, numbers
+from ..base.options import JointValues, Option, positional
+from ._arguments import command
+from .shared_options import JsonOptions, PackageOptions
 
 if TYPE_CHECKING:
     from ..robots.assemble.robot import SerialRobot
@@ -25,29 +26,28 @@ examples:
 ORDER = 49  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands, "fk", run, "print base-to-flange of a robot by DH and by MuJoCo", _EPILOG
-    )
-    parser.add_argument(
-        "robot", metavar="ROBOT", help="robot or scene: a file, a folder or a shipped name"
-    )
-    add_package_option(parser)
-    parser.add_argument(
-        "--joint-angles", metavar="Q", help="joint values with commas, rad or m (default: home)"
-    )
-    parser.add_argument("--of", metavar="NAME", help="which robot of a scene that has several")
-    parser.add_argument("--deg", action="store_true", help="angles are in degrees")
-    parser.add_argument("--json", action="store_true", help="print JSON")
+class FkOptions(PackageOptions, JsonOptions):
+    """Print base-to-flange of a robot by DH and by MuJoCo.
+
+    Attributes:
+        robot: robot or scene: a file, a folder or a shipped name.
+        joint_angles: joint values with commas, rad or m (default: home).
+        of: which robot of a scene that has several.
+        deg: angles are in degrees.
+    """
+
+    robot: Annotated[str, positional("ROBOT")]
+    joint_angles: JointValues | None = None
+    of: Annotated[str | None, Option("NAME")] = None
+    deg: bool = False
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: FkOptions) -> int:
     """Prints; returns 0."""
     robot = _robot_of(options.robot, options.of)
     q = robot.home
     if options.joint_angles is not None:
-        q = numbers(options.joint_angles, "--joint-angles")
+        q = np.array(options.joint_angles)
         coupled = robot.coupled
         if len(q) not in (coupled.n, coupled.k):
             fewer = f", or {coupled.k} without the coupled ones" if coupled.is_coupled else ""
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
             q = np.where(turns, np.deg2rad(q), q)
         q = q if len(q) == coupled.n else coupled.positions(q)
     result = compare(robot, q)
-    if options.json:
+    if options.as_json:
         print(json.dumps({key: np.asarray(value).tolist() for key, value in result.items()}))
         return 0
     with np.printoptions(precision=6, suppress=True, floatmode="fixed"):
@@ -70,6 +70,9 @@ def run(options: argparse.Namespace) -> int:
         f"difference: {result['position_difference']:.1e} m, {result['angle_difference']:.1e} rad"
     )
     return 0
+
+
+add_to = command("fk", run, FkOptions, _EPILOG)
 
 
 def _robot_of(name: str, of: str | None) -> SerialRobot:

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
-from ..base.errors import RenderError
-from ._arguments import (
-    Commands,
-    add_command,
-    add_part_options,
-    check_ending,
-    check_part,
-    print_json,
-    print_table,
-    read_recorded_run,
-    read_scene,
-)
+from ..base.options import Option, ending, positional
+from ._arguments import command, print_json, print_table, writing
+from .shared_options import Figure, Flag, JsonOptions, PartOptions
 
 _EPILOG = """\
 examples:
@@ -33,42 +24,33 @@ to and fro, slowly and faster, and the wrist far enough that gravity changes.
 ORDER = 46  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands, "identify", run, "estimate friction, payload and torque offsets", _EPILOG
-    )
-    parser.add_argument(
-        "recording", type=Path, metavar="RUN.mcap", help="a recording, or a table (.csv)"
-    )
-    parser.add_argument("--robot", metavar="NAME", help="which robot (default: the only one)")
-    add_part_options(parser)
-    parser.add_argument(
-        "-o", "--output", type=Path, metavar="OUT.toml", help="lines of a robot's file"
-    )
-    parser.add_argument("--plot", type=Path, metavar="OUT", help="the fit: .png, .pdf or .svg")
-    parser.add_argument("--json", action="store_true", help="print what is found as JSON")
-    parser.add_argument("--quiet", action="store_true", help="no table")
+class IdentifyOptions(PartOptions, JsonOptions):
+    """Estimate friction, payload and torque offsets.
+
+    Attributes:
+        recording: a recording, or a table (.csv).
+        robot: which robot (default: the only one).
+        output: lines of a robot's file.
+        plot: the fit: .png, .pdf or .svg.
+        as_json: print what is found as JSON.
+        quiet: no table.
+    """
+
+    recording: Annotated[Path, positional("RUN.mcap")]
+    robot: Flag = None
+    output: Annotated[Path | None, ending(".toml"), Option("OUT.toml", ("-o", "--output"))] = None
+    plot: Figure | None = None
+    quiet: bool = False
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: IdentifyOptions) -> int:
     """Identifies; returns 0."""
-    from ..study.figure import SUFFIXES
-
-    if options.plot is not None:
-        check_ending(f"--plot {options.plot}", options.plot, SUFFIXES, ", ")
-    if options.output is not None:
-        check_ending(f"-o {options.output}", options.output, (".toml",))
-    check_part(options)
     from ..study.align import choose_robot
     from ..study.identify import as_json, as_table, as_toml, identify, plot_identified, remarks
 
-    scene = None if options.scene is None else read_scene(options.scene)
-    log = read_recorded_run(options.recording, options.source, scene)
-    if options.begin is not None or options.end is not None:
-        log = log.between(options.begin, options.end)
+    log = options.read_part(options.recording)
     found = identify(log, choose_robot(log, options.robot))
-    if options.json:
+    if options.as_json:
         print_json(as_json(found))
     elif not options.quiet:
         print_table(as_table(found))
@@ -78,10 +60,11 @@ def run(options: argparse.Namespace) -> int:
             print()
             print(as_toml(found), end="")
     if options.output is not None:
-        try:
+        with writing():
             options.output.write_text(as_toml(found), encoding="utf-8")
-        except OSError as error:
-            raise RenderError(f"{options.output}: cannot be written: {error.strerror}") from error
     if options.plot is not None:
         plot_identified(found, options.plot)
     return 0
+
+
+add_to = command("identify", run, IdentifyOptions, _EPILOG)

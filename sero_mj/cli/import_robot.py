@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, TypeAlias
 
 from ..base.declaration import is_name
 from ..base.errors import UsageError
+from ..base.options import Option, positional
 from ..base.paths import format_of_file, model_name
 from ..robots.importers.importer import find_importer
 from ..robots.importers.known_formats import Mjcf, X3d
-from ._arguments import Commands, add_command, add_package_option, check_ending
-from .new import scene_text
-from .schema import schema_text
+from ._arguments import check_ending, check_new, command, writing
+from .new import print_next, scene_text, write_scene
+from .shared_options import PackageOptions
 
 if TYPE_CHECKING:
     from ..robots.assemble.robot import SerialRobot
@@ -41,22 +41,21 @@ _BESIDE = re.compile(
 ORDER = 67  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    about = "write a robot folder and a scene from a URDF or MJCF file"
-    parser = add_command(commands, "import", run, about, _EPILOG)
-    parser.add_argument("file", metavar="FILE", type=Path, help="URDF, xacro or MJCF")
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder to be made (default: the robot's name)"
-    )
-    parser.add_argument(
-        "--convention", choices=("craig", "standard"),
-        help="of the Denavit-Hartenberg table, where there is one (default: craig)",
-    )  # fmt: skip
-    add_package_option(parser)
+class ImportOptions(PackageOptions):
+    """Write a robot folder and a scene from a URDF or MJCF file.
+
+    Attributes:
+        file: URDF, xacro or MJCF.
+        out: folder to be made (default: the robot's name).
+        convention: of the Denavit-Hartenberg table, where there is one (default: craig).
+    """
+
+    file: Annotated[Path, positional("FILE")]
+    out: Annotated[Path | None, Option("DIR")] = None
+    convention: Literal["craig", "standard"] | None = None
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: ImportOptions) -> int:
     """Writes the files; returns 0."""
     from ..robots.assemble.robot import SerialRobot
 
@@ -69,31 +68,27 @@ def run(options: argparse.Namespace) -> int:
         is_name(folder.name)
     except ValueError as error:
         raise UsageError(f"--out: {error}") from None
-    for path in (folder, scene):
-        if path.exists():
-            raise UsageError(f"{path} is there already; choose another with --out")
+    check_new((folder, scene), "choose another with --out")
     limbs = SerialRobot(**tables).limb_joints
-    try:
+    with writing():
         folder.mkdir(parents=True)
         text = source.write(folder, limbs)
         (folder / "robot.toml").write_text(text, encoding="utf-8")
         robot = SerialRobot.from_model(str(folder / "robot.toml"))
         # The base of such a robot may be its trunk.
         joints = _about_joints(robot)
-        text = scene_text(folder.name, robot.coupled.k, 'floor = "below"\n', joints)
-        scene.write_text(text, encoding="utf-8")
-        for kind in ("robot", "scene"):
-            (folder / f"{kind}.schema.json").write_text(schema_text(kind), encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"cannot write {error.filename}: {error.strerror}") from error
+        write_scene(folder, scene_text(folder.name, robot.coupled.k, 'floor = "below"\n', joints))
     for warning in source.described.warnings:
         print(f"note: {warning}")
     how = f"{robot.dh_convention} DH table" if robot.dh is not None else "joint frames"
     if robot.dh is None and options.convention is not None:
         print(f"note: {source.no_table}, so there is no {options.convention} DH table")
-    print(f"{folder}/robot.toml: {robot.n} joints, {how}\n{scene}: a scene that mirrors it")
-    print(f"next, in two terminals:\n  sero-mj send {scene}\n  sero-mj view {scene}")
+    print(f"{folder}/robot.toml: {robot.n} joints, {how}")
+    print_next(scene)
     return 0
+
+
+add_to = command("import", run, ImportOptions, _EPILOG)
 
 
 _Limbs: TypeAlias = Mapping[str, Sequence[int]]
@@ -113,7 +108,7 @@ class _Source(NamedTuple):
     no_table: str
 
 
-def _read(options: argparse.Namespace) -> _Source:
+def _read(options: ImportOptions) -> _Source:
     from ..robots.importers.mjcf_file import as_spec, write_mjcf
     from ..robots.importers.mjcf_robot import plain_tables, read_mjcf
     from ..robots.importers.robot_text import copied_meshes, robot_text
@@ -189,7 +184,7 @@ def _check_format(path: Path) -> None:
         )
     if ending not in (".urdf", ".xacro", ".xml") and (found := format_of_file(path)) is not None:
         raise UsageError(f"{path}: is {found}; expected URDF, xacro or MJCF")
-    check_ending("FILE", path, (".urdf", ".xacro", ".xml"), ", ")
+    check_ending("FILE", path, (".urdf", ".xacro", ".xml"))
     if not path.is_file():
         raise UsageError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
     if ending == ".xml":

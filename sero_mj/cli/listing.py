@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import tomllib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Annotated, Literal
 
 from ..base import paths
+from ..base.declaration import Declaration, meanings
+from ..base.options import Option, Options
 from ..base.plugins import (
     COMMANDS,
     CONTROLLERS,
@@ -20,51 +22,44 @@ from ..base.plugins import (
     load_plugin,
     plugins,
 )
-from ._arguments import Commands, add_command
+from ._arguments import command
 
-if TYPE_CHECKING:
-    from ..base.declaration import Declaration
 ORDER = 61  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "list",
-        run,
-        "list the shipped robots, scenes, scenarios and environments",
-        "See also: sero-mj check SCENE",
-    )
-    parser.add_argument(
-        "--fields", nargs="?", const="robots", choices=("robots", "scenarios"),
-        help="list the fields of a robot and their defaults, or those of a scenario",
-    )  # fmt: skip
+class ListOptions(Options):
+    """List the shipped robots, scenes, scenarios and environments.
+
+    Attributes:
+        fields: list the fields of a robot and their defaults, or those of a scenario.
+    """
+
+    fields: Annotated[Literal["robots", "scenarios"] | None, Option(bare="robots")] = None
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: ListOptions) -> int:
     """Prints; returns 0."""
     if options.fields:
         (_print_fields if options.fields == "robots" else _print_scenario_fields)()
         return 0
-    print("robots (models/)")
-    for name in paths.list_models():
-        about = tomllib.loads(paths.find_model(name).read_text(encoding="utf-8"))
-        print(f"  {name:18} {about.get('description', '')}")
-    print("groups of robots (models/)")
-    for name in paths.list_group_models():
-        about = tomllib.loads(paths.find_group_model(name).read_text(encoding="utf-8"))
-        print(f"  {name:18} {about.get('description', '')}")
-    print("scenes (scenes/)")
-    for name in paths.list_scenes():
-        print(f"  {name:18} {_about(name)}")
-    print("scenarios (scenes/scenarios/), for sero-mj simulate")
-    for name in paths.list_scenarios():
-        about = tomllib.loads(paths.find_scenario(name).read_text(encoding="utf-8"))
-        print(f"  {name:18} {about.get('description', '')}")
+    shipped = {
+        "robots (models/)": (paths.list_models, paths.find_model),
+        "groups of robots (models/)": (paths.list_group_models, paths.find_group_model),
+        "scenes (scenes/)": (paths.list_scenes, paths.find_scene),
+        "scenarios (scenes/scenarios/), for sero-mj simulate": (
+            paths.list_scenarios, paths.find_scenario
+        ),
+    }  # fmt: skip
+    for title, (names, find) in shipped.items():
+        print(title)
+        for name in names():
+            print(f"  {name:18} {_about(find(name))}")
     _print_environments()
     _print_plugins()
     return 0
+
+
+add_to = command("list", run, ListOptions, "See also: sero-mj check SCENE")
 
 
 def _print_environments() -> None:
@@ -97,9 +92,9 @@ def _print_plugins() -> None:
             print(f"  {name:18} {point.value}{package}")
 
 
-def _about(scene: str) -> str:
-    """What a scene says of itself: its description, else its first line where that is a comment."""
-    text = paths.find_scene(scene).read_text(encoding="utf-8")
+def _about(file: Path) -> str:
+    """What a file says of itself: its description, else its first line where that is a comment."""
+    text = file.read_text(encoding="utf-8")
     described = tomllib.loads(text).get("description")
     if described is not None:
         return str(described)
@@ -190,17 +185,10 @@ def field_rows(declaration: type[Declaration]) -> list[tuple[str, str, str]]:
 
     The default is empty for a field that is required; a `kind` is left out.
     """
-    import inspect
-    import re
-
-    about: dict[str, str] = {}
-    for kind in reversed(declaration.__mro__):
-        text = inspect.cleandoc(kind.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
-        about |= dict(re.findall(r"^    (\w+): ((?:.|\n {8})*)", text, re.MULTILINE))
+    about = meanings(declaration)
     rows = []
     for name, field in declaration.model_fields.items():
         if name != "kind":
             default = "" if field.is_required() else field.get_default(call_default_factory=True)
-            meaning = re.sub(r"\s+", " ", about.get(name, ""))
-            rows.append((name, " ".join(str(default).split()), meaning))
+            rows.append((name, " ".join(str(default).split()), about.get(name, "")))
     return rows

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
 import shutil
 from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, model_validator
 
 from ..base import paths
 from ..base.declaration import is_name
 from ..base.errors import UsageError
-from ._arguments import Commands, add_command, check_whole
+from ..base.options import Option, Options, positional, whole
+from ._arguments import check_new, command, writing
 from .schema import schema_text
 
 _EPILOG = """\
@@ -83,52 +86,66 @@ structure = "{n}F{n}F"             # `sero-mj structure {n}F{n}F` says what stan
 ORDER = 64  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    about = "write a robot file and a scene to start from"
-    parser = add_command(commands, "new", run, about, _EPILOG)
-    parser.add_argument("name", metavar="NAME", help="of the robot")
-    parser.add_argument("--joints", type=_joints, metavar="N", help="how many (default 6)")
-    parser.add_argument("--like", metavar="ROBOT", help="copy a shipped robot, or one of a folder")
+class NewOptions(Options):
+    """Write a robot file and a scene to start from.
+
+    Attributes:
+        name: of the robot.
+        joints: how many.
+        like: copy a shipped robot, or one of a folder.
+    """
+
+    name: Annotated[str, AfterValidator(is_name), positional("NAME")]
+    joints: Annotated[int, whole(1, _MOST_JOINTS), Option("N")] = 6
+    like: Annotated[str | None, Option("ROBOT")] = None
+
+    @model_validator(mode="after")
+    def _check_joints(self) -> Self:
+        if self.like is not None and self.given("joints"):
+            raise ValueError("--joints and --like: a copy has the joints of its robot; choose")
+        return self
 
 
-def _joints(text: str) -> int:
-    return check_whole(text, f"a whole number from 1 to {_MOST_JOINTS}", 1, _MOST_JOINTS)
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: NewOptions) -> int:
     """Writes the files; returns 0."""
     from ..robots.assemble.robot import SerialRobot
 
     name = options.name
-    try:
-        is_name(name)
-    except ValueError as error:
-        raise UsageError(f"NAME: {error}") from None
-    if options.like is not None and options.joints is not None:
-        raise UsageError("--joints and --like: a copy has the joints of its robot; choose")
     like = None if options.like is None else paths.find_model(options.like)
     if like is not None and like.suffix != ".toml":
         how = f"sero-mj import {options.like} --out {name}" if like.suffix != ".xml" else ""
         hint = how or f'model = "{options.like}" in a scene takes it as it is'
         raise UsageError(f"--like: found {like.name}; expected a robot of TOML. {hint}")
     folder, scene = Path(name), Path(f"{name}.toml")
-    for path in (folder, scene):
-        if path.exists():
-            raise UsageError(f"{path} is there already; choose another name")
+    check_new((folder, scene), "choose another name")
     robot = folder / "robot.toml"
-    if like is None:
-        folder.mkdir()
-        robot.write_text(robot_text(name, options.joints or 6), encoding="utf-8")
-    else:
-        _copy(like, robot)
-    n = SerialRobot.from_model(str(robot)).n
-    scene.write_text(scene_text(name, n), encoding="utf-8")
+    with writing():
+        if like is None:
+            folder.mkdir()
+            robot.write_text(robot_text(name, options.joints), encoding="utf-8")
+        else:
+            _copy(like, robot)
+        n = SerialRobot.from_model(str(robot)).n
+        write_scene(folder, scene_text(name, n))
+    print(f"{robot}: the robot")
+    print_next(scene)
+    return 0
+
+
+add_to = command("new", run, NewOptions, _EPILOG)
+
+
+def write_scene(folder: Path, text: str) -> None:
+    """Writes a scene beside a robot's folder, and the schemas of both into that."""
+    folder.with_name(f"{folder.name}.toml").write_text(text, encoding="utf-8")
     for kind in ("robot", "scene"):
         (folder / f"{kind}.schema.json").write_text(schema_text(kind), encoding="utf-8")
-    print(f"{robot}: the robot\n{scene}: a scene that mirrors it")
+
+
+def print_next(scene: Path) -> None:
+    """Says what to do with a scene that was written."""
+    print(f"{scene}: a scene that mirrors it")
     print(f"next, in two terminals:\n  sero-mj send {scene}\n  sero-mj view {scene}")
-    return 0
 
 
 def scene_text(name: str, n: int, more: str = "", joints: str = "") -> str:

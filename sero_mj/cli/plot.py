@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated, Any
 
+from pydantic import BeforeValidator, Field
+
+from ..base.declaration import expecting
 from ..base.errors import UsageError
-from ._arguments import (
-    Commands,
-    add_command,
-    add_part_options,
-    check_part,
-    read_recorded_run,
-    read_scene,
-)
-
-if TYPE_CHECKING:
-    from ..robots.assemble.scene import Scene
-    from ..simulate.runs.run_log import RunLog
+from ..base.options import Option, positional
+from ._arguments import command
+from .shared_options import Figure, PartOptions
 
 _EPILOG = """\
 examples:
@@ -34,45 +27,44 @@ of a simulation, or from the first packet of a robot. `sero-mj compare` shows tw
 ORDER = 40  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands, "plot", run, "plot the torques of a recording, joint by joint", _EPILOG
-    )
-    parser.add_argument(
-        "recordings", nargs="+", type=Path, metavar="RUN.mcap", help="recordings, or tables (.csv)"
-    )
-    parser.add_argument(
-        "-o", "--output", required=True, type=Path, metavar="OUT",
-        help="the figure: .pdf, .png or .svg; several recordings are pages of a .pdf",
-    )  # fmt: skip
-    parser.add_argument("--robot", type=_names, metavar="NAME,...", help="which robots")
-    parser.add_argument("--joints", type=_names, metavar="NAME,...", help="which joints: A2,A4")
-    add_part_options(parser)
-    parser.add_argument("--quiet", action="store_true", help="no closing line")
+def _parts(text: Any) -> Any:
+    return [name.strip() for name in text.split(",")] if isinstance(text, str) else text
 
 
-def _names(text: str) -> list[str]:
-    names = [name.strip() for name in text.split(",")]
-    if not all(names):
-        raise argparse.ArgumentTypeError(f"found '{text}'; expected names with commas between them")
-    return names
+Names = Annotated[
+    tuple[Annotated[str, Field(min_length=1)], ...],
+    BeforeValidator(_parts),
+    expecting("names with commas between them"),
+]
 
 
-def run(options: argparse.Namespace) -> int:
+class PlotOptions(PartOptions):
+    """Plot the torques of a recording, joint by joint.
+
+    Attributes:
+        recordings: recordings, or tables (.csv).
+        output: the figure: .pdf, .png or .svg; several recordings are pages of a .pdf.
+        robot: which robots.
+        joints: which joints: A2,A4.
+        quiet: no closing line.
+    """
+
+    recordings: Annotated[list[Path], positional("RUN.mcap")]
+    output: Annotated[Figure, Option("OUT", ("-o", "--output"))]
+    robot: Annotated[Names | None, Option("NAME,...")] = None
+    joints: Annotated[Names | None, Option("NAME,...")] = None
+    quiet: bool = False
+
+
+def run(options: PlotOptions) -> int:
     """Plots; returns 0."""
-    from ..study.figure import check_suffix
-
-    output = check_suffix(options.output)
-    several = len(options.recordings) > 1
-    if several and output.suffix.lower() != ".pdf":
+    output = options.output
+    if len(options.recordings) > 1 and output.suffix.lower() != ".pdf":
         raise UsageError(
             f"-o {output}: {len(options.recordings)} recordings are pages; expected a name that "
             "ends in .pdf"
         )
-    check_part(options)
-    scene = None if options.scene is None else read_scene(options.scene)
-    logs = [_read(path, scene, options) for path in options.recordings]
+    logs = [options.read_part(path) for path in options.recordings]
     from ..study.plot import plot_run
     from ..viewer.headless.film import check_writable
 
@@ -83,9 +75,4 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _read(path: Path, scene: Scene | None, options: argparse.Namespace) -> RunLog:
-    """A recording or a table, and of it the time that was asked for."""
-    log = read_recorded_run(path, options.source, scene)
-    if options.begin is None and options.end is None:
-        return log
-    return log.between(options.begin, options.end)
+add_to = command("plot", run, PlotOptions, _EPILOG)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import time
@@ -11,19 +10,20 @@ from contextlib import ExitStack
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+
+from pydantic import model_validator
 
 from ..base.errors import RouteError, UsageError
+from ..base.options import Duration, NotNegative, Option, Options, Time, positional
 from ._arguments import (
-    Commands,
-    add_command,
     check_ending,
-    not_negative,
-    positive,
+    command,
     read_scene,
     replay_instead,
     until_ended,
 )
+from .shared_options import Recording, SceneArgument
 
 if TYPE_CHECKING:
     from ..data.record.recorder import Recorder
@@ -54,65 +54,76 @@ _EVERY = 0.25  # s
 ORDER = 34  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands, "record", run, "record what the sources of a scene receive, as MCAP", _EPILOG
-    )
-    parser.add_argument("scene", metavar="SCENE", help="scene: a file, or a shipped name")
-    parser.add_argument(
-        "output",
-        type=Path,
-        nargs="?",
-        metavar="OUT.mcap",
-        help="where to; with --trigger also a folder (default: this one)",
-    )
-    parser.add_argument("-o", "--out", type=Path, metavar="OUT", help="likewise")
-    parser.add_argument(
-        "--trigger", metavar="CONDITION", help="record only what is about packets that fulfil it"
-    )
-    parser.add_argument(
-        "--before", type=not_negative, metavar="S", help="s before an event (default 5)"
-    )
-    parser.add_argument(
-        "--after", type=not_negative, metavar="S", help="s after its last packet (default 5)"
-    )
-    parser.add_argument(
-        "--replay",
-        type=Path,
-        metavar="REC",
-        help="look for events in a recording instead of the live sources",
-    )
-    parser.add_argument(
-        "--duration", type=positive, metavar="S", help="seconds to record (default: until Ctrl-C)"
-    )
-    parser.add_argument(
-        "--signals-rate",
-        type=not_negative,
-        default=1000.0,
-        metavar="HZ",
-        help="decoded values per second and source; all packets are kept (default 1000)",
-    )
-    parser.add_argument("--overwrite", action="store_true", help="write over a file that exists")
-    parser.add_argument("--quiet", action="store_true", help="no progress line")
+class TriggerOptions(Options):
+    """What is recorded where events are.
+
+    Attributes:
+        trigger: record only what is about packets that fulfil it.
+        before: before an event, s.
+        after: after its last packet, s.
+        replay: look for events in a recording instead of the live sources.
+    """
+
+    title: ClassVar[str] = "for recordings of events"
+    trigger: Annotated[str | None, Option("CONDITION")] = None
+    before: Time = 5.0
+    after: Time = 5.0
+    replay: Recording | None = None
+
+    @model_validator(mode="after")
+    def _check_trigger(self) -> Self:
+        if self.trigger is None:
+            why = " is for --trigger CONDITION; give it as well"
+            self.refuse(("before", "after", "replay"), why)
+        return self
 
 
-def run(options: argparse.Namespace) -> int:
+class RecordOptions(SceneArgument, TriggerOptions):
+    """Record what the sources of a scene receive, as MCAP.
+
+    Attributes:
+        scene: scene: a file, or a shipped name.
+        output: where to; with --trigger also a folder (default: this one).
+        out: likewise.
+        duration: seconds to record (default: until Ctrl-C).
+        signals_rate: decoded values per second and source; all packets are kept.
+        overwrite: write over a file that exists.
+        quiet: no progress line.
+    """
+
+    output: Annotated[Path | None, positional("OUT.mcap")] = None
+    out: Annotated[Path | None, Option("OUT", ("-o", "--out"))] = None
+    duration: Duration | None = None
+    signals_rate: Annotated[NotNegative, Option("HZ")] = 1000.0
+    overwrite: bool = False
+    quiet: bool = False
+
+    @property
+    def to(self) -> Path | None:
+        """Where to, in either way in which that is said."""
+        return self.output or self.out
+
+    @model_validator(mode="after")
+    def _check_place(self) -> Self:
+        if self.out is not None and self.output is not None:
+            raise ValueError(f"found OUT {self.output} and --out {self.out}; expected one")
+        if self.trigger is None:
+            if self.to is None:
+                raise ValueError("where to? expected OUT.mcap")
+            check_ending(str(self.to), self.to, (".mcap",))
+        if self.replay is not None and self.duration is not None:
+            raise ValueError("--duration is for live sources; a recording is looked at as a whole")
+        return self
+
+
+def run(options: RecordOptions) -> int:
     """Records; returns 0, or 1 when nothing came."""
     from ..data.drive.record_sources import record_sources
     from ..data.drive.wiring import wire
 
-    if options.out is not None and options.output is not None:
-        raise UsageError(f"found OUT {options.output} and --out {options.out}; expected one")
-    options.output = options.output or options.out
     if options.trigger is not None:
-        return _record_events(options)
-    for name in ("before", "after", "replay"):
-        if getattr(options, name) is not None:
-            raise UsageError(f"--{name} is for --trigger CONDITION; give it as well")
-    if options.output is None:
-        raise UsageError("where to? expected OUT.mcap")
-    check_ending(str(options.output), options.output, (".mcap",))
+        return _record_events(options, options.trigger)
+    assert options.to is not None
     scene = read_scene(options.scene)
     wiring = wire(scene).check(scene)
     if not any(source.is_live for source in wiring.sources.values()):
@@ -125,7 +136,7 @@ def run(options: argparse.Namespace) -> int:
         recorder = stack.enter_context(
             record_sources(
                 wiring.sources,
-                options.output,
+                options.to,
                 scene=scene,
                 overwrite=options.overwrite,
                 signals_rate=options.signals_rate,
@@ -136,15 +147,22 @@ def run(options: argparse.Namespace) -> int:
     found = recorder.statistics
     lost = sum(found.not_recorded.values())
     print(
-        f"{options.output}: {found.packets} packets in {found.seconds:.1f} s, "
+        f"{options.to}: {found.packets} packets in {found.seconds:.1f} s, "
         f"{found.file_size / 1e6:.1f} MB" + (f", {lost} packets were not recorded" if lost else "")
     )
+    return _status(found)
+
+
+add_to = command("record", run, RecordOptions, _EPILOG)
+
+
+def _status(found: Any) -> int:
     if not found.packets:
         print("sero-mj: nothing came; sero-mj status says what arrives", file=sys.stderr)
     return 0 if found.packets else 1
 
 
-def _record_events(options: argparse.Namespace) -> int:
+def _record_events(options: RecordOptions, condition: str) -> int:
     """Records events; returns 0, or 1 when nothing came."""
     from rich.console import Console
 
@@ -158,8 +176,6 @@ def _record_events(options: argparse.Namespace) -> int:
     begin = time.time() - time.monotonic()  # of the clock of arrivals, s since the epoch
     more: dict[str, Any] = {}
     if options.replay is not None:
-        if options.duration is not None:
-            raise UsageError("--duration is for live sources; a recording is looked at as a whole")
         replay_instead(scene, options.replay, 0.0)
         with Recording(options.replay) as recording:
             begin = recording.start.timestamp()
@@ -176,10 +192,10 @@ def _record_events(options: argparse.Namespace) -> int:
     if not sources:
         raise UsageError(f"scene '{scene.name}' has no source to record")
     try:
-        trigger = Trigger(options.trigger, scene, wiring)
+        trigger = Trigger(condition, scene, wiring)
     except RouteError as error:
         raise UsageError(f"--trigger {error}") from None
-    path_of = _names_of_events(options.output or Path(), scene.name, begin)
+    path_of = _names_of_events(options.to or Path(), scene.name, begin)
     console = Console(stderr=True)
     with ExitStack() as stack:
         recorder = stack.enter_context(
@@ -188,8 +204,8 @@ def _record_events(options: argparse.Namespace) -> int:
                 trigger,
                 path_of,
                 scene,
-                before=5.0 if options.before is None else options.before,
-                after=5.0 if options.after is None else options.after,
+                before=options.before,
+                after=options.after,
                 overwrite=options.overwrite,
                 signals_rate=options.signals_rate,
                 **more,
@@ -218,9 +234,7 @@ def _record_events(options: argparse.Namespace) -> int:
         + (f"; {missed} packets came too fast to be looked at" if missed else "")
         + (f"; there was no room for {found.forgotten} before events" if found.forgotten else "")
     )
-    if not found.packets:
-        print("sero-mj: nothing came; sero-mj status says what arrives", file=sys.stderr)
-    return 0 if found.packets else 1
+    return _status(found)
 
 
 def _names_of_events(output: Path, scene: str, begin: float) -> Callable[[int, float], Path]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from ._arguments import Commands, add_command
+from ..base.options import Option, Options, positional
+from ._arguments import command, writing
 from .listing import field_rows, scenario_tables, scene_tables
 
 if TYPE_CHECKING:
@@ -29,24 +29,32 @@ complete keys, say what they mean, and underline what is wrong. `sero-mj new` wr
 ORDER = 70  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    about = "write the JSON schema of a kind of file, for editors"
-    parser = add_command(commands, "schema", run, about, _EPILOG)
-    parser.add_argument("kind", choices=KINDS, help="of which files")
-    parser.add_argument("-o", "--output", type=Path, metavar="OUT.json", help="else it is printed")
+class SchemaOptions(Options):
+    """Write the JSON schema of a kind of file, for editors.
+
+    Attributes:
+        kind: of which files.
+        output: else it is printed.
+    """
+
+    kind: Annotated[Literal["robot", "group", "scene", "scenario"], positional("")]
+    output: Annotated[Path | None, Option("OUT.json", ("-o", "--output"))] = None
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: SchemaOptions) -> int:
     """Writes or prints; returns 0."""
     text = schema_text(options.kind)
     if options.output is None:
         print(text, end="")
     else:
-        options.output.parent.mkdir(parents=True, exist_ok=True)
-        options.output.write_text(text, encoding="utf-8")
+        with writing():
+            options.output.parent.mkdir(parents=True, exist_ok=True)
+            options.output.write_text(text, encoding="utf-8")
         print(options.output)
     return 0
+
+
+add_to = command("schema", run, SchemaOptions, _EPILOG)
 
 
 def schema_text(kind: str) -> str:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
+from pydantic import Field, model_validator
+
+from ..base.declaration import expecting
 from ..base.errors import UsageError
+from ..base.options import Duration, NotNegative, Option, Options, Positive, Seed
 from ..base.paths import list_scenarios
-from ._arguments import Commands, add_command, not_negative, positive, read_scene, refuse
-from ._sending import Sender, add_sink_options, goes_to_shm, make_sink
+from ._arguments import command, read_scene
+from ._sending import Sender, SinkOptions, goes_to_shm, make_sink
+from .shared_options import SceneArgument
 
 if TYPE_CHECKING:
     from ..data.receive.source import Source
@@ -42,90 +46,98 @@ _FRI_CYCLE = 0.005  # s; as in many a laboratory, and no burden for one core
 ORDER = 19  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands,
-        "send",
-        run,
-        "play a motion to UDP or shared memory as a robot would",
-        _EPILOG,
-    )
-    parser.add_argument("scene", metavar="SCENE", help="scene or robot: a file, or a shipped name")
-    add_sink_options(parser)
-    parser.add_argument(
-        "--rate", type=positive, metavar="HZ", help="packets/s (default 1000; FRI: 200)"
-    )
-    parser.add_argument(
-        "--duration", type=positive, metavar="S", help="seconds to send (default: until Ctrl-C)"
-    )
-    parser.add_argument(
-        "--amplitude", type=not_negative, metavar="A", help="0 still to 1 (default)"
-    )
-    group = parser.add_argument_group("for a recording or a table")
-    group.add_argument(
-        "--play",
-        type=Path,
-        metavar="FILE",
-        help="REC.mcap, TABLE.csv or a scenario, instead of a motion",
-    )
-    group.add_argument("--speed", type=positive, metavar="X", help="2 is twice as fast")
-    group.add_argument("--loop", action="store_true", default=None, help="again and again")
-    group.add_argument(
-        "--recorded",
-        metavar="NAME",
-        help="which source of the recording (default: the one of the same name, or the only one)",
-    )
-    group = parser.add_argument_group('for a source of kind = "fri"')
-    group.add_argument(
-        "--cycle", type=positive, metavar="MS", help="1 to 100 ms between packets (default 5)"
-    )
-    group.add_argument("--loss", type=not_negative, metavar="P", help="share of lost packets")
-    group.add_argument(
-        "--quality",
-        metavar="NAME",
-        help="unacceptable, bad, ok, perfect or invalid, whatever is answered (default: by the "
-        "answers, or ok where the scene gives none)",
-    )
-    group.add_argument("--seed", type=int, metavar="N", help="of what is lost (default 0)")
+class PlayOptions(Options):
+    """What is played in the place of a motion.
+
+    Attributes:
+        play: REC.mcap, TABLE.csv or a scenario, instead of a motion.
+        speed: 2 is twice as fast.
+        loop: again and again.
+        recorded: which source of the recording (default: the one of the same name, or the only
+            one).
+    """
+
+    title: ClassVar[str] = "for a recording or a table"
+    play: Annotated[Path | None, Option("FILE")] = None
+    speed: Annotated[Positive, Option("X")] = 1.0
+    loop: bool = False
+    recorded: Annotated[str | None, Option("NAME")] = None
 
 
-def run(options: argparse.Namespace) -> int:
+class FriOptions(Options):
+    """How the controller of a robot with FRI sends.
+
+    Attributes:
+        cycle: 1 to 100 ms between packets (default 5).
+        loss: share of lost packets, 0 to 1.
+        quality: unacceptable, bad, ok, perfect or invalid, whatever is answered (default: by the
+            answers, or ok where the scene gives none).
+        seed: of what is lost.
+    """
+
+    title: ClassVar[str] = 'for a source of kind = "fri"'
+    cycle: Annotated[Positive | None, Option("MS")] = None
+    loss: Annotated[float, Field(ge=0, le=1), expecting("a share from 0 to 1"), Option("P")] = 0.0
+    quality: Annotated[str | None, Option("NAME")] = None
+    seed: Seed = 0
+
+
+class SendOptions(SceneArgument, PlayOptions, FriOptions, SinkOptions):
+    """Play a motion to UDP or shared memory as a robot would.
+
+    Attributes:
+        rate: packets/s (default 1000; FRI: 200).
+        duration: seconds to send (default: until Ctrl-C).
+        amplitude: of the motion, 0 (still) to 1.
+    """
+
+    rate: Annotated[Positive | None, Option("HZ")] = None
+    duration: Duration | None = None
+    amplitude: Annotated[NotNegative, Option("A")] = 1.0
+
+    @model_validator(mode="after")
+    def _check_place(self) -> Self:
+        if (self.rate or 0.0) > FASTEST:
+            raise ValueError(f"--rate {self.rate:g}: expected at most {FASTEST:g} packets/s")
+        if self.shm is not None and self.given("host", "port"):
+            raise ValueError("--shm and --host or --port: packets go to one of the two; choose")
+        return self
+
+
+def run(options: SendOptions) -> int:
     """Sends; returns 0."""
     from ..data.drive.wiring import wire
     from ..data.receive.structure import Structure
     from ..data.send.play import choose_source
 
-    if (options.rate or 0.0) > FASTEST:
-        raise UsageError(f"--rate {options.rate:g}: expected at most {FASTEST:g} packets/s")
-    if options.shm is not None and (options.host is not None or options.port is not None):
-        raise UsageError("--shm and --host or --port: packets go to one of the two; choose")
     if options.structure is not None:
         Structure(options.structure)  # its own error is clearer than what would follow from it
     scene = read_scene(options.scene)
     if not scene.sources and len(scene.robots) == 1:
         _declare_source(scene, options)
-    file: Path | None = options.play
+    file = options.play
     if file is not None and (file.suffix.lower() == ".toml" or str(file) in list_scenarios()):
-        return _send_simulation(options)
+        return _send_simulation(options, file)
     source = choose_source(wire(scene).check(scene), options.source)
     if file is not None:
-        return _send_file(options, source)
-    refuse(options, ("speed", "loop", "recorded"), " is for --play FILE")
+        return _send_file(options, source, file)
+    options.refuse(("speed", "loop", "recorded"), " is for --play FILE")
     if source.protocol == "fri":
         return _send_fri(options, scene, source)
     why = ' is for a scene whose source is of kind = "fri"'
-    refuse(options, ("cycle", "loss", "quality", "seed"), why)
+    options.refuse(("cycle", "loss", "quality", "seed"), why)
     return _send_motion(options, scene)
 
 
-def _send_motion(options: argparse.Namespace, scene: Scene) -> int:
+add_to = command("send", run, SendOptions, _EPILOG)
+
+
+def _send_motion(options: SendOptions, scene: Scene) -> int:
     from ..data.send.play import MotionPackets
     from ..data.send.sender import PacketBuffer, paced, send
 
     rate = 1000.0 if options.rate is None else options.rate
-    amplitude = 1.0 if options.amplitude is None else options.amplitude
-    packets = MotionPackets(scene, options.source, options.structure, amplitude)
+    packets = MotionPackets(scene, options.source, options.structure, options.amplitude)
     structure, source = packets.structure, packets.source
     has = structure.events
     ahead = PacketBuffer(
@@ -147,7 +159,7 @@ def _send_motion(options: argparse.Namespace, scene: Scene) -> int:
     return 0
 
 
-def _declare_source(scene: Scene, options: argparse.Namespace) -> None:
+def _declare_source(scene: Scene, options: SendOptions) -> None:
     """Declares what a robot without a scene is fed by: its joint angles and its torques."""
     robot = next(iter(scene.robots.values()))
     structure = options.structure or f"{robot.n}F{robot.n}F"
@@ -160,16 +172,15 @@ def _declare_source(scene: Scene, options: argparse.Namespace) -> None:
         scene.routes[f"{robot.name}.torques"] = "robot.values1"
 
 
-def _send_file(options: argparse.Namespace, source: Source) -> int:
+def _send_file(options: SendOptions, source: Source, file: Path) -> int:
     """Sends what is in a recording or a table; returns 0."""
     from ..data.send.play import structure_for
     from ..data.send.playback import timed
     from ..data.send.sender import send
 
-    if options.amplitude is not None:
-        raise UsageError("--amplitude is for a motion; it does nothing with --play")
+    options.refuse(("amplitude",), " is for a motion; it does nothing with --play")
     structure = structure_for(source, options.structure)
-    playback = _open_file(options, source, structure, goes_to_shm(options, source))
+    playback = _open_file(options, source, structure, file)
     printed = _print_notes(playback.notes)
     with make_sink(options, source, structure) as to:
         print(
@@ -179,8 +190,8 @@ def _send_file(options: argparse.Namespace, source: Source) -> int:
         )
         packets = timed(
             playback,
-            speed=options.speed or 1.0,
-            loop=bool(options.loop),
+            speed=options.speed,
+            loop=options.loop,
             duration=options.duration,
         )
         report = send(packets, to)
@@ -197,13 +208,10 @@ def _print_notes(notes: list[str]) -> int:
     return len(notes)
 
 
-def _open_file(
-    options: argparse.Namespace, source: Source, structure: Structure, to_shm: bool
-) -> Playback:
+def _open_file(options: SendOptions, source: Source, structure: Structure, file: Path) -> Playback:
     from ..data.record.recording import Recording
     from ..data.send.playback import RecordedPackets, TablePackets
 
-    file: Path = options.play
     if file.suffix.lower() == ".csv":
         if options.recorded is not None:
             raise UsageError(f"--recorded is for recordings; {file} is a table")
@@ -214,46 +222,39 @@ def _open_file(
     if not name:
         with Recording(file) as recording:
             name = source.name if source.name in recording.sources else ""
-    return RecordedPackets(file, name, structure, only_whole=to_shm)
+    return RecordedPackets(file, name, structure, only_whole=goes_to_shm(options, source))
 
 
-def _send_simulation(options: argparse.Namespace) -> int:
+def _send_simulation(options: SendOptions, scenario: Path) -> int:
     """Simulates a scenario and sends it while it runs; returns 0."""
     from ..simulate.scenario_file import read_scenario
     from ..simulate.simulation import Simulation
 
     why = ": a scenario is sent as it is simulated, in real time"
-    refuse(options, ("amplitude", "rate", "speed", "loop", "recorded"), why)
+    options.refuse(("amplitude", "rate", "speed", "loop", "recorded"), why)
     over = {} if options.duration is None else {"run.duration": options.duration}
-    options.send = options.scene
-    with Sender(Simulation(read_scenario(options.play, over)), options) as sender:
+    with Sender(Simulation(read_scenario(scenario, over)), options.scene, options) as sender:
         for _ in sender.run():
             pass
     return 0
 
 
-def _send_fri(options: argparse.Namespace, scene: Scene, source: Any) -> int:
+def _send_fri(options: SendOptions, scene: Scene, source: Any) -> int:
     """Sends as the controller of the robot that the source moves; returns 0."""
     from ..data.send.fri_controller import FriController, NetworkFaults
     from ..data.send.sender import UdpSink
 
-    if options.shm is not None:
-        raise UsageError("--shm: FRI is a protocol of UDP; leave it out")
-    if options.structure is not None:
-        raise UsageError("--structure: FRI fixes it; leave it out")
+    options.refuse(("shm",), ": FRI is a protocol of UDP; leave it out")
+    options.refuse(("structure",), ": FRI fixes it; leave it out")
     if options.cycle is not None and options.rate is not None:
         raise UsageError("--cycle and --rate say the same; give one")
-    if (options.loss or 0.0) > 1.0:
-        raise UsageError(f"--loss {options.loss:g}: expected a share from 0 to 1")
-    if (options.seed or 0) < 0:
-        raise UsageError(f"--seed {options.seed}: expected 0 or a number above")
     cycle = _FRI_CYCLE if options.rate is None else 1.0 / options.rate
     controller = FriController(
         scene.robots[_robot_of(scene, source.name)],
         cycle=cycle if options.cycle is None else options.cycle / 1e3,
         quality=options.quality or (None if source.answer else "ok"),
-        amplitude=1.0 if options.amplitude is None else options.amplitude,
-        faults=NetworkFaults(loss=options.loss or 0.0, seed=options.seed or 0),
+        amplitude=options.amplitude,
+        faults=NetworkFaults(loss=options.loss, seed=options.seed),
     )
     to_port = options.port or source.udpport
     if not to_port:

@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
+
+from pydantic import model_validator
 
 from ..base.errors import SimulationError, UsageError
+from ..base.options import NotNegative, Option, Seed, Time, ending, positional
+from ..viewer.headless.film_kinds import FILMS
+from ..viewer.headless.picture_options import CameraOptions, FilmOptions, Rate, SizeOptions
 from ._arguments import (
-    Commands,
-    add_command,
-    add_picture_options,
-    add_set_option,
-    check_ending,
+    command,
     named_settings,
-    not_negative,
     overrides,
-    positive,
     print_json,
     print_table,
-    seed,
+    progress_bar,
 )
-from ._sending import Sender, add_sink_options, in_real_time
-from .render import check_picture_or_film, film_with_progress
+from ._sending import Sender, SinkOptions, in_real_time
+from .render import PictureOrFilm, film_with_progress
+from .shared_options import Figure, JsonOptions, Settings
 
 if TYPE_CHECKING:
     from ..simulate.simulation import Simulation
@@ -45,52 +44,65 @@ for bit.
 ORDER = 22  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands, "simulate", run, "run a scenario faster than real time, and judge it", _EPILOG
-    )
-    parser.add_argument("scenario", metavar="SCENARIO", help="a file, or a shipped scenario's name")
-    parser.add_argument("--record", type=Path, metavar="OUT.mcap", help="keep every step")
-    parser.add_argument(
-        "--signals-rate", type=not_negative, default=5.0, metavar="HZ",
-        help="of values as JSON in the recording, for other programs (default 5; 0 none)",
-    )  # fmt: skip
-    parser.add_argument("--csv", type=Path, metavar="OUT.csv", help="the same as a table")
-    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="torques of every joint")
-    parser.add_argument(
-        "--render", type=Path, metavar="OUT.mp4", help="film it (.webm, .gif), or OUT.png"
-    )
-    parser.add_argument(
-        "--at", type=not_negative, metavar="S", help="time of a picture (default: the end)"
-    )
-    add_picture_options(parser)
-    parser.add_argument(
-        "--fps", type=positive, metavar="N", help="frames per second (default 30; of a GIF 20)"
-    )
-    parser.add_argument(
-        "--camera", metavar="CAM", help="name of a camera, or azimuth,elevation,distance"
-    )
-    parser.add_argument("--seed", type=seed, metavar="N", help="of the noise, over the file's")
-    about = "set anything over the file's: controllers.lwr.stiffness=200; may be repeated"
-    add_set_option(parser, "KEY=VALUE", about)
-    parser.add_argument("--real-time", action="store_true", help="no faster than a real robot")
-    group = parser.add_argument_group("to send it in real time, as a robot would")
-    group.add_argument(
-        "--send", metavar="SCENE", help="what that scene's source expects: its structure and routes"
-    )
-    add_sink_options(group)
-    parser.add_argument("--overwrite", action="store_true", help="record over a file that exists")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar, no notes, no table")
+class SimulateOptions(SizeOptions, CameraOptions, JsonOptions, SinkOptions):
+    """Run a scenario faster than real time, and judge it.
+
+    Attributes:
+        scenario: a file, or a shipped scenario's name.
+        record: keep every step.
+        signals_rate: of values as JSON in the recording, for other programs; 0 for none.
+        csv: the same as a table.
+        plot: torques of every joint.
+        render: film it (.webm, .gif), or OUT.png.
+        at: time of a picture, s (default: the end).
+        fps: frames per second (default 30; of a GIF 20).
+        seed: of the noise, over the file's.
+        settings: set anything over the file's: controllers.lwr.stiffness=200; may be repeated.
+        real_time: no faster than a real robot.
+        send: send it in real time, as a robot would, as that scene's source expects it: by its
+            structure and routes.
+        overwrite: record over a file that exists.
+        as_json: print the result as JSON.
+        quiet: no progress bar, no notes, no table.
+    """
+
+    scenario: Annotated[str, positional("SCENARIO")]
+    record: Annotated[Path | None, ending(".mcap"), Option("OUT.mcap")] = None
+    signals_rate: Annotated[NotNegative, Option("HZ")] = 5.0
+    csv: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
+    plot: Annotated[Figure | None, Option("OUT.png")] = None
+    render: Annotated[PictureOrFilm | None, Option("OUT.mp4")] = None
+    at: Time | None = None
+    fps: Rate | None = None
+    seed: Seed | None = None
+    settings: Settings = []
+    real_time: bool = False
+    send: Annotated[str | None, Option("SCENE")] = None
+    overwrite: bool = False
+    quiet: bool = False
+
+    @property
+    def is_picture(self) -> bool:
+        """Whether what is rendered is a picture."""
+        return self.render is not None and self.render.suffix.lower() not in FILMS
+
+    @model_validator(mode="after")
+    def _check_kind(self) -> Self:
+        if self.at is not None and not self.is_picture:
+            raise ValueError("--at is for a picture: --render OUT.png")
+        if self.is_picture and self.fps is not None:
+            raise ValueError("--fps is for a film: --render OUT.mp4")
+        return self
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: SimulateOptions) -> int:
     """Runs; returns 0, 1 when something did not hold, or 130 when it was interrupted."""
     from ..simulate.scenario_file import read_scenario
     from ..simulate.simulation import Simulation
 
-    _check_options(options)
+    for path in (options.record, options.csv, options.plot, options.render):
+        if path is not None:  # what cannot be written would only fail at the end
+            path.parent.mkdir(parents=True, exist_ok=True)
     given = overrides(options.settings)
     with named_settings(given):
         scenario = read_scenario(options.scenario, given)
@@ -112,10 +124,10 @@ def run(options: argparse.Namespace) -> int:
             spans=spans_of(simulation.scenario),
         )
     if options.render is not None:
-        _render(simulation, options)
+        _render(simulation, options, options.render)
     is_whole = not isinstance(error, KeyboardInterrupt)
     outcomes, findings = simulation.outcomes() if is_whole else [], simulation.findings()
-    if options.json:
+    if options.as_json:
         print_json(_as_json(simulation, seconds, error, outcomes, findings))
     else:
         _print(simulation, seconds, outcomes, findings, quiet=options.quiet)
@@ -126,42 +138,17 @@ def run(options: argparse.Namespace) -> int:
     return 0 if error is None and all(outcome.holds for outcome in outcomes) else 1
 
 
-def _check_options(options: argparse.Namespace) -> None:
-    """Refuses options that would only fail at the end."""
-    endings = {
-        "record": (".mcap",),
-        "csv": (".csv",),
-        "plot": (".png", ".pdf", ".svg"),
-    }
-    for key, expected in endings.items():
-        path: Path | None = getattr(options, key)
-        if path is None:
-            continue
-        check_ending(f"--{key} {path}", path, expected)
-        path.parent.mkdir(parents=True, exist_ok=True)
-    is_picture = False
-    if options.render is not None:
-        is_picture = not check_picture_or_film("--render", options.render)
-        options.render.parent.mkdir(parents=True, exist_ok=True)
-    if options.at is not None and not is_picture:
-        raise UsageError("--at is for a picture: --render OUT.png")
-    if is_picture and options.fps:
-        raise UsageError("--fps is for a film: --render OUT.mp4")
+add_to = command("simulate", run, SimulateOptions, _EPILOG)
 
 
 def _simulate(
-    simulation: Simulation, options: argparse.Namespace
+    simulation: Simulation, options: SimulateOptions
 ) -> SimulationError | KeyboardInterrupt | None:
     """Runs to the end, or as far as it goes; returns what stopped it."""
     from contextlib import ExitStack
 
-    from rich import progress as bars
-    from rich.console import Console
-
     from ..simulate.log_output import RunRecorder
 
-    columns = (bars.TextColumn("simulating"), bars.BarColumn(), bars.TaskProgressColumn())
-    console = Console(stderr=True)
     with ExitStack() as stack:
         recorder = None
         if options.record is not None:
@@ -173,13 +160,9 @@ def _simulate(
                     signals_rate=options.signals_rate,
                 )
             )
-        quiet = options.quiet or not console.is_terminal
-        progress = stack.enter_context(
-            bars.Progress(*columns, console=console, disable=quiet, transient=True)
-        )
-        task = progress.add_task("", total=simulation.steps)
+        update = stack.enter_context(progress_bar("simulating", quiet=options.quiet))
         if options.send is not None:
-            sender = stack.enter_context(Sender(simulation, options))
+            sender = stack.enter_context(Sender(simulation, options.send, options))
             batches = sender.run()
         elif options.real_time:
             batches = in_real_time(simulation)
@@ -189,7 +172,7 @@ def _simulate(
             for first, stop in batches:
                 if recorder is not None:
                     recorder.write(first, stop)
-                progress.update(task, completed=stop - 1)
+                update(stop - 1, simulation.steps)
         except SimulationError as error:
             return error
         except KeyboardInterrupt:
@@ -198,24 +181,19 @@ def _simulate(
     return None
 
 
-def _render(simulation: Simulation, options: argparse.Namespace) -> None:
+def _render(simulation: Simulation, options: SimulateOptions, output: Path) -> None:
     from ..simulate.simulated_scene import simulated_scene
     from ..viewer.headless.render import render_picture
 
-    scene = simulated_scene(simulation)
-    if check_picture_or_film("--render", options.render):
-        film_with_progress(
-            scene, options.render, quiet=options.quiet, duration=max(simulation.time, 1e-3),
-            fps=options.fps, size=options.size, camera=options.camera, quality=options.quality,
-        )  # fmt: skip
+    scene, film = simulated_scene(simulation), FilmOptions.taken_from(options)
+    if not options.is_picture:
+        film = film.model_copy(update={"duration": max(simulation.time, 1e-3)})
+        film_with_progress(scene, output, film, quiet=options.quiet)
         return
     at = simulation.time if options.at is None else options.at
     if at > simulation.time:
         raise UsageError(f"--at {at:g}: the run ends at {simulation.time:g} s")
-    render_picture(
-        scene, options.render,
-        size=options.size, camera=options.camera, at=at, quality=options.quality,
-    )  # fmt: skip
+    render_picture(scene, output, film, at=at)
 
 
 def _print(

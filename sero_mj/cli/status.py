@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from ..base.errors import UsageError
-from ._arguments import Commands, add_command, positive, print_json, read_scene, until_ended
+from ..base.options import Duration
+from ._arguments import command, print_json, read_scene, until_ended
+from .shared_options import JsonOptions, SceneArgument
 
 if TYPE_CHECKING:
     from ..data.receive.source import Source
@@ -29,19 +30,19 @@ _EVERY = 0.25  # s
 ORDER = 28  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands, "status", run, "show what the sources of a scene receive, by cause", _EPILOG
-    )
-    parser.add_argument("scene", metavar="SCENE", help="scene: a file, or a shipped name")
-    parser.add_argument(
-        "--duration", type=positive, metavar="S", help="seconds to watch (default: until Ctrl-C)"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON at the end, nothing else")
+class StatusOptions(SceneArgument, JsonOptions):
+    """Show what the sources of a scene receive, by cause.
+
+    Attributes:
+        scene: scene: a file, or a shipped name.
+        duration: seconds to watch (default: until Ctrl-C).
+        as_json: print JSON at the end, nothing else.
+    """
+
+    duration: Duration | None = None
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: StatusOptions) -> int:
     """Watches; returns 0 when every source has received something good, else 1."""
     from ..data.drive.wiring import wire
     from ..data.receive.report import report
@@ -56,13 +57,16 @@ def run(options: argparse.Namespace) -> int:
             source.open()
             stack.callback(source.close)
         with until_ended():
-            _watch(sources, options.duration, live=not options.json)
+            _watch(sources, options.duration, live=not options.as_json)
         found = [report(source) for source in sources]
-    if options.json:
+    if options.as_json:
         print_json(found)
     elif not sys.stdout.isatty():
         _print(found)
     return 0 if all(entry["good"] for entry in found) else 1
+
+
+add_to = command("status", run, StatusOptions, _EPILOG)
 
 
 def _watch(sources: list[Source], duration: float | None, *, live: bool) -> None:

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
+from pydantic import BeforeValidator, model_validator
 
-from ..base.errors import StructureError, UsageError
-from ._arguments import (
-    Commands,
-    add_command,
-    check_whole,
-    port,
-    positive,
-    print_json,
-    read_scene,
-    refuse,
-)
+from ..base.declaration import expecting
+from ..base.errors import StructureError
+from ..base.options import Count, Duration, Option, Port, Positive, positional
+from ._arguments import command, print_json, read_scene
+from .shared_options import Flag, JsonOptions
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -50,75 +44,76 @@ with a summary.
 ORDER = 31  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands, "structure", run, "explain a packet layout, or show what a port gets", _EPILOG
-    )
-    parser.add_argument(
-        "structure", nargs="?", metavar="STRUCTURE", help="layout of a packet, e.g. 7F1M"
-    )
-    parser.add_argument("--scene", metavar="SCENE", help="layouts of this scene's sources instead")
-    parser.add_argument("--float32", action="store_true", help="F, V, M and T are float32")
-    parser.add_argument("--row-major", action="store_true", help="matrices come row by row")
-    parser.add_argument(
-        "--alignment", type=int, choices=(1, 2, 4, 8), default=1, help="of every item (default 1)"
-    )
-    parser.add_argument(
-        "--scale", type=positive, default=1.0, metavar="X", help="factor on floating-point numbers"
-    )
-    parser.add_argument("--sniff", type=port, metavar="PORT", help="show what arrives there")
-    parser.add_argument(
-        "--host", help="address to listen on (default 127.0.0.1); 0.0.0.0 for all interfaces"
-    )
-    parser.add_argument(
-        "--interface", metavar="NAME", help="network interface on which a multicast group is joined"
-    )
-    parser.add_argument("--duration", type=positive, metavar="S", help="sniff for so long")
-    parser.add_argument("--count", type=_count, metavar="N", help="sniff so many packets")
-    parser.add_argument("--language", action="store_true", help="print the page about the language")
-    parser.add_argument("--json", action="store_true", help="print JSON")
+class StructureOptions(JsonOptions):
+    """Explain a packet layout, or show what a port gets.
+
+    Attributes:
+        structure: layout of a packet, e.g. 7F1M.
+        scene: layouts of this scene's sources instead.
+        float32: F, V, M and T are float32.
+        row_major: matrices come row by row.
+        alignment: of every item, bytes.
+        scale: factor on floating-point numbers.
+        sniff: show what arrives there.
+        host: address to listen on (default 127.0.0.1); 0.0.0.0 for all interfaces.
+        interface: network interface on which a multicast group is joined.
+        duration: sniff for so long, s.
+        count: sniff so many packets.
+        language: print the page about the language.
+    """
+
+    structure: Annotated[str | None, positional("STRUCTURE")] = None
+    scene: str | None = None
+    float32: bool = False
+    row_major: bool = False
+    alignment: Annotated[Literal[1, 2, 4, 8], BeforeValidator(int), expecting("1, 2, 4 or 8")] = 1
+    scale: Annotated[Positive, Option("X")] = 1.0
+    sniff: Annotated[Port | None, Option("PORT")] = None
+    host: str | None = None
+    interface: Flag = None
+    duration: Duration | None = None
+    count: Count | None = None
+    language: bool = False
+
+    @model_validator(mode="after")
+    def _check_kind(self) -> Self:
+        if self.sniff is None:
+            self.refuse(("host", "interface", "duration", "count"), " is for --sniff PORT")
+        elif self.scene:
+            raise ValueError("--scene: a scene's layout cannot be sniffed with; give its structure")
+        if self.structure is not None and self.scene:
+            raise ValueError(f"--scene {self.scene}: expected no structure beside it")
+        if self.structure is not None and self.language:
+            raise ValueError("--language: expected no structure beside it")
+        return self
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: StructureOptions) -> int:
     """Prints; returns 0."""
-    _check_options(options)
     if options.scene:
-        return _print_scene(options)
-    layout = None if options.structure is None else _read(options)
+        return _print_scene(options.scene, options)
+    layout = None if options.structure is None else _read(options.structure, options)
     if options.sniff:
-        return _sniff(options, layout)
+        return _sniff(options.sniff, options, layout)
     if layout is None:
         _print_page()
-    elif options.json:
+    elif options.as_json:
         print_json(_layout_as_json(layout))
     else:
         _print_layout(layout)
     return 0
 
 
-def _count(text: str) -> int:
-    return check_whole(text, "a whole number above 0", 1)
+add_to = command("structure", run, StructureOptions, _EPILOG)
 
 
-def _check_options(options: argparse.Namespace) -> None:
-    if not options.sniff:
-        refuse(options, ("host", "interface", "duration", "count"), " is for --sniff PORT")
-    elif options.scene:
-        raise UsageError("--scene: a scene's layout cannot be sniffed with; give its structure")
-    if options.scene and options.structure is not None:
-        raise UsageError(f"--scene {options.scene}: expected no structure beside it")
-    if options.language and options.structure is not None:
-        raise UsageError("--language: expected no structure beside it")
-
-
-def _read(options: argparse.Namespace) -> Structure:
+def _read(text: str, options: StructureOptions) -> Structure:
     """The structure that is given; where it is wrong, a line points at the character."""
     from ..data.receive.structure import Structure
 
     try:
         return Structure(
-            options.structure,
+            text,
             is_double=not options.float32,
             column_major=not options.row_major,
             alignment=options.alignment,
@@ -130,12 +125,12 @@ def _read(options: argparse.Namespace) -> Structure:
         raise
 
 
-def _print_scene(options: argparse.Namespace) -> int:
+def _print_scene(scene_name: str, options: StructureOptions) -> int:
     from ..data.drive.wiring import wire
 
-    scene = read_scene(options.scene)
+    scene = read_scene(scene_name)
     layouts = {name: source.layout for name, source in wire(scene).sources.items()}
-    if options.json:
+    if options.as_json:
         print_json({name: _layout_as_json(layout) for name, layout in layouts.items()})
         return 0
     for name, layout in layouts.items():
@@ -251,12 +246,12 @@ def _layout_as_json(layout: Structure) -> dict[str, Any]:
     }
 
 
-def _sniff(options: argparse.Namespace, layout: Structure | None) -> int:
+def _sniff(port: int, options: StructureOptions, layout: Structure | None) -> int:
     """Listens until the time is over, the packets have come, or Ctrl-C; returns 0."""
     from ..data.receive.sniffer import Sniffer
 
     host, interface = options.host or "127.0.0.1", options.interface or ""
-    with Sniffer(host, options.sniff, interface) as sniffer:
+    with Sniffer(host, port, interface) as sniffer:
         place = f"UDP {host}:{sniffer.port}"
         begin = time.monotonic()
         with (
@@ -265,14 +260,14 @@ def _sniff(options: argparse.Namespace, layout: Structure | None) -> int:
         ):
             _listen(sniffer, options, show)
         seconds = time.monotonic() - begin
-        if options.json:
+        if options.as_json:
             print_json(_sniffed_as_json(sniffer, layout, seconds))
         else:
             _make_console().print(_picture(sniffer, layout, _summary(place, sniffer, seconds)))
     return 0
 
 
-def _listen(sniffer: Sniffer, options: argparse.Namespace, show: Callable[[], None]) -> None:
+def _listen(sniffer: Sniffer, options: StructureOptions, show: Callable[[], None]) -> None:
     end = np.inf if options.duration is None else time.monotonic() + options.duration
     most = options.count or 10**15
     shown = -np.inf
@@ -286,10 +281,10 @@ def _listen(sniffer: Sniffer, options: argparse.Namespace, show: Callable[[], No
 
 @contextlib.contextmanager
 def _shown(
-    options: argparse.Namespace, sniffer: Sniffer, layout: Structure | None, place: str
+    options: StructureOptions, sniffer: Sniffer, layout: Structure | None, place: str
 ) -> Iterator[Callable[[], None]]:
     """A function that shows the current state."""
-    if options.json:
+    if options.as_json:
         yield lambda: None
     elif not sys.stdout.isatty():
         print(f"listening on {place}; Ctrl-C ends", flush=True)

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from ..base.errors import UsageError
+from pydantic import model_validator
+
+from ..base.options import Option, Seed, ending, positional, whole
 from ._arguments import (
-    Commands,
-    add_command,
-    add_set_option,
-    check_ending,
-    check_whole,
+    command,
     named_settings,
     overrides,
     print_json,
-    seed,
+    print_table,
+    progress_bar,
 )
+from .shared_options import Figure, JsonOptions, Settings
 
 if TYPE_CHECKING:
     from ..study.sweep import Sweep
@@ -44,46 +43,56 @@ not every variant held.
 ORDER = 25  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    parser = add_command(
-        commands, "sweep", run, "run variants of a scenario side by side, and compare them", _EPILOG
-    )
-    parser.add_argument("scenario", metavar="SCENARIO", help="a file, or a shipped scenario's name")
-    parser.add_argument(
-        "--vary", action="append", default=[], metavar="KEY=VALUES", required=True,
-        help="what differs; may be repeated",
-    )  # fmt: skip
-    parser.add_argument(
-        "--samples", type=_count, default=20, metavar="N",
-        help="how many variants; with --grid how many values of every range (default 20)",
-    )  # fmt: skip
-    parser.add_argument("--grid", action="store_true", help="all values with all others")
-    parser.add_argument(
-        "--jobs", type=_count, metavar="J", help="how many at once (default: one per core)"
-    )
-    parser.add_argument("--seed", type=seed, default=0, metavar="S", help="of the samples")
-    about = "set anything in all variants: run.duration=2; may be repeated"
-    add_set_option(parser, "KEY=VALUE", about)
-    parser.add_argument("-o", "--out", type=Path, metavar="OUT.csv", help="a row for each variant")
-    parser.add_argument("--plot", type=Path, metavar="OUT.png", help="outcomes over the values")
-    parser.add_argument("--resume", action="store_true", help="go on with an OUT.csv that is there")
-    parser.add_argument("--overwrite", action="store_true", help="write over it")
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar, no notes, no table")
+Count = Annotated[int, whole(1, 200_000), Option("N")]
 
 
-def _count(text: str) -> int:
-    return check_whole(text, "a whole number from 1 to 200000", 1, 200_000)
+class SweepOptions(JsonOptions):
+    """Run variants of a scenario side by side, and compare them.
+
+    Attributes:
+        scenario: a file, or a shipped scenario's name.
+        vary: what differs; may be repeated.
+        samples: how many variants; with --grid how many values of every range.
+        grid: all values with all others.
+        jobs: how many at once (default: one per core).
+        seed: of the samples.
+        settings: set anything in all variants: run.duration=2; may be repeated.
+        out: a row for each variant.
+        plot: outcomes over the values.
+        resume: go on with an OUT.csv that is there.
+        overwrite: write over it.
+        as_json: print the result as JSON.
+        quiet: no progress bar, no notes, no table.
+    """
+
+    scenario: Annotated[str, positional("SCENARIO")]
+    vary: Annotated[list[str], Option("KEY=VALUES")]
+    samples: Count = 20
+    grid: bool = False
+    jobs: Annotated[Count | None, Option("J")] = None
+    seed: Annotated[Seed, Option("S")] = 0
+    settings: Settings = []
+    out: Annotated[Path | None, ending(".csv"), Option("OUT.csv", ("-o", "--out"))] = None
+    plot: Annotated[Figure | None, Option("OUT.png")] = None
+    resume: bool = False
+    overwrite: bool = False
+    quiet: bool = False
+
+    @model_validator(mode="after")
+    def _check_resume(self) -> Self:
+        if self.resume and self.out is None:
+            raise ValueError("--resume: expected the file to go on with, -o OUT.csv")
+        if self.resume and self.overwrite:
+            raise ValueError("--resume and --overwrite: expected one of them")
+        return self
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: SweepOptions) -> int:
     """Runs; returns 0, or 1 when not every variant held."""
     from ..base.paths import find_scenario
     from ..study.sweep import Sweep, Vary
     from ..study.sweep_results import SweepTable, summarise_sweep
 
-    _check_options(options)
     varied = tuple(Vary.parse(option) for option in options.vary)
     fixed = overrides(options.settings)
     keys = {vary.key: None for vary in varied}
@@ -108,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
         from ..study.sweep_results import plot_sweep
 
         plot_sweep(sweep, table.rows, options.plot)
-    if options.json:
+    if options.as_json:
         print_json(_as_json(sweep, summary, seconds))
     elif not options.quiet:
         _print(sweep, table, summary, seconds, before)
@@ -121,50 +130,34 @@ def run(options: argparse.Namespace) -> int:
     return 0 if summary.held == summary.count else 1
 
 
-def _check_options(options: argparse.Namespace) -> None:
-    for key, endings in (("out", (".csv",)), ("plot", (".png", ".pdf", ".svg"))):
-        path: Path | None = getattr(options, key)
-        if path is not None:
-            check_ending(f"--{key} {path}", path, endings)
-    if options.resume and options.out is None:
-        raise UsageError("--resume: expected the file to go on with, -o OUT.csv")
-    if options.resume and options.overwrite:
-        raise UsageError("--resume and --overwrite: expected one of them")
+add_to = command("sweep", run, SweepOptions, _EPILOG)
 
 
-def _run_variants(sweep: Sweep, table: SweepTable, options: argparse.Namespace) -> bool:
+def _run_variants(sweep: Sweep, table: SweepTable, options: SweepOptions) -> bool:
     """Runs what is left to do; returns whether all was done."""
     from contextlib import closing
 
-    from rich import progress as bars
-    from rich.console import Console
-
     from ..study.workers import available_cpus
 
-    columns = (
-        bars.TextColumn("variants"), bars.BarColumn(), bars.MofNCompleteColumn(),
-        bars.TimeRemainingColumn(),
-    )  # fmt: skip
-    console = Console(stderr=True)
-    quiet = options.quiet or not console.is_terminal
     count = len(sweep.variants)
     jobs = min(options.jobs or available_cpus(), max(count - len(table.rows), 1))
-    with bars.Progress(*columns, console=console, disable=quiet, transient=True) as progress:
-        task = progress.add_task("", total=count, completed=len(table.rows))
-        with closing(sweep.run(jobs, done=set(table.rows))) as results:
-            try:
-                for number, result in results:
-                    table.add(number, result)
-                    progress.update(task, completed=len(table.rows))
-            except KeyboardInterrupt:
-                return False
+    with (
+        progress_bar("variants", quiet=options.quiet) as update,
+        closing(sweep.run(jobs, done=set(table.rows))) as results,
+    ):
+        update(len(table.rows), count)
+        try:
+            for number, result in results:
+                table.add(number, result)
+                update(len(table.rows), count)
+        except KeyboardInterrupt:
+            return False
     return True
 
 
 def _print(
     sweep: Sweep, table: SweepTable, summary: SweepSummary, seconds: float, before: int
 ) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     new = summary.count - before
@@ -183,7 +176,7 @@ def _print(
         )
         low, high = (_values(sweep, number) for _, number in (each.lowest, each.highest))
         shown.add_row(each.name, held, lowest, low, median, highest, high)
-    Console(width=200 if not sys.stdout.isatty() else None, highlight=False).print(shown)
+    print_table(shown)
     for number, error in list(summary.errors.items())[:5]:
         print(f"  stopped {_values(sweep, number)}: {error}")
     if len(summary.errors) > 5:

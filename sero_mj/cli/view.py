@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import copy
 import logging
 import os
@@ -11,37 +10,30 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Self
+
+from pydantic import model_validator
 
 from ..base.errors import UsageError
-from ..base.frames import Array
-from ..robots.assemble.scene import Scene
-from ..viewer.session.recent_views import RecentView, remember_view
+from ..base.options import Option, Port, Size, positional
 from ._arguments import (
-    Commands,
-    add_command,
-    add_over_options,
-    add_scene_options,
-    add_stereo_options,
-    check_over_options,
-    check_stereo_options,
+    command,
     offset_of_video,
-    port,
     read_scene,
-    read_shown_scene,
-    refuse,
     replay_instead,
-    size,
     until_ended,
 )
-from ._opening import is_temporary, view_of_file
+from .shared_options import EyeOptions, OverOptions, ShownOptions
 
 if TYPE_CHECKING:
     import mujoco
 
+    from ..base.frames import Array
     from ..data.drive.mirror import Mirror
+    from ..robots.assemble.scene import Scene
     from ..viewer.photo.camera_feed import CameraFeed, VideoFeed
     from ..viewer.session.live import LiveHost
+    from ..viewer.session.recent_views import RecentView
     from ..viewer.session.view_state import ViewState
 
 _SIZE = (1280, 800)
@@ -65,81 +57,93 @@ the page. Browsers on other machines reach it through `ssh -L 8080:localhost:808
 ORDER = 10  # in the help of `sero-mj`
 
 
-def add_to(commands: Commands) -> None:
-    """Adds the command."""
-    summary = "show a scene in a window or on a web page, live"
-    parser = add_command(commands, "view", run, summary, _EPILOG)
-    parser.add_argument(
-        "scene", metavar="SCENE", nargs="?",
-        help="scene or robot: a file, or a shipped name; a start page without one",
-    )  # fmt: skip
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--window", action="store_true", help="a window on this screen; the default if there is one"
-    )
-    where.add_argument("--web", action="store_true", help="a page for web browsers")
-    parser.add_argument(
-        "--port", type=port, metavar="N", help="of the page; default the first free from 8080 on"
-    )
-    parser.add_argument(
-        "--host",
-        metavar="ADDR",
-        help="address the page is served at; default 127.0.0.1, this machine only",
-    )
-    parser.add_argument(
-        "--token",
-        action="store_true",
-        help="the page's address has a token on this machine, too (its other users do not know it)",
-    )
-    parser.add_argument(
-        "--simulate",
-        action="store_true",
-        help="simulate the robots without an end, to be pulled and steered by their targets",
-    )
-    parser.add_argument(
-        "--control",
-        metavar="KIND",
-        help="with --simulate: `gravity`, `joint` or `cartesian`, or another kind of a controller "
-        "that can do without declared gains; default joint",
-    )
-    parser.add_argument("--size", type=size, metavar="WxH", help="of the window; default 1280x800")
-    parser.add_argument("--full-screen", action="store_true", help="cover the screen")
-    parser.add_argument(
-        "--finish-films",
-        action="store_true",
-        help="finish films of what was kept (K) after the end; else they end with the viewer",
-    )
-    parser.add_argument(
-        "--fresh",
-        action="store_true",
-        help="as the scene declares it, not as it was left the last time",
-    )
-    add_stereo_options(parser)
-    add_over_options(parser, is_live=True)
-    add_scene_options(parser)
+class ViewOptions(EyeOptions, OverOptions, ShownOptions):
+    """Show a scene in a window or on a web page, live.
+
+    Attributes:
+        scene: scene or robot: a file, or a shipped name; a start page without one.
+        window: a window on this screen; the default if there is one.
+        web: a page for web browsers.
+        port: of the page; default the first free from 8080 on.
+        host: address the page is served at; default 127.0.0.1, this machine only.
+        token: the page's address has a token on this machine, too (its other users do not know it).
+        simulate: simulate the robots without an end, to be pulled and steered by their targets.
+        control: with --simulate: `gravity`, `joint` or `cartesian`, or another kind of a controller
+            that can do without declared gains; default joint.
+        size: of the window, pixels; default 1280x800.
+        full_screen: cover the screen.
+        finish_films: finish films of what was kept (K) after the end; else they end with the
+            viewer.
+        fresh: as the scene declares it, not as it was left the last time.
+        over: draw over the pictures of a camera: its number, 0 say, an address, or a video.
+    """
+
+    scene: Annotated[str | None, positional("SCENE")] = None
+    window: bool = False
+    web: bool = False
+    port: Port | None = None
+    host: Annotated[str | None, Option("ADDR")] = None
+    token: bool = False
+    simulate: bool = False
+    control: Annotated[str | None, Option("KIND")] = None
+    size: Size | None = None
+    full_screen: bool = False
+    finish_films: bool = False
+    fresh: bool = False
+    over: Annotated[str | None, Option("CAMERA")] = None
+
+    @property
+    def of_page(self) -> list[str]:
+        """Which options are given that only a page has."""
+        return self.given("port", "host", "token")
+
+    @property
+    def of_window(self) -> list[str]:
+        """Which options are given that only a window has."""
+        return self.given("size", "full_screen", "stereo", "over")
+
+    @model_validator(mode="after")
+    def _check_place(self) -> Self:
+        if self.window and self.web:
+            raise ValueError("--window and --web: one or the other; expected one of them")
+        if self.window and self.of_page:
+            what = "is for the page; leave --window out, or take --web"
+            raise ValueError(f"{self.of_page[0]} {what}")
+        if (self.web or self.of_page) and self.of_window:
+            name = self.of_window[0]
+            reasons = {"--stereo": "has one eye", "--over": "shows no camera's pictures"}
+            why = reasons.get(name, "is as large as its browser's")
+            raise ValueError(f"{name} is for the window; a page {why}")
+        return self
+
+    @model_validator(mode="after")
+    def _check_scene(self) -> Self:
+        if self.over is not None:
+            why = " does not go with --over: the view is the camera's"
+            self.refuse(("camera", "stereo"), why)
+            if self.replay is not None and Path(self.over).is_file():
+                self.refuse(("start",), " does not go with a video; --offset says when it begins")
+        if self.control is not None and not self.simulate:
+            raise ValueError(f"--control {self.control} is for --simulate, which is not given")
+        if self.simulate and self.replay is not None:
+            raise ValueError("--simulate and --replay: a recording is played, and not simulated")
+        if self.scene is None:
+            of_scene = ("camera", "replay", "start", "over", "offset")
+            self.refuse(of_scene, " is for a scene; name one: sero-mj view SCENE")
+            why = " is for a scene; name one: sero-mj view SCENE --set ..."
+            self.refuse(("settings",), why)
+        return self
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: ViewOptions) -> int:
     """Shows the scene until it is closed, or the start page until something is; returns 0."""
-    check_stereo_options(options)
-    check_over_options(options)
-    if options.over is not None:
-        refuse(options, ("camera", "stereo"), " does not go with --over: the view is the camera's")
-        if options.replay is not None and Path(options.over).is_file():
-            if options.start is not None:
-                raise UsageError("--start does not go with a video; --offset says when it begins")
-            options.start = 0.0  # times are those of the recording
     on_page = wants_page(options)
     if not on_page:
         # MuJoCo takes its OpenGL from the window here, whatever is right without one.
         os.environ["MUJOCO_GL"] = "glfw"
-    if options.control is not None and not options.simulate:
-        raise UsageError(f"--control {options.control} is for --simulate, which is not given")
-    if options.simulate and options.replay is not None:
-        raise UsageError("--simulate and --replay: a recording is played, and not simulated")
     session = Session(options, on_page=on_page)
     mirror = session.first()
-    if on_page and not (options.web or _of_page(options)):
+    if on_page and not (options.web or options.of_page):
         print("no display for a window, so it is a page for browsers (--web)", file=sys.stderr)
     with until_ended():  # as good as closing it
         while True:
@@ -149,6 +153,9 @@ def run(options: argparse.Namespace) -> int:
                 return 0
             mirror = session.show(mirror)
     return 0
+
+
+add_to = command("view", run, ViewOptions, _EPILOG)
 
 
 class Session:
@@ -165,8 +172,12 @@ class Session:
         is_at_start: whether the start page is what is shown next.
     """
 
-    def __init__(self, options: argparse.Namespace, *, on_page: bool) -> None:
+    def __init__(self, options: ViewOptions, *, on_page: bool) -> None:
+        from ..robots.assemble.scene import Scene
+
         self.options, self.on_page = options, on_page
+        self._port: int = options.port or 0
+        self._token: bool | str = options.token  # as browsers know the page
         self.plain = Scene()
         self.is_at_start = options.scene is None
         # Camera, panel and switches, to be kept while the same scene is shown.
@@ -176,15 +187,13 @@ class Session:
 
     def first(self) -> Mirror | None:
         """Returns what shows the scene of the command; None for the start page."""
-        options = self.options
-        if not self.is_at_start:
-            with self._noting_warnings():
-                return self._begin(read_shown_scene(options, by_hand=not options.simulate))
-        of_scene = ("camera", "replay", "start", "over", "offset")
-        refuse(options, of_scene, " is for a scene; name one: sero-mj view SCENE")
-        if options.settings:
-            raise UsageError("--set is for a scene; name one: sero-mj view SCENE --set ...")
-        return None
+        name, options = self.options.scene, self.options
+        if name is None:
+            return None
+        if options.over is not None and Path(options.over).is_file():
+            self.options = options = options.from_its_begin()  # of a video
+        with self._noting_warnings():
+            return self._begin(options.read(name, by_hand=not options.simulate))
 
     def _begin(self, scene: Scene, *, is_replayed: bool = False) -> Mirror:
         """Returns what shows a scene that was read, or its simulation; compiled, and checked."""
@@ -210,9 +219,9 @@ class Session:
             host = options.host or _LOOPBACK
             with (
                 listening() as heard,
-                StartHost(self.open, heard, host, options.port or 0, token=options.token) as page,
+                StartHost(self.open, heard, host, self._port, token=self._token) as page,
             ):
-                options.port, options.token = page.port, page.token or False
+                self._port, self._token = page.port, page.token or False
                 self._announce("the start page", page.urls, host, is_private=page.is_private)
                 return page.run()
         from ..viewer.window.start_window import StartWindow
@@ -229,6 +238,8 @@ class Session:
 
         The options are then those of the new scene; nothing changes where it is wrong.
         """
+        from ._opening import view_of_file
+
         view = what
         if isinstance(view, Path):
             is_shown = self.options.scene is not None
@@ -240,9 +251,11 @@ class Session:
             if view.replay:
                 replay_instead(scene, Path(view.replay), None)
             shown = self._begin(scene, is_replayed=bool(view.replay))
-        vars(self.options).update(
-            scene=view.scene, replay=Path(view.replay) if view.replay else None, settings=[],
-            start=None, camera=None, over=None,
+        self.options = self.options.model_copy(
+            update={
+                "scene": view.scene, "replay": Path(view.replay) if view.replay else None,
+                "settings": [], "start": None, "camera": None, "over": None,
+            }
         )  # fmt: skip
         return shown
 
@@ -291,7 +304,8 @@ class Session:
                 tool.finishes_films = self.options.finish_films
         if self._warnings:
             more = f" (and {len(self._warnings) - 1} more)" if len(self._warnings) > 1 else ""
-            folder = f"{Path(self.options.scene).parent}{os.sep}"  # what is wrong is behind it
+            # What is wrong is behind the folder.
+            folder = f"{Path(self.options.scene or '').parent}{os.sep}"
             host.say(self._warnings.pop(0).replace(folder, "") + more, is_bad=True)
             self._warnings.clear()
         host.command = command_of(self.options)
@@ -315,7 +329,9 @@ class Session:
 
     def _run(self, host: LiveHost) -> None:
         """Shows it until it is closed, and remembers how it was left."""
+        from ..viewer.session.recent_views import RecentView, remember_view
         from ..viewer.session.restoring import keep
+        from ._opening import is_temporary
 
         options, plain = self.options, self.plain
         view = RecentView(_absolute(options.scene), _absolute(options.replay))
@@ -376,8 +392,8 @@ class Session:
                 mirror,
                 camera=options.camera,
                 host=host,
-                port=options.port or 0,
-                token=options.token,
+                port=self._port,
+                token=self._token,
                 waits=True,
             ) as page,
         ):
@@ -387,7 +403,7 @@ class Session:
                 self._show_as_before(page, *self._last)
             elif not options.fresh:
                 restore(page, with_camera=options.camera is None)
-            options.port, options.token = page.port, page.token or False  # as browsers know it
+            self._port, self._token = page.port, page.token or False
             self._run(page)
             return page.next_mirror
 
@@ -437,24 +453,15 @@ def _simulated(scene: Scene, control: str, angles: Mapping[str, Array] | None = 
     return _mirror_of(endless_scene(scene, control, angles))
 
 
-def wants_page(options: argparse.Namespace) -> bool:
+def wants_page(options: ViewOptions) -> bool:
     """Whether the scene goes to browsers instead of into a window; raises UsageError."""
-    of_page = _of_page(options)
-    of_window = ["size"] * (options.size is not None) + ["full-screen"] * options.full_screen
-    of_window += ["stereo"] * (options.stereo is not None) + ["over"] * (options.over is not None)
-    if options.window and of_page:
-        raise UsageError(f"--{of_page[0]} is for the page; leave --window out, or take --web")
-    if (options.web or of_page) and of_window:
-        reasons = {"stereo": "has one eye", "over": "shows no camera's pictures"}
-        why = reasons.get(of_window[0], "is as large as its browser's")
-        raise UsageError(f"--{of_window[0]} is for the window; a page {why}")
-    if options.web or of_page:
+    if options.web or options.of_page:
         return True
     from ..viewer.headless.backend import has_display
 
     if has_display():
         return False
-    if options.window or of_window:
+    if options.window or options.of_window:
         raise UsageError(
             "no display for a window: neither DISPLAY nor WAYLAND_DISPLAY is set; "
             "--web shows the scene on a page, `sero-mj render` makes pictures and films"
@@ -462,29 +469,23 @@ def wants_page(options: argparse.Namespace) -> bool:
     return True
 
 
-def _of_page(options: argparse.Namespace) -> list[str]:
-    """Which options are given that only a page has."""
-    given = [name for name in ("port", "host") if getattr(options, name) is not None]
-    return given + ["token"] * options.token
-
-
-def _feed(mirror: Mirror, options: argparse.Namespace) -> CameraFeed | VideoFeed:
+def _feed(mirror: Mirror, options: OverOptions) -> CameraFeed | VideoFeed:
     """The camera, or the video, that the scene is drawn over."""
     from ..viewer.photo.camera_feed import CameraFeed, VideoFeed
 
+    assert options.over is not None and options.camera_file is not None
     sources, scene = mirror.sources.values(), mirror.world.scene
     file = Path(options.over)
     if not file.is_file() or not sources or any(source.is_live for source in sources):
         if options.offset is not None:
             raise UsageError("--offset is for a video over a recording or a scenario")
         return CameraFeed(options.over, options.camera_file)
-    if options.offset in (None, "auto"):
-        options.offset = offset_of_video(scene, file, options.camera_file)
-    return VideoFeed(file, options.camera_file, options.offset)
+    offset = offset_of_video(scene, file, options.camera_file, options.offset)
+    return VideoFeed(file, options.camera_file, offset)
 
 
-def command_of(options: argparse.Namespace) -> list[str]:
-    """The scene of a command with `add_scene_options`, and what changes it, for another command."""
+def command_of(options: ViewOptions) -> list[str]:
+    """The scene of a command, and what changes it, for another command."""
     words = [str(options.scene)]
     for setting in options.settings:
         words += ["--set", setting]

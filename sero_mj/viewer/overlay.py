@@ -23,7 +23,8 @@ from .decor.picture_view import PictureView
 from .decor.toggles import Toggles
 from .headless.backend import adopt_backend
 from .headless.film import Picture
-from .headless.render import DEFAULT_SIZE, HeadlessRenderer
+from .headless.picture_options import DEFAULT_SIZE
+from .headless.render import HeadlessRenderer
 from .mujoco_private import context_of
 from .session.interaction import Gesture
 from .session.picking import Picked, Pixel

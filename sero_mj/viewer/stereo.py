@@ -7,17 +7,16 @@ the point that is looked at is at the same pixel for both. There stands all text
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal, get_args
+from typing import get_args
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from ..base.errors import RenderError
+from .headless.picture_options import Stereo
 
-Stereo = Literal["side-by-side", "anaglyph"]
 STEREO: tuple[str, ...] = get_args(Stereo)
-EYE_DISTANCE = 0.065  # m, of people
 _MOST_APART = 1.0  # m
 _LAID_OUT = 2.0  # times the near plane; see `viewer.decor.panels`
 # Of red, green and blue for the left eye (red filter) and the right one (cyan), rows by column.

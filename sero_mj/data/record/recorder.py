@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import math
 import threading
-import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...base.errors import RecordingError, UnknownName
-from ...base.frames import Array, Ints
-from ..receive.structure import Rows
+from ...base.errors import RecordingError
+from ...base.frames import Array
+from .packet_worker import QUEUE_BYTES, Batch, PacketWorker
 from .recording_format import RecordingClock
 from .recording_writer import RecordingWriter
 
 Decode = Callable[[bytes], Mapping[str, Array] | None]
 
-QUEUE_BYTES = 64 << 20
 SIGNALS_RATE = 1000.0  # decoded packets per s and source
-_PER_PACKET = 64  # bytes that a packet takes in memory beside its own
 _BURST = 0.05  # s of signals that may come at once, because packets come in batches
 
 
@@ -46,20 +42,6 @@ class RecorderStatistics:
     seconds: float
     not_recorded: Mapping[str, int]
     file_size: int
-
-
-@dataclass(frozen=True, eq=False)
-class _Batch:
-    """Packets of one source, as `Recorder.take` takes them, and their bytes in memory."""
-
-    name: str
-    rows: Rows
-    lengths: Ints
-    arrivals: Array
-    size: int
-
-    def __len__(self) -> int:
-        return len(self.rows)
 
 
 class RateLimiter:
@@ -88,13 +70,11 @@ class RateLimiter:
         return True
 
 
-class Recorder:
+class Recorder(PacketWorker):
     """Records packets of any number of threads into a file, with bounded memory.
 
-    It never holds up who hands it packets: when the disk is too slow and the queue is full, packets
-    are counted in `statistics` as not recorded, and told in the file as well.
-
-    Use it as a context manager, or call `close`.
+    When the disk is too slow, packets are counted in `statistics` as not recorded, and told in the
+    file as well.
 
     Args:
         path: the file.
@@ -106,7 +86,6 @@ class Recorder:
 
     Attributes:
         path: the file.
-        error: what ended the recording, or None. Nothing is recorded any more then.
 
     Raises:
         RecordingError: the file exists already, or cannot be written.
@@ -122,21 +101,12 @@ class Recorder:
         signals_rate: float = SIGNALS_RATE,
     ) -> None:
         self.path = Path(path)
-        self.error: Exception | None = None
-        self._queue_bytes = queue_bytes
         self._signals_rate = signals_rate
         self._decoders: dict[str, tuple[Decode, RateLimiter]] = {}
         self._packets = self._bytes = self._signals = 0
-        self._not_recorded: dict[str, int] = {}
-        self._queue: deque[_Batch] = deque()
-        self._queued = 0
-        self._closing = False
-        self._changed = threading.Condition()  # guards the queue; held for moments only
         self._writing = threading.Lock()  # guards the file
         self._writer = RecordingWriter(path, about=about, overwrite=overwrite)
-        self._started, self._ended = time.monotonic(), math.nan
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-        self._thread.start()
+        super().__init__("recorder", queue_bytes)
 
     def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:
         """Adds a source; before its packets are taken.
@@ -150,51 +120,13 @@ class Recorder:
         with self._writing:
             self._writer.add_source(name, **declaration)
         with self._changed:
-            self._not_recorded[name] = 0
             self._decoders[name] = (decode, RateLimiter(self._signals_rate))
+            self._lost[name] = 0
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Puts a file into the recording; see `RecordingWriter.attach`."""
         with self._writing:
             self._writer.attach(name, media_type, data)
-
-    def take(self, name: str, rows: Rows, lengths: Ints, arrivals: Array) -> bool:
-        """Takes packets to be written soon. Cheap, and never waits for the disk.
-
-        Args:
-            name: their source.
-            rows: (n, bytes), a packet each; they are copied.
-            lengths: how many bytes of each row are the packet, (n,). What was longer than its row
-                is kept as long as the row.
-            arrivals: when each arrived, (n,), s on the clock of `time.monotonic`.
-
-        Returns:
-            Whether they will be recorded. If not, all of them are counted.
-
-        Raises:
-            UnknownName: no such source was added.
-            ValueError: not as many arrivals or lengths as packets.
-        """
-        if name not in self._decoders:
-            raise UnknownName("source", name, self._decoders)
-        count = len(rows)
-        if len(arrivals) != count or len(lengths) != count:
-            found = f"{len(arrivals)} arrivals and {len(lengths)} lengths"
-            raise ValueError(f"found {found} for {count} packets; expected one for each")
-        if not count:
-            return True
-        size = rows.nbytes + _PER_PACKET * count
-        with self._changed:
-            ended = self._closing or self.error is not None
-            if ended or self._queued + size > self._queue_bytes:
-                self._not_recorded[name] += count
-                return False
-            # Their owner will receive into them again.
-            batch = _Batch(name, rows.copy(), lengths.copy(), arrivals.copy(), size)
-            self._queue.append(batch)
-            self._queued += size
-            self._changed.notify()
-        return True
 
     @property
     def clock(self) -> RecordingClock:
@@ -205,63 +137,32 @@ class Recorder:
     def statistics(self) -> RecorderStatistics:
         """Packets and bytes so far."""
         with self._changed:
-            end = time.monotonic() if math.isnan(self._ended) else self._ended
             return RecorderStatistics(
                 self._packets,
                 self._bytes,
                 self._signals,
-                end - self._started,
-                dict(self._not_recorded),
+                self.seconds,
+                dict(self._lost),
                 self._writer.size,
             )
 
-    def close(self) -> None:
-        """Writes what was taken, and finishes the file; harmless when it is closed.
-
-        Raises:
-            RecordingError: the disk is full, or cannot be written for another reason. What was
-                written before is kept and can be read.
-        """
+    def _next(self) -> list[Batch] | None:
+        """The next batch, as soon as there is one."""
+        with self._writing:
+            due = self._writer.flush_if_old()
         with self._changed:
-            self._closing = True
-            self._changed.notify()
-        self._thread.join()
-        if self.error is not None:
-            raise self.error
+            if not (self._queue or self._closing):
+                self._changed.wait(None if math.isinf(due) else due)
+            if self._queue:
+                return [self._queue.popleft()]
+            return None if self._closing else []
 
-    def __enter__(self) -> Recorder:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-    def _run(self) -> None:
-        try:
-            while (batch := self._next()) is not None:
-                with self._writing:
-                    self._write(batch)
-                with self._changed:
-                    self._queued -= batch.size
+    def _handle(self, batches: list[Batch]) -> None:
+        for batch in batches:
             with self._writing:
-                self._writer.close(lost=self._not_recorded)
-        except Exception as error:  # whatever it is: close() raises it where it is seen
-            self._fail(error)
-        self._ended = time.monotonic()
+                self._write(batch)
 
-    def _next(self) -> _Batch | None:
-        """The next batch, as soon as there is one; None when all is written and it closes."""
-        while True:
-            with self._writing:
-                due = self._writer.flush_if_old()
-            with self._changed:
-                if not self._queue and not self._closing:
-                    self._changed.wait(None if math.isinf(due) else due)
-                if self._queue:
-                    return self._queue.popleft()
-                if self._closing:
-                    return None
-
-    def _write(self, batch: _Batch) -> None:
+    def _write(self, batch: Batch) -> None:
         decode, limiter = self._decoders[batch.name]
         before = self._packets
         try:
@@ -277,21 +178,13 @@ class Recorder:
                     self._signals += 1
         except Exception:
             with self._changed:
-                self._not_recorded[batch.name] += len(batch) - (self._packets - before)
+                self._lost[batch.name] += len(batch) - (self._packets - before)
             raise
 
-    def _fail(self, error: Exception) -> None:
-        with self._changed:
-            self.error = error
-            for batch in self._queue:
-                self._not_recorded[batch.name] += len(batch)
-            self._queue.clear()
-        if not isinstance(error, RecordingError):  # the file itself is well: finish it
+    def _finish(self, error: Exception | None) -> None:
+        if not isinstance(error, RecordingError):  # else there is no more of the file to be saved
             with self._writing:
-                try:
-                    self._writer.close(lost=self._not_recorded)
-                except RecordingError as second:
-                    error.add_note(str(second))
+                self._writer.close(lost=self._lost)
 
 
 def decoded(decode: Decode, packet: bytes) -> Mapping[str, Array] | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -14,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ...base.errors import RecordingError, UnknownName
 from ...base.frames import Array, Bools, Ints
 from ..receive.structure import Rows
-from .recorder import QUEUE_BYTES, SIGNALS_RATE, Decode, RateLimiter, decoded
+from .packet_worker import Batch, PacketWorker
+from .recorder import SIGNALS_RATE, Decode, RateLimiter, decoded
 from .recording_format import RecordingClock
 from .recording_writer import RecordingWriter
 
@@ -134,20 +133,6 @@ class _Ring:
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Batch:
-    name: str
-    rows: Rows
-    lengths: Ints
-    arrivals: Array
-    size: int
-
-    def part(self, rows: slice) -> _Batch:
-        return replace(
-            self, rows=self.rows[rows], lengths=self.lengths[rows], arrivals=self.arrivals[rows]
-        )
-
-
 @dataclass(eq=False)
 class _Declared:
     declaration: dict[str, Any]
@@ -177,13 +162,10 @@ class TriggerStatistics:
     is_recording: bool
 
 
-class TriggeredRecorder:
+class TriggeredRecorder(PacketWorker):
     """Records what comes shortly before and after a condition is fulfilled, with bounded memory.
 
-    Like `Recorder` it takes packets of any number of threads and never holds them up. Each event
-    is a recording of its own; one that comes while another is recorded prolongs that.
-
-    Use it as a context manager, or call `close`.
+    Each event is a recording of its own; one that comes while another is recorded prolongs that.
 
     Args:
         path_of: the file of an event, by its number from 1 and its time.
@@ -200,7 +182,6 @@ class TriggeredRecorder:
 
     Attributes:
         events: that were recorded.
-        error: what ended it, or None.
         on_event: called when an event begins, and again when its recording is complete.
     """
 
@@ -219,7 +200,6 @@ class TriggeredRecorder:
         now: Clock | None = time.monotonic,
     ) -> None:
         self.events: list[RecordedEvent] = []
-        self.error: Exception | None = None
         self.on_event: Callable[[RecordedEvent], None] = lambda _: None
         self._path_of, self._find, self._about = path_of, find, dict(about)
         self._before, self._after, self._overwrite = before, after, overwrite
@@ -234,41 +214,18 @@ class TriggeredRecorder:
         self._packets = 0
         self._last_seen = math.nan  # arrival of the last packet
         self._held: dict[str, bool] = {}  # whether the last packet of a source fulfilled it
-        self._not_seen: dict[str, int] = {}
-        self._queue: deque[_Batch] = deque()
-        self._queued = 0
         self._asked: list[str] = []  # what is to be recorded whatever the condition
-        self._closing = False
-        self._changed = threading.Condition()
-        self._started = time.monotonic()
-        self._thread = threading.Thread(target=self._run, name="triggered recorder", daemon=True)
-        self._thread.start()
+        super().__init__("triggered recorder")
 
     def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:
         """Adds a source; see `Recorder.add_source`."""
         with self._changed:
             self._sources[name] = _Declared(declaration, decode)
-            self._not_seen[name] = 0
+            self._lost[name] = 0
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Puts a file into every recording; see `RecordingWriter.attach`."""
         self._files.append((name, media_type, data))
-
-    def take(self, name: str, rows: Rows, lengths: Ints, arrivals: Array) -> bool:
-        """Takes packets to be looked at soon; see `Recorder.take`."""
-        if name not in self._sources:
-            raise UnknownName("source", name, self._sources)
-        if not len(rows):
-            return True
-        with self._changed:
-            if self._closing or self.error is not None or self._queued + rows.nbytes > QUEUE_BYTES:
-                self._not_seen[name] += len(rows)
-                return False
-            batch = _Batch(name, rows.copy(), lengths.copy(), arrivals.copy(), rows.nbytes)
-            self._queue.append(batch)
-            self._queued += batch.size
-            self._changed.notify_all()
-        return True
 
     def record_now(self, what: str) -> None:
         """Records this moment as an event, whatever the condition; returns at once.
@@ -287,64 +244,15 @@ class TriggeredRecorder:
             return TriggerStatistics(
                 self._packets,
                 len(self.events),
-                time.monotonic() - self._started,
+                self.seconds,
                 self._ring.size,
                 self._ring.forgotten,
-                dict(self._not_seen),
+                dict(self._lost),
                 self._writer is not None,
             )
 
-    def wait_until_seen(self) -> None:
-        """Waits until all packets that were taken have been looked at, or it has failed."""
-        with self._changed:
-            self._changed.wait_for(lambda: not self._queued or self.error is not None)
-
-    def close(self) -> None:
-        """Looks at what was taken, and finishes the recording; harmless when it is closed.
-
-        Raises:
-            RecordingError: the disk is full, or cannot be written for another reason.
-        """
-        with self._changed:
-            self._closing = True
-            self._changed.notify()
-        self._thread.join()
-        if self.error is not None:
-            raise self.error
-
-    def __enter__(self) -> TriggeredRecorder:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-    def _run(self) -> None:
-        try:
-            while (batches := self._next()) is not None:
-                for batch in batches:
-                    self._look(batch)
-                with self._changed:
-                    self._queued -= sum(batch.size for batch in batches)
-                    self._packets += sum(len(batch.rows) for batch in batches)
-                    self._changed.notify_all()
-                    asked, self._asked = self._asked, []
-                for what in asked:
-                    self._end()
-                    self._begin(self._last_seen if self._now is None else self._now(), what)
-                self._end_if_over()
-            self._end()
-        except Exception as error:  # whatever it is: close() raises it where it is seen
-            with self._changed:
-                self.error = error
-                self._changed.notify_all()
-            try:
-                self._end()
-            except RecordingError as second:
-                if second is not error:
-                    error.add_note(str(second))
-
-    def _next(self) -> list[_Batch] | None:
-        """What has come, soon after the first packet of it; None when all is seen and it closes."""
+    def _next(self) -> list[Batch] | None:
+        """What has come, soon after the first packet of it."""
         with self._changed:
             if not (self._queue or self._asked or self._closing):
                 self._changed.wait(_POLL if self._writer is not None else None)
@@ -356,7 +264,25 @@ class TriggeredRecorder:
                 return None
         return _joined(found)
 
-    def _look(self, batch: _Batch) -> None:
+    def _handle(self, batches: list[Batch]) -> None:
+        for batch in batches:
+            self._look(batch)
+            self._packets += len(batch)
+        with self._changed:
+            asked, self._asked = self._asked, []
+        for what in asked:
+            self._end()
+            self._begin(self._last_seen if self._now is None else self._now(), what)
+        if self._writer is None:
+            return
+        self._writer.flush_if_old()
+        if self._now is not None and self._now() > self._until + _LATE:
+            self._end()
+
+    def _finish(self, error: Exception | None) -> None:
+        self._end()
+
+    def _look(self, batch: Batch) -> None:
         holds, describe = self._find(batch.name, batch.rows, batch.lengths)
         hits = np.flatnonzero(holds)
         is_new = holds & ~np.append(self._held.get(batch.name, False), holds[:-1])
@@ -366,10 +292,10 @@ class TriggeredRecorder:
             rest = hits[hits >= row]
             if self._writer is None:
                 if not len(rest):
-                    self._keep(batch.part(slice(row, None)))
+                    self._keep(_part(batch, slice(row, None)))
                     return
                 # Up to what fulfils it; that itself is the first packet of what follows.
-                self._keep(batch.part(slice(row, int(rest[0]))))
+                self._keep(_part(batch, slice(row, int(rest[0]))))
                 row = int(rest[0])
                 self._begin(float(batch.arrivals[row]), describe(row))
             # As far as the recording reaches, which every hit within it prolongs.
@@ -380,14 +306,14 @@ class TriggeredRecorder:
                 if end < hit or hit == len(batch.rows) or batch.arrivals[hit] > self._until:
                     break
                 self._prolong(float(batch.arrivals[hit]), is_new=bool(is_new[hit]))
-            part = batch.part(slice(row, end))
+            part = _part(batch, slice(row, end))
             self._keep(part)
             self._write(part)
             row = end
             if row < len(batch.rows):
                 self._end()
 
-    def _keep(self, batch: _Batch) -> None:
+    def _keep(self, batch: Batch) -> None:
         if len(batch.rows):
             self._last_seen = float(batch.arrivals[-1])
         self._ring.add(batch.name, batch.rows, batch.lengths, batch.arrivals)
@@ -425,7 +351,7 @@ class TriggeredRecorder:
         with self._changed:
             self.events[-1] = replace(self.events[-1], **fields)
 
-    def _write(self, batch: _Batch) -> None:
+    def _write(self, batch: Batch) -> None:
         for row, end, arrival in zip(
             batch.rows, batch.lengths.tolist(), batch.arrivals.tolist(), strict=True
         ):
@@ -443,30 +369,28 @@ class TriggeredRecorder:
         self._count += 1
         self._last = arrival
 
-    def _end_if_over(self) -> None:
-        writer = self._writer
-        if writer is None:
-            return
-        writer.flush_if_old()
-        if self._now is not None and self._now() > self._until + _LATE:
-            self._end()
-
     def _end(self) -> None:
         writer, self._writer = self._writer, None
         if writer is None:
             return
-        writer.close(lost=self._not_seen)
+        writer.close(lost=self._lost)
         self._change(ended=self._last, packets=self._count)
         self.on_event(self.events[-1])
 
 
-def _joined(batches: list[_Batch]) -> list[_Batch]:
+def _part(batch: Batch, rows: slice) -> Batch:
+    return replace(
+        batch, rows=batch.rows[rows], lengths=batch.lengths[rows], arrivals=batch.arrivals[rows]
+    )
+
+
+def _joined(batches: list[Batch]) -> list[Batch]:
     """Joins batches of one source that follow each other."""
-    found: list[_Batch] = []
+    found: list[Batch] = []
     for _, group in groupby(batches, key=lambda each: (each.name, each.rows.shape[1])):
         parts = list(group)
         found.append(
-            _Batch(
+            Batch(
                 parts[0].name,
                 np.concatenate([part.rows for part in parts]),
                 np.concatenate([part.lengths for part in parts]),

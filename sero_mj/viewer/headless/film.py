@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
@@ -17,37 +16,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ...base.errors import RenderError, reason_of
+from .film_kinds import FILMS
 
 if TYPE_CHECKING:  # it takes 0.1 s to import, which pictures need not wait for
     import av
 
-
-@dataclass(frozen=True)
-class FilmKind:
-    """Encoding of films with one file name extension.
-
-    Attributes:
-        codec: of FFmpeg.
-        options: of the codec; chosen to be fast compared to rendering.
-        has_palette: whether frames are limited to 256 colours.
-        fps: default frames per second.
-        most_fps: maximum frames per second that programs can show.
-    """
-
-    codec: str
-    options: Mapping[str, str]
-    has_palette: bool = False
-    fps: float = 30.0
-    most_fps: float = float("inf")
-
-
-_VP9 = {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "5", "row-mt": "1"}
-FILMS = {
-    ".mp4": FilmKind("libx264", {"crf": "18", "preset": "veryfast"}),
-    ".webm": FilmKind("libvpx-vp9", _VP9),
-    ".gif": FilmKind("gif", {}, has_palette=True, fps=20.0, most_fps=50.0),
-}
-PICTURES = (".png", ".jpg", ".jpeg", ".webp")
 Pixels = NDArray[np.uint8]
 
 

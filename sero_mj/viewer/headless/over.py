@@ -3,43 +3,42 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from ...base.errors import RenderError, UsageError
 from ...data.drive.mirror import Mirror
 from ...robots.assemble.scene import Scene
 from ...robots.assemble.world_view import WorldView
 from ..decor.font import line_height
+from ..decor.picture_view import PictureView
 from ..photo.camera_file import read_camera
 from ..photo.footage import Pixels, Video, at_rate, is_photo, read_frame, read_photo
 from ..photo.over_photo import PhotoPainter
 from ..photo.photo_camera import PhotoCamera
-from ..session.interaction import Gesture
-from ..session.picking import Picked
 from ..session.scene_decor import SceneDecor
-from ..session.view_state import apply_switches
 from ..typesetting import Typesetter, compose
-from .film import FILMS, FilmWriter, check_writable, default_fps, save_picture
+from .film import check_film, default_fps
+from .film_kinds import FILMS
+from .painter import Painter, perform_clicks
+from .picture_options import PictureOptions, Quality
 from .render import (
     MAX_SIDE,
-    NEXT_WITHIN,
-    PRINT_DPI,
     QUALITIES,
     SUPERSAMPLING,
-    Click,
     OnProgress,
-    Quality,
     make_renderer,
-    perform_clicks,
+    render_picture,
+    write_film,
 )
 
 log = logging.getLogger(__name__)
 
 
-class PhotoRenderer:
+class PhotoRenderer(Painter):
     """Renders the decor of a world over photos of one camera; a context manager.
 
     Args:
@@ -48,7 +47,7 @@ class PhotoRenderer:
         quality: see `HeadlessRenderer`.
 
     Attributes:
-        decor: of the last photo.
+        photo: what is drawn over, where `render` is given none.
 
     Raises:
         RenderError: no OpenGL, or the photos are too large.
@@ -58,89 +57,53 @@ class PhotoRenderer:
         if quality not in QUALITIES:
             raise RenderError(f"found quality {quality!r}; expected {', '.join(QUALITIES)}")
         scale = SUPERSAMPLING if quality == "fine" else 1
+        self.world, self.size = world, (camera.width, camera.height)
+        self.photo: Pixels = np.zeros((camera.height, camera.width, 3), np.uint8)
         self._painter = PhotoPainter(world, camera, (MAX_SIDE // 2, MAX_SIDE // 2), scale)
         self._renderer = make_renderer(world, *self._painter.size, is_draft=quality == "draft")
         self._typesetter = Typesetter(line_height(world, camera.width, camera.height))
         self.decor = SceneDecor(world, with_text=False)
 
-    def render(self, data: mujoco.MjData, photo: Pixels) -> Pixels:
+    def render(self, data: mujoco.MjData, photo: Pixels | None = None) -> Pixels:
         """Returns a photo with decor over it.
 
         Args:
             data: the world's state, with frames up to date.
-            photo: (height, width, 3), uint8, of the camera's size.
+            photo: (height, width, 3), uint8, of the camera's size; the one of this when None.
         """
-        renderer, painter = self._renderer, self._painter
-        renderer.update_scene(data)
-        view = painter.look(renderer.scene, self._typesetter.font)
-        self.decor.draw(data, view, renderer.scene)
-        pixels = painter.over(photo, renderer.scene, renderer.render)
+        photo = self.photo if photo is None else photo
+        scene = self._renderer.scene
+        self.decor.draw(data, self._look(data), scene)
+        pixels = self._painter.over(photo, scene, self._renderer.render)
         compose(pixels, self._typesetter.place(self.decor.panels))
         return pixels
 
-    def click(
-        self,
-        data: mujoco.MjData,
-        x: float,
-        y: float,
-        gesture: Gesture = "click",
-        tolerance: float = 0.0,
-    ) -> Picked | None:
-        """Clicks on a pixel of the photo, see `HeadlessRenderer.click`."""
-        decor = self._lay_out(data)
-        return decor.click(data, decor.from_above(x, y), gesture, tolerance)
-
-    def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
-        """Moves the pointer to a pixel of the photo, see `HeadlessRenderer.hover`."""
-        decor = self._lay_out(data)
-        return decor.hover(data, decor.from_above(x, y))
-
-    def _lay_out(self, data: mujoco.MjData) -> SceneDecor:
-        scene = self._renderer.scene
+    def _look(self, data: mujoco.MjData) -> PictureView:
         self._renderer.update_scene(data)
-        self.decor.lay_out(data, self._painter.look(scene, self._typesetter.font))
-        return self.decor
-
-    def close(self) -> None:
-        """Frees the OpenGL context."""
-        self._renderer.close()
-
-    def __enter__(self) -> PhotoRenderer:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
+        return self._painter.look(self._renderer.scene, self._typesetter.font)
 
 
 def render_picture_over(
     scene: Scene,
-    photo: Path,
-    camera_file: Path,
     path: Path,
+    options: PictureOptions,
     *,
-    wait: float = 2.0,
+    over: Path,
+    camera_file: Path,
     at: float | None = None,
     offset: float = 0.0,
-    shown: Mapping[str, str] | None = None,
-    selected: str | None = None,
-    clicks: Sequence[Click] = (),
-    quality: Quality = "normal",
 ) -> list[str]:
     """Renders the current state of a scene over a photo, or over a frame of a video.
 
     Args:
         scene: what to show.
-        photo: the file, or a video, of which the frame of that time is taken.
-        camera_file: see `camera_file`.
         path: of the picture; .png, or another format of Pillow.
-        wait: maximum time to wait for the first packet of every source, s.
+        options: of the picture, whose size, camera and eyes are those of the photo.
+        over: the photo, or a video, of which the frame of that time is taken.
+        camera_file: see `camera_file`.
         at: time of recordings and simulations, s after their start; None for the start, or for the
             first frame of a video.
         offset: time of these at the first frame of a video.
-        shown: switches to set, see `view_state.apply_switches`.
-        selected: the joint to be lit.
-        clicks: clicks to perform before rendering.
-        quality: see `HeadlessRenderer`.
 
     Returns:
         names of the sources without data; their robots have the declared pose.
@@ -148,38 +111,30 @@ def render_picture_over(
     Raises:
         SeroError: a problem of the scene, its sources, the camera or a file.
     """
-    if is_photo(photo):
-        pixels, now = read_photo(photo), at or 0.0
-    else:
-        now = offset if at is None else at
-        pixels = read_frame(photo, now - offset)
+    is_video = not is_photo(over)
+    now = (offset if is_video else 0.0) if at is None else at
+    pixels = read_frame(over, now - offset) if is_video else read_photo(over)
     camera = read_camera(camera_file, (pixels.shape[1], pixels.shape[0]))
-    with Mirror(scene) as mirror:
-        if not is_photo(photo):
-            refuse_live(mirror, photo)
-        check_writable(path)
-        with PhotoRenderer(mirror.world, camera, quality) as renderer:
-            silent = mirror.wait(wait)
-            mirror.wait_fresh(min(wait, NEXT_WITHIN), now)
-            apply_switches(mirror.world, renderer.decor.toggles, shown or {}, selected)
-            perform_clicks(renderer, mirror.data, clicks)
-            dpi = PRINT_DPI if quality == "fine" else None
-            save_picture(path, renderer.render(mirror.data, pixels), dpi)
-    return silent
+
+    def painter(mirror: Mirror, options: PictureOptions) -> PhotoRenderer:
+        if is_video:
+            refuse_live(mirror, over)
+        renderer = PhotoRenderer(mirror.world, camera, options.quality)
+        renderer.photo = pixels
+        return renderer
+
+    return render_picture(scene, path, options, at=now, painter=painter)
 
 
 def render_film_over(
     scene: Scene,
     path: Path,
+    options: PictureOptions,
     *,
     over: Path,
     camera_file: Path,
     offset: float = 0.0,
     duration: float | None = None,
-    shown: Mapping[str, str] | None = None,
-    selected: str | None = None,
-    clicks: Sequence[Click] = (),
-    quality: Quality = "normal",
     on_progress: OnProgress | None = None,
 ) -> list[str]:
     """Renders a recording or a simulation over a video, frame by frame.
@@ -189,15 +144,12 @@ def render_film_over(
     Args:
         scene: what to show; its sources are recordings or simulated.
         path: of the film; .mp4, .webm or .gif.
+        options: of the pictures. Clicks are performed before the first frame that shows data.
         over: the video.
         camera_file: see `camera_file`.
         offset: time of the recording, s since it began, at the first frame of the video; see
             `video_offset.find_offset`.
         duration: of the film, s; None for the video's.
-        shown: switches to set, see `view_state.apply_switches`.
-        selected: the joint to be lit.
-        clicks: clicks to perform before the first frame that shows data.
-        quality: see `HeadlessRenderer`.
         on_progress: called with the number of rendered frames and of all frames.
 
     Returns:
@@ -211,35 +163,33 @@ def render_film_over(
         refuse_live(mirror, over)
         begin, end = recorded_span(mirror)
         length = video.duration if duration is None else min(duration, video.duration or duration)
-        fps = min(video.fps, FILMS[path.suffix.lower()].most_fps)
+        fps = min(video.fps, FILMS[check_film(path).suffix.lower()].most_fps)
         if path.suffix.lower() == ".gif":
             fps = min(fps, default_fps(path))
-        count = max(round(length * fps), 1)
-        width, height = video.size
-        with (
-            FilmWriter(path, width, height, fps) as film,
-            PhotoRenderer(mirror.world, camera, quality) as renderer,
-        ):
-            silent = mirror.wait(0.0)
-            apply_switches(mirror.world, renderer.decor.toggles, shown or {}, selected)
-            plain = 0
-            for time, pixels in at_rate(video, fps, duration):
-                now = time + offset
-                if begin <= now <= end:
-                    mirror.advance(now)
-                    perform_clicks(renderer, mirror.data, clicks)
-                    clicks = ()
-                    film.add(renderer.render(mirror.data, pixels))
-                else:
-                    plain += 1
-                    film.add(pixels)
-                if on_progress is not None:
-                    on_progress(film.frames, max(count, film.frames))
+        with PhotoRenderer(mirror.world, camera, options.quality) as renderer:
+            plain = drawn = 0
+
+            def frames() -> Iterator[Pixels]:
+                nonlocal plain, drawn
+                for time, pixels in at_rate(video, fps, duration):
+                    if not begin <= time + offset <= end:
+                        plain += 1
+                        yield pixels
+                        continue
+                    mirror.advance(time + offset)
+                    if not drawn:
+                        perform_clicks(renderer, mirror.data, options.clicks)
+                    drawn += 1
+                    yield renderer.render(mirror.data, pixels)
+
+            silent = write_film(
+                mirror, renderer, path, frames(), fps=fps, count=max(round(length * fps), 1),
+                options=options, on_progress=on_progress,
+            )  # fmt: skip
         if plain:
             span = f"from {begin - offset:.2f} to {end - offset:.2f} s of the video"
-            log.warning(
-                "%d of %d frames are as they were: there are data %s", plain, film.frames, span
-            )
+            what = f"{plain} of {plain + drawn} frames are as they were"
+            log.warning("%s: there are data %s", what, span)
     return silent
 
 

@@ -11,10 +11,10 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Self, get_args
 
 import mujoco
 import numpy as np
@@ -29,25 +29,31 @@ from ..added_surroundings import added_surroundings
 from ..camera import bounding_sphere, find_camera, needed_aspect, stand_back
 from ..decor.font import line_height
 from ..decor.picture_view import PictureView
-from ..decor.toggles import Toggles
 from ..mujoco_private import context_of
-from ..session.interaction import Gesture
-from ..session.picking import TOUCH_TOLERANCE, Picked, Pixel
+from ..session.picking import Pixel
 from ..session.scene_decor import SceneDecor
 from ..session.view_state import apply_switches
-from ..stereo import EYE_DISTANCE, Stereo, anaglyph, check_stereo, each_eye, looked_at
+from ..stereo import anaglyph, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter, compose
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
+from .painter import Painter, perform_clicks
+from .picture_options import (
+    DEFAULT_SIZE,
+    EYE_DISTANCE,
+    Click,
+    FilmOptions,
+    PictureOptions,
+    Quality,
+    Stereo,
+)
 from .textures import upload_textures, without_textures
 
 log = logging.getLogger(__name__)
 
 MAX_SIDE = 16384  # pixels; the limit of Mesa's software renderer
-# `draft` has neither shadows nor multisampling; `fine` is drawn larger and reduced, for print.
-Quality = Literal["draft", "normal", "fine"]
 QUALITIES: tuple[str, ...] = get_args(Quality)
-SUPERSAMPLING = 2  # a side, of `fine`
+SUPERSAMPLING = 2  # a side, of the quality `fine`
 PRINT_DPI = 300
 
 
@@ -99,10 +105,7 @@ def offscreen_size(
         size.offwidth, size.offheight, quality.offsamples, quality.shadowsize = before
 
 
-DEFAULT_SIZE = (1280, 800)
-
-
-class HeadlessRenderer:
+class HeadlessRenderer(Painter):
     """Renders a world into arrays.
 
     Args:
@@ -160,14 +163,17 @@ class HeadlessRenderer:
         self._surroundings = added_surroundings(world, context_of(self._renderer))
         self._typesetter = Typesetter(line_height(world, *self._half))
 
-    @property
-    def toggles(self) -> Toggles:
-        """What is shown; can be set to the toggles of another host."""
-        return self.decor.toggles
-
-    @toggles.setter
-    def toggles(self, toggles: Toggles) -> None:
-        self.decor.toggles = toggles
+    @classmethod
+    def of_scene(cls, mirror: Mirror, options: PictureOptions) -> Self:
+        """Returns a renderer for pictures of a mirrored scene as they were chosen."""
+        return cls(
+            mirror.world,
+            *options.size,
+            options.camera,
+            options.quality,
+            options.stereo,
+            options.eye_distance,
+        )
 
     def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
         """Renders one frame.
@@ -220,61 +226,11 @@ class HeadlessRenderer:
             self._surroundings.add(renderer.scene)
         return PictureView.of_scene(renderer.scene, *self._half, self._typesetter.font)
 
-    def pick(
-        self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
-    ) -> Picked | None:
-        """Returns the item at a pixel, counted from the upper left corner; None for no item.
-
-        Args:
-            data: the world's state, with frames up to date.
-            x: to the right, 0 to width.
-            y: down, 0 to height.
-            tolerance: see `picking.pick`.
-        """
-        return self._lay_out(data).pick(data, self._pixel(x, y), tolerance)
-
-    def click(
-        self,
-        data: mujoco.MjData,
-        x: float,
-        y: float,
-        gesture: Gesture = "click",
-        tolerance: float = 0.0,
-    ) -> Picked | None:
-        """Clicks on a pixel, see `pick`, and returns the item there.
-
-        Args:
-            data: the world's state, with frames up to date.
-            x: to the right, 0 to width.
-            y: down, 0 to height.
-            gesture: a click, one with Shift held, or a double click.
-            tolerance: see `picking.pick`.
-        """
-        return self._lay_out(data).click(data, self._pixel(x, y), gesture, tolerance)
-
-    def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
-        """Moves the pointer to a pixel, see `pick`; the next frames name the item there."""
-        return self._lay_out(data).hover(data, self._pixel(x, y))
-
     def _pixel(self, x: float, y: float) -> Pixel:
         """The pixel of decor, between those of both eyes, at one of the picture."""
         width = self._half[0]
         is_right = self._stereo == "side-by-side" and x >= width
         return self.decor.from_above(x - width if is_right else x, y)
-
-    def _lay_out(self, data: mujoco.MjData) -> SceneDecor:
-        self.decor.lay_out(data, self._look(data))
-        return self.decor
-
-    def close(self) -> None:
-        """Frees the OpenGL context."""
-        self._renderer.close()
-
-    def __enter__(self) -> HeadlessRenderer:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) -> Any:
@@ -308,154 +264,131 @@ def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) 
 
 NEXT_WITHIN = 0.5  # s in which a live source should send its next packet
 MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is probably a typing error
-# Pixel from the upper left corner, x and y; `click`, `shift`, `double` or `hover`; by touch.
-Click = tuple[float, float, str, bool]
 OnProgress = Callable[[int, int], None]
 
 
 def render_picture(
     scene: Scene,
     path: Path | str,
+    options: PictureOptions | None = None,
     *,
-    size: tuple[int, int] = DEFAULT_SIZE,
-    camera: str | None = None,
-    wait: float = 2.0,
-    clicks: Sequence[Click] = (),
-    shown: Mapping[str, str] | None = None,
-    selected: str | None = None,
     at: float = 0.0,
-    quality: Quality = "normal",
-    stereo: Stereo | None = None,
-    eye_distance: float = EYE_DISTANCE,
+    painter: Callable[[Mirror, PictureOptions], Painter] = HeadlessRenderer.of_scene,
+    **keywords: Any,
 ) -> list[str]:
     """Renders a picture of the current state of a scene.
 
     Args:
         scene: what to show.
         path: the file; .png, or another format of Pillow.
-        size: width and height, pixels.
-        camera: see `find_camera`.
-        wait: maximum time to wait for the first packet of every source, s.
-        clicks: clicks to perform before rendering.
-        shown: what is switched on or off, see `apply_switches`.
-        selected: the joint that is lit, `lwr/A2`.
+        options: of the picture; when None they are made of keywords.
         at: time of recordings and simulations, s after their start.
-        quality: see `HeadlessRenderer`; a fine picture says that it has 300 dots per inch.
-        stereo: see `HeadlessRenderer`.
-        eye_distance: likewise.
+        painter: makes what draws the world of a mirror.
+        **keywords: of `PictureOptions`: `size` (width, height), `quality`, `camera`, `stereo`,
+            `eye_distance`, `clicks`, `shown`, `selected`, `wait`.
 
     Returns:
         names of the sources without data; their robots have the declared pose.
 
     Raises:
-        SeroError: a problem of the scene, its sources, the camera or the file.
+        SeroError: a problem of the scene, its sources, the camera, an option or the file.
     """
+    path, options = Path(path), options or PictureOptions(**keywords)
     with Mirror(scene) as mirror:
-        check_writable(Path(path))
-        with HeadlessRenderer(
-            mirror.world, *size, camera, quality, stereo=stereo, eye_distance=eye_distance
-        ) as renderer:
-            silent = mirror.wait(wait)
-            mirror.wait_fresh(min(wait, NEXT_WITHIN), at)
-            apply_switches(mirror.world, renderer.toggles, shown or {}, selected)
-            perform_clicks(renderer, mirror.data, clicks)
-            dpi = PRINT_DPI if quality == "fine" else None
-            save_picture(Path(path), renderer.render(mirror.data), dpi)
+        check_writable(path)
+        with painter(mirror, options) as drawn:
+            silent = mirror.wait(options.wait)
+            mirror.wait_fresh(min(options.wait, NEXT_WITHIN), at)
+            apply_switches(mirror.world, drawn.toggles, options.shown, options.selected)
+            perform_clicks(drawn, mirror.data, options.clicks)
+            dpi = PRINT_DPI if options.quality == "fine" else None
+            save_picture(path, drawn.render(mirror.data), dpi)
     return silent
 
 
 def render_film(
     scene: Scene,
     path: Path | str,
+    options: FilmOptions | None = None,
     *,
-    duration: float = 5.0,
-    fps: float | None = None,
-    size: tuple[int, int] = DEFAULT_SIZE,
-    camera: str | None = None,
-    wait: float = 2.0,
-    clicks: Sequence[Click] = (),
-    shown: Mapping[str, str] | None = None,
-    selected: str | None = None,
-    quality: Quality = "normal",
-    stereo: Stereo | None = None,
-    eye_distance: float = EYE_DISTANCE,
     on_progress: OnProgress | None = None,
+    **keywords: Any,
 ) -> list[str]:
     """Renders a film of a scene, in real time when it has live sources.
 
     Args:
         scene: what to show.
         path: the file; .mp4, .webm or .gif.
-        duration: of the film, s.
-        fps: frames per second; None for 30, or 20 for a GIF.
-        size: width and height, pixels.
-        camera: see `find_camera`.
-        wait: maximum time to wait for the first packet of every source, s.
-        clicks: clicks to perform before the first frame.
-        shown: what is switched on or off, see `apply_switches`.
-        selected: the joint that is lit, `lwr/A2`.
-        quality: see `HeadlessRenderer`.
-        stereo: likewise.
-        eye_distance: likewise.
+        options: of the film; when None they are made of keywords.
         on_progress: called with the number of rendered frames and of all frames.
+        **keywords: of `FilmOptions`: `duration` (s), `fps`, and all of `render_picture`; clicks are
+            performed before the first frame.
 
     Returns:
         names of the sources without data.
 
     Raises:
-        SeroError: a problem of the scene, its sources, the camera or the file.
+        SeroError: a problem of the scene, its sources, the camera, an option or the file.
     """
-    fps = default_fps(path) if fps is None else fps
-    for what, value in (("duration", duration), ("fps", fps)):
-        if not 0 < value < float("inf"):
-            raise RenderError(f"{what} {value}: expected a number above 0")
-    count = max(round(duration * fps), 1)
+    path, options = Path(path), options or FilmOptions(**keywords)
+    fps = options.fps or default_fps(path)
+    count = max(round(options.duration * fps), 1)
     if count > MAX_FRAMES:
         raise RenderError(f"a film of {count} frames: expected at most {MAX_FRAMES}")
-    with Mirror(scene) as mirror:
-        world = mirror.world
-        data = world.make_data()
-        with (
-            FilmWriter(Path(path), *size, fps) as film,
-            HeadlessRenderer(
-                world, *size, camera, quality, stereo=stereo, eye_distance=eye_distance
-            ) as renderer,
-        ):
-            silent = mirror.wait(wait)
-            pixels = np.empty((size[1], size[0], 3), np.uint8)
-            for done, state in enumerate(_states(mirror, count, fps), start=1):
-                restore(world, data, state)
-                if done == 1:
-                    apply_switches(world, renderer.toggles, shown or {}, selected)
-                    perform_clicks(renderer, data, clicks)
-                film.add(renderer.render(data, out=pixels))
-                if on_progress is not None:
-                    on_progress(done, count)
+    with Mirror(scene) as mirror, HeadlessRenderer.of_scene(mirror, options) as renderer:
+        return write_film(
+            mirror, renderer, path, _frames(mirror, renderer, count, fps, options.clicks),
+            fps=fps, count=count, options=options, on_progress=on_progress,
+        )  # fmt: skip
+
+
+def write_film(
+    mirror: Mirror,
+    painter: Painter,
+    path: Path,
+    frames: Iterable[Pixels],
+    *,
+    fps: float,
+    count: int,
+    options: PictureOptions,
+    on_progress: OnProgress | None,
+) -> list[str]:
+    """Writes frames that a painter draws as a film.
+
+    Args:
+        mirror: of the scene.
+        painter: what is on when the first frame is drawn is set before.
+        path: the file.
+        frames: that are drawn one after the other.
+        fps: frames per second.
+        count: of the frames, as far as it is known.
+        options: what is shown, and for how long the first packets are waited for.
+        on_progress: see `render_film`.
+
+    Returns:
+        names of the sources without data.
+    """
+    with FilmWriter(path, *painter.size, fps) as film:
+        silent = mirror.wait(options.wait)
+        apply_switches(mirror.world, painter.toggles, options.shown, options.selected)
+        for frame in frames:
+            film.add(frame)
+            if on_progress is not None:
+                on_progress(film.frames, max(count, film.frames))
     return silent
 
 
-class TakesClicks(Protocol):
-    """A renderer that can be clicked on; see `HeadlessRenderer`."""
-
-    def click(
-        self, data: mujoco.MjData, x: float, y: float, gesture: Gesture, tolerance: float
-    ) -> Picked | None:
-        """Clicks on a pixel and returns the item there."""
-
-    def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
-        """Moves the pointer to a pixel and returns the item there."""
-
-
-def perform_clicks(renderer: TakesClicks, data: mujoco.MjData, clicks: Sequence[Click]) -> None:
-    """Clicks on pixels in their order, and logs what was there."""
-    for x, y, gesture, finger in clicks:
-        if gesture == "hover":
-            picked = renderer.hover(data, x, y)
-        else:
-            tolerance = TOUCH_TOLERANCE if finger else 0.0
-            picked = renderer.click(data, x, y, gesture, tolerance)  # type: ignore[arg-type]
-        what = "nothing there" if picked is None else f"{picked.kind} {picked.name}"
-        log.info("%s at %g,%g: %s", gesture, x, y, what)
+def _frames(
+    mirror: Mirror, renderer: HeadlessRenderer, count: int, fps: float, clicks: Sequence[Click]
+) -> Iterator[Pixels]:
+    """Draws the state at the time of every frame, always into the same array."""
+    data = mirror.world.make_data()
+    pixels = np.empty((*renderer.size[::-1], 3), np.uint8)
+    for k, state in enumerate(_states(mirror, count, fps)):
+        restore(mirror.world, data, state)
+        if k == 0:
+            perform_clicks(renderer, data, clicks)
+        yield renderer.render(data, out=pixels)
 
 
 def _states(mirror: Mirror, count: int, fps: float) -> Iterator[Array]:

@@ -20,7 +20,7 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.external.model_world import ModelWorld
 from ..headless.backend import has_display
 from ..headless.film import Picture
-from ..headless.render import DEFAULT_SIZE
+from ..headless.picture_options import DEFAULT_SIZE
 from ..overlay import Overlay
 from ..tools.robot_inputs import RobotInputs
 from .live import OnClick

@@ -286,7 +286,7 @@ class WebHost(LiveHost):
     @property
     def picture_size(self) -> tuple[int, int]:
         """See `LiveHost`: whatever the size of the page."""
-        from ..headless.render import DEFAULT_SIZE
+        from ..headless.picture_options import DEFAULT_SIZE
 
         return DEFAULT_SIZE
 

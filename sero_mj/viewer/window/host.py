@@ -21,7 +21,7 @@ from ..decor.geom_buffer import CAPACITY
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..headless.film import Pixels
-from ..headless.render import DEFAULT_SIZE
+from ..headless.picture_options import DEFAULT_SIZE, EYE_DISTANCE, Stereo
 from ..session.clock import time_text
 from ..session.input import Clicked, Event, Mouse, Moved
 from ..session.interaction import Row, help_columns, pages
@@ -30,7 +30,7 @@ from ..session.picking import Pixel
 from ..session.scene_decor import SceneDecor
 from ..session.status_line import Piece, status_pieces
 from ..session.tool import tool_keys
-from ..stereo import EYE_DISTANCE, Stereo, check_stereo, each_eye, looked_at
+from ..stereo import check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter
 from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
 from .glfw_window import GlWindow

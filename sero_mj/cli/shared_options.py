@@ -1,0 +1,230 @@
+"""Options that several commands share, by what they are about; commands inherit from them."""
+
+from __future__ import annotations
+
+import json
+import os
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+
+from pydantic import AfterValidator, model_validator
+
+from ..base.declaration import expecting
+from ..base.options import Duration, Option, Options, Time, ending, positional
+from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
+from ..study.figure import SUFFIXES
+from ..viewer.headless.picture_options import EYE_DISTANCE, CameraOptions, StereoOptions
+from ._arguments import read_recorded_run, read_scene, replay_instead
+
+if TYPE_CHECKING:
+    from ..robots.assemble.scene import Scene
+    from ..simulate.runs.run_log import RunLog
+
+File = Annotated[Path, Option("FILE")]
+Recording = Annotated[Path, Option("REC")]
+Figure = Annotated[Path, ending(*SUFFIXES), Option("OUT")]
+Settings = Annotated[list[str], Option("KEY=VALUE", ("--set",))]
+Flag = Annotated[str | None, Option("NAME")]
+
+
+class SceneArgument(Options):
+    """The scene of a command.
+
+    Attributes:
+        scene: scene or robot: a file, or a shipped name.
+    """
+
+    scene: Annotated[str, positional("SCENE")]
+
+
+class JsonOptions(Options):
+    """What is printed.
+
+    Attributes:
+        as_json: print JSON.
+    """
+
+    as_json: Annotated[bool, Option(flags=("--json",))] = False
+
+
+def _package(text: str) -> str:
+    name, equals, folder = text.partition("=")
+    if not (name and equals and Path(folder).is_dir()):
+        found = f"'{folder}', which is no folder" if equals else f"'{text}'"
+        raise ValueError(f"found {found}; expected NAME=DIR, the package's folder")
+    return text
+
+
+def _argument(text: str) -> str:
+    if text.find("=") < 1:
+        raise ValueError(f"found '{text}'; expected NAME=VALUE, an argument of xacro")
+    return text
+
+
+class PackageOptions(Options):
+    """Where robots of URDF files and xacro have their parts.
+
+    Attributes:
+        package: folder of a ROS package that a URDF names; may be repeated.
+        arg: argument of a robot in xacro, e.g. ur_type=ur5e; may be repeated.
+    """
+
+    package: Annotated[list[Annotated[str, AfterValidator(_package)]], Option("NAME=DIR")] = []
+    arg: Annotated[list[Annotated[str, AfterValidator(_argument)]], Option("NAME=VALUE")] = []
+
+    def apply(self) -> None:
+        """Tells this process, and those that it starts, in their environment."""
+        for name, _, folder in (text.partition("=") for text in self.package):
+            known = os.environ.get(PACKAGES_VARIABLE)
+            own = f"{name}={Path(folder).resolve()}"
+            os.environ[PACKAGES_VARIABLE] = f"{own}{os.pathsep}{known}" if known else own
+        if self.arg:
+            given = json.loads(os.environ.get(ARGUMENTS_VARIABLE) or "{}")
+            given |= dict(text.split("=", 1) for text in self.arg)
+            os.environ[ARGUMENTS_VARIABLE] = json.dumps(given)
+
+
+class SettingOptions(PackageOptions):
+    """What is set over a scene.
+
+    Attributes:
+        settings: set a field over the scene's; may be repeated.
+    """
+
+    settings: Annotated[Settings, Option("ROBOT.FIELD=VALUE", ("--set",))] = []
+
+
+class ReplayOptions(Options):
+    """A recording that is played in the place of live sources.
+
+    Attributes:
+        replay: play a recording instead of the live sources.
+        start: where in the recording to begin, s (default: its first packet).
+    """
+
+    replay: Recording | None = None
+    start: Time | None = None
+
+    @model_validator(mode="after")
+    def _check_start(self) -> Self:
+        if self.start is not None and self.replay is None:
+            raise ValueError("--start is for recordings; give --replay REC.mcap as well")
+        return self
+
+
+class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
+    """What is shown of a scene.
+
+    Attributes:
+        look: over the scene's; default light.
+    """
+
+    look: Literal["light", "dark"] | None = None
+
+    def read(self, name: str, *, by_hand: bool = False) -> Scene:
+        """The scene of a name, with what is set over it.
+
+        Args:
+            name: of the scene.
+            by_hand: see `load_scene`.
+        """
+        scene = read_scene(name, self.settings, by_hand=by_hand and self.replay is None)
+        if self.look is not None:
+            scene.view.look = self.look
+        if self.replay is not None:
+            replay_instead(scene, self.replay, self.start)
+        return scene
+
+    def from_its_begin(self) -> Self:
+        """These options with a recording, if any, whose times count from where it begins."""
+        return self if self.replay is None else self.model_copy(update={"start": 0.0})
+
+
+class EyeOptions(StereoOptions):
+    """Pictures for two eyes, in a command."""
+
+    @model_validator(mode="after")
+    def _check_eyes(self) -> Self:
+        if self.stereo is None and self.eye_distance != EYE_DISTANCE:
+            raise ValueError(
+                "--eye-distance is for --stereo side-by-side or anaglyph; give it as well"
+            )
+        return self
+
+
+class OverOptions(Options):
+    """What a scene is drawn over.
+
+    Attributes:
+        over: draw over a photo or a video of the real robot.
+        camera_file: the camera that took it; YAML or TOML.
+        offset: time of the recording when the video begins, s since the recording began; auto (the
+            default) finds it from the motion in both.
+    """
+
+    title: ClassVar[str] = "to draw over what a camera has seen"
+    over: Annotated[str | None, Option("FILE")] = None
+    camera_file: File | None = None
+    offset: Annotated[float | Literal["auto"] | None, expecting("s, or auto"), Option("S")] = None
+
+    @model_validator(mode="after")
+    def _check_over(self) -> Self:
+        if self.over is None:
+            self.refuse(("camera_file", "offset"), " is for --over; give it as well")
+        elif self.camera_file is None:
+            raise ValueError(
+                "--over needs the camera that took it: --camera-file CAMERA.yaml or .toml; "
+                "`sero-mj calibrate` writes one"
+            )
+        return self
+
+
+class RunOptions(Options):
+    """How recordings of robots are read.
+
+    Attributes:
+        scene: robots and routes, where a recording has none, or of tables (default: what is in it).
+        source: which source (default: all).
+    """
+
+    scene: str | None = None
+    source: Flag = None
+
+    @cached_property
+    def _declared(self) -> Scene | None:
+        return None if self.scene is None else read_scene(self.scene)
+
+    def read(self, path: Path, source: str | None) -> RunLog:
+        """Reads a recording or a table.
+
+        Args:
+            path: of the file.
+            source: of its sources; all when None.
+        """
+        return read_recorded_run(path, source, self._declared)
+
+
+class PartOptions(RunOptions):
+    """What of recordings is looked at.
+
+    Attributes:
+        begin: from this time on, s.
+        end: up to this time, s.
+    """
+
+    begin: Annotated[Time | None, Option("S", ("--from",))] = None
+    end: Annotated[Duration | None, Option("S", ("--to",))] = None
+
+    @model_validator(mode="after")
+    def _check_part(self) -> Self:
+        if self.begin is not None and self.end is not None and self.end <= self.begin:
+            raise ValueError(f"--to: found {self.end:g}; expected more than {self.begin:g} s")
+        return self
+
+    def read_part(self, path: Path) -> RunLog:
+        """Reads of a recording or a table the source and the time that were asked for."""
+        log = self.read(path, self.source)
+        if self.begin is None and self.end is None:
+            return log
+        return log.between(self.begin, self.end)

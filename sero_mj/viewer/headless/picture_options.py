@@ -1,0 +1,114 @@
+"""What can be chosen of pictures and films, in Python and in commands."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator
+
+from ...base.declaration import expecting
+from ...base.options import Duration, Option, Options, Positive, Size, Time
+
+Quality = Literal["draft", "normal", "fine"]
+Stereo = Literal["side-by-side", "anaglyph"]
+DEFAULT_SIZE = (1280, 800)
+EYE_DISTANCE = 0.065  # m, of people
+_GESTURES = ("shift", "double", "hover")
+
+
+def _click(value: Any) -> Any:
+    """X,Y or X,Y,HOW as a click."""
+    if not isinstance(value, str):
+        return value
+    x, y, *how = value.split(",")
+    gestures = [word for word in how if word in _GESTURES]
+    if len(gestures) > 1 or not {*how} <= {*gestures, "touch"}:
+        raise ValueError(how)
+    return float(x), float(y), gestures[0] if gestures else "click", "touch" in how
+
+
+def _switches(value: Any) -> Any:
+    """NAME=DIGITS of each option as a mapping."""
+    if not isinstance(value, list):
+        return {} if value is None else value
+    parts = [text.partition("=") for text in value]
+    for text, (_, equals, digits) in zip(value, parts, strict=True):
+        if not (equals and digits.isdecimal()):
+            raise ValueError(f"found '{text}'; expected NAME=0 or NAME=1, arrows=1 say")
+    return {name: digits for name, _, digits in parts}
+
+
+Rate = Annotated[Positive, Option("N")]
+# Pixel from the upper left corner, x and y; `click`, `shift`, `double` or `hover`; by touch.
+Click = tuple[float, float, str, bool]
+Switches = Annotated[dict[str, str], BeforeValidator(_switches)]
+_GivenClick = Annotated[
+    Click,
+    BeforeValidator(_click),
+    expecting("X,Y in pixels, or X,Y and shift, double, hover or touch"),
+]
+
+
+class SizeOptions(Options):
+    """How large and how fine pictures are.
+
+    Attributes:
+        size: width and height, pixels.
+        quality: draft: neither shadows nor smooth edges, in a fraction of the time where OpenGL is
+            software; fine: for print, with 300 dots per inch.
+    """
+
+    size: Size = DEFAULT_SIZE
+    quality: Quality = "normal"
+
+
+class StereoOptions(Options):
+    """Pictures for two eyes.
+
+    Attributes:
+        stereo: for two eyes: a half of the picture for each, or for red-cyan glasses.
+        eye_distance: between the eyes, m; more shows more depth.
+    """
+
+    stereo: Stereo | None = None
+    eye_distance: Annotated[Positive, Option("M")] = EYE_DISTANCE
+
+
+class CameraOptions(Options):
+    """From where a scene is seen.
+
+    Attributes:
+        camera: name of a camera, or azimuth,elevation,distance in degrees and m.
+    """
+
+    camera: Annotated[str | None, Option("CAM")] = None
+
+
+class PictureOptions(SizeOptions, StereoOptions, CameraOptions):
+    """What can be chosen of a picture of a scene; its fields are keywords of `render_picture`.
+
+    Attributes:
+        clicks: click on a pixel, counted from the upper left, before rendering; HOW is shift,
+            double, hover or touch (as with a finger); may be repeated.
+        shown: switch arrows, billboards, axes, legend, ... on or off: a digit for all of them, or
+            one for each joint, frame, ...; may be repeated.
+        selected: light a joint, as one that was clicked on is.
+        wait: how long to wait for the first packet of every source, s.
+    """
+
+    clicks: Annotated[list[_GivenClick], Option("X,Y[,HOW]", ("--click",))] = []
+    shown: Annotated[Switches, Option("NAME=0|1", ("--show",))] = {}
+    selected: Annotated[str | None, Option("ROBOT/JOINT", ("--select",))] = None
+    wait: Time = 2.0
+
+
+class FilmOptions(PictureOptions):
+    """What can be chosen of a film of a scene; its fields are keywords of `render_film`.
+
+    Attributes:
+        duration: length of a film, s.
+        fps: frames per second (default 30; of a GIF 20).
+    """
+
+    duration: Duration = 5.0
+    fps: Rate | None = None
