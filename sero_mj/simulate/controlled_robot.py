@@ -17,7 +17,7 @@ from .control.plan import Plan
 from .control.robot_model import RobotModel
 from .control.torque_loop import HangingLinks
 from .drives import Drives
-from .plant import Plant
+from .plant_rows import PlantRow
 from .scenario import Scenario
 
 _ROUNDS = 30  # of `HangingLinks`: what is left of the first is less than 0.2 %
@@ -51,7 +51,7 @@ class ControlledRobot:
         self,
         robot: SerialRobot,
         scenario: Scenario,
-        plant: Plant,
+        plant: PlantRow,
         drives: Drives | None,
         make_model: Callable[[SerialRobot], RobotModel],
         plan: Plan,

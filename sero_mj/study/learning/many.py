@@ -27,6 +27,7 @@ from ...simulate.fault_schedule import FaultSchedule
 from ...simulate.plant_rows import PlantRows
 from ...simulate.rows import ManyRows
 from ...simulate.runs.run_log import MEASURED
+from ...simulate.sensors import Sensors
 from .actions import checked_action
 from .environment import Environment
 from .tasks import ManyEpisodes, ManyStates
@@ -210,7 +211,8 @@ class Lane:
         world, scenario = environment.world, environment.scenario
         self._worlds = ManyRows(world.physics_model(), m, is_pushed=task.pushes)
         self.batch = self._worlds.batch
-        self.plant = plant = PlantRows(world, self._worlds, scenario.make_sensors(0, m))
+        sensors = Sensors.joined([scenario.make_sensors(0) for _ in range(m)])
+        self.plant = plant = PlantRows(world, self._worlds, sensors)
         self._drives = None
         if environment.simulation.drives is not None:
             self._drives = Drives(plant, environment.simulation.robots, scenario.run)
@@ -254,7 +256,7 @@ class Lane:
         self.plant.place(k, self._environment.plant)
         self._k[k], self._gains[k] = 0, 1.0
         self._faults[k] = due = DueActions(self._environment.scenario.run.timestep)
-        FaultSchedule(self._environment.scenario, self.plant, due, self._gains[k])
+        FaultSchedule(self._environment.scenario, self.plant.each[k], due, self._gains[k])
 
     def begin(self, which: Bools) -> None:
         """Begins an episode of some of the robots, which have been placed, (m,)."""
@@ -311,8 +313,7 @@ class Lane:
         """Lets faults begin and end that are due now in some of the robots."""
         if self._environment.scenario.faults:
             for row in np.flatnonzero(which).tolist():
-                with self.plant.sensors.only(row):
-                    self._faults[row].act(int(self._k[row]))
+                self._faults[row].act(int(self._k[row]))
         self._k += which
 
     def _begin_pushes(self, forces: Array) -> None:
