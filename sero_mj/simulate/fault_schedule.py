@@ -41,7 +41,7 @@ class FaultSchedule:
         self._apply(fault)
 
     def _apply(self, fault: Fault) -> None:
-        with self._plant.sensors.only(self._plant.row):
+        with self._plant.sensors.only(self._plant.index):
             fault.apply(self._plant, fault.rows(self._scenario.scene.robots), self._gains)
 
     def _end(self, fault: Fault) -> None:
@@ -54,7 +54,7 @@ class FaultSchedule:
                 self._apply(other)
 
         if fault.part == "sensors":
-            with self._plant.sensors.only(self._plant.row):
+            with self._plant.sensors.only(self._plant.index):
                 self._plant.sensors.end_faults(apply_others)
             return
         if fault.part == "drives":

@@ -12,7 +12,7 @@ from ..base.declaration import numbers
 from ..base.frames import Array
 from ..robots.assemble.world import World
 from .plant_rows import PlantRow, PlantRows
-from .rows import OneRow
+from .rows import OneRow, RowIndex
 from .sensors import Sensors
 
 
@@ -37,6 +37,8 @@ class Plant(PlantRows, PlantRow):
         ValueError: the world is not dynamic, or the timestep not positive.
     """
 
+    index: RowIndex = ...
+
     def __init__(
         self, world: World, sensors: Sensors | None = None, timestep: float | None = None
     ) -> None:
@@ -49,9 +51,13 @@ class Plant(PlantRows, PlantRow):
         super().__init__(world, OneRow(world.model, world.make_data()), sensors)
         self._settle()
 
-    def _make_each(self) -> list[PlantRow]:
-        PlantRow.__init__(self, self, ...)  # the only row is the plant itself
-        return [self]
+    @property
+    def _plant(self) -> Plant:  # type: ignore[override]
+        return self
+
+    def row(self, row: RowIndex) -> Plant:
+        """Itself: it has no other row."""
+        return self
 
     @property
     def time(self) -> float:
@@ -75,7 +81,7 @@ class Plant(PlantRows, PlantRow):
             ValueError: not n finite numbers.
         """
         self.world.reset(self.data)
-        self._pushes.clear()
+        self.pushes[...].clear()
         self.rows.applied[:] = self.pushed[:] = 0.0
         if joint_angles is not None:
             angles = numbers(joint_angles)

@@ -41,8 +41,8 @@ class PlantRows:
         motor_velocities: (n,), likewise, rad/s.
         sensors: as given.
         timestep: of a step, s.
-        each: the robots of every row by themselves.
-        has_pushes: whether any push acts, or did in the last step.
+        pushes: that act, of every row.
+        has_pushes: whether any acts, or did in the last step.
         pushed: (nv,), torques of pushes in the last step, Nm or N.
         failed: what was wrong with rows of many, which take no part since.
 
@@ -69,10 +69,11 @@ class PlantRows:
         self.failed: dict[RowIndex, SimulationError] = {}
         self.has_pushes = False
         self.pushed: Array = np.zeros((*rows.shape, world.model.nv))
-        self.each = self._make_each()
+        self.pushes: dict[RowIndex, list[Push]] = {row: [] for row in rows.indices}
 
-    def _make_each(self) -> list[PlantRow]:
-        return [PlantRow(self, row) for row in self.rows.indices]
+    def row(self, row: RowIndex) -> PlantRow:
+        """The robots of a row by themselves."""
+        return PlantRow(self, row)
 
     @property
     def actual(self) -> Array:
@@ -107,16 +108,16 @@ class PlantRows:
 
     def _refuse_torques(self) -> None:
         """Raises the only row's error; of many those concerned take no further part."""
-        for each in self.each:
-            torques = self.joints.motor_torques[each.row]
+        for row in self.rows.indices:
+            torques = self.joints.motor_torques[row]
             if not np.vdot(torques, torques) < MAX_TORQUE**2:
-                self._fail(each, each.torque_error())
+                self._fail(row, self.row(row).torque_error())
 
-    def _fail(self, each: PlantRow, error: SimulationError) -> None:
+    def _fail(self, row: RowIndex, error: SimulationError) -> None:
         if isinstance(self.rows, OneRow):
             raise error
-        self.failed[each.row] = error
-        self.rows.drop(each.row)
+        self.failed[row] = error
+        self.rows.drop(row)
 
     def step_given(self) -> Array:
         """Simulates one timestep with what is in `joints.motor_torques`, which is not looked at.
@@ -129,9 +130,9 @@ class PlantRows:
         """
         joints = self.joints
         if not joints.advance(self._gather_pushes()):
-            for each in self.each:
-                if self.rows.is_broken(each.row):
-                    self._fail(each, each.motion_error())
+            for row in self.rows.indices:
+                if self.rows.is_broken(row):
+                    self._fail(row, self.row(row).motion_error())
         sensors = self.sensors
         if sensors.is_perfect:
             joints.read(self._measured_readings)
@@ -154,8 +155,14 @@ class PlantRows:
         if not self.has_pushes:
             return None
         self.rows.applied[...] = self.pushed[...] = 0.0
-        acting = [each.apply_pushes(self.pushed[each.row]) for each in self.each]
-        self.has_pushes = any(acting)
+        self.has_pushes = False
+        for row, pushes in self.pushes.items():
+            if pushes:
+                self.rows.look_ahead(row)
+                model, data = self.rows.model_of(row), self.rows.data_of(row)
+                for push in pushes:
+                    push.apply(model, data, self.pushed[row])
+                self.has_pushes = True
         return self.pushed
 
 
@@ -169,7 +176,7 @@ class PlantRow:
     Attributes:
         world: with the robots' names.
         rows: all rows, in MuJoCo.
-        row: as given.
+        index: its place in arrays of all rows.
         n: number of joints of all robots together.
         timestep: of a step, s.
         sensors: of all rows.
@@ -180,34 +187,34 @@ class PlantRow:
     """
 
     def __init__(self, plant: PlantRows, row: RowIndex) -> None:
-        self.world, self.rows, self.row = plant.world, plant.rows, row
+        self.world, self.rows, self.index = plant.world, plant.rows, row
         self.n, self.timestep, self.sensors = plant.n, plant.timestep, plant.sensors
         self.measured = plant.measured[row]
         self.motor_angles, self.motor_velocities = (
             plant.motor_angles[row],
             plant.motor_velocities[row],
         )
-        self._plant, self._pushes = plant, list[Push]()
+        self._plant = plant
 
     @property
     def actual(self) -> Array:
         """See `PlantRows`; (3, n)."""
-        return self._plant.actual[self.row]
+        return self._plant.actual[self.index]
 
     @property
     def model(self) -> mujoco.MjModel:
         """Its `MjModel`; payloads and frictions change it."""
-        return self.rows.model_of(self.row)
+        return self.rows.model_of(self.index)
 
     @property
     def data(self) -> mujoco.MjData:
         """Its `MjData`; with many rows a copy, until that of the next row is asked for."""
-        return self.rows.data_of(self.row)
+        return self.rows.data_of(self.index)
 
     @property
     def qpos(self) -> Array:
         """MuJoCo's coordinates, (nq,), in place."""
-        return self.rows.qpos[self.row]
+        return self.rows.qpos[self.index]
 
     def push(
         self,
@@ -237,31 +244,15 @@ class PlantRow:
 
     def add_push(self, push: P) -> P:
         """Lets a push act until `release`, see `push`."""
-        self._pushes.append(push)
+        self._plant.pushes[self.index].append(push)
         self._plant.has_pushes = True
         return push
 
     def release(self, push: Push) -> None:
         """Ends a push; nothing happens if it has ended."""
-        if push in self._pushes:
-            self._pushes.remove(push)
-
-    def apply_pushes(self, torques: Array) -> bool:
-        """Adds what pushes do at the joints now.
-
-        Args:
-            torques: (nv,), Nm or N, to which it is added.
-
-        Returns:
-            whether there are any.
-        """
-        if not self._pushes:
-            return False
-        self.rows.look_ahead(self.row)
-        model, data = self.model, self.data
-        for push in self._pushes:
-            push.apply(model, data, torques)
-        return True
+        pushes = self._plant.pushes[self.index]
+        if push in pushes:
+            pushes.remove(push)
 
     def attach_payload(
         self,
@@ -284,8 +275,8 @@ class PlantRow:
             ValueError: no rigid body has this mass and inertia.
         """
         self._part(robot)
-        attach_payload(self.rows.own_model(self.row), robot, mass, center_of_mass, inertia)
-        self.rows.refresh(self.row)
+        attach_payload(self.rows.own_model(self.index), robot, mass, center_of_mass, inertia)
+        self.rows.refresh(self.index)
 
     def detach_payload(self, robot: str) -> None:
         """Takes a robot's payload away.
@@ -294,12 +285,12 @@ class PlantRow:
             UnknownName: no such robot.
         """
         self._part(robot)
-        detach_payload(self.rows.own_model(self.row), robot)
-        self.rows.refresh(self.row)
+        detach_payload(self.rows.own_model(self.index), robot)
+        self.rows.refresh(self.index)
 
     def flange(self, robot: str) -> Array:
         """T_world_flange now, (4, 4), m: the true one, in an array of its own."""
-        self.rows.look_ahead(self.row)
+        self.rows.look_ahead(self.index)
         frame, body, data = np.eye(4), self._part(robot).flange_body, self.data
         frame[:3, :3] = data.xmat[body].reshape(3, 3)
         frame[:3, 3] = data.xpos[body]
@@ -318,7 +309,7 @@ class PlantRow:
 
     def torque_error(self) -> SimulationError:
         """What is wrong with the motor torques, which are zero afterwards."""
-        torques = self._plant.joints.motor_torques[self.row]
+        torques = self._plant.joints.motor_torques[self.index]
         joint = int(np.argmax(~(np.abs(torques) < MAX_TORQUE / np.sqrt(self.n))))
         reason = f"found a motor torque of {torques[joint]:g} Nm; expected a finite one, below 1e9"
         torques[:] = 0.0
@@ -326,7 +317,7 @@ class PlantRow:
 
     def motion_error(self) -> SimulationError:
         """In which joint the motion has become unstable, and how."""
-        time, accelerations = self.rows.broken_at(self.row)
+        time, accelerations = self.rows.broken_at(self.index)
         found = accelerations[self._plant.joints.motor_dofs]
         broken = ~(np.abs(found) < mujoco.mjMAXVAL)
         parts = self.world.robots.values()

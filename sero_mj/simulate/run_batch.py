@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import Protocol
+from weakref import ref
 
 import numpy as np
 
@@ -20,17 +21,37 @@ from ..robots.assemble.world import World
 from .control.compiler import Compiler, fingerprint
 from .drives import Drives
 from .plant import Plant
-from .plant_rows import PlantRows
+from .plant_rows import PlantRow, PlantRows
 from .rows import ManyRows
-from .runs.run_log import ACTUAL, DRIVEN, MEASURED
+from .runs.run_log import ACTUAL, DRIVEN, MEASURED, RunLayout
 from .scenario import Scenario
 from .sensors import Sensors
 
-if TYPE_CHECKING:
-    from .simulation import Simulation
-
 # Of a run's declaration, what may differ between those of a batch.
 _OWN = ("seed", "observer_gain", "show_targets", "show_paths")
+
+
+class BatchedRun(Protocol):
+    """What a batch knows of its runs; see `Simulation`."""
+
+    scenario: Scenario
+    plant: PlantRow
+    layout: RunLayout
+    step: int
+    error: SimulationError | None
+
+    @property
+    def time(self) -> float:
+        """Until when it has been simulated, s."""
+
+    def open_log(self, rows: Array) -> None:
+        """Begins to write a log, (T, width)."""
+
+    def prepare(self, k: int) -> None:
+        """Lets controllers and events act in the step that leads on from row k of the log."""
+
+    def finish(self, k: int) -> None:
+        """Ends the step that has led to row k of the log."""
 
 
 def batch_key(scenario: Scenario) -> object:
@@ -64,7 +85,6 @@ class RunBatch:
         drive: (m, 2, n), torques, Nm or N: commanded, and asked for before the limits; without the
             axis of the runs where there is one, as all that follows.
         gains: (m, n), factors of the commanded torques, after the limits: those of faulty drives.
-        going: the runs that nothing has ended.
     """
 
     def __init__(
@@ -93,7 +113,7 @@ class RunBatch:
         shape = self.plant.rows.shape
         self.drive: Array = np.zeros((*shape, 2, self.plant.n))
         self.gains: Array = np.ones((*shape, self.plant.n))
-        self.going: list[Simulation] = []
+        self._runs: list[ref[BatchedRun]] = []  # a run that nobody has any more is not simulated
         self._limit_speeds(run.runaway_speed)
 
     def _stripped(self, scenario: Scenario) -> Scene:
@@ -129,11 +149,11 @@ class RunBatch:
         self._surely_slow = float(self._fastest.min()) ** 2
         self._motor_speeds = self.plant.motor_velocities if self.plant.joints.elastic else None
 
-    def begin(self, runs: Sequence[Simulation]) -> None:
+    def begin(self, runs: Sequence[BatchedRun]) -> None:
         """Makes the logs of runs that begin, at rest."""
-        self.going = list(runs)
+        self._runs = [ref(run) for run in runs]
         steps, width = runs[0].scenario.run.steps, max(run.layout.width for run in runs)
-        log: Array = np.zeros((len(self.plant.each), steps + 1, width))
+        log: Array = np.zeros((len(self.plant.rows.indices), steps + 1, width))
         # Views (T, m, signals, n): those of all robots lie in a row.
         by_time = log.swapaxes(0, 1) if self.plant.rows.shape else log[0]
         self._measured, self._actual, self._driven = (
@@ -145,7 +165,7 @@ class RunBatch:
         self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
         self._driven[0, ..., 0, :] = self.plant.actual[..., 2, :]  # what holds it at rest
         for run in runs:
-            row = run.plant.row
+            row = run.plant.index
             run.open_log(log[0 if row is ... else row, :, : run.layout.width])
 
     def advance(self, to_step: int) -> None:
@@ -155,60 +175,63 @@ class RunBatch:
             SimulationError: the only run cannot go on. Of several that run has the error, and the
                 others go on.
         """
-        if not self.going:
+        held = [run() for run in self._runs]
+        going = [run for run in held if run is not None and run.error is None]
+        if not going:
             return
-        first = self.going[0].step + 1
-        if isinstance(self.plant.rows, ManyRows):
-            going = {run.plant.row for run in self.going}
-            self.plant.rows.begin(np.array([each.row in going for each in self.plant.each]))
+        first, rows = going[0].step + 1, self.plant.rows
+        if isinstance(rows, ManyRows):
+            indices = {run.plant.index for run in going}
+            rows.begin(np.array([index in indices for index in rows.indices]))
         try:
-            self._make_steps(first, to_step + 1)
+            self._make_steps(going, first, to_step + 1)
         finally:
             written = self._driven[first : to_step + 1]
             written[..., 1, :] = written[..., 0, :] != written[..., 1, :]  # saturated, or not
 
-    def _make_steps(self, first: int, stop: int) -> None:
+    def _make_steps(self, going: list[BatchedRun], first: int, stop: int) -> None:
         plant, commanded, gains = self.plant, self.drive[..., 0, :], self.gains
         measured, actual, driven = self._measured, self._actual, self._driven
         slow, motor_speeds = self._surely_slow, self._motor_speeds
         move = plant.step if self.drives is None else self.drives.step
         for k in range(first, stop):
-            for run in self.going[:]:
+            for run in going[:]:
                 try:
                     run.prepare(k - 1)
                 except SimulationError as error:
-                    self._end(run, error)
+                    self._end(going, run, error)
             move(commanded * gains)
             if plant.failed:
-                self._end_failed()
+                self._end_failed(going)
             measured[k], actual[k], driven[k] = plant.measured, plant.actual, self.drive
-            for run in self.going:
+            for run in going:
                 run.finish(k)
             speeds = actual[k, ..., 1, :]
             if np.vdot(speeds, speeds) > slow or (
                 motor_speeds is not None and np.vdot(motor_speeds, motor_speeds) > slow
             ):
-                self._stop_runaways(speeds)
+                self._stop_runaways(going, speeds)
 
-    def _end(self, run: Simulation, error: SimulationError) -> None:
+    def _end(self, going: list[BatchedRun], run: BatchedRun, error: SimulationError) -> None:
         """Ends a run among others; raises the error of the only one."""
-        if isinstance(self.plant.rows, ManyRows):
-            self.plant.rows.drop(run.plant.row)
-            self.going.remove(run)
-            run.error = error
-            return
-        raise error
+        if not isinstance(self.plant.rows, ManyRows):
+            raise error
+        self.plant.rows.drop(run.plant.index)
+        self.drive[run.plant.index] = 0.0
+        going.remove(run)
+        run.error = error
 
-    def _end_failed(self) -> None:
+    def _end_failed(self, going: list[BatchedRun]) -> None:
         """Ends the runs whose robots have failed in this step."""
-        for run in self.going[:]:
-            if run.plant.row in self.plant.failed:
-                self._end(run, self.plant.failed.pop(run.plant.row))
+        for run in going[:]:
+            if run.plant.index in self.plant.failed:
+                self._end(going, run, self.plant.failed.pop(run.plant.index))
 
-    def _stop_runaways(self, speeds: Array) -> None:
+    def _stop_runaways(self, going: list[BatchedRun], speeds: Array) -> None:
         """Ends runs in which a joint, or the motor of an elastic one, has run away.
 
         Args:
+            going: the runs that go on.
             speeds: (m, n), of the links now, rad/s or m/s.
         """
         speeds = np.abs(speeds)
@@ -216,10 +239,10 @@ class RunBatch:
             speeds = np.maximum(speeds, np.abs(self._motor_speeds))
         if not (speeds > self._fastest).any():
             return
-        for run in self.going[:]:
-            own = speeds[run.plant.row]
+        for run in going[:]:
+            own = speeds[run.plant.index]
             if (own > self._fastest).any():
-                self._end(run, self._runaway_error(run.time, own))
+                self._end(going, run, self._runaway_error(run.time, own))
 
     def _runaway_error(self, time: float, speeds: Array) -> SimulationError:
         joints = [(robot, j) for robot in self.robots.values() for j in range(robot.n)]

@@ -92,7 +92,11 @@ class Simulation:
     def _join(self, scenario: Scenario, batch: RunBatch, row: int) -> None:
         """Takes its place in a batch."""
         self.scenario, self._batch = scenario, batch
-        self.robots, self.plant, self.drives = batch.robots, batch.plant.each[row], batch.drives
+        self.robots, self.plant, self.drives = (
+            batch.robots,
+            batch.plant.row(batch.plant.rows.indices[row]),
+            batch.drives,
+        )
         self.error: SimulationError | None = None
         self.drag_force = self.live = None
         world, run = self.plant.world, scenario.run
@@ -184,7 +188,7 @@ class Simulation:
             start: (n,), of all robots together, rad or m.
         """
         self.step, self._start = 0, start
-        run, parts, row = self.scenario.run, self.plant.world.robots, self.plant.row
+        run, parts, row = self.scenario.run, self.plant.world.robots, self.plant.index
         self.times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
         angles = {name: start[part.joints] for name, part in parts.items()}
         bases = base_frames(self.robots, angles)
@@ -234,7 +238,6 @@ class Simulation:
         """
         self.rows, columns = rows, self.layout.columns
         rows[:, 0] = self.times
-        self.times = rows[:, 0]
         self._fill_targets(self._plans)
         self._schedule.fill(columns, rows)
         blocks = self.layout.block(MEASURED), self.layout.block(ESTIMATED)
@@ -387,7 +390,7 @@ class Simulation:
         """
         if self._free:
             self._write_free(k)
-        if self._contacts is not None and self.plant.rows.is_touching(self.plant.row):
+        if self._contacts is not None and self.plant.rows.is_touching(self.plant.index):
             self._write_contacts(k, self._contacts.update(self.plant.model, self.plant.data))
         for act in self._after:
             act(k)

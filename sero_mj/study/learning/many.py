@@ -256,7 +256,7 @@ class Lane:
         self.plant.place(k, self._environment.plant)
         self._k[k], self._gains[k] = 0, 1.0
         self._faults[k] = due = DueActions(self._environment.scenario.run.timestep)
-        FaultSchedule(self._environment.scenario, self.plant.each[k], due, self._gains[k])
+        FaultSchedule(self._environment.scenario, self.plant.row(k), due, self._gains[k])
 
     def begin(self, which: Bools) -> None:
         """Begins an episode of some of the robots, which have been placed, (m,)."""
