@@ -16,13 +16,17 @@ import numpy as np
 from ..base.errors import DeclarationError, SimulationError
 from ..base.frames import Array
 from ..robots.assemble.joint_speeds import joint_speeds
+from ..robots.assemble.robot import SerialRobot
 from ..robots.assemble.scene import Scene
 from ..robots.assemble.world import World
 from .control.compiler import Compiler, fingerprint
+from .control.robot_model import RobotModel
+from .control.whole_body import WholeBody
+from .controlled_robot import ControlledRobot, RobotControl, join
 from .drives import Drives
 from .plant import Plant
 from .plant_rows import PlantRow, PlantRows
-from .rows import ManyRows
+from .rows import ManyRows, OneRow, RowIndex
 from .runs.run_log import ACTUAL, DRIVEN, MEASURED, RunLayout
 from .scenario import Scenario
 from .sensors import Sensors
@@ -37,12 +41,17 @@ class BatchedRun(Protocol):
     scenario: Scenario
     plant: PlantRow
     layout: RunLayout
+    controlled: list[ControlledRobot]
+    times: Array
     step: int
     error: SimulationError | None
 
     @property
     def time(self) -> float:
         """Until when it has been simulated, s."""
+
+    def robot_model(self, robot: SerialRobot) -> RobotModel:
+        """A new model of a robot for its controller."""
 
     def open_log(self, rows: Array) -> None:
         """Begins to write a log, (T, width)."""
@@ -167,6 +176,20 @@ class RunBatch:
         for run in runs:
             row = run.plant.index
             run.open_log(log[0 if row is ... else row, :, : run.layout.width])
+        self._joined = self._join({run.plant.index: run for run in runs})
+
+    def _join(self, runs: dict[RowIndex, BatchedRun]) -> list[RobotControl]:
+        """Controls robots in all rows at once where their controllers have a form for that."""
+        plant, rows = self.plant, self.plant.rows
+        # What mounted robots know of each other is asked for row by row.
+        if isinstance(rows, OneRow) or WholeBody.is_needed(plant.world):
+            return []
+        first = next(iter(runs.values()))  # stands in for runs that could not be made
+        found = []
+        for number, robot in enumerate(first.controlled):
+            each = [runs.get(index, first).controlled[number] for index in rows.indices]
+            found.append(join(each, plant, self.drive, first.robot_model(robot.robot)))
+        return [one for one in found if one is not None]
 
     def advance(self, to_step: int) -> None:
         """Simulates all runs that go on until a step, see `Simulation.advance`.
@@ -190,16 +213,25 @@ class RunBatch:
             written[..., 1, :] = written[..., 0, :] != written[..., 1, :]  # saturated, or not
 
     def _make_steps(self, going: list[BatchedRun], first: int, stop: int) -> None:
+        joined = self._joined
         plant, commanded, gains = self.plant, self.drive[..., 0, :], self.gains
         measured, actual, driven = self._measured, self._actual, self._driven
         slow, motor_speeds = self._surely_slow, self._motor_speeds
         move = plant.step if self.drives is None else self.drives.step
         for k in range(first, stop):
+            if not going:
+                return
             for run in going[:]:
                 try:
                     run.prepare(k - 1)
                 except SimulationError as error:
                     self._end(going, run, error)
+            if joined:
+                time = float(going[0].times[k - 1])
+                for control in joined:
+                    control.command(k - 1, time)
+                if not np.isfinite(self.drive).all():
+                    self._end_not_finite(going)
             move(commanded * gains)
             if plant.failed:
                 self._end_failed(going)
@@ -220,6 +252,15 @@ class RunBatch:
         self.drive[run.plant.index] = 0.0
         going.remove(run)
         run.error = error
+
+    def _end_not_finite(self, going: list[BatchedRun]) -> None:
+        """Ends the runs whose controllers ask for torques that are not finite."""
+        for run in going[:]:
+            for control in self._joined:
+                index = run.plant.index
+                if run in going and not np.isfinite(control.requested[index]).all():
+                    error = control.controller.not_finite(control.sensed, index)
+                    self._end(going, run, error)
 
     def _end_failed(self, going: list[BatchedRun]) -> None:
         """Ends the runs whose robots have failed in this step."""

@@ -55,6 +55,7 @@ class Simulation:
         layout: of the log's rows.
         rows: (steps + 1, width), the log; rows behind `step` hold targets only.
         times: (steps + 1,), of the rows, s.
+        controlled: the robots with their controllers, in the order of `robots`.
         step: how many steps have been made.
         whole_body: what the controllers of mounted robots know of each other; None where none is.
         hand: pulls them by hand; None without.
@@ -168,7 +169,7 @@ class Simulation:
 
     def _check_gains(self, start: Array) -> None:
         """Refuses gains, of controllers and of the torque loop, that the time steps cannot hold."""
-        robots = dict(zip(self.robots, self._robots, strict=True))
+        robots = dict(zip(self.robots, self.controlled, strict=True))
         self._of_robots(
             "controllers", lambda name: robots[name].controller.check(start[robots[name].joints])
         )
@@ -214,7 +215,7 @@ class Simulation:
         self._plans = self._of_robots("targets", plan)
         self._schedule = EventSchedule(self.scenario, self.plant, run.steps, self._batch.gains[row])
         self.layout = self._make_layout(self._plans)
-        self._robots = list(
+        self.controlled = list(
             self._of_robots(
                 "controllers",
                 lambda name: ControlledRobot(
@@ -250,7 +251,9 @@ class Simulation:
         if self.drag_force is not None:
             self.drag_force.begin(columns, rows)
         if self.live is not None:
-            self.live.begin({robot.robot.name: self._live_robot(robot) for robot in self._robots})
+            self.live.begin(
+                {robot.robot.name: self._live_robot(robot) for robot in self.controlled}
+            )
 
     def _live_robot(self, controlled: ControlledRobot) -> LiveRobot:
         """What targets and controllers of a robot are changed by."""
@@ -379,8 +382,9 @@ class Simulation:
         if self.whole_body is not None:
             self.whole_body.update(self._measured[k, 0], self.plant.qpos)
         time = float(self.times[k])
-        for robot in self._robots:
-            robot.command(k, time)
+        for robot in self.controlled:
+            if not robot.is_joined:
+                robot.command(k, time)
 
     def finish(self, k: int) -> None:
         """Writes what the step that led to row k of the log has done, but what is written of all.
@@ -403,7 +407,7 @@ class Simulation:
         every, measured = self._observed_every, self._measured
         if self.whole_body is not None:
             self.whole_body.update(measured[k, 0], self.plant.qpos)
-        for robot in self._robots:
+        for robot in self.controlled:
             estimate = robot.observe(measured[k - every + 1 : k + 1])
             self._estimated[k : k + every, robot.joints] = estimate
 
@@ -440,7 +444,7 @@ class Simulation:
             DeclarationError: gains that do not fit the robot, or that the step cannot hold where it
                 is; the controller is what it was then.
         """
-        controlled = self._robots[list(self.robots).index(robot)]
+        controlled = self.controlled[list(self.robots).index(robot)]
         angles = self.plant.actual[0, controlled.joints]
         before = controlled.in_use
         try:
