@@ -155,14 +155,13 @@ class PlantRows:
         if not self.has_pushes:
             return None
         self.rows.applied[...] = self.pushed[...] = 0.0
-        self.has_pushes = False
-        for row, pushes in self.pushes.items():
-            if pushes:
-                self.rows.look_ahead(row)
-                model, data = self.rows.model_of(row), self.rows.data_of(row)
-                for push in pushes:
-                    push.apply(model, data, self.pushed[row])
-                self.has_pushes = True
+        acting = {row: pushes for row, pushes in self.pushes.items() if pushes}
+        self.has_pushes = bool(acting)
+        self.rows.look_ahead([*acting])
+        for row, pushes in acting.items():
+            model, data, torques = self.rows.model_of(row), self.rows.data_of(row), self.pushed[row]
+            for push in pushes:
+                push.apply(model, data, torques)
         return self.pushed
 
 
@@ -290,7 +289,7 @@ class PlantRow:
 
     def flange(self, robot: str) -> Array:
         """T_world_flange now, (4, 4), m: the true one, in an array of its own."""
-        self.rows.look_ahead(self.index)
+        self.rows.look_ahead([self.index])
         frame, body, data = np.eye(4), self._part(robot).flange_body, self.data
         frame[:3, :3] = data.xmat[body].reshape(3, 3)
         frame[:3, 3] = data.xpos[body]

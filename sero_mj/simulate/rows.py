@@ -68,7 +68,7 @@ class OneRow:
         warned = self._warned
         return not (warned[_ACCELERATION] or warned[_SPEED] or warned[_POSITION])
 
-    def look_ahead(self, row: RowIndex = ...) -> None:
+    def look_ahead(self, rows: Sequence[RowIndex] = (...,)) -> None:
         """Computes what follows from the state, if that has not been done."""
         if not self.is_ahead:
             mj_step1(self.model, self.data)
@@ -160,7 +160,7 @@ class ManyRows:
     def place(self, k: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Puts row k where a world is that is as its own."""
         mujoco.mj_getState(model, data, self.batch.state[k], _STATE)
-        self.look_ahead(k)
+        self.look_ahead([k])
 
     def begin(self, which: Bools) -> None:
         """Lets some of the rows take part in the next steps, (m,)."""
@@ -194,10 +194,10 @@ class ManyRows:
         self._choose(self._which & ~broken)
         return not broken.any()
 
-    def look_ahead(self, row: RowIndex = ...) -> None:
-        """Computes what follows from the state of a row; where it matters to all, `step` has."""
-        if row is not ...:
-            self.batch.forward([row], stage=_VELOCITY)
+    def look_ahead(self, rows: Sequence[RowIndex] = ()) -> None:
+        """Computes what follows from the states of rows; where it matters to all, `step` has."""
+        if rows:
+            self.batch.forward(rows, stage=_VELOCITY)
 
     def data_of(self, row: RowIndex) -> mujoco.MjData:
         """What is known of a row since its last step or `look_ahead`, until the next call."""
@@ -224,7 +224,7 @@ class ManyRows:
     def refresh(self, row: RowIndex) -> None:
         """Lets a row's own model, which was changed, be that of its next steps."""
         self.batch.set_models([*self._models.values()])
-        self.look_ahead(row)
+        self.look_ahead([row])
 
     def is_touching(self, row: RowIndex) -> bool:
         """Whether a row had contacts in the last step."""

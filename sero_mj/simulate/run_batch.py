@@ -85,6 +85,7 @@ class RunBatch:
         scenarios: of the runs, with one `batch_key`.
         seeds: of their noise.
         compiler: of the world.
+        raises: whether what ends a run is raised, as for one by itself; else it is its `error`.
 
     Attributes:
         robots: by name, as they are simulated: with elastic joints where the runs ask for them.
@@ -97,10 +98,15 @@ class RunBatch:
     """
 
     def __init__(
-        self, scenarios: Sequence[Scenario], seeds: Sequence[int], compiler: Compiler
+        self,
+        scenarios: Sequence[Scenario],
+        seeds: Sequence[int],
+        compiler: Compiler,
+        *,
+        raises: bool,
     ) -> None:
         scenario = scenarios[0]
-        run = scenario.run
+        run, self._raises = scenario.run, raises
         elastic = {} if run.elastic is None else {"elastic_joints": run.elastic}
         self.robots = {
             name: robot.model_copy(update=elastic) for name, robot in scenario.scene.robots.items()
@@ -195,8 +201,7 @@ class RunBatch:
         """Simulates all runs that go on until a step, see `Simulation.advance`.
 
         Raises:
-            SimulationError: the only run cannot go on. Of several that run has the error, and the
-                others go on.
+            SimulationError: a run cannot go on; see `raises`.
         """
         held = [run() for run in self._runs]
         going = [run for run in held if run is not None and run.error is None]
@@ -232,7 +237,11 @@ class RunBatch:
                     control.command(k - 1, time)
                 if not np.isfinite(self.drive).all():
                     self._end_not_finite(going)
-            move(commanded * gains)
+            try:
+                move(commanded * gains)
+            except SimulationError as error:  # of the only run
+                self._end(going, going[0], error)
+                return
             if plant.failed:
                 self._end_failed(going)
             measured[k], actual[k], driven[k] = plant.measured, plant.actual, self.drive
@@ -245,10 +254,10 @@ class RunBatch:
                 self._stop_runaways(going, speeds)
 
     def _end(self, going: list[BatchedRun], run: BatchedRun, error: SimulationError) -> None:
-        """Ends a run among others; raises the error of the only one."""
-        if not isinstance(self.plant.rows, ManyRows):
+        if self._raises:
             raise error
-        self.plant.rows.drop(run.plant.index)
+        if isinstance(self.plant.rows, ManyRows):
+            self.plant.rows.drop(run.plant.index)
         self.drive[run.plant.index] = 0.0
         going.remove(run)
         run.error = error

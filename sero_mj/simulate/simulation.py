@@ -57,6 +57,7 @@ class Simulation:
         times: (steps + 1,), of the rows, s.
         controlled: the robots with their controllers, in the order of `robots`.
         step: how many steps have been made.
+        error: what has ended it, of one that is simulated `together` with others; else None.
         whole_body: what the controllers of mounted robots know of each other; None where none is.
         hand: pulls them by hand; None without.
         live: changes targets and controllers; None without.
@@ -78,7 +79,7 @@ class Simulation:
         _check_size(scenario)
         self.compiler = compiler or Compiler()
         seed = scenario.run.seed if seed is None else seed
-        self._join(scenario, RunBatch([scenario], [seed], self.compiler), 0)
+        self._join(scenario, RunBatch([scenario], [seed], self.compiler, raises=True), 0)
         if by_hand:
             self.drag_force = DragForce(self.plant, scenario)
         if is_live:
@@ -127,7 +128,8 @@ class Simulation:
             in their order; where one cannot be run, why.
         """
         compiler = compiler or Compiler()
-        batch = RunBatch(scenarios, [each.run.seed for each in scenarios], compiler)
+        seeds = [each.run.seed for each in scenarios]
+        batch = RunBatch(scenarios, seeds, compiler, raises=False)
         made: list[Simulation | DeclarationError] = []
         for row, scenario in enumerate(scenarios):
             one = cls.__new__(cls)
