@@ -235,7 +235,7 @@ class RunBatch:
                 time = float(going[0].times[k - 1])
                 for control in joined:
                     control.command(k - 1, time)
-                if not np.isfinite(self.drive).all():
+                if not np.vdot(self.drive, self.drive) < np.inf:
                     self._end_not_finite(going)
             try:
                 move(commanded * gains)
@@ -267,7 +267,7 @@ class RunBatch:
         for run in going[:]:
             for control in self._joined:
                 index = run.plant.index
-                if run in going and not np.isfinite(control.requested[index]).all():
+                if run in going and not control.controller.is_finite(index):
                     error = control.controller.not_finite(control.sensed, index)
                     self._end(going, run, error)
 

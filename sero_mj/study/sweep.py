@@ -300,7 +300,7 @@ class Sweep:
         """How many variants are run together: few enough for memory, and for all jobs."""
         run, joints = self.base.run, sum(robot.n for robot in self.base.scene.robots.values())
         most = int(np.clip(_BATCH_STEPS // ((run.steps + 1) * joints), 1, _BATCH))
-        return min(most, max(math.ceil(count / jobs), 1))
+        return min(most, max(math.ceil(count / (2 * jobs)), 1))  # so that results come meanwhile
 
 
 def _plain(value: Any) -> Any:

@@ -121,8 +121,7 @@ class LimitedController:
         if returned is not None:
             reason = "torques() has returned something; expected it to write into `out`"
             raise SimulationError(sensed.time, self._robot, reason)
-        # One number tells of NaN and inf in any joint.
-        if requested.ndim == 1 and not requested.dot(requested) < math.inf:
+        if requested.ndim == 1 and not self.is_finite():
             raise self.not_finite(sensed)
         np.minimum(np.maximum(requested, self._low, out=out), self.limits, out=out)
         if self._step is not None:
@@ -151,6 +150,11 @@ class LimitedController:
         check = getattr(self.controller, "check", None)
         if check is not None:
             check(angles)
+
+    def is_finite(self, row: RowIndex = ...) -> bool:
+        """Whether the torques that are asked for in a row are numbers, and not too large to be."""
+        requested = self.requested[row]  # one number tells of NaN and inf in any joint
+        return bool(requested.dot(requested) < math.inf)
 
     def not_finite(self, sensed: Sensed, row: RowIndex = ...) -> SimulationError:
         """Names the joint whose sensor is to blame, else the one whose torque is, of a row."""
