@@ -210,7 +210,7 @@ def controller_from(table: Any) -> ControllerDeclaration:
 
 def make_controller(
     controller: ControllerDeclaration | Controller,
-    model: RobotModel,
+    model: RobotModel | ModelRows,
     timestep: float,
     torque_limits: Array | None = None,
 ) -> LimitedController:
@@ -218,7 +218,8 @@ def make_controller(
 
     Args:
         controller: a declaration, or any object with the method `torques` of `Controller`.
-        model: what the controller knows of its robot; for it alone.
+        model: what the controller knows of its robot; for it alone. Of many equal robots for
+            controllers of joints.
         timestep: s between two calls.
         torque_limits: the robot's, (n,), Nm or N; None where it has none.
 
@@ -230,7 +231,7 @@ def make_controller(
     rates = None
     if isinstance(controller, ControllerDeclaration):
         own = controller
-        controller = own.make(model, timestep)
+        controller = own.make(model, timestep)  # type: ignore[arg-type]  # those of joints take rows
         if own.torque_limits is not None:
             limits = _lower(own.per_joint("torque_limits", n), limits, model.joint_names)
         if own.torque_rate_limits is not None:
@@ -244,7 +245,13 @@ def make_controller(
         message = f"found {controller!r}; expected a method torques(sensed, target, out)"
         raise DeclarationError([Problem("", message)])
     return LimitedController(
-        controller, limits, timestep, rates, robot=model.name, joint_names=model.joint_names
+        controller,
+        limits,
+        timestep,
+        rates,
+        robot=model.name,
+        joint_names=model.joint_names,
+        rows=model.rows,
     )
 
 
