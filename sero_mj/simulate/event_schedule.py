@@ -50,6 +50,11 @@ class EventSchedule:
                 self._plan_payload(disturbance)
         FaultSchedule(self.scenario, self.plant, self._due, self.gains)
 
+    @property
+    def carries(self) -> bool:
+        """Whether objects are ever carried, so that `after` has something to write."""
+        return bool(self._objects)
+
     def before(self, k: int) -> None:
         """Applies what is due at row k, before the step that leads on from it."""
         self._due.act(k)

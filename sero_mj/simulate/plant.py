@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base.declaration import numbers
-from ..base.frames import Array
+from ..base.frames import Array, RowIndex
 from ..robots.assemble.world import World
 from .plant_rows import PlantRow, PlantRows
-from .rows import OneRow, RowIndex
+from .rows import OneRow
 from .sensors import Sensors
 
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base.errors import SimulationError, UnknownName
-from ..base.frames import Array
+from ..base.frames import Array, RowIndex
 from ..robots.assemble.parts import RobotPart
 from ..robots.assemble.world import World
 from .external_loads import Push, attach_payload, detach_payload
 from .joint_model import JointModel
-from .rows import ManyRows, OneRow, RowIndex
+from .rows import ManyRows, OneRow
 from .sensors import Sensors
 
 P = TypeVar("P", bound=Push)

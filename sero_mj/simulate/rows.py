@@ -9,17 +9,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from types import EllipsisType
 
 import mujoco
 import numpy as np
 from mujoco import mj_step, mj_step1, mj_step2
 from mujoco.batch import Batch
 
-from ..base.frames import Array, Bools, Ints
+from ..base.frames import Array, Bools, Ints, RowIndex
 
-# The index of a row; that of the only one is ..., which leaves arrays as they are.
-RowIndex = int | EllipsisType
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
 _NOTHING = int(mujoco.mjtStage.mjSTAGE_NONE)

@@ -14,7 +14,7 @@ from weakref import ref
 import numpy as np
 
 from ..base.errors import DeclarationError, SimulationError
-from ..base.frames import Array
+from ..base.frames import Array, RowIndex
 from ..robots.assemble.joint_speeds import joint_speeds
 from ..robots.assemble.robot import SerialRobot
 from ..robots.assemble.scene import Scene
@@ -26,7 +26,7 @@ from .controlled_robot import ControlledRobot, RobotControl, join
 from .drives import Drives
 from .plant import Plant
 from .plant_rows import PlantRow, PlantRows
-from .rows import ManyRows, OneRow, RowIndex
+from .rows import ManyRows, OneRow
 from .runs.run_log import ACTUAL, DRIVEN, MEASURED, RunLayout
 from .scenario import Scenario
 from .sensors import Sensors
@@ -231,7 +231,7 @@ class RunBatch:
                     run.prepare(k - 1)
                 except SimulationError as error:
                     self._end(going, run, error)
-            if joined:
+            if joined and going:
                 time = float(going[0].times[k - 1])
                 for control in joined:
                     control.command(k - 1, time)

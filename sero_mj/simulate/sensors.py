@@ -20,8 +20,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from ..base.declaration import Declaration, numbers
 from ..base.errors import UnknownName
-from ..base.frames import Array, Bools, Ints
-from .rows import RowIndex
+from ..base.frames import Array, Bools, Ints, RowIndex
 
 Signal = Literal["angles", "velocities", "torques"]
 SIGNALS: tuple[Signal, ...] = ("angles", "velocities", "torques")

@@ -247,9 +247,11 @@ class Simulation:
         self._measured = rows[:, blocks[0]].reshape(len(rows), len(MEASURED), -1)
         self._estimated = rows[:, blocks[1]]
         self._write_free(0)
-        acting = [each for each in (self._schedule, self.drag_force) if each is not None]
-        self._before = [each.before for each in (*acting, self.live) if each is not None]
-        self._after = [each.after for each in acting]
+        acting = (self._schedule, self.drag_force, self.live)
+        self._before = [each.before for each in acting if each is not None]
+        self._after = [self._schedule.after] if self._schedule.carries else []
+        if self.drag_force is not None:
+            self._after.append(self.drag_force.after)
         if self.drag_force is not None:
             self.drag_force.begin(columns, rows)
         if self.live is not None:
@@ -383,10 +385,9 @@ class Simulation:
             act(k)
         if self.whole_body is not None:
             self.whole_body.update(self._measured[k, 0], self.plant.qpos)
-        time = float(self.times[k])
         for robot in self.controlled:
             if not robot.is_joined:
-                robot.command(k, time)
+                robot.command(k, float(self.times[k]))
 
     def finish(self, k: int) -> None:
         """Writes what the step that led to row k of the log has done, but what is written of all.

@@ -11,9 +11,8 @@ import numpy as np
 
 from ...base.declaration import by_kind
 from ...base.errors import DeclarationError, Problem, SimulationError
-from ...base.frames import Array, Bools
+from ...base.frames import Array, Bools, RowIndex
 from ...base.plugins import CONTROLLERS, load_plugin, plugins
-from ..rows import RowIndex
 from .controller import Controller, ControllerDeclaration, Sensed, Target
 from .model_rows import ModelRows
 from .robot_model import RobotModel
