@@ -41,10 +41,7 @@ class ModelRows:
     def gravity(self, out: Array | None = None) -> Array:
         """g(q), (m, n)."""
         result = self._gravity if out is None else out
-        model, still = self._model, self._velocities[0]
-        for angles, torques in zip(self._angles, result, strict=True):
-            model.update(angles, still)
-            model.gravity(torques)
+        self._model.write_gravity(self._angles, result)
         return result
 
     def mass(self, which: Iterable[int] | None = None) -> Array:
