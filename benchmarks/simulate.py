@@ -29,22 +29,35 @@ from sero_mj.simulate.log_output import RunRecorder
 
 HOME = [0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0]
 RECORDING: list[float] = []  # time to record, as a share of the rest of the same run
-SECONDS, ROUNDS = 8.0, 7
+SECONDS, ROUNDS, TOGETHER = 8.0, 7, 64
 SWING = {"kind": "sine", "amplitude_deg": 5.0, "frequency": 0.5}
 GAINS = {"joint_impedance": {"stiffness": 800.0}}
 NOISE = {"torques": {"noise": 0.05, "resolution": 0.01}, "velocities": {"noise": 1e-3}}
 
 
-def simulation(controller: str, **fields: Any) -> Simulation:
+def scenario(controller: str, **fields: Any) -> Scenario:
     robot = SerialRobot.from_model("lwr", joint_angles=HOME)
-    scenario = Scenario(
+    return Scenario(
         Scene(robots=[robot]),
         controllers={"lwr": {"kind": controller, **GAINS.get(controller, {})}},
         targets={} if controller in ("gravity_compensation", "torque") else {"lwr": SWING},
         duration=SECONDS,
         **fields,
     )
-    return Simulation(scenario)
+
+
+def simulation(controller: str, **fields: Any) -> Simulation:
+    return Simulation(scenario(controller, **fields))
+
+
+def together(controller: str, **fields: Any) -> float:
+    """Microseconds per step and run, of runs that are simulated together."""
+    runs = Simulation.together([scenario(controller, **fields)] * TOGETHER)
+    assert isinstance(runs[0], Simulation)
+    steps = runs[0].steps // 16
+    start = time.perf_counter()
+    runs[0].advance(steps)
+    return (time.perf_counter() - start) / steps / TOGETHER * 1e6
 
 
 def run(made: Simulation, record: Path | None = None) -> float:
@@ -98,6 +111,8 @@ def main() -> None:
             "joint impedance, elastic joints": lambda: run(
                 simulation("joint_impedance", elastic=True)
             ),
+            f"joint impedance, {TOGETHER} together": lambda: together("joint_impedance"),
+            f"Cartesian impedance, {TOGETHER} together": lambda: together("cartesian_impedance"),
         }
         for work in works.values():
             work()

@@ -155,7 +155,7 @@ def test_a_controller_knows_what_its_robot_carries_and_where_it_stands() -> None
     for _ in range(5):
         q = rng.uniform(-1.5, 1.5, plant.n)
         plant.reset(q)
-        whole.update(q, plant.data)
+        whole.update(q, plant.qpos)
         step = 1e-5 * np.eye(plant.n)
         slope = np.array([(potential(q + e) - potential(q - e)) / 2e-5 for e in step])
         for name, part in plant.world.robots.items():

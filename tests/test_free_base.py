@@ -118,7 +118,7 @@ def test_a_controller_knows_how_its_free_base_leans() -> None:
     mujoco.mju_mat2Quat(quat, leaning[:3, :3].ravel())
     plant.data.qpos[free] = [*leaning[:3, 3], *quat]
     q = np.array([0.3, -0.4, 0.5, 0.2])
-    whole.update(q, plant.data)
+    whole.update(q, plant.qpos)
     robots = {robot.name: robot for robot in walker()}
 
     def energy(angles: np.ndarray) -> float:

@@ -464,7 +464,7 @@ def test_processes_load_no_opengl(file: Path) -> None:
         "from sero_mj.study import workers\n"
         "end, other = Pipe(duplex=False)\n"
         f"workers.start_worker(end, Path({str(file)!r}), {{}})\n"
-        "print(workers._run({})['held'], 'OpenGL.EGL' in sys.modules)\n"
+        "print(workers._run([{}])[0]['held'], 'OpenGL.EGL' in sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split()[1] == "False", done.stdout

@@ -105,7 +105,7 @@ def test_what_a_tree_carries_on_any_branch_is_a_load_to_its_controller() -> None
     whole, rng = simulation.whole_body, np.random.default_rng(4)
     assert whole is not None
     q = rng.uniform(-0.8, 0.8, sum(robot.n for robot in robots))
-    whole.update(q, simulation.plant.data)
+    whole.update(q, simulation.plant.qpos)
     named = {robot.name: robot for robot in robots}
 
     def energy(angles: np.ndarray) -> float:
@@ -140,7 +140,7 @@ def test_a_controller_of_a_tree_knows_how_its_free_base_leans() -> None:
     mujoco.mju_mat2Quat(quat, leaning[:3, :3].ravel())
     plant.data.qpos[free] = [*leaning[:3, 3], *quat]
     q = np.random.default_rng(6).uniform(-0.7, 0.7, robot.n)
-    whole.update(q, plant.data)
+    whole.update(q, plant.qpos)
     model = simulation.robot_model(unmounted(robot, robot.base_frame))
     model.update(q, np.zeros(robot.n))
     np.testing.assert_allclose(model.gravity(), weight(robot, q, leaning), atol=1e-8)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Any
 
@@ -12,20 +12,95 @@ from ..base.frames import Array
 from ..robots.assemble.robot import SerialRobot
 from .control.controller import ControllerDeclaration, Sensed, Target
 from .control.make_controller import LimitedController, make_controller
+from .control.model_rows import ModelRows
 from .control.observer import MomentumObserver
 from .control.plan import Plan
 from .control.robot_model import RobotModel
 from .control.torque_loop import HangingLinks
 from .drives import Drives
-from .plant import Plant
+from .plant_rows import PlantRow, PlantRows
 from .scenario import Scenario
 
 _ROUNDS = 30  # of `HangingLinks`: what is left of the first is less than 0.2 %
 _MOVE = 1e-5  # rad and rad/s, between which controllers are linear
 
 
-class ControlledRobot:
-    """A robot of a plant, its controller, and the observer of its external torques.
+class RobotControl:
+    """What a controller senses, is asked for and commands: of one robot, or of it in many rows.
+
+    Args:
+        robot: as it stands in the world at first.
+        plant: that it is in: one row, or all of them, which are then the first axis of all.
+        drive: (2, N), torques of all joints of the plant, Nm or N: commanded, and asked for before
+            the limits; its own are written there.
+
+    Attributes:
+        robot: as given.
+        joints: which joints of the plant are its own.
+        sensed: what it senses.
+        target: what it is asked for, to be written into.
+        controller: behind its torque limits; to be set.
+        hanging: where the links of elastic joints rest; None where that does not matter.
+        moving: parts of `target.planned` with what stands there at every step, (T, k).
+    """
+
+    controller: LimitedController
+
+    def __init__(self, robot: SerialRobot, plant: PlantRow | PlantRows, drive: Array) -> None:
+        self.robot, self.joints = robot, plant.world.robots[robot.name].joints
+        measured = plant.measured[..., self.joints]
+        rows = measured.shape[:-2]
+        self.commanded = drive[..., 0, self.joints]
+        self.requested = drive[..., 1, self.joints]
+        # Springs and dampers act on the motors of elastic joints, which have encoders of their own.
+        motor_state = np.zeros((*rows, 2 * robot.n)) if robot.elastic_joints else None
+        # What is measured of the only robot is used in place.
+        values = measured if measured.flags.c_contiguous else None
+        self.sensed = sensed = Sensed(robot.n, values, motor_state, rows)
+        self._copies: list[tuple[Array, Array]] = []  # of what else is measured: to, from; views
+        if values is None:
+            self._copies.append((sensed.values, measured))
+        if robot.elastic_joints:
+            self._copies += [
+                (sensed.motor_angles, plant.motor_angles[..., self.joints]),
+                (sensed.motor_velocities, plant.motor_velocities[..., self.joints]),
+            ]
+        self.target = Target(robot.n, rows)
+        self.target.posture[:] = robot.home
+        self.hanging: HangingLinks | None = None
+        self.moving: list[tuple[Array, Array]] = []
+
+    def sense(self) -> None:
+        """Lets the controller see what was measured."""
+        for sensed, measured in self._copies:
+            sensed[...] = measured
+        if self.hanging is not None:
+            self.sensed.motor_angles[...] = self.hanging.link_angles(self.sensed.motor_angles)
+
+    def command(self, k: int, time: float) -> None:
+        """Computes `commanded` for the step that leads on from row k of the log.
+
+        Args:
+            k: the row.
+            time: of it, s.
+
+        Raises:
+            SimulationError: a torque of the only robot is NaN or infinite.
+        """
+        self.sense()
+        self.sensed.time = time
+        for planned, rows in self.moving:
+            planned[...] = rows[k]
+        self.controller.torques(self.sensed, self.target, self.commanded)
+
+    def use_limited(self, controller: LimitedController) -> None:
+        """Controls it by this controller from now on."""
+        controller.requested = self.requested
+        self.controller = controller
+
+
+class ControlledRobot(RobotControl):
+    """A robot of a row of a plant with its controller, and the observer of its external torques.
 
     Args:
         robot: as it stands in the world at first.
@@ -34,14 +109,12 @@ class ControlledRobot:
         drives: between its controller and the plant; None where there are none.
         make_model: of what its controller knows of it; not kept.
         plan: its target at every step.
-        drive: (2, N), torques of all joints of the plant, Nm or N: commanded, and asked for before
-            the limits; its own are written there.
+        drive: see `RobotControl`.
         observed_every: steps between two estimates of the external torques.
 
     Attributes:
-        robot: as given.
-        joints: which joints of the plant are its own.
-        in_use: its controller as declared, and as made; and where the links of elastic joints rest.
+        declared: its controller.
+        is_joined: whether it is commanded with those of other rows, see `join`.
 
     Raises:
         DeclarationError: gains or limits do not fit the robot.
@@ -51,50 +124,31 @@ class ControlledRobot:
         self,
         robot: SerialRobot,
         scenario: Scenario,
-        plant: Plant,
+        plant: PlantRow,
         drives: Drives | None,
         make_model: Callable[[SerialRobot], RobotModel],
         plan: Plan,
         drive: Array,
         observed_every: int,
     ) -> None:
-        name, timestep = robot.name, scenario.run.timestep
-        self.joints = joints = plant.world.robots[name].joints
-        self._timestep = timestep
-        self.robot = robot
-        self.commanded, self._requested = drive[:, joints]
-        # Springs and dampers act on the motors of elastic joints, which have encoders of their own.
-        motor_state = np.zeros(2 * robot.n) if robot.elastic_joints else None
-        # What is measured of the only robot is used in place.
-        measured = plant.measured[:, joints]
-        values = measured if measured.flags.c_contiguous else None
-        self._sensed = sensed = Sensed(robot.n, values, motor_state)
-        self._copies: list[tuple[Array, Array]] = []  # of what else is measured: to, from; views
-        if values is None:
-            self._copies.append((sensed.values, measured))
-        if robot.elastic_joints:
-            self._copies += [
-                (sensed.motor_angles, plant.motor_angles[joints]),
-                (sensed.motor_velocities, plant.motor_velocities[joints]),
-            ]
+        super().__init__(robot, plant, drive)
+        self._timestep, self.is_joined = scenario.run.timestep, False
         self._joint_stiffness: Array | None = None
         if robot.elastic_joints and drives is not None and drives.loop:
-            self._joint_stiffness = drives.gains[name].stiffness
-        self.in_use: tuple[Any, LimitedController, HangingLinks | None]
-        self.use(scenario.controller_of(name), make_model)
-        self._target = Target(robot.n)
-        self._target.posture[:] = robot.home
-        self._target.has_torques = False  # no target motion has any
-        self._moves, self._planned_rows = plan.moves, plan.rows
-        self._planned = self._target.planned[: plan.rows.shape[1]]
-        self._planned[...] = plan.rows[0]
+            self._joint_stiffness = drives.gains[robot.name].stiffness
+        self.use(scenario.controller_of(robot.name), make_model)
+        self.target.has_torques = False  # no target motion has any
+        planned = self.target.planned[: plan.rows.shape[1]]
+        planned[...] = plan.rows[0]
+        if plan.moves:
+            self.moving = [(planned, plan.rows)]
         self._observer = MomentumObserver(
             make_model(robot),
             scenario.run.observer_gain,
-            timestep * observed_every,
+            self._timestep * observed_every,
         )
-        self._sense()
-        self._observer.update(self._sensed)
+        self.sense()
+        self._observer.update(self.sensed)
 
     def use(self, declared: Any, make_model: Callable[[SerialRobot], RobotModel]) -> None:
         """Controls the robot by another controller from now on.
@@ -109,36 +163,25 @@ class ControlledRobot:
         robot = self.robot
         model = make_model(robot)
         controller = make_controller(declared, model, self._timestep, robot.torque_limits)
-        controller.requested = self._requested
         hanging, stiffness = None, self._joint_stiffness
         if stiffness is not None:
-            hold_links = getattr(controller.controller, "hold_links", None)
-            at_rest = hold_links(stiffness) if hold_links is not None else None
-            hanging = HangingLinks(stiffness, at_rest, make_model(robot), robot.home)
-        self.in_use = declared, controller, hanging
+            hanging = _hanging(stiffness, controller, make_model(robot), robot.home)
+        self.declared, self.hanging = declared, hanging
+        self.use_limited(controller)
 
     @property
-    def controller(self) -> LimitedController:
-        """The controller, behind its torque limits."""
-        return self.in_use[1]
+    def in_use(self) -> tuple[Any, LimitedController, HangingLinks | None]:
+        """Its controller as declared, and as made; and where the links of elastic joints rest."""
+        return self.declared, self.controller, self.hanging
 
-    @property
-    def target(self) -> Target:
-        """What it is asked for, to be written into."""
-        return self._target
-
-    def _sense(self) -> None:
-        """Lets the controller see what was measured."""
-        for sensed, measured in self._copies:
-            sensed[...] = measured
-        hanging = self.in_use[2]
-        if hanging is not None:
-            self._sensed.motor_angles[...] = hanging.link_angles(self._sensed.motor_angles)
+    @in_use.setter
+    def in_use(self, value: tuple[Any, LimitedController, HangingLinks | None]) -> None:
+        self.declared, self.controller, self.hanging = value
 
     @property
     def has_springs(self) -> bool:
         """Whether a stiffness is declared, for which its damping is designed."""
-        return hasattr(self.in_use[0], "stiffness")
+        return hasattr(self.declared, "stiffness")
 
     def linearised(
         self, make_model: Callable[[SerialRobot], RobotModel], angles: Array
@@ -160,7 +203,7 @@ class ControlledRobot:
         slopes: Array = np.zeros((2, n, n))
         model.update(angles, np.zeros(n))
         mass = model.mass() - np.diag(model.motor_inertia)
-        declared = self.in_use[0]
+        declared = self.declared
         if isinstance(declared, ControllerDeclaration):
             controller = declared.make(make_model(self.robot), self._timestep)
             sensed, target, torques = Sensed(n), Target(n), np.zeros((2, n))
@@ -187,22 +230,6 @@ class ControlledRobot:
             slopes[0] = (vectors * np.maximum(values, 0.0)) @ vectors.T
         return mass, *slopes
 
-    def command(self, k: int, time: float) -> None:
-        """Computes `commanded` for the step that leads on from row k of the log.
-
-        Args:
-            k: the row.
-            time: of it, s.
-
-        Raises:
-            SimulationError: a torque is NaN or infinite.
-        """
-        self._sense()
-        self._sensed.time = time
-        if self._moves:
-            self._planned[...] = self._planned_rows[k]
-        self.in_use[1].torques(self._sensed, self._target, self.commanded)
-
     def observe(self, measured: Array) -> Array:
         """Estimates the external torques after further steps, (n,), Nm or N.
 
@@ -220,3 +247,45 @@ class ControlledRobot:
         mean = np.add.reduce(measured[:, 2, self.joints]) / len(measured)
         self._observer.model.update(angles, velocities)
         return self._observer.update_with(velocities, mean)
+
+
+def _hanging(
+    stiffness: Array, controller: LimitedController, model: RobotModel | ModelRows, angles: Array
+) -> HangingLinks:
+    """Where links rest while a controller holds them; see `HangingLinks`."""
+    hold_links = getattr(controller.controller, "hold_links", None)
+    at_rest = hold_links(stiffness) if hold_links is not None else None
+    return HangingLinks(stiffness, at_rest, model, angles)
+
+
+def join(
+    each: Sequence[ControlledRobot], plant: PlantRows, drive: Array, model: RobotModel
+) -> RobotControl | None:
+    """One control for a robot in all rows of a plant, which have made no step.
+
+    Args:
+        each: the robot in every row.
+        plant: with all rows.
+        drive: (m, 2, N), see `RobotControl`.
+        model: of one of them, for itself.
+
+    Returns:
+        None where controllers are of several kinds, or of one that has no form for many rows.
+    """
+    models = ModelRows(model, len(each))
+    controller = LimitedController.joined([one.controller for one in each], models)
+    if controller is None:
+        return None
+    first = each[0]
+    made = RobotControl(first.robot, plant, drive)
+    made.use_limited(controller)
+    made.target.has_torques = False
+    if first._joint_stiffness is not None:
+        home = np.tile(first.robot.home, (len(each), 1))
+        made.hanging = _hanging(first._joint_stiffness, controller, models, home)
+    for one, planned in zip(each, made.target.planned, strict=True):
+        planned[...] = one.target.planned
+        made.moving += [(planned[: rows.shape[1]], rows) for _, rows in one.moving]
+        one.is_joined = True
+    made.sense()
+    return made

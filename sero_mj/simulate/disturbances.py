@@ -15,7 +15,7 @@ from ..base.frames import Array
 from ..robots.assemble.dynamics import inertia_problem, tensors_from
 from ..robots.assemble.robot import SerialRobot
 from .plant import Plant
-from .plant_rows import PlantRows
+from .plant_rows import PlantRow
 from .sensors import Signal
 
 _SAME_TIME = 1e-9  # s, by which two times of one step may differ
@@ -207,7 +207,7 @@ class Fault(Timed, ABC):
         ]
 
     @abstractmethod
-    def apply(self, plant: PlantRows, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
         """Begins it.
 
         Args:
@@ -244,7 +244,7 @@ class SensorFault(Fault):
             raise ValueError(f"does nothing; expected one of {', '.join(keys)}")
         return self
 
-    def apply(self, plant: PlantRows, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
         """Changes the sensor."""
         given = {key: getattr(self, key) for key in ("bias", "gain", "noise", "resolution")}
         changed = {key: value for key, value in given.items() if value is not None}
@@ -267,7 +267,7 @@ class EncoderOffset(Fault):
     offset: float = 0.0
     offset_deg: float = 0.0
 
-    def apply(self, plant: PlantRows, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
         """Shifts the encoder."""
         offset = self.offset + float(np.deg2rad(self.offset_deg))
         plant.sensors.change("angles", rows, bias=offset)
@@ -283,7 +283,7 @@ class DeadSensor(Fault):
     kind: Literal["dead_sensor"] = "dead_sensor"
     signal: Signal = "torques"
 
-    def apply(self, plant: PlantRows, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
         """Lets it read zero."""
         for row in rows:
             plant.sensors.kill(self.signal, row)
@@ -299,7 +299,7 @@ class FrozenSensor(Fault):
     kind: Literal["frozen_sensor"] = "frozen_sensor"
     signal: Signal = "torques"
 
-    def apply(self, plant: PlantRows, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
         """Lets it keep its last value."""
         for row in rows:
             plant.sensors.freeze(self.signal, row)
@@ -317,7 +317,7 @@ class ControllerFault(Fault):
     kind: Literal["controller"] = "controller"
     gain: float = -1.0
 
-    def apply(self, plant: PlantRows, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
         """Changes the gain of the drives."""
         gains[list(rows)] = self.gain
 
@@ -344,7 +344,7 @@ class FrictionFault(Fault):
             raise ValueError("does nothing; expected viscous, coulomb or added_coulomb")
         return self
 
-    def apply(self, plant: PlantRows, rows: Sequence[int], gains: Array) -> None:
+    def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
         """Changes the friction."""
         assert isinstance(plant, Plant)
         first = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from .disturbances import Force, Payload
 from .due_actions import DueActions
 from .external_loads import Push
 from .fault_schedule import FaultSchedule
-from .plant import Plant
+from .plant_rows import PlantRow
 from .runs.run_log import event_of
 from .scenario import Scenario
 
@@ -24,18 +24,17 @@ class EventSchedule:
         scenario: with its disturbances and faults.
         plant: to which they are applied.
         steps: of the run.
-
-    Attributes:
-        gains: (n,), factors of the commanded torques, after the limits: those of faulty drives.
+        gains: (n,), factors of the commanded torques, after the limits: those of faulty drives; to
+            be written.
     """
 
     scenario: Scenario
-    plant: Plant
+    plant: PlantRow
     steps: int
-    gains: Array = field(init=False)
+    gains: Array
 
     def __post_init__(self) -> None:
-        self.gains = np.ones(self.plant.n)
+        self.gains[:] = 1.0
         self._due = DueActions(self.scenario.run.timestep)
         self._varying: list[tuple[Push, Array]] = []  # with force and torque at every step
         self._carried: dict[str, tuple[str, Array]] = {}  # object to robot and T_flange_object
@@ -50,6 +49,11 @@ class EventSchedule:
             elif isinstance(disturbance, Payload):
                 self._plan_payload(disturbance)
         FaultSchedule(self.scenario, self.plant, self._due, self.gains)
+
+    @property
+    def carries(self) -> bool:
+        """Whether objects are ever carried, so that `after` has something to write."""
+        return bool(self._objects)
 
     def before(self, k: int) -> None:
         """Applies what is due at row k, before the step that leads on from it."""

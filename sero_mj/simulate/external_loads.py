@@ -137,28 +137,27 @@ class Contacts:
 
     Args:
         world: compiled with `dynamic`.
-        data: of it.
+        model: of its physics.
 
     Attributes:
         forces: (robots, 3), on every robot, in the world's axes, N; of the last `update`.
     """
 
-    def __init__(self, world: World, data: mujoco.MjData) -> None:
-        self._model, self._data = world.model, data
+    def __init__(self, world: World, model: mujoco.MjModel) -> None:
         self.forces: Array = np.zeros((len(world.robots), 3))
         # Of every geom the robot's number, -1 for all else.
-        self._owner = robots_of_bodies(world.model, world.robots)[world.model.geom_bodyid]
+        self._owner = robots_of_bodies(model, world.robots)[model.geom_bodyid]
         self._force: Array = np.zeros(6)
 
-    def update(self) -> Array:
-        """Returns `forces` as they are now."""
-        data, forces = self._data, self.forces
+    def update(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+        """Returns `forces` of the last step."""
+        forces = self.forces
         forces[:] = 0.0
         contact = data.contact
         for index, (first, second) in enumerate(self._owner[contact.geom].tolist()):
             if first == second or contact.exclude[index]:
                 continue
-            mujoco.mj_contactForce(self._model, data, index, self._force)
+            mujoco.mj_contactForce(model, data, index, self._force)
             # Rows of the contact's frame: normal from the first geom to the second, two tangents.
             force = self._force[:3] @ contact.frame[index].reshape(3, 3)
             if second >= 0:

@@ -8,7 +8,7 @@ from ..base.frames import Array
 from .disturbances import Fault
 from .due_actions import DueActions
 from .plant import Plant
-from .plant_rows import PlantRows
+from .plant_rows import PlantRow
 from .scenario import Scenario
 
 
@@ -23,7 +23,7 @@ class FaultSchedule:
             to be written.
     """
 
-    def __init__(self, scenario: Scenario, plant: PlantRows, due: DueActions, gains: Array) -> None:
+    def __init__(self, scenario: Scenario, plant: PlantRow, due: DueActions, gains: Array) -> None:
         self._scenario, self._plant, self._gains = scenario, plant, gains
         self._active: list[Fault] = []
         model, parts = plant.world.model, plant.world.robots
@@ -41,7 +41,8 @@ class FaultSchedule:
         self._apply(fault)
 
     def _apply(self, fault: Fault) -> None:
-        fault.apply(self._plant, fault.rows(self._scenario.scene.robots), self._gains)
+        with self._plant.sensors.only(self._plant.index):
+            fault.apply(self._plant, fault.rows(self._scenario.scene.robots), self._gains)
 
     def _end(self, fault: Fault) -> None:
         """Ends a fault; others of the same part go on, in the order in which they began."""
@@ -53,7 +54,8 @@ class FaultSchedule:
                 self._apply(other)
 
         if fault.part == "sensors":
-            self._plant.sensors.end_faults(apply_others)
+            with self._plant.sensors.only(self._plant.index):
+                self._plant.sensors.end_faults(apply_others)
             return
         if fault.part == "drives":
             self._gains[:] = 1.0

@@ -218,14 +218,15 @@ class JointModel:
         self._applied[..., self.motor_dofs] = self.motor_torques
         if pushes is not None:
             self._applied += pushes
-        if not rows.step():
+        is_stable = rows.step()
+        if not is_stable and not rows.shape:
             return False
         q_after[...], dq_after[...] = self._qpos, self._qvel
         if self.reads_torques:
             rows.read_inner_forces(self._coupling_rows, self._dofs_with_friction, self._inner)
         if self.looks_ahead:
             rows.look_ahead()
-        return True
+        return is_stable
 
     def external(self, pushes: Array) -> Array:
         """Torques on the links from outside in the last step, (n,), Nm: pushes, contacts, stops.

@@ -1,16 +1,25 @@
-"""`PlantRows`: simulated robots in one world or in many equal ones, in rows."""
+"""`PlantRows`: simulated robots in one world or in many equal ones, in rows; `PlantRow`: one."""
 
 from __future__ import annotations
 
-from typing import NoReturn
+from typing import TypeVar
 
+import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ..base.frames import Array
+from ..base.errors import SimulationError, UnknownName
+from ..base.frames import Array, RowIndex
+from ..robots.assemble.parts import RobotPart
 from ..robots.assemble.world import World
+from .external_loads import Push, attach_payload, detach_payload
 from .joint_model import JointModel
 from .rows import ManyRows, OneRow
 from .sensors import Sensors
+
+P = TypeVar("P", bound=Push)
+
+MAX_TORQUE = 1e9  # Nm, norm of all motor torques; a comparison with it refuses NaN as well
 
 
 class PlantRows:
@@ -31,6 +40,11 @@ class PlantRows:
             array, to read only; so is the next.
         motor_velocities: (n,), likewise, rad/s.
         sensors: as given.
+        timestep: of a step, s.
+        pushes: that act, of every row.
+        has_pushes: whether any acts, or did in the last step.
+        pushed: (nv,), torques of pushes in the last step, Nm or N.
+        failed: what was wrong with rows of many, which take no part since.
 
     Raises:
         ValueError: the sensors are not those of n joints.
@@ -51,11 +65,15 @@ class PlantRows:
         column = (*rows.shape, -1, 1)
         self._readings = self._actual.reshape(column)
         self._measured_readings = self.measured.reshape(column)
+        self.timestep = float(world.model.opt.timestep)
+        self.failed: dict[RowIndex, SimulationError] = {}
+        self.has_pushes = False
+        self.pushed: Array = np.zeros((*rows.shape, world.model.nv))
+        self.pushes: dict[RowIndex, list[Push]] = {row: [] for row in rows.indices}
 
-    @property
-    def timestep(self) -> float:
-        """Of a step, s."""
-        return float(self.world.model.opt.timestep)
+    def row(self, row: RowIndex) -> PlantRow:
+        """The robots of a row by themselves."""
+        return PlantRow(self, row)
 
     @property
     def actual(self) -> Array:
@@ -72,13 +90,34 @@ class PlantRows:
         """Simulates one timestep.
 
         Args:
-            motor_torques: (n,), before gear friction and as seen at the joint, Nm.
+            motor_torques: (n,), before gear friction and as seen at the joint, Nm; none is cut
+                off here.
 
         Returns:
             `measured`, (3, n): the same array every time.
+
+        Raises:
+            SimulationError: a torque is no number, or the motion of the only row has become
+                unstable; names the joint and the time. `measured` and `actual` are those before.
         """
-        self.joints.motor_torques[...] = motor_torques
+        applied = self.joints.motor_torques
+        applied[...] = motor_torques
+        if not np.vdot(applied, applied) < MAX_TORQUE**2:
+            self._refuse_torques()
         return self.step_given()
+
+    def _refuse_torques(self) -> None:
+        """Raises the only row's error; of many those concerned take no further part."""
+        for row in self.rows.indices:
+            torques = self.joints.motor_torques[row]
+            if not np.vdot(torques, torques) < MAX_TORQUE**2:
+                self._fail(row, self.row(row).torque_error())
+
+    def _fail(self, row: RowIndex, error: SimulationError) -> None:
+        if isinstance(self.rows, OneRow):
+            raise error
+        self.failed[row] = error
+        self.rows.drop(row)
 
     def step_given(self) -> Array:
         """Simulates one timestep with what is in `joints.motor_torques`, which is not looked at.
@@ -91,7 +130,9 @@ class PlantRows:
         """
         joints = self.joints
         if not joints.advance(self._gather_pushes()):
-            self._stop_for_motion()
+            for row in self.rows.indices:
+                if self.rows.is_broken(row):
+                    self._fail(row, self.row(row).motion_error())
         sensors = self.sensors
         if sensors.is_perfect:
             joints.read(self._measured_readings)
@@ -111,7 +152,179 @@ class PlantRows:
 
     def _gather_pushes(self) -> Array | None:
         """What pushes do at the joints now, (nv,), Nm; None where none do."""
-        return None
+        if not self.has_pushes:
+            return None
+        self.rows.applied[...] = self.pushed[...] = 0.0
+        acting = {row: pushes for row, pushes in self.pushes.items() if pushes}
+        self.has_pushes = bool(acting)
+        self.rows.look_ahead([*acting])
+        for row, pushes in acting.items():
+            model, data, torques = self.rows.model_of(row), self.rows.data_of(row), self.pushed[row]
+            for push in pushes:
+                push.apply(model, data, torques)
+        return self.pushed
 
-    def _stop_for_motion(self) -> NoReturn:
-        raise NotImplementedError  # rows that are unstable wait, see `ManyRows`
+
+class PlantRow:
+    """The robots of one row of a plant: what they measure, what acts on them, what they carry.
+
+    Args:
+        plant: all rows.
+        row: which one of them.
+
+    Attributes:
+        world: with the robots' names.
+        rows: all rows, in MuJoCo.
+        index: its place in arrays of all rows.
+        n: number of joints of all robots together.
+        timestep: of a step, s.
+        sensors: of all rows.
+        measured: (3, n), what the sensors read.
+        motor_angles: (n,), true, rad: before the spring of an elastic joint. Always the same
+            array, to read only; so is the next.
+        motor_velocities: (n,), likewise, rad/s.
+    """
+
+    def __init__(self, plant: PlantRows, row: RowIndex) -> None:
+        self.world, self.rows, self.index = plant.world, plant.rows, row
+        self.n, self.timestep, self.sensors = plant.n, plant.timestep, plant.sensors
+        self.measured = plant.measured[row]
+        self.motor_angles, self.motor_velocities = (
+            plant.motor_angles[row],
+            plant.motor_velocities[row],
+        )
+        self._plant = plant
+
+    @property
+    def actual(self) -> Array:
+        """See `PlantRows`; (3, n)."""
+        return self._plant.actual[self.index]
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """Its `MjModel`; payloads and frictions change it."""
+        return self.rows.model_of(self.index)
+
+    @property
+    def data(self) -> mujoco.MjData:
+        """Its `MjData`; with many rows a copy, until that of the next row is asked for."""
+        return self.rows.data_of(self.index)
+
+    @property
+    def qpos(self) -> Array:
+        """MuJoCo's coordinates, (nq,), in place."""
+        return self.rows.qpos[self.index]
+
+    def push(
+        self,
+        frame: str,
+        force: ArrayLike = (0.0, 0.0, 0.0),
+        torque: ArrayLike = (0.0, 0.0, 0.0),
+        expressed_in: str = "world",
+        at: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> Push:
+        """Applies a force and a torque at a frame until `release`.
+
+        Args:
+            frame: at whose origin they act, e.g. `lwr/flange`.
+            force: (3,), N.
+            torque: (3,), Nm.
+            expressed_in: name of the frame in whose axes both are given.
+            at: (3,), where in the frame they act, m.
+
+        Returns:
+            the push; change its `force` and `torque` at any time.
+
+        Raises:
+            UnknownName: no such frame.
+            ValueError: not three finite numbers.
+        """
+        return self.add_push(Push(self.world, frame, force, torque, expressed_in, at))
+
+    def add_push(self, push: P) -> P:
+        """Lets a push act until `release`, see `push`."""
+        self._plant.pushes[self.index].append(push)
+        self._plant.has_pushes = True
+        return push
+
+    def release(self, push: Push) -> None:
+        """Ends a push; nothing happens if it has ended."""
+        pushes = self._plant.pushes[self.index]
+        if push in pushes:
+            pushes.remove(push)
+
+    def attach_payload(
+        self,
+        robot: str,
+        mass: float,
+        center_of_mass: ArrayLike = (0.0, 0.0, 0.0),
+        inertia: ArrayLike | None = None,
+    ) -> None:
+        """Fixes a payload to a robot's flange, in place of the one that it may have.
+
+        Args:
+            robot: its name.
+            mass: kg.
+            center_of_mass: (3,), in the flange's frame, m.
+            inertia: about it, in the flange's axes, kg m2: 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz,
+                Iyz) or (3, 3); that of a ball of steel when None.
+
+        Raises:
+            UnknownName: no such robot.
+            ValueError: no rigid body has this mass and inertia.
+        """
+        self._part(robot)
+        attach_payload(self.rows.own_model(self.index), robot, mass, center_of_mass, inertia)
+        self.rows.refresh(self.index)
+
+    def detach_payload(self, robot: str) -> None:
+        """Takes a robot's payload away.
+
+        Raises:
+            UnknownName: no such robot.
+        """
+        self._part(robot)
+        detach_payload(self.rows.own_model(self.index), robot)
+        self.rows.refresh(self.index)
+
+    def flange(self, robot: str) -> Array:
+        """T_world_flange now, (4, 4), m: the true one, in an array of its own."""
+        self.rows.look_ahead([self.index])
+        frame, body, data = np.eye(4), self._part(robot).flange_body, self.data
+        frame[:3, :3] = data.xmat[body].reshape(3, 3)
+        frame[:3, 3] = data.xpos[body]
+        return frame
+
+    def _part(self, robot: str) -> RobotPart:
+        if robot not in self.world.robots:
+            raise UnknownName("robot", robot, self.world.robots)
+        return self.world.robots[robot]
+
+    def _joint_name(self, row: int) -> str:
+        names = [
+            f"{name}/{j}" for name, part in self.world.robots.items() for j in part.robot.names
+        ]
+        return names[row]
+
+    def torque_error(self) -> SimulationError:
+        """What is wrong with the motor torques, which are zero afterwards."""
+        torques = self._plant.joints.motor_torques[self.index]
+        joint = int(np.argmax(~(np.abs(torques) < MAX_TORQUE / np.sqrt(self.n))))
+        reason = f"found a motor torque of {torques[joint]:g} Nm; expected a finite one, below 1e9"
+        torques[:] = 0.0
+        return SimulationError(float(self.data.time), self._joint_name(joint), reason)
+
+    def motion_error(self) -> SimulationError:
+        """In which joint the motion has become unstable, and how."""
+        time, accelerations = self.rows.broken_at(self.index)
+        found = accelerations[self._plant.joints.motor_dofs]
+        broken = ~(np.abs(found) < mujoco.mjMAXVAL)
+        parts = self.world.robots.values()
+        revolute = np.concatenate([part.kinematics.revolute for part in parts])
+        joint = int(np.argmax(broken) if broken.any() else np.argmax(np.abs(found)))
+        unit = "rad/s2" if revolute[joint] else "m/s2"
+        reason = (
+            f"found an acceleration of {found[joint]:g} {unit}; the motion is unstable: "
+            f"expected lower gains, or a timestep below {self.timestep:g} s"
+        )
+        return SimulationError(time, self._joint_name(joint), reason)

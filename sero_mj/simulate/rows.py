@@ -7,12 +7,15 @@ with them, from joints to drives, stands in the code once for both: it looks at 
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from mujoco import mj_step, mj_step1, mj_step2
 from mujoco.batch import Batch
 
-from ..base.frames import Array, Bools, Ints
+from ..base.frames import Array, Bools, Ints, RowIndex
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _VELOCITY = int(mujoco.mjtStage.mjSTAGE_VEL)
@@ -36,8 +39,10 @@ class OneRow:
         data: likewise, up to date with its state.
 
     Attributes:
+        model: as given.
         data: as given.
         shape: of what there is one of in a row: (), here.
+        indices: of the rows.
         qpos: (nq,), as all that follows in place.
         qvel: (nv,).
         applied: (nv,), Nm or N, `qfrc_applied`.
@@ -45,25 +50,55 @@ class OneRow:
     """
 
     shape: tuple[int, ...] = ()
+    indices: Sequence[RowIndex] = (...,)
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        self._model, self.data = model, data
+        self.model, self.data = model, data
         self.qpos, self.qvel, self.applied = data.qpos, data.qvel, data.qfrc_applied
         self._warned = memoryview(data.warning.number)
         self.is_ahead = True
 
     def step(self) -> bool:
         """Simulates a step; returns whether the motion is stable."""
-        (mj_step2 if self.is_ahead else mj_step)(self._model, self.data)
+        (mj_step2 if self.is_ahead else mj_step)(self.model, self.data)
         self.is_ahead = False
         warned = self._warned
         return not (warned[_ACCELERATION] or warned[_SPEED] or warned[_POSITION])
 
-    def look_ahead(self) -> None:
+    def look_ahead(self, rows: Sequence[RowIndex] = (...,)) -> None:
         """Computes what follows from the state, if that has not been done."""
         if not self.is_ahead:
-            mj_step1(self._model, self.data)
+            mj_step1(self.model, self.data)
             self.is_ahead = True
+
+    def data_of(self, row: RowIndex) -> mujoco.MjData:
+        """`data`."""
+        return self.data
+
+    def model_of(self, row: RowIndex) -> mujoco.MjModel:
+        """`model`."""
+        return self.model
+
+    def is_broken(self, row: RowIndex) -> bool:
+        """Whether the motion became unstable in the last step, which was not stable."""
+        return True
+
+    def broken_at(self, row: RowIndex) -> tuple[float, Array]:
+        """When the motion became unstable, s, and the accelerations then, (nv,)."""
+        return float(self.data.time), self.data.qacc
+
+    def own_model(self, row: RowIndex) -> mujoco.MjModel:
+        """`model`, to be changed; call `refresh` afterwards."""
+        return self.model
+
+    def refresh(self, row: RowIndex) -> None:
+        """Computes what follows from the state and a model that was changed."""
+        self.is_ahead = False
+        self.look_ahead()
+
+    def is_touching(self, row: RowIndex) -> bool:
+        """Whether there were contacts in the last step."""
+        return bool(self.data.ncon)
 
     def read_inner_forces(self, couplings: Ints, dofs_with_friction: Ints, out: Array) -> None:
         """Writes the forces of couplings, then of Coulomb friction, that acted in the step.
@@ -89,8 +124,10 @@ class ManyRows:
         is_pushed: whether it has to be known after every step where bodies are.
 
     Attributes:
+        model: as given.
         batch: MuJoCo's simulations.
         shape: (m,), of what there is one of in a row.
+        indices: of the rows.
         qpos: (m, nq), as all that follows in place.
         qvel: (m, nv).
         applied: (m, nv), Nm or N, `qfrc_applied`.
@@ -100,15 +137,17 @@ class ManyRows:
 
     def __init__(self, model: mujoco.MjModel, m: int, *, is_pushed: bool = False) -> None:
         # Data are kept for the forces of constraints, which a batch tells of no other way.
-        self.batch = Batch(model, m, 1, persistent=True)
-        self.shape = (m,)
+        self.model, self.batch = model, Batch(model, m, 1, persistent=True)
+        self.shape, self.indices = (m,), range(m)
         self._stage = _VELOCITY if is_pushed else _NOTHING
         self.qpos: Array = self.batch.bind("qpos")
         self.qvel: Array = self.batch.bind("qvel")
         self.applied: Array = self.batch.bind("qfrc_applied")
         self._constrained: Array = self.batch.bind("qfrc_constraint")
         self._constraints, self._frictions = self.batch.bind("nefc"), self.batch.bind("nf")
+        self._contacts = self.batch.bind("ncon")
         self._warnings = self.batch.warning
+        self._models: dict[RowIndex, mujoco.MjModel] = dict.fromkeys(range(m), model)
         self.data, self._scratch = mujoco.MjData(model), mujoco.MjData(model)
         mujoco.mj_forward(model, self.data)
         self.unstable: Bools = np.zeros(m, bool)
@@ -118,29 +157,75 @@ class ManyRows:
     def place(self, k: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Puts row k where a world is that is as its own."""
         mujoco.mj_getState(model, data, self.batch.state[k], _STATE)
-        self.batch.forward([k], stage=_VELOCITY)
+        self.look_ahead([k])
 
     def begin(self, which: Bools) -> None:
         """Lets some of the rows take part in the next steps, (m,)."""
-        self._which = which
-        self._ids = None if which.all() else np.flatnonzero(which)
+        self._choose(which)
         self._before: Array = self.batch.state.copy()
+        self._broken_at: dict[RowIndex, tuple[float, Array]] = {}
         self.unstable[:] = False
 
-    def step(self) -> bool:
-        """Simulates a step of those that take part."""
-        self.batch.step(self._ids, stage=self._stage)
-        if self._warnings.any():
-            broken = self._warnings[:, _UNSTABLE].any(axis=(1, 2))
-            self.unstable |= broken
-            self.batch.state[broken] = self._before[broken]
-            self._warnings[:] = 0
-            self._which = self._which & ~broken
-            self._ids = np.flatnonzero(self._which)
-        return True
+    def drop(self, k: RowIndex) -> None:
+        """Lets row k take no part in further steps until the next `begin`."""
+        which = self._which.copy()
+        which[k] = False
+        self._choose(which)
 
-    def look_ahead(self) -> None:
-        """Nothing is left to do: where it matters the step has done so."""
+    def _choose(self, which: Bools) -> None:
+        self._which = which
+        self._ids = None if which.all() else np.flatnonzero(which)
+
+    def step(self) -> bool:
+        """Simulates a step of those that take part; returns whether their motion is stable."""
+        self.batch.step(self._ids, stage=self._stage)
+        if not self._warnings.any():
+            return True
+        broken = self._warnings[:, _UNSTABLE].any(axis=(1, 2))
+        for k in np.flatnonzero(broken).tolist():
+            data = self.data_of(k)
+            self._broken_at[k] = float(data.time), data.qacc.copy()
+        self.unstable |= broken
+        self.batch.state[broken] = self._before[broken]
+        self._warnings[:] = 0
+        self._choose(self._which & ~broken)
+        return not broken.any()
+
+    def look_ahead(self, rows: Sequence[RowIndex] = ()) -> None:
+        """Computes what follows from the states of rows; where it matters to all, `step` has."""
+        if rows:
+            self.batch.forward(rows, stage=_VELOCITY)
+
+    def data_of(self, row: RowIndex) -> mujoco.MjData:
+        """What is known of a row since its last step or `look_ahead`, until the next call."""
+        return self.batch.get_data(row, self._scratch)
+
+    def model_of(self, row: RowIndex) -> mujoco.MjModel:
+        """The model of a row, not to be changed."""
+        return self._models[row]
+
+    def is_broken(self, row: RowIndex) -> bool:
+        """Whether a row's motion has become unstable since `begin`."""
+        return row in self._broken_at
+
+    def broken_at(self, row: RowIndex) -> tuple[float, Array]:
+        """See `OneRow`; of a row that is among `broken`."""
+        return self._broken_at[row]
+
+    def own_model(self, row: RowIndex) -> mujoco.MjModel:
+        """The model of a row by itself, to be changed; call `refresh` afterwards."""
+        if self._models[row] is self.model:
+            self._models[row] = copy.copy(self.model)
+        return self._models[row]
+
+    def refresh(self, row: RowIndex) -> None:
+        """Lets a row's own model, which was changed, be that of its next steps."""
+        self.batch.set_models([*self._models.values()])
+        self.look_ahead([row])
+
+    def is_touching(self, row: RowIndex) -> bool:
+        """Whether a row had contacts in the last step."""
+        return bool(self._contacts[row])
 
     def read_inner_forces(self, couplings: Ints, dofs_with_friction: Ints, out: Array) -> None:
         """See `OneRow`; out is (m, k)."""

@@ -307,12 +307,11 @@ class Scenario:
         """The controller of a robot; gravity compensation where none is declared."""
         return self.controllers.get(robot, GravityCompensation())
 
-    def make_sensors(self, seed: int, rows: int | None = None) -> Sensors:
-        """The sensors of all robots together, perhaps of many worlds.
+    def make_sensors(self, seed: int) -> Sensors:
+        """The sensors of all robots together.
 
         Args:
             seed: of their noise.
-            rows: how many worlds, see `Sensors`; None for one.
 
         Raises:
             DeclarationError: errors that do not fit the joints, or delays that differ.
@@ -352,7 +351,6 @@ class Scenario:
         return Sensors(
             sum(map(len, filters)),
             seed=seed,
-            rows=rows,
             **merged,
             velocity_filter=np.concatenate(filters),
             timestep=self.run.timestep / self.run.substeps,

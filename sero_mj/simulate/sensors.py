@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy import add, copyto, divide, multiply, rint
@@ -20,7 +20,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 from ..base.declaration import Declaration, numbers
 from ..base.errors import UnknownName
-from ..base.frames import Array, Bools, Ints
+from ..base.frames import Array, Bools, Ints, RowIndex
 
 Signal = Literal["angles", "velocities", "torques"]
 SIGNALS: tuple[Signal, ...] = ("angles", "velocities", "torques")
@@ -66,8 +66,8 @@ class SensorErrors(Declaration):
 class Sensors:
     """Sensors of n joints for three signals: angles, velocities and torques, in that order.
 
-    With m rows, of which each has sensors and noise of its own, all arrays have the rows as their
-    first axis.
+    With m rows, of which each has sensors and noise of its own (see `joined`), all arrays have the
+    rows as their first axis.
 
     Args:
         n: number of joints.
@@ -78,7 +78,6 @@ class Sensors:
         velocity_filter: w, (n,), 1/s, of joints whose velocities are differentiated, with their own
             errors on top; 0 for those that have tachometers. None for no differentiated ones.
         timestep: t, s between two readings; needed with `velocity_filter`.
-        rows: m; None for one without the axis.
 
     Attributes:
         is_perfect: whether they read the truth, at once.
@@ -99,56 +98,78 @@ class Sensors:
         *,
         velocity_filter: Array | None = None,
         timestep: float = 0.0,
-        rows: int | None = None,
     ) -> None:
-        self.n = n
-        self._rows: tuple[int, ...] = () if rows is None else (rows,)
-        self.measured = np.zeros((*self._rows, 3, n))
-        self.seed = seed
-        self._declared = [errors or SensorErrors() for errors in (angles, velocities, torques)]
+        errors = [each or SensorErrors() for each in (angles, velocities, torques)]
+        filters = np.zeros(n) if velocity_filter is None else np.array(velocity_filter)
+        if filters.any() and not timestep > 0:
+            raise ValueError(f"timestep: found {timestep:g} s; expected more than 0")
+        self._build(n, (), [errors], filters, timestep, seed)
+        self.reset(self.measured)
+
+    @classmethod
+    def joined(cls, each: Sequence[Sensors]) -> Self:
+        """The sensors of as many rows, which begin with `reset_row`.
+
+        Args:
+            each: of every row, of n joints and with one timestep.
+        """
+        first, made = each[0], cls.__new__(cls)
+        declared = [one._declared[0] for one in each]
+        filters = np.array([one._filters for one in each])
+        made._build(first.n, (len(each),), declared, filters, first._timestep, first.seed)
+        made._alone = each
+        return made
+
+    def _build(
+        self,
+        n: int,
+        rows: tuple[int, ...],
+        declared: list[list[SensorErrors]],
+        filters: Array,
+        timestep: float,
+        seed: int,
+    ) -> None:
+        self.n, self._rows, self._declared, self.seed = n, rows, declared, seed
+        m, shape = len(declared), (*rows, 3, n)
+        self.measured = np.zeros(shape)
         # Noise alone, and all in all.
-        self._noise, self._offsets = np.zeros((2, _BLOCK, *self._rows, 3, n))
+        self._noise, self._offsets = np.zeros((2, _BLOCK, *shape))
         self._offset_rows = tuple(self._offsets)
-        self._grid_steps = np.zeros((*self._rows, n))
+        self._grid_steps = np.zeros((*rows, n))
         # Of every joint in a ring of late values.
         self._places: tuple[Ints, ...] = (np.arange(n),)
-        if rows is not None:
-            self._places = (np.arange(rows)[:, None], *self._places)
-            filters: dict[str, Any] = {"velocity_filter": velocity_filter, "timestep": timestep}
-            self._one = Sensors(n, angles, velocities, torques, **filters)
-        self._differentiated: Bools | None = None
-        self._new_share, self._timestep = np.zeros(n), timestep
-        if velocity_filter is not None and np.any(velocity_filter):
-            if not timestep > 0:
-                raise ValueError(f"timestep: found {timestep:g} s; expected more than 0")
-            self._differentiated = np.array(velocity_filter) > 0
-            self._new_share = -np.expm1(-np.array(velocity_filter) * timestep)
-        self._speeds, self._read_angles = np.zeros((2, *self._rows, n))
+        if rows:
+            self._places = (np.arange(m)[:, None], *self._places)
+        self._filters, self._timestep = filters, timestep
+        self._differentiated: Bools | None = filters > 0 if filters.any() else None
+        self._new_share = -np.expm1(-filters * timestep)
+        self._speeds, self._read_angles = np.zeros((2, *rows, n))
         self._has_read = False
         # What was read without its delay.
-        self._past = [np.zeros((1, *self._rows, n)) for _ in SIGNALS]
-        self._rngs = [np.random.default_rng(seed) for _ in range(rows or 1)]
+        self._past = [np.zeros((1, *rows, n)) for _ in SIGNALS]
+        self._rngs = [np.random.default_rng(seed) for _ in declared]
         self._k = 0  # readings until now
-        self._first = np.zeros(rows or 1, np.intp)  # where the noise of every row begins
+        self._first = np.zeros(m, np.intp)  # where the noise of every row begins
         self._together: int | None = 0  # the same where it is one for all
-        self._has_noise, self._has_drawn = np.zeros((2, rows or 1), bool)
-        shape = (*self._rows, 3, n)
+        self._has_noise, self._has_drawn = np.zeros((2, m), bool)
         self._errors = {key: np.zeros(shape) for key in _ERRORS}
         self._held: Array = np.zeros(shape)
         self._dead, self._frozen = np.zeros((2, *shape), bool)
         self._delays = np.zeros(shape, np.intp)
-        self._of: Any = ...  # the rows that are changed
-        self._changed: set[int] = set()
-        self.repair()
-        if rows is None:
-            self.reset(self.measured)
+        self._changed: set[RowIndex] = set()
+        self._alone: Sequence[Sensors] = ()
+        for row in range(m) if rows else (...,):
+            self._of: Any = row  # the rows that are changed
+            self.repair()
+        self._of = ...
 
     def repair(self) -> None:
         """Ends all faults and changes: every sensor is as it was declared."""
         of = self._of
+        errors = self._declared[0 if of is ... else of]
         self._dead[of] = self._frozen[of] = False
         self._held[of] = 0.0
-        for row, (signal, declared) in enumerate(zip(SIGNALS, self._declared, strict=True)):
+        for row, (signal, declared) in enumerate(zip(SIGNALS, errors, strict=True)):
             for key in _ERRORS:
                 value = getattr(declared, key)
                 if value.shape not in ((), (1,), (self.n,)):
@@ -157,18 +178,18 @@ class Sensors:
                     )
                 self._errors[key][of][..., row, :] = value
         self._delays[of] = 0
-        for signal, declared in zip(SIGNALS, self._declared, strict=True):
+        for signal, declared in zip(SIGNALS, errors, strict=True):
             self.delay(signal, declared.delay)
 
     @contextmanager
-    def only(self, row: int) -> Iterator[None]:
-        """Lets what is changed in its context concern one of the rows alone."""
-        self._of = row
+    def only(self, row: RowIndex) -> Iterator[None]:
+        """Lets what is changed in its context concern one row alone; `...` is the only one."""
         self._changed.add(row)
+        before, self._of = self._of, row
         try:
             yield
         finally:
-            self._of = ...
+            self._of = before
 
     def reset(self, actual: Array) -> None:
         """Begins anew: the noise from its seed, and delays as if all had stood still before.
@@ -196,7 +217,7 @@ class Sensors:
             with self.only(row):
                 self.repair()
             self._changed.remove(row)
-        one = self._one
+        one = self._alone[row]
         one.seed = seed
         one.reset(actual)
         self.measured[row], self._rngs[row] = one.measured, one._rngs[0]

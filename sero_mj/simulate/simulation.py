@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import TypeVar
 
@@ -12,10 +11,8 @@ import numpy as np
 from ..base.errors import DeclarationError, Problem, SimulationError, collect
 from ..base.frames import Array, frame, rotation_from_quat
 from ..data.receive.structure import Structure
-from ..robots.assemble.joint_speeds import joint_speeds
 from ..robots.assemble.mounts import base_frames, unmounted
 from ..robots.assemble.robot import SerialRobot
-from ..robots.assemble.scene import Scene
 from .control.compiler import Compiler
 from .control.controller import ControllerDeclaration
 from .control.plan import Plan, make_plan
@@ -23,12 +20,12 @@ from .control.robot_model import RobotModel
 from .control.whole_body import WholeBody
 from .controlled_robot import ControlledRobot
 from .drag_force import DragForce
-from .drives import Drives
 from .event_schedule import EventSchedule
 from .expect import Outcome
 from .external_loads import Contacts
 from .live_control import LiveControl, LiveRobot
 from .plant import Plant
+from .run_batch import RunBatch, located_in
 from .runs.monitor import Finding
 from .runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
 from .scenario import Scenario
@@ -58,7 +55,9 @@ class Simulation:
         layout: of the log's rows.
         rows: (steps + 1, width), the log; rows behind `step` hold targets only.
         times: (steps + 1,), of the rows, s.
+        controlled: the robots with their controllers, in the order of `robots`.
         step: how many steps have been made.
+        error: what has ended it, of one that is simulated `together` with others; else None.
         whole_body: what the controllers of mounted robots know of each other; None where none is.
         hand: pulls them by hand; None without.
         live: changes targets and controllers; None without.
@@ -77,52 +76,75 @@ class Simulation:
         by_hand: bool = False,
         is_live: bool = False,
     ) -> None:
-        run, scene = scenario.run, scenario.scene
-        self.compiler = compiler or Compiler()
-        self.scenario = scenario
         _check_size(scenario)
-        elastic = {} if run.elastic is None else {"elastic_joints": run.elastic}
-        self.robots = {
-            name: robot.model_copy(update=elastic) for name, robot in scene.robots.items()
-        }
-        sensors = scenario.make_sensors(run.seed if seed is None else seed)
-        # Doubles, arrows and cameras take no part, and would cost time in every step. What is
-        # carried is a mass of the flange, and nothing to run into.
-        stripped = Scene(
-            robots=list(self.robots.values()),
-            # Links of a group's robots that stand together do not collide.
-            groups=[group.without_defaults() for group in scene.groups.values()],
-            objects=scenario.obstacles,
-            floor=scene.floor,
-            name=scene.name,
-            file=scene.file,
+        self.compiler = compiler or Compiler()
+        seed = scenario.run.seed if seed is None else seed
+        self._join(scenario, RunBatch([scenario], [seed], self.compiler, raises=True), 0)
+        if by_hand:
+            self.drag_force = DragForce(self.plant, scenario)
+        if is_live:
+            self.live = LiveControl()
+        self._plan(self._batch.start)
+        self._batch.begin([self])
+        self._check_gains(self._start)
+
+    drag_force: DragForce | None
+    live: LiveControl | None
+
+    def _join(self, scenario: Scenario, batch: RunBatch, row: int) -> None:
+        """Takes its place in a batch."""
+        self.scenario, self._batch = scenario, batch
+        self.robots, self.plant, self.drives = (
+            batch.robots,
+            batch.plant.row(batch.plant.rows.indices[row]),
+            batch.drives,
         )
-        timestep = run.timestep / run.substeps
-        self.plant = Plant(self.compiler.world(stripped, run.gravity), sensors, timestep)
-        self.plant.joints.looks_ahead = False  # controllers have models of their own
-        self.whole_body = (
-            WholeBody(self.plant.world) if WholeBody.is_needed(self.plant.world) else None
-        )
+        self.error: SimulationError | None = None
+        self.drag_force = self.live = None
+        world, run = self.plant.world, scenario.run
+        self.whole_body = WholeBody(world) if WholeBody.is_needed(world) else None
         every = min(OBSERVED_EVERY, 0.5 / run.observer_gain)
         self._observed_every = max(round(every / run.timestep), 1)
-        self.drives: Drives | None = None
-        if run.torque_control or run.substeps > 1 or run.drive_delay or scenario.amplifies:
-            with _located_in(scenario.scene):
-                self.drives = Drives(self.plant, self.robots, run)
-        self._limit_speeds()
-        self.drag_force = DragForce(self.plant, scenario) if by_hand else None
-        self.live = LiveControl() if is_live else None
         self._contacts = None
         if scenario.has_surroundings:
-            self._contacts = Contacts(self.plant.world, self.plant.data)
-        parts = self.plant.world.robots
-        bases = {name: part.free for name, part in parts.items() if len(part.free)}
+            self._contacts = Contacts(world, self.plant.model)
+        bases = {name: part.free for name, part in world.robots.items() if len(part.free)}
         self._free = {event_of(name, "base_frame"): free for name, free in bases.items()}
-        objects = self.plant.world.free_objects
-        self._free |= {event_of(name, "frame"): free for name, free in objects.items()}
-        start = np.concatenate([robot.home for robot in self.robots.values()])
-        self._begin(start)
-        self._check_gains(start)
+        self._free |= {event_of(name, "frame"): free for name, free in world.free_objects.items()}
+
+    @classmethod
+    def together(
+        cls, scenarios: Sequence[Scenario], compiler: Compiler | None = None
+    ) -> list[Simulation | DeclarationError]:
+        """Simulations that are advanced together: one's `advance` is that of all.
+
+        Where one cannot go on it has its `error`, and the others go on.
+
+        Args:
+            scenarios: what to run, with one `batch_key`.
+            compiler: as for one.
+
+        Returns:
+            in their order; where one cannot be run, why.
+        """
+        compiler = compiler or Compiler()
+        seeds = [each.run.seed for each in scenarios]
+        batch = RunBatch(scenarios, seeds, compiler, raises=False)
+        made: list[Simulation | DeclarationError] = []
+        for row, scenario in enumerate(scenarios):
+            one = cls.__new__(cls)
+            one.compiler = compiler
+            try:
+                one._join(scenario, batch, row)
+                one._plan(batch.start)
+                one._check_gains(batch.start)
+            except DeclarationError as error:
+                made.append(error)
+            else:
+                made.append(one)
+        if runs := [each for each in made if isinstance(each, Simulation)]:
+            batch.begin(runs)
+        return made
 
     def __reduce__(
         self,
@@ -138,51 +160,23 @@ class Simulation:
             joint_angles: (n,), of all robots together, rad or m.
             seed: of the noise.
         """
-        self.plant.sensors.seed = seed
-        self.plant.reset(joint_angles)
+        plant = self._batch.plant
+        assert isinstance(plant, Plant)
+        plant.sensors.seed = seed
+        plant.reset(joint_angles)
         if self.drives is not None:
             self.drives.reset()
-        self._begin(joint_angles)
-
-    def _limit_speeds(self) -> None:
-        """Finds at which speeds a joint has run away."""
-        limits = [joint_speeds(robot, "runaway") for robot in self.robots.values()]
-        share = self.scenario.run.runaway_speed
-        self._fastest: Array = np.concatenate(limits) * (share or np.inf)
-        # While all speeds together, squared, are below this none can be above its own limit.
-        self._surely_slow = float(self._fastest.min()) ** 2
-        self._motor_speeds = self.plant.motor_velocities if self.plant.joints.elastic else None
-
-    def _stop_runaway(self, k: int) -> None:
-        """Ends the run if a joint, or the motor of an elastic one, has run away in row k."""
-        speeds = np.abs(self._actual[k, 1])
-        if self._motor_speeds is not None:
-            speeds = np.maximum(speeds, np.abs(self._motor_speeds))
-        if not (speeds > self._fastest).any():
-            return
-        joints = [(robot, j) for robot in self.robots.values() for j in range(robot.n)]
-        row = int(np.argmax(speeds / self._fastest))
-        robot, joint = joints[row]
-        share, kind = self.scenario.run.runaway_speed, robot.types[joint]
-        unit = "rad/s" if kind == "revolute" else "m/s"
-        limit = f"{self._fastest[row] / share:.4g} {unit}"
-        named = f"its velocity limit, {limit}"
-        if robot.velocity_limits is None:
-            named = f"{limit}, which stands for a velocity limit where none is declared"
-        reason = (
-            f"found {speeds[row]:.4g} {unit}, more than {share:g} times {named}: it runs away; "
-            "expected other gains or torques, or another run.runaway_speed (0 for none)"
-        )
-        raise SimulationError(self.time, f"{robot.name}/{robot.names[joint]}", reason)
+        self._plan(joint_angles)
+        self._batch.begin([self])
 
     def _check_gains(self, start: Array) -> None:
         """Refuses gains, of controllers and of the torque loop, that the time steps cannot hold."""
-        robots = dict(zip(self.robots, self._robots, strict=True))
+        robots = dict(zip(self.robots, self.controlled, strict=True))
         self._of_robots(
             "controllers", lambda name: robots[name].controller.check(start[robots[name].joints])
         )
         if self.drives is not None and self.drives.loop is not None:
-            with _located_in(self.scenario.scene):
+            with located_in(self.scenario.scene):
                 for name, robot in robots.items():
                     self.drives.check(
                         name,
@@ -190,21 +184,24 @@ class Simulation:
                         has_springs=robot.has_springs,
                     )
 
-    def _begin(self, start: Array) -> None:
-        """Makes a new log, and controllers that remember nothing, for a plant that is at rest."""
+    def _plan(self, start: Array) -> None:
+        """Computes targets and makes controllers that remember nothing, for a plant at rest.
+
+        Args:
+            start: (n,), of all robots together, rad or m.
+        """
         self.step, self._start = 0, start
-        run = self.scenario.run
-        times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
-        parts, targets = self.plant.world.robots, self.scenario.targets
+        run, parts, row = self.scenario.run, self.plant.world.robots, self.plant.index
+        self.times = np.arange(run.steps + 1, dtype=np.float64) * run.timestep
         angles = {name: start[part.joints] for name, part in parts.items()}
         bases = base_frames(self.robots, angles)
         standing = {name: unmounted(robot, bases[name]) for name, robot in self.robots.items()}
         if self.whole_body is not None:
-            self.whole_body.update(start, self.plant.data)
+            self.whole_body.update(start, self.plant.qpos)
 
         def plan(name: str) -> Plan:
-            controller = self.scenario.controller_of(name)
-            robot, target = standing[name], targets.get(name)
+            controller, times = self.scenario.controller_of(name), self.times
+            robot, target = standing[name], self.scenario.targets.get(name)
             if self.live is not None:  # what is planned is replaced, but has its place in the log
                 return make_plan(robot, None, times[:1], self.compiler, angles[name])
             return make_plan(
@@ -217,18 +214,10 @@ class Simulation:
                 needs_pose=getattr(controller, "needs_pose", False),
             )
 
-        plans = self._of_robots("targets", plan)
-        self._schedule = EventSchedule(self.scenario, self.plant, run.steps)
-        self.layout = self._make_layout(plans)
-        self.rows: Array = np.zeros((len(times), self.layout.width))
-        self.times = self.rows[:, 0] = times
-        self._fill_targets(plans)
-        self._schedule.fill(self.layout.columns, self.rows)
-        if self.drag_force is not None:
-            self.drag_force.begin(self.layout.columns, self.rows)
-        self._drive: Array = np.zeros((2, self.plant.n))  # torques: commanded, and asked for
-        every = self._observed_every
-        self._robots = list(
+        self._plans = self._of_robots("targets", plan)
+        self._schedule = EventSchedule(self.scenario, self.plant, run.steps, self._batch.gains[row])
+        self.layout = self._make_layout(self._plans)
+        self.controlled = list(
             self._of_robots(
                 "controllers",
                 lambda name: ControlledRobot(
@@ -237,23 +226,38 @@ class Simulation:
                     self.plant,
                     self.drives,
                     self.robot_model,
-                    plans[name],
-                    self._drive,
-                    every,
+                    self._plans[name],
+                    self._batch.drive[row],
+                    self._observed_every,
                 ),
             ).values()
         )
-        # Views of the log, (T, signals, n): those of all robots lie in a row.
-        self._measured, self._actual, self._driven = (
-            self.rows[:, self.layout.block(signals)].reshape(len(times), len(signals), -1)
-            for signals in (MEASURED, ACTUAL, DRIVEN)
-        )
-        self._estimated = self.rows[:, self.layout.block(ESTIMATED)]
-        self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
-        self._driven[0, 0] = self.plant.actual[2]  # what holds it at rest
+
+    def open_log(self, rows: Array) -> None:
+        """Begins to write a log.
+
+        Args:
+            rows: (T, width), zeros but for what the plant measures at first.
+        """
+        self.rows, columns = rows, self.layout.columns
+        rows[:, 0] = self.times
+        self._fill_targets(self._plans)
+        self._schedule.fill(columns, rows)
+        blocks = self.layout.block(MEASURED), self.layout.block(ESTIMATED)
+        self._measured = rows[:, blocks[0]].reshape(len(rows), len(MEASURED), -1)
+        self._estimated = rows[:, blocks[1]]
         self._write_free(0)
+        acting = (self._schedule, self.drag_force, self.live)
+        self._before = [each.before for each in acting if each is not None]
+        self._after = [self._schedule.after] if self._schedule.carries else []
+        if self.drag_force is not None:
+            self._after.append(self.drag_force.after)
+        if self.drag_force is not None:
+            self.drag_force.begin(columns, rows)
         if self.live is not None:
-            self.live.begin({robot.robot.name: self._live_robot(robot) for robot in self._robots})
+            self.live.begin(
+                {robot.robot.name: self._live_robot(robot) for robot in self.controlled}
+            )
 
     def _live_robot(self, controlled: ControlledRobot) -> LiveRobot:
         """What targets and controllers of a robot are changed by."""
@@ -373,56 +377,40 @@ class Simulation:
             SimulationError: it cannot go on, and the log ends with the step before; or a joint has
                 run away, and the log ends there.
         """
-        first, stop = self.step + 1, min(to_step, self.steps) + 1
-        try:
-            self._make_steps(stop)
-        finally:
-            written = self._driven[first : self.step + 1]
-            written[:, 1] = written[:, 0] != written[:, 1]  # saturated, or not
+        self._batch.advance(min(to_step, self.steps))
 
-    def _make_steps(self, stop: int) -> None:
-        """Makes the steps up to the row before `stop`."""
-        schedule, plant, contacts = self._schedule, self.plant, self._contacts
-        whole_body, free = self.whole_body, self._free
-        acting = [each for each in (schedule, self.drag_force) if each is not None]
-        before = [each.before for each in (*acting, self.live) if each is not None]
-        after = [each.after for each in acting]
-        measured, actual, driven = self._measured, self._actual, self._driven
-        (commanded, _), every = self._drive, self._observed_every
-        slow, motor_speeds = self._surely_slow, self._motor_speeds
-        move = plant.step if self.drives is None else self.drives.step
-        first = self.step + 1
-        times = self.rows[first - 1 : stop - 1, 0].tolist()
-        for k, time in zip(range(first, stop), times, strict=True):
-            for act in before:
-                act(k - 1)
-            if whole_body is not None:
-                whole_body.update(measured[k - 1, 0], plant.data)
-            for robot in self._robots:
-                robot.command(k - 1, time)
-            move(commanded * schedule.gains)
-            measured[k], actual[k], driven[k] = plant.measured, plant.actual, self._drive
-            if free:
-                self._write_free(k)
-            if contacts is not None and plant.data.ncon:
-                self._write_contacts(k, contacts.update())
-            for act in after:
-                act(k)
-            if k % every == 0:
-                self._observe(k)
-            self.step = k
-            speeds = actual[k, 1]
-            if speeds.dot(speeds) > slow or (
-                motor_speeds is not None and motor_speeds.dot(motor_speeds) > slow
-            ):
-                self._stop_runaway(k)
+    def prepare(self, k: int) -> None:
+        """Lets controllers and events act in the step that leads on from row k of the log."""
+        for act in self._before:
+            act(k)
+        if self.whole_body is not None:
+            self.whole_body.update(self._measured[k, 0], self.plant.qpos)
+        for robot in self.controlled:
+            if not robot.is_joined:
+                robot.command(k, float(self.times[k]))
+
+    def finish(self, k: int) -> None:
+        """Writes what the step that led to row k of the log has done, but what is written of all.
+
+        Args:
+            k: the row, in which measured, actual and driven torques are.
+        """
+        if self._free:
+            self._write_free(k)
+        if self._contacts is not None and self.plant.rows.is_touching(self.plant.index):
+            self._write_contacts(k, self._contacts.update(self.plant.model, self.plant.data))
+        for act in self._after:
+            act(k)
+        if k % self._observed_every == 0:
+            self._observe(k)
+        self.step = k
 
     def _observe(self, k: int) -> None:
         """Estimates the external torques of row k and those after it."""
         every, measured = self._observed_every, self._measured
         if self.whole_body is not None:
-            self.whole_body.update(measured[k, 0], self.plant.data)
-        for robot in self._robots:
+            self.whole_body.update(measured[k, 0], self.plant.qpos)
+        for robot in self.controlled:
             estimate = robot.observe(measured[k - every + 1 : k + 1])
             self._estimated[k : k + every, robot.joints] = estimate
 
@@ -459,8 +447,8 @@ class Simulation:
             DeclarationError: gains that do not fit the robot, or that the step cannot hold where it
                 is; the controller is what it was then.
         """
-        controlled = self._robots[list(self.robots).index(robot)]
-        angles = self._actual[self.step, 0, controlled.joints]
+        controlled = self.controlled[list(self.robots).index(robot)]
+        angles = self.plant.actual[0, controlled.joints]
         before = controlled.in_use
         try:
             controlled.use(controller, self.robot_model)
@@ -475,7 +463,7 @@ class Simulation:
     def _write_free(self, k: int) -> None:
         """Writes where free bases and objects are into row k."""
         for event, free in self._free.items():
-            pose = self.plant.data.qpos[free]
+            pose = self.plant.qpos[free]
             T = frame(rotation_from_quat(pose[3:]), pose[:3])
             self.rows[k, self.layout.columns[event]] = T.ravel()
 
@@ -510,15 +498,6 @@ def _begun_again(
     if not np.array_equal(start, simulation._start):
         simulation.restart(start, seed)
     return simulation
-
-
-@contextmanager
-def _located_in(scene: Scene) -> Iterator[None]:
-    """Adds the scene's file and lines to the problems of a `DeclarationError` in its context."""
-    try:
-        yield
-    except DeclarationError as error:
-        raise DeclarationError(scene.located(error.problems)) from None
 
 
 def _check_size(scenario: Scenario) -> None:

@@ -26,6 +26,8 @@ from .workers import Result, run_in_processes
 
 _TRIED = 20  # variants that are read beforehand: if none can be, a key is wrong
 MAX_VARIANTS = 200_000  # their values and results are kept in memory, not their logs
+# Variants that are run together, and steps and joints of theirs: 100 MB of logs.
+_BATCH, _BATCH_STEPS = 32, 1_000_000
 _SCALES = ("log", "int")
 _WHOLE = ("run.seed",)  # keys that take whole numbers only
 _EXAMPLE = "expected KEY=LOW:HIGH, log:LOW:HIGH, int:LOW:HIGH or a list A,B,C"
@@ -283,13 +285,22 @@ class Sweep:
             jobs: how many at once; 1 runs them in this process.
             done: numbers of variants to leave out.
         """
-        todo = ((k, values) for k, values in enumerate(self.variants) if k not in done)
+        todo = [(k, values) for k, values in enumerate(self.variants) if k not in done]
+        size = self._batch_size(len(todo), jobs)
+        batches = [todo[first : first + size] for first in range(0, len(todo), size)]
         if jobs > 1:
-            yield from run_in_processes(todo, jobs, self.file, self.fixed)
+            yield from run_in_processes(batches, jobs, self.file, self.fixed)
             return
         runner = VariantRunner(self.file, self.fixed)
-        for number, values in todo:
-            yield number, runner.run(values)
+        for batch in batches:
+            results = runner.run([values for _, values in batch])
+            yield from zip((number for number, _ in batch), results, strict=True)
+
+    def _batch_size(self, count: int, jobs: int) -> int:
+        """How many variants are run together: few enough for memory, and for all jobs."""
+        run, joints = self.base.run, sum(robot.n for robot in self.base.scene.robots.values())
+        most = int(np.clip(_BATCH_STEPS // ((run.steps + 1) * joints), 1, _BATCH))
+        return min(most, max(math.ceil(count / (2 * jobs)), 1))  # so that results come meanwhile
 
 
 def _plain(value: Any) -> Any:

@@ -1,16 +1,18 @@
-"""Runs one variant of a sweep."""
+"""Runs variants of a sweep, as many together as can be."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..base.errors import DeclarationError, SeroError, SimulationError
+from ..base.errors import DeclarationError, SeroError
 from ..base.reduction import rms
 from ..simulate.control.compiler import Compiler
+from ..simulate.run_batch import batch_key
 from ..simulate.runs.run_log import RunLog
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
@@ -37,7 +39,7 @@ def outcome_columns(scenario: Scenario) -> list[str]:
 
 
 class VariantRunner:
-    """Runs variants of one scenario, one after the other, and keeps no logs.
+    """Runs variants of one scenario, those together that differ in numbers only; keeps no logs.
 
     Args:
         file: the scenario's.
@@ -48,42 +50,74 @@ class VariantRunner:
         self._file, self._fixed = file, dict(fixed)
         self._compiler = Compiler()
 
-    def run(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Runs the variant with these values, and returns what is known of it.
+    def run(self, variants: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """Runs the variants with these values, and returns what is known of each.
 
-        Nothing that goes wrong in it is raised: it is the variant's `error`.
+        Nothing that goes wrong in one is raised: it is the variant's `error`.
         """
-        found: dict[str, Any] = {"held": False, "error": "", "ended": 0.0}
-        try:
-            scenario = read_scenario(self._file, {**self._fixed, **values})
-            simulation = Simulation(scenario, compiler=self._compiler)
-            try:
-                simulation.advance(simulation.steps)
-            except SimulationError as error:
-                found["error"] = str(error)
-            found["ended"] = simulation.time
-            log, findings = simulation.log, simulation.findings()
-            for name, expect in scenario.expect.items():
-                outcome = expect.judge(name, log, findings, scenario)
-                found[f"expect.{name}"] = outcome.holds
-                found[f"expect.{name}.value"] = outcome.value
-            for robot in scenario.scene.robots:
-                own = sum(finding.robot == robot for finding in findings)
-                found.update(_of_robot(log, robot, own))
-            held = all(found[f"expect.{name}"] for name in scenario.expect)
-            found["held"] = held and not found["error"]
-        except DeclarationError as error:
-            # The file is the same in all of them, and so is where it stands.
-            found["error"] = "; ".join(
-                ": ".join(filter(None, (problem.key, problem.message)))
-                for problem in error.problems
-            )
-        except SeroError as error:
-            found["error"] = str(error)
-        except Exception as error:  # a fault in this program shall not end ten thousand runs
-            found["error"] = f"{type(error).__name__}: {error}"
-        found["error"] = " ".join(found["error"].split())  # a row is one line
+        found = [{"held": False, "error": "", "ended": 0.0} for _ in variants]
+        batches: dict[object, list[tuple[Scenario, dict[str, Any]]]] = {}
+        for values, result in zip(variants, found, strict=True):
+            with _error_in(result):
+                scenario = read_scenario(self._file, {**self._fixed, **values})
+                batches.setdefault(batch_key(scenario), []).append((scenario, result))
+        for batch in batches.values():
+            self._run_batch(batch)
         return found
+
+    def _run_batch(self, batch: list[tuple[Scenario, dict[str, Any]]]) -> None:
+        """Runs scenarios together and fills their results."""
+        try:
+            made = Simulation.together([scenario for scenario, _ in batch], self._compiler)
+            runs = [each for each in made if isinstance(each, Simulation)]
+            if runs:
+                runs[0].advance(runs[0].steps)
+        except Exception as error:
+            if len(batch) > 1:  # whose it is shows where each is alone
+                for each in batch:
+                    self._run_batch([each])
+                return
+            with _error_in(batch[0][1]):
+                raise error
+            return
+        for (scenario, result), one in zip(batch, made, strict=True):
+            with _error_in(result):
+                if isinstance(one, DeclarationError):
+                    raise one
+                _judge(one, scenario, result)
+
+
+@contextmanager
+def _error_in(found: dict[str, Any]) -> Iterator[None]:
+    """Catches everything that goes wrong in its context: it is what a variant's row says."""
+    try:
+        yield
+    except DeclarationError as error:
+        # The file is the same in all of them, and so is where it stands.
+        found["error"] = "; ".join(
+            ": ".join(filter(None, (problem.key, problem.message))) for problem in error.problems
+        )
+    except SeroError as error:
+        found["error"] = str(error)
+    except Exception as error:  # a fault in this program shall not end ten thousand runs
+        found["error"] = f"{type(error).__name__}: {error}"
+    found["error"] = " ".join(found["error"].split())  # a row is one line
+
+
+def _judge(simulation: Simulation, scenario: Scenario, found: dict[str, Any]) -> None:
+    """Fills in what came of a run, which may have ended early."""
+    found["error"] = str(simulation.error or "")
+    found["ended"] = simulation.time
+    log, findings = simulation.log, simulation.findings()
+    for name, expect in scenario.expect.items():
+        outcome = expect.judge(name, log, findings, scenario)
+        found[f"expect.{name}"] = outcome.holds
+        found[f"expect.{name}.value"] = outcome.value
+    for robot in scenario.scene.robots:
+        own = sum(finding.robot == robot for finding in findings)
+        found.update(_of_robot(log, robot, own))
+    held = all(found[f"expect.{name}"] for name in scenario.expect)
+    found["held"] = held and not found["error"]
 
 
 def _of_robot(log: RunLog, robot: str, findings: int) -> dict[str, Any]:

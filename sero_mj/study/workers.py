@@ -1,4 +1,4 @@
-"""Variants of a sweep side by side in processes.
+"""Batches of variants of a sweep side by side in processes.
 
 Why processes: controllers, sensors, the observer and what happens in a run are Python between any
 two steps of MuJoCo, which threads would take turns at. `mujoco.rollout` runs steps in threads but
@@ -12,7 +12,8 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Generator, Iterable, Mapping
+from collections import deque
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -63,21 +64,21 @@ def _exit_with(parent: Connection) -> None:
     os._exit(1)
 
 
-def _run(values: Mapping[str, Any]) -> dict[str, Any]:
-    return _runner.run(values)
+def _run(variants: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    return _runner.run(variants)
 
 
 def run_in_processes(
-    variants: Iterable[Variant], jobs: int, file: Path, fixed: Mapping[str, Any]
+    batches: Iterable[Sequence[Variant]], jobs: int, file: Path, fixed: Mapping[str, Any]
 ) -> Generator[Result]:
-    """Runs variants in so many processes; results come as they are ready.
+    """Runs variants in so many processes; results come as their batches are ready.
 
-    A process that ends (no memory left, say) is an error of its variant, and another takes its
-    place. In a script, call it below `if __name__ == "__main__":`, for new processes read the
-    script.
+    The variants of a process that ends (no memory left, say) are run anew one by one, in another
+    one; that it ends with one alone is an error of this variant. In a script, call it below
+    `if __name__ == "__main__":`, for new processes read the script.
 
     Args:
-        variants: number and values of each.
+        batches: number and values of each variant of a batch.
         jobs: how many at once.
         file: the scenario's.
         fixed: dotted keys that are set in all of them.
@@ -89,31 +90,34 @@ def run_in_processes(
         arguments = (child_end, file, dict(fixed))
         return ProcessPoolExecutor(1, context, initializer=start_worker, initargs=arguments)
 
-    todo = iter(variants)
+    todo = deque(batches)
     # A process that is killed breaks its pool; with one process each it is known whose it was.
     free = [new_pool() for _ in range(jobs)]
-    busy: dict[Future[dict[str, Any]], tuple[ProcessPoolExecutor, int]] = {}
+    busy: dict[Future[list[dict[str, Any]]], tuple[ProcessPoolExecutor, Sequence[Variant]]] = {}
     try:
         while True:
-            while free and (variant := next(todo, None)) is not None:
-                number, values = variant
-                pool = free.pop()
+            while free and todo:
+                batch, pool = todo.popleft(), free.pop()
+                values = [dict(each) for _, each in batch]
                 try:
-                    future = pool.submit(_run, dict(values))
+                    future = pool.submit(_run, values)
                 except BrokenProcessPool:  # killed while it had nothing to do
                     pool = new_pool()
-                    future = pool.submit(_run, dict(values))
-                busy[future] = pool, number
+                    future = pool.submit(_run, values)
+                busy[future] = pool, batch
             if not busy:
                 return
             for future in wait(busy, return_when=FIRST_COMPLETED).done:
-                pool, number = busy.pop(future)
+                pool, batch = busy.pop(future)
                 try:
-                    result = future.result()
+                    results = future.result()
                 except BrokenProcessPool:
-                    pool, result = new_pool(), {"held": False, "error": _KILLED, "ended": 0.0}
+                    pool, results = new_pool(), [{"held": False, "error": _KILLED, "ended": 0.0}]
+                    if len(batch) > 1:
+                        todo.extend([each] for each in batch)
+                        batch, results = [], []
                 free.append(pool)
-                yield number, result
+                yield from zip((number for number, _ in batch), results, strict=True)
     finally:
         own_end.close()  # ends all processes, whatever they do
         for pool in [*free, *(pool for pool, _ in busy.values())]:

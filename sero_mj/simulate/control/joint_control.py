@@ -6,7 +6,7 @@ command then has the rows as its first axis.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -229,8 +229,8 @@ class GravityCompensator:
 
     Args:
         model: for itself.
-        damping: d, (n,), Nm s/rad; None for none.
-        torques: tau_0, (n,), Nm, added all the time; None for none.
+        damping: d, (n,) or (m, n), Nm s/rad; None for none.
+        torques: tau_0, likewise, Nm, added all the time; None for none.
         feed_forward: whether the target's torques are added.
         compensate_gravity: whether g(q) is.
     """
@@ -250,6 +250,31 @@ class GravityCompensator:
         self._own = torques if torques is not None and torques.any() else None
         self._rest: Array | None = None
         self._resisting: Array = np.zeros((*model.rows, model.n))
+
+    @classmethod
+    def joined(cls, each: Sequence[GravityCompensator], model: ModelRows) -> Self | None:
+        """One for all rows that is the same as these, which have made no step; None for none.
+
+        Args:
+            each: of the rows.
+            model: of all of them.
+        """
+        kinds = {(one._compensates, one._feeds_forward, one._rest is None) for one in each}
+        if len(kinds) > 1:
+            return None
+        none = np.zeros(model.n)
+        damping, torques = (
+            np.array([none if value is None else value for value in values])
+            for values in zip(*((one._damping, one._own) for one in each), strict=True)
+        )
+        ((compensates, feeds_forward, _),) = kinds
+        return cls(
+            model,
+            damping=damping,
+            torques=torques,
+            feed_forward=feeds_forward,
+            compensate_gravity=compensates,
+        )
 
     def hold_links(self, joint_stiffness: Array) -> Array:
         """See `LinkHolder`."""
@@ -291,8 +316,8 @@ class JointImpedanceController:
 
     Args:
         model: for itself.
-        stiffness: the diagonal of K, (n,), Nm/rad.
-        damping: ratio, (n,).
+        stiffness: the diagonal of K, (n,) or (m, n), Nm/rad.
+        damping: ratio, likewise.
         timestep: s between two calls.
         feed_forward: whether the torques of the target's motion are added.
         damping_every: s.
@@ -314,7 +339,7 @@ class JointImpedanceController:
         self._at_links = at_links
         self._rest: Array | None = None
         self.model = model
-        self.stiffness: Array = np.diag(stiffness)
+        self.stiffness: Array = stiffness[..., None] * np.eye(n)
         self._spring = stiffness
         self._ratio = damping
         self._timestep = timestep
@@ -325,15 +350,34 @@ class JointImpedanceController:
         # One product for all: [K D 1 -1 M_motors] [e; de; own torques; ddq_d], or but for the last
         # two without feed-forward. numpy takes longer to make a view than to compute with it.
         self._feeds_forward = feed_forward
-        gains = [self.stiffness, np.zeros((n, n)), np.eye(n)]
+        gains = [np.zeros((n, n)), np.zeros((n, n)), np.eye(n)]
         if feed_forward:
             gains += [-np.eye(n), np.diag(model.motor_inertia)]
         self._gains: Array = np.tile(np.hstack(gains), (*model.rows, 1, 1))
+        self._gains[..., :n] = self.stiffness
         self.damping: Array = self._gains[..., n : 2 * n]
         terms: Array = np.zeros((*model.rows, len(gains) * n))
         self._column = terms[..., None]
         self._errors, self._own = terms[..., : 2 * n], terms[..., 2 * n : 3 * n]
         self._less, self._accelerations = terms[..., 3 * n : 4 * n], terms[..., 4 * n :]
+
+    @classmethod
+    def joined(cls, each: Sequence[JointImpedanceController], model: ModelRows) -> Self | None:
+        """See `GravityCompensator`."""
+        kinds = {(one._every, one._at_links, one._feeds_forward) for one in each}
+        if len(kinds) > 1:
+            return None
+        first = each[0]
+        made = cls(
+            model,
+            np.array([one._spring for one in each]),
+            np.array([one._ratio for one in each]),
+            first._timestep,
+            feed_forward=first._feeds_forward,
+            at_links=first._at_links,
+        )
+        made._every = first._every
+        return made
 
     def begin(self, which: Bools) -> None:
         """Begins anew with some of the rows, (m,): what was designed for them is forgotten."""
@@ -345,16 +389,17 @@ class JointImpedanceController:
         Raises:
             DeclarationError: K is too close to the stiffness of the joints themselves.
         """
-        own, most = self._spring, SOFTEST * joint_stiffness
-        problems = [
-            Problem(
-                "stiffness",
-                f"joint {self.model.joint_names[i]}: found {own[i]:g} Nm/rad; expected at most "
-                f"{most[i]:g}, {100 * SOFTEST:g} % of that of the elastic joint",
-            )
-            for i in np.flatnonzero(own > most).tolist()
-        ]
-        if self._at_links and problems:
+        most = SOFTEST * joint_stiffness
+        own = np.max(np.atleast_2d(self._spring), axis=0)
+        if self._at_links and (own > most).any():
+            problems = [
+                Problem(
+                    "stiffness",
+                    f"joint {self.model.joint_names[i]}: found {own[i]:g} Nm/rad; expected at most "
+                    f"{most[i]:g}, {100 * SOFTEST:g} % of that of the elastic joint",
+                )
+                for i in np.flatnonzero(own > most).tolist()
+            ]
             raise DeclarationError(problems)
         self._rest = np.zeros((*self.model.rows, self.model.n))
         return self._rest
@@ -387,8 +432,10 @@ class JointImpedanceController:
             self._next = self._k + self._every
             return
         due = self._due <= self._k
-        masses = model.mass(np.flatnonzero(due).tolist())
-        self.damping[due] = design_damping(masses, self.stiffness, self._ratio)
+        masses, shape = model.mass(np.flatnonzero(due).tolist()), (*model.rows, model.n)
+        stiffness = np.broadcast_to(self.stiffness, (*shape, model.n))[due]
+        ratio = np.broadcast_to(self._ratio, shape)[due]
+        self.damping[due] = design_damping(masses, stiffness, ratio)
         self._due[due] = self._k + self._every
         self._next = int(self._due.min())
 
@@ -436,7 +483,7 @@ def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array
     Args:
         mass: (..., n, n), symmetric, positive definite.
         stiffness: (..., n, n), symmetric, positive semidefinite.
-        ratio: damping ratio, 1 for critical damping; a number or (n,).
+        ratio: damping ratio, 1 for critical damping; a number, (n,) or (..., n).
 
     Returns:
         (..., n, n), symmetric, positive semidefinite: it can only take energy, also when it is
@@ -451,8 +498,8 @@ def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array
     modes = lower @ vectors
     scale = 2.0 * np.sqrt(np.maximum(squares, 0.0))
     matrix = (modes * scale[..., None, :]) @ modes.mT
-    root = np.sqrt(np.broadcast_to(ratio, mass.shape[-1]))
-    return np.asarray(matrix * root * root[:, None])
+    root = np.sqrt(np.broadcast_to(ratio, mass.shape[:-1]))
+    return np.asarray(matrix * root[..., None, :] * root[..., None])
 
 
 def unstable_joint(mass: Array, stiffness: Array, damping: Array, timestep: float) -> int | None:

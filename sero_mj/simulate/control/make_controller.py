@@ -11,9 +11,10 @@ import numpy as np
 
 from ...base.declaration import by_kind
 from ...base.errors import DeclarationError, Problem, SimulationError
-from ...base.frames import Array, Bools
+from ...base.frames import Array, Bools, RowIndex
 from ...base.plugins import CONTROLLERS, load_plugin, plugins
 from .controller import Controller, ControllerDeclaration, Sensed, Target
+from .model_rows import ModelRows
 from .robot_model import RobotModel
 
 
@@ -29,6 +30,7 @@ class LimitedController:
         rates: (n,), Nm/s or N/s; None for no limit.
         robot: its name, for messages.
         joint_names: of every joint, for messages.
+        rows: () for one robot; (m,) for m of them, which are then the first axis of all.
 
     Attributes:
         controller: what is limited.
@@ -48,41 +50,77 @@ class LimitedController:
         *,
         robot: str = "robot",
         joint_names: Sequence[str],
+        rows: tuple[int, ...] = (),
     ) -> None:
-        n = len(joint_names)
+        shape = (*rows, len(joint_names))
         problems = _limit_problems("torque_limits", limits, "Nm", joint_names)
         if rates is not None:
             problems += _limit_problems("torque_rate_limits", rates, "Nm/s", joint_names)
         if problems:
             raise DeclarationError(problems)
         self.controller = controller
-        self.requested: Array = np.zeros(n)
+        self.requested: Array = np.zeros(shape)
         self._given: Array = self.requested
         self._robot, self._names = robot, list(joint_names)
         self.limits: Array = np.array(limits, float)
         self._low: Array = -self.limits
         self._step: Array | None = None if rates is None else np.multiply(rates, timestep)
         self._last: Array | None = None
-        self._from: Array = np.zeros(n)
-        self._to: Array = np.zeros(n)
+        self._from: Array = np.zeros(shape)
+        self._to: Array = np.zeros(shape)
+
+    @classmethod
+    def joined(
+        cls, each: Sequence[LimitedController], model: ModelRows
+    ) -> LimitedController | None:
+        """One for all rows that is the same as these, which have made no step.
+
+        None where controllers do not have the same kind, or this kind has none for many rows.
+
+        Args:
+            each: of the rows.
+            model: of all of them.
+        """
+        first, kinds = each[0], {type(one.controller) for one in each}
+        join = getattr(first.controller, "joined", None)
+        controller = (
+            join([one.controller for one in each], model) if len(kinds) == 1 and join else None
+        )
+        if controller is None:
+            return None
+        made = cls(
+            controller,
+            first.limits,
+            1.0,
+            robot=first._robot,
+            joint_names=first._names,
+            rows=model.rows,
+        )
+        made.limits = np.array([one.limits for one in each])
+        made._low = -made.limits
+        if any(one._step is not None for one in each):
+            free = np.full(model.n, np.inf)
+            made._step = np.array([free if one._step is None else one._step for one in each])
+        return made
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques within the limits, (n,).
 
         Raises:
-            SimulationError: a torque is NaN or infinite.
+            SimulationError: a torque of the only robot is NaN or infinite.
         """
         requested = self.requested
         try:
             returned = self.controller.torques(sensed, target, requested)  # type: ignore[func-returns-value]
         except np.linalg.LinAlgError:  # what numpy makes of NaN in a matrix
+            if requested.ndim > 1:
+                raise
             requested[:] = math.nan
             returned = None
         if returned is not None:
             reason = "torques() has returned something; expected it to write into `out`"
             raise SimulationError(sensed.time, self._robot, reason)
-        # One number tells of NaN and inf in any joint.
-        if not requested.dot(requested) < math.inf:
+        if requested.ndim == 1 and not self.is_finite():
             raise self.not_finite(sensed)
         np.minimum(np.maximum(requested, self._low, out=out), self.limits, out=out)
         if self._step is not None:
@@ -112,17 +150,23 @@ class LimitedController:
         if check is not None:
             check(angles)
 
-    def not_finite(self, sensed: Sensed) -> SimulationError:
-        """Names the joint whose sensor is to blame, else the one whose torque is."""
-        for values, what in zip(sensed.values, ("angle", "velocity", "torque"), strict=True):
+    def is_finite(self, row: RowIndex = ...) -> bool:
+        """Whether the torques that are asked for in a row are numbers, and not too large to be."""
+        requested = self.requested[row]  # one number tells of NaN and inf in any joint
+        return bool(requested.dot(requested) < math.inf)
+
+    def not_finite(self, sensed: Sensed, row: RowIndex = ...) -> SimulationError:
+        """Names the joint whose sensor is to blame, else the one whose torque is, of a row."""
+        requested = self.requested[row]
+        for values, what in zip(sensed.values[row], ("angle", "velocity", "torque"), strict=True):
             if not np.isfinite(values).all():
                 joint = int(np.argmax(~np.isfinite(values)))
                 reason = f"the controller gets a measured {what} of {values[joint]:g}"
                 break
         else:
-            bad = ~np.isfinite(self.requested)
-            joint = int(np.argmax(bad if bad.any() else np.abs(self.requested)))
-            reason = f"the controller asks for {self.requested[joint]:g} Nm"
+            bad = ~np.isfinite(requested)
+            joint = int(np.argmax(bad if bad.any() else np.abs(requested)))
+            reason = f"the controller asks for {requested[joint]:g} Nm"
         place = f"{self._robot}/{self._names[joint]}"
         return SimulationError(sensed.time, place, f"{reason}; expected a finite number")
 
@@ -165,7 +209,7 @@ def controller_from(table: Any) -> ControllerDeclaration:
 
 def make_controller(
     controller: ControllerDeclaration | Controller,
-    model: RobotModel,
+    model: RobotModel | ModelRows,
     timestep: float,
     torque_limits: Array | None = None,
 ) -> LimitedController:
@@ -173,7 +217,8 @@ def make_controller(
 
     Args:
         controller: a declaration, or any object with the method `torques` of `Controller`.
-        model: what the controller knows of its robot; for it alone.
+        model: what the controller knows of its robot; for it alone. Of many equal robots for
+            controllers of joints.
         timestep: s between two calls.
         torque_limits: the robot's, (n,), Nm or N; None where it has none.
 
@@ -185,7 +230,7 @@ def make_controller(
     rates = None
     if isinstance(controller, ControllerDeclaration):
         own = controller
-        controller = own.make(model, timestep)
+        controller = own.make(model, timestep)  # type: ignore[arg-type]  # those of joints take rows
         if own.torque_limits is not None:
             limits = _lower(own.per_joint("torque_limits", n), limits, model.joint_names)
         if own.torque_rate_limits is not None:
@@ -199,7 +244,13 @@ def make_controller(
         message = f"found {controller!r}; expected a method torques(sensed, target, out)"
         raise DeclarationError([Problem("", message)])
     return LimitedController(
-        controller, limits, timestep, rates, robot=model.name, joint_names=model.joint_names
+        controller,
+        limits,
+        timestep,
+        rates,
+        robot=model.name,
+        joint_names=model.joint_names,
+        rows=model.rows,
     )
 
 

@@ -23,12 +23,14 @@ class ModelRows:
     Attributes:
         rows: (m,), the first axis of all that is asked and answered.
         n: number of joints of a robot.
+        name: of it, for messages.
         joint_names: of every joint, without the robot's name before it.
         motor_inertia: (n,), kg m2 or kg, of all of them.
     """
 
     def __init__(self, model: RobotModel, m: int) -> None:
         self._model, self.rows, self.n = model, (m,), model.n
+        self.name = model.name
         self.joint_names, self.motor_inertia = model.joint_names, model.motor_inertia
         self._angles, self._velocities, self._gravity = np.zeros((3, m, model.n))
 
@@ -39,10 +41,7 @@ class ModelRows:
     def gravity(self, out: Array | None = None) -> Array:
         """g(q), (m, n)."""
         result = self._gravity if out is None else out
-        model, still = self._model, self._velocities[0]
-        for angles, torques in zip(self._angles, result, strict=True):
-            model.update(angles, still)
-            model.gravity(torques)
+        self._model.write_gravity(self._angles, result)
         return result
 
     def mass(self, which: Iterable[int] | None = None) -> Array:

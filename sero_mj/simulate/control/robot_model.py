@@ -227,6 +227,14 @@ class RobotModel:
         mj_rne(self._model, self._data, 0, result)
         return result
 
+    def write_gravity(self, angles: Array, out: Array) -> None:
+        """Writes g(q) of many angles, (m, n) each; `update` has to come before anything else."""
+        model, data, qpos = self._model, self._data, self._qpos
+        for one, torques in zip(angles, out, strict=True):
+            qpos[...] = one
+            mj_fwdKinematics(model, data)
+            mj_rne(model, data, 0, torques)
+
     def coriolis(self) -> Array:
         """C(q, dq) dq, (n,)."""
         self._move()

@@ -62,16 +62,16 @@ class WholeBody:
         """Whether a base of the world moves or carries something, so that a model must follow."""
         return any(part.mocap < 0 for part in world.robots.values())
 
-    def update(self, joint_angles: Array, data: mujoco.MjData) -> None:
+    def update(self, joint_angles: Array, positions: Array) -> None:
         """Moves the whole body.
 
         Args:
             joint_angles: (N,), of all joints of the world's robots, as measured, rad or m.
-            data: of the world, for bases that stand free.
+            positions: (nq,), of the world, for bases that stand free.
         """
         own, model = self._data, self._model
         own.qpos[self._qpos] = joint_angles
-        own.qpos[self._free] = data.qpos[self._free]
+        own.qpos[self._free] = positions[self._free]
         mujoco.mj_kinematics(model, own)
         mujoco.mj_comPos(model, own)
         mujoco.mj_makeM(model, own)  # of which the composite inertias are taken

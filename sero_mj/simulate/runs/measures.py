@@ -11,10 +11,14 @@ from ...robots.assemble.mounts import base_frames, carriers
 from .run_log import RunLog, event_of
 
 
+def _actual_signal(log: RunLog, robot: str, signal: str) -> str:
+    known = f"actual_{signal}"
+    return known if log.has(robot, known) else f"joint_{signal}"
+
+
 def _actual(log: RunLog, robot: str, signal: str) -> Array:
     """`angles` or `velocities` as they truly were, where that is known; else as measured."""
-    known = f"actual_{signal}"
-    return log.of(robot, known if log.has(robot, known) else f"joint_{signal}")
+    return log.of(robot, _actual_signal(log, robot, signal))
 
 
 def _position_error(log: RunLog, robot: str) -> Array:
@@ -25,24 +29,28 @@ def _velocity_error(log: RunLog, robot: str) -> Array:
     return np.asarray(log.of(robot, "target_velocities") - _actual(log, robot, "velocities"))
 
 
-def _flange(log: RunLog, robot: str, angles: Array) -> Array:
-    """T_world_flange, (T, 4, 4); what carries the robot is where it was."""
-    declared = log.robots[robot]
-    below = {name: _actual(log, name, "angles") for name in carriers(log.robots, robot)}
-    logged = {name: event_of(name, "base_frame") for name in (robot, *below)}
-    placed = {name: log.signals[e] for name, e in logged.items() if e in log.signals}
-    base = base_frames(log.robots, below, placed)[robot]
-    return np.asarray(base @ declared.fwd_kin_base_to_flange(angles))
+def _flange(log: RunLog, robot: str, signal: str | None = None) -> Array:
+    """T_world_flange, (T, 4, 4), at the angles of a signal, else at the actual ones.
+
+    What carries the robot is where it was.
+    """
+    signal = signal or _actual_signal(log, robot, "angles")
+    if (robot, signal) not in log.derived:
+        declared = log.robots[robot]
+        below = {name: _actual(log, name, "angles") for name in carriers(log.robots, robot)}
+        logged = {name: event_of(name, "base_frame") for name in (robot, *below)}
+        placed = {name: log.signals[e] for name, e in logged.items() if e in log.signals}
+        base = base_frames(log.robots, below, placed)[robot]
+        poses = base @ declared.fwd_kin_base_to_flange(log.of(robot, signal))
+        log.derived[robot, signal] = np.asarray(poses)
+    return log.derived[robot, signal]
 
 
 def _poses(log: RunLog, robot: str) -> tuple[Array, Array]:
     """Where the flange should be, and where it is."""
     event = event_of(robot, "target_pose")
-    if event in log.signals:
-        target = log.signals[event]
-    else:
-        target = _flange(log, robot, log.of(robot, "target_angles"))
-    return target, _flange(log, robot, _actual(log, robot, "angles"))
+    target = log.signals[event] if event in log.signals else _flange(log, robot, "target_angles")
+    return target, _flange(log, robot)
 
 
 def _flange_error(log: RunLog, robot: str) -> Array:
@@ -62,13 +70,13 @@ def _orientation_error(log: RunLog, robot: str) -> Array:
 
 
 def _flange_travel(log: RunLog, robot: str) -> Array:
-    at = _flange(log, robot, _actual(log, robot, "angles"))[:, :3, 3]
+    at = _flange(log, robot)[:, :3, 3]
     return np.asarray(np.linalg.norm(at - at[0], axis=1)[:, None])
 
 
 def _flange_coordinate(axis: int) -> Callable[[RunLog, str], Array]:
     def measure(log: RunLog, robot: str) -> Array:
-        return _flange(log, robot, _actual(log, robot, "angles"))[:, axis, 3:]
+        return _flange(log, robot)[:, axis, 3:]
 
     return measure
 

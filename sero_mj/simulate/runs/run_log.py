@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -107,12 +107,14 @@ class RunLog:
             What a real robot cannot know (`actual_...`) may be missing.
         times: (T,), s.
         name: for titles.
+        derived: what has been computed of it and takes long, by what it is.
     """
 
     robots: Mapping[str, SerialRobot]
     signals: Mapping[str, Array]
     times: Array
     name: str = "run"
+    derived: dict[object, Array] = field(default_factory=dict, repr=False)
 
     @classmethod
     def from_rows(

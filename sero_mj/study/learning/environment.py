@@ -233,7 +233,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         What is changed there stays over episodes, but where the scenario has disturbances or
         faults: then every episode has a new one.
         """
-        return self.simulation.plant
+        return self._robot.plant
 
     @property
     def world(self) -> World:

@@ -17,16 +17,18 @@ import numpy as np
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Bools
 from ...robots.assemble.mounts import base_frames, unmounted
-from ...simulate.control.controller import Sensed, Target
 from ...simulate.control.joint_control import JointImpedanceController
+from ...simulate.control.make_controller import make_controller
 from ...simulate.control.model_rows import ModelRows
 from ...simulate.control.torque_loop import HangingLinks
+from ...simulate.controlled_robot import RobotControl
 from ...simulate.drives import Drives
 from ...simulate.due_actions import DueActions
 from ...simulate.fault_schedule import FaultSchedule
 from ...simulate.plant_rows import PlantRows
 from ...simulate.rows import ManyRows
 from ...simulate.runs.run_log import MEASURED
+from ...simulate.sensors import Sensors
 from .actions import checked_action
 from .environment import Environment
 from .tasks import ManyEpisodes, ManyStates
@@ -210,11 +212,13 @@ class Lane:
         world, scenario = environment.world, environment.scenario
         self._worlds = ManyRows(world.physics_model(), m, is_pushed=task.pushes)
         self.batch = self._worlds.batch
-        self.plant = plant = PlantRows(world, self._worlds, scenario.make_sensors(0, m))
+        sensors = Sensors.joined([scenario.make_sensors(0) for _ in range(m)])
+        self.plant = plant = PlantRows(world, self._worlds, sensors)
         self._drives = None
         if environment.simulation.drives is not None:
             self._drives = Drives(plant, environment.simulation.robots, scenario.run)
-        self._gains: Array = np.ones((m, plant.n))  # of faulty drives
+        self._gains: Array = np.ones((m, n))  # of faulty drives
+        self._drive: Array = np.zeros((m, 2, n))
         self._faults = [DueActions(scenario.run.timestep) for _ in range(m)]
         self._k = np.zeros(m, np.intp)  # steps since the beginning of the episode
         self.action = environment.settings.make_action(environment.robot, scenario.run.timestep)
@@ -222,20 +226,12 @@ class Lane:
         simulation = environment.simulation
         standing = unmounted(robot, base_frames(simulation.robots)[robot.name])
         models = ModelRows(simulation.robot_model(standing), m)
-        self._law = self.action.controller.make(models, scenario.run.timestep)
-        # Motors of elastic joints have encoders of their own, without errors; others the links'.
-        motor_state = np.zeros((m, 2 * n)) if plant.joints.elastic else None
-        self._sensed = Sensed(n, plant.measured, motor_state, models.rows)
-        self._target = Target(n, models.rows)
-        self._hanging = None
+        self._control = RobotControl(standing, plant, self._drive)
+        declared, timestep = self.action.controller, scenario.run.timestep
+        self._control.use_limited(make_controller(declared, models, timestep, robot.torque_limits))
         if plant.joints.elastic and drives is not None and drives.loop is not None:
             stiffness, home = drives.gains[robot.name].stiffness, np.tile(robot.home, (m, 1))
-            self._hanging = HangingLinks(stiffness, None, models, home)
-        limits = environment.robot.torque_limits
-        self._high: Array = np.full(n, np.inf) if limits is None else np.array(limits, np.float64)
-        self._low: Array = -self._high
-        self._asked: Array = np.zeros((m, n))
-        self._commanded: Array = np.zeros((m, n))
+            self._control.hanging = HangingLinks(stiffness, None, models, home)
         if self._has_pushes:
             self._find_flange()
 
@@ -254,7 +250,7 @@ class Lane:
         self.plant.place(k, self._environment.plant)
         self._k[k], self._gains[k] = 0, 1.0
         self._faults[k] = due = DueActions(self._environment.scenario.run.timestep)
-        FaultSchedule(self._environment.scenario, self.plant, due, self._gains[k])
+        FaultSchedule(self._environment.scenario, self.plant.row(k), due, self._gains[k])
 
     def begin(self, which: Bools) -> None:
         """Begins an episode of some of the robots, which have been placed, (m,)."""
@@ -262,12 +258,13 @@ class Lane:
             return
         if self._drives is not None:
             self._drives.reset(which)
-        self.action.begin(self._target, self.plant.actual[which, 0], which)
-        if isinstance(self._law, JointImpedanceController):
-            self._law.begin(which)
-        if self._hanging is not None:
+        self.action.begin(self._control.target, self.plant.actual[which, 0], which)
+        law = self._control.controller.controller
+        if isinstance(law, JointImpedanceController):
+            law.begin(which)
+        if self._control.hanging is not None:
             home = np.asarray(self._environment.robot.home)
-            self._hanging.begin(which, home, self.plant.motor_angles)
+            self._control.hanging.begin(which, home, self.plant.motor_angles)
 
     def simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
         """Simulates a control step of some of the robots.
@@ -280,8 +277,7 @@ class Lane:
         Returns:
             where the motion has become unstable, (m,).
         """
-        plant, law, action, commanded = self.plant, self._law, self.action, self._commanded
-        sensed, target, asked = self._sensed, self._target, self._asked
+        plant, control, action = self.plant, self._control, self.action
         move = plant.step if self._drives is None else self._drives.step
         if self._has_pushes:
             self._begin_pushes(forces)
@@ -295,28 +291,25 @@ class Lane:
             # Drives, late sensors and faults ask for the torques of every step.
             plant.joints.reads_torques = k == substeps - 1 or not is_plain
             action.advance()
-            if plant.joints.elastic:
-                sensed.motor_angles[...] = plant.motor_angles
-                sensed.motor_velocities[...] = plant.motor_velocities
-            if self._hanging is not None:
-                sensed.motor_angles[...] = self._hanging.link_angles(sensed.motor_angles)
-            law.torques(sensed, target, asked)
-            np.minimum(np.maximum(asked, self._low, out=commanded), self._high, out=commanded)
+            control.command(k, k * plant.timestep)
             if self._has_pushes:
                 self._push()
-            move(commanded * self._gains)
+            move(control.commanded * self._gains)
         return self._worlds.unstable.copy()
 
     def _begin_faults(self, which: Bools) -> None:
         """Lets faults begin and end that are due now in some of the robots."""
         if self._environment.scenario.faults:
             for row in np.flatnonzero(which).tolist():
-                with self.plant.sensors.only(row):
-                    self._faults[row].act(int(self._k[row]))
+                self._faults[row].act(int(self._k[row]))
         self._k += which
 
     def _begin_pushes(self, forces: Array) -> None:
-        """Lets forces at the flanges, (m, 3), act in the next control step."""
+        """Lets forces at the flanges, (m, 3), act in the next control step.
+
+        All robots are pushed at the same point all the time, so that one sum does for all of them;
+        pushes of single rows (`PlantRow.push`) would take as long as the rest of a step.
+        """
         self._pushes[:, self._body, :3] = forces
         x, y, z = forces.T
         zero = np.zeros(len(forces))

@@ -60,7 +60,9 @@ class AgentRobot:
     @property
     def plant(self) -> Plant:
         """The simulated robots of the current episode."""
-        return self.simulation.plant
+        plant = self.simulation.plant
+        assert isinstance(plant, Plant)
+        return plant
 
     @property
     def angles(self) -> Array:

@@ -1,0 +1,192 @@
+"""Runs that are simulated together: each is the same as by itself, whatever differs or breaks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sero_mj import SerialRobot
+from sero_mj.base.errors import DeclarationError, SimulationError
+from sero_mj.base.paths import find_scenario
+from sero_mj.robots.assemble.scene import Scene
+from sero_mj.simulate.control.compiler import Compiler
+from sero_mj.simulate.control.controller import Sensed, Target
+from sero_mj.simulate.run_batch import batch_key
+from sero_mj.simulate.scenario import Scenario
+from sero_mj.simulate.scenario_file import read_scenario
+from sero_mj.simulate.simulation import Simulation
+
+HOME = [0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0]
+SOFT: dict[str, Any] = {"kind": "joint_impedance", "stiffness": 300.0}
+STIFF: dict[str, Any] = {"kind": "joint_impedance", "stiffness": 1500.0, "damping": 0.3}
+SLOW: dict[str, Any] = {
+    **STIFF,
+    "torque_limits": [100.0] * 5 + [38.0] * 2,
+    "torque_rate_limits": 500.0,
+}
+NOISE = {"lwr": {"angles": {"noise": 1e-4}, "torques": {"noise": 0.1, "delay": 2}}}
+PUSH = {"push": {"kind": "force", "at": "lwr/flange", "force": [0, 30, -40], "begin": 0.05}}
+WIGGLE = {
+    "push": {
+        "kind": "force", "at": "lwr/link4", "force": [30, 0, 0], "torque": [0, 2, 0], "begin": 0.02,
+        "end": 0.1, "profile": "half_sine", "expressed_in": "lwr/flange",
+    }
+}  # fmt: skip
+LOAD = {"load": {"kind": "payload", "robot": "lwr", "mass": 4.0, "begin": 0.04, "end": 0.12}}
+BIAS = {"f": {"kind": "sensor", "signal": "angles", "bias": 0.02, "begin": 0.05, "end": 0.1}}
+LATE = {"f": {"kind": "sensor", "signal": "torques", "delay_ms": 3.0, "begin": 0.03}}
+WEAK = {"f": {"kind": "controller", "gain": 0.5, "joints": ["A2"], "begin": 0.05}}
+SWING = {"lwr": {"kind": "sine", "amplitude_deg": 5.0, "frequency": 2.0}}
+
+
+def scenario(**fields: Any) -> Scenario:
+    robot = SerialRobot.from_model("lwr", joint_angles=HOME, **fields.pop("robot", {}))
+    controller = fields.pop("controller", SOFT)
+    given = {"controllers": {"lwr": controller}, "duration": 0.15, **fields}
+    return Scenario(Scene(robots=[robot], floor=False), **given)
+
+
+def run_alone(one: Scenario, compiler: Compiler, steps: int | None = None) -> Simulation:
+    made = Simulation(one, compiler=compiler)
+    try:
+        made.advance(steps or made.steps)
+    except SimulationError as error:
+        made.error = error
+    return made
+
+
+def check(scenarios: list[Scenario], steps: int | None = None) -> list[Simulation]:
+    """Runs scenarios together, and compares each with a run by itself."""
+    assert len({batch_key(one) for one in scenarios}) == 1
+    compiler = Compiler()
+    together = Simulation.together(scenarios, compiler)
+    runs = [run for run in together if isinstance(run, Simulation)]
+    assert len(runs) == len(scenarios)
+    runs[0].advance(steps or runs[0].steps)
+    for run, one in zip(runs, scenarios, strict=True):
+        alone = run_alone(one, compiler, steps)
+        assert run.step == alone.step
+        assert str(run.error) == str(alone.error)
+        assert [*run.log.signals] == [*alone.log.signals]
+        for event, values in alone.log.signals.items():
+            np.testing.assert_allclose(
+                run.log.signals[event], values, rtol=0, atol=1e-9, err_msg=event
+            )
+        assert run.findings() == alone.findings()
+    return runs
+
+
+@pytest.mark.parametrize(
+    "shared",
+    [
+        {},
+        {"elastic": True},
+        {"torque_control": True},
+        {"elastic": True, "torque_control": True},
+        {"drive_delay": 0.002, "timestep": 0.002, "physics_timestep": 0.001},
+    ],
+    ids=["plain", "elastic", "loop", "elastic loop", "late drives"],
+)
+def test_what_differs_between_runs_stays_in_its_run(shared: dict[str, Any]) -> None:
+    differing: list[dict[str, Any]] = [
+        {},
+        {"controller": STIFF, "targets": SWING, "seed": 3},
+        {"controller": SLOW, "disturbances": PUSH},
+        {"disturbances": LOAD, "faults": LATE},
+        {"sensors": NOISE, "faults": BIAS},
+        {"sensors": NOISE, "seed": 5, "disturbances": WIGGLE, "faults": WEAK},
+        {"sensors": {"lwr": {"velocity_filter": 300.0}}, "observer_gain": 100.0},
+    ]
+    runs = check([scenario(**shared, **each) for each in differing])
+    ends = np.array([run.log.of("lwr", "actual_angles")[-1] for run in runs])
+    assert len(np.unique(ends.round(9), axis=0)) >= 5
+
+
+@pytest.mark.parametrize(
+    "controllers",
+    [
+        [{"kind": "gravity_compensation", "damping": d} for d in (0.0, 5.0)],
+        [{"kind": "torque", "torques": t} for t in (0.0, [1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0])],
+        [{"kind": "joint_position", "stiffness": k} for k in (5000.0, 9000.0)],
+        [{**SOFT, "feed_forward": on} for on in (True, False)],
+        [{"kind": "cartesian_impedance", "damping": d} for d in (0.3, 0.7)],
+        [SOFT, {"kind": "cartesian_impedance"}, {"kind": "gravity_compensation"}],
+    ],
+    ids=["gravity", "torque", "position", "feed-forward", "Cartesian", "mixed"],
+)
+def test_controllers_of_all_kinds(controllers: list[dict[str, Any]]) -> None:
+    check([scenario(controller=each, disturbances=PUSH) for each in controllers])
+
+
+@pytest.mark.parametrize(
+    ("name", "steps"),
+    [("justin_push", 30), ("biped_stand", 60), ("hit_hand_grasp", 60), ("table_contact", 1300)],
+)
+def test_several_robots_mounted_ones_and_contacts(name: str, steps: int) -> None:
+    file = find_scenario(name)
+    runs = check([read_scenario(file, {"run.seed": seed}) for seed in (1, 2)], steps)
+    if name in ("biped_stand", "table_contact"):
+        forces = [v for e, v in runs[1].log.signals.items() if e.endswith("contact_force")]
+        assert max(np.abs(force).max() for force in forces) > 1.0
+
+
+class Broken:
+    """Commands something else than numbers from a step on."""
+
+    def __init__(self, torque: float, at: float = 0.05) -> None:
+        self.torque, self.at = torque, at
+
+    def torques(self, sensed: Sensed, target: Target, out: np.ndarray) -> None:
+        out[:] = 0.0
+        if sensed.time >= self.at:
+            out[3] = self.torque
+
+
+def test_a_run_that_breaks_ends_alone() -> None:
+    free: dict[str, Any] = {"runaway_speed": 0.0, "robot": {"torque_limits": None}}
+    broken = [Broken(np.nan), Broken(1e30), Broken(1e8, at=0.1)]
+    runs = check([scenario(**free), *(scenario(**free, controller=each) for each in broken)])
+    assert runs[0].error is None and runs[0].is_done
+    assert [run.is_done for run in runs[1:]] == [False, False, False]
+    assert "asks for nan Nm" in str(runs[1].error)
+    assert "a motor torque of 1e+30 Nm" in str(runs[2].error)
+    assert "the motion is unstable" in str(runs[3].error)
+
+
+def test_a_joint_that_runs_away_ends_its_run_alone() -> None:
+    off = {"f": {"kind": "controller", "gain": -1.0, "joints": ["A2", "A4"], "begin": 0.02}}
+    runs = check([scenario(duration=0.6, disturbances=PUSH), scenario(duration=0.6, faults=off)])
+    assert runs[0].error is None
+    assert "it runs away" in str(runs[1].error)
+
+
+@pytest.mark.filterwarnings("ignore:overflow")
+def test_torques_that_are_not_finite_end_their_run_where_laws_are_asked_together() -> None:
+    wrong = {"f": {"kind": "sensor", "signal": "angles", "bias": 1e153, "begin": 0.05}}
+    runs = check([scenario(), scenario(faults=wrong), scenario(controller=STIFF)])
+    assert [run.error is None for run in runs] == [True, False, True]
+
+
+def test_a_run_that_cannot_be_made_is_told_alone() -> None:
+    shaking = {"kind": "joint_position", "stiffness": 1e6}
+    scenarios = [scenario(controller=each) for each in (SOFT, shaking, STIFF)]
+    first, second, third = Simulation.together(scenarios)
+    assert isinstance(second, DeclarationError)
+    assert second.problems[0].key == "controllers.lwr.stiffness"
+    assert isinstance(first, Simulation) and isinstance(third, Simulation)
+    third.advance(third.steps)
+    alone = run_alone(scenarios[2], Compiler())
+    np.testing.assert_allclose(third.rows, alone.rows, rtol=0, atol=1e-9)
+    assert first.is_done
+
+
+def test_what_cannot_be_one_batch_has_other_keys() -> None:
+    dry = {"f": {"kind": "friction", "viscous": 3.0, "begin": 0.05}}
+    strong = {"f": {"kind": "controller", "gain": 1.5, "begin": 0.05}}
+    same: list[dict[str, Any]] = [{}, {"seed": 4}, {"disturbances": PUSH}, {"controller": STIFF}]
+    others: list[dict[str, Any]] = [{"timestep": 0.002}, {"duration": 0.2}, {"faults": strong}]
+    assert len({batch_key(scenario(**fields)) for fields in same}) == 1
+    assert len({batch_key(scenario(**fields)) for fields in [{}, *others]}) == 4
+    assert batch_key(scenario(faults=dry)) != batch_key(scenario(faults=dry))
