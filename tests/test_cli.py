@@ -74,7 +74,7 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         (["render", "lwr_udp", "-o", "x.png", "--set", "lwr.show_axis=true"], "'show_axes'?"),
         (
             ["render", "lwr", "-o", "x.png", "--set", "lwr.torques=1,2"],
-            "found 2 entries; expected 7",
+            "found 2 entries",
         ),
         (["render", "lwr", "-o", "x.mp4", "--duration", "nan"], "expected a number above 0"),
         (["fk", "lwr", "--joint-angles", "1,2"], "found 2 numbers; lwr has 7 joints"),

@@ -65,7 +65,7 @@ def test_without_motion_nothing_is_aligned() -> None:
     still = RunLog(
         a.robots, {**a.signals, "arm_joint_angles": np.zeros((4001, 2))}, a.times, "still"
     )
-    with pytest.raises(UsageError, match=r"--offset auto: one of the runs hardly moves; expected"):
+    with pytest.raises(UsageError, match=r"--offset auto: one of the runs hardly moves"):
         align(a, still, offset="auto")
     noise = np.cumsum(np.random.default_rng(1).normal(0.0, 0.01, (4001, 2)), axis=0)
     other = RunLog(a.robots, {**a.signals, "arm_joint_angles": noise}, a.times, "noise")

@@ -267,7 +267,7 @@ size = [0.1, 0.2]
     ("arguments", "message"),
     [
         (["fig7.x3d", "b.x3d"], "fig7.x3d and b.x3d: both are X3D; expected one of each"),
-        (["lwr_udp", "b.toml"], "lwr_udp and b.toml: both are TOML; expected one of each"),
+        (["lwr_udp", "b.toml"], "lwr_udp and b.toml: both are TOML"),
         (["lwr_udp", "b.xml"],
          "OUT: found 'b.xml'; expected a name that ends in .toml, .x3d, .x3dv, .wrl"),
         (["fig7.x3d", "there.toml"], "there.toml is there already; --overwrite writes over it"),

@@ -119,7 +119,7 @@ def test_a_value_that_is_not_known_does_not_hold() -> None:
             {"measure": None, "finds_nothing": "any", "holds_at": "all"},
             "holds_at: is for a measure; found finds_nothing",
         ),
-        ({"above": 1.0, "holds_at": "some"}, "holds_at: found 'some'; expected"),
+        ({"above": 1.0, "holds_at": "some"}, "holds_at: found 'some'"),
     ],
 )
 def test_what_makes_no_sense_is_told(fields: dict[str, Any], message: str) -> None:

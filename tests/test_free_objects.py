@@ -140,7 +140,7 @@ def test_only_a_body_has_a_mass() -> None:
         with pytest.raises(DeclarationError) as caught:
             Object(name="x", **fields)
         assert str(caught.value) == reason
-    with pytest.raises(DeclarationError, match="mass: found 0; expected greater than 0"):
+    with pytest.raises(DeclarationError, match="mass: found 0"):
         Object(name="x", shape="sphere", size=[1.0], mass=0)
 
 

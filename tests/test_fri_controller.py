@@ -275,8 +275,8 @@ def test_the_scene_shows_what_the_controller_tells(lwr: SerialRobot) -> None:
     ("arguments", "message"),
     [
         (["lwr_fri", "--cycle", "0.5"], "FRI's cycle: found 0.5 ms; expected 1 to 100"),
-        (["lwr_fri", "--cycle", "101"], "FRI's cycle: found 101 ms; expected 1 to 100"),
-        (["lwr_fri", "--rate", "1001"], "FRI's cycle: found 0.999001 ms; expected 1 to 100"),
+        (["lwr_fri", "--cycle", "101"], "FRI's cycle: found 101 ms"),
+        (["lwr_fri", "--rate", "1001"], "FRI's cycle: found 0.999001 ms"),
         (["lwr_fri", "--cycle", "2", "--rate", "9"], "--cycle and --rate say the same; give one"),
         (["lwr_fri", "--quality", "god"], "no quality 'god'; available: bad, invalid, ok, per"),
         (["lwr_fri", "--loss", "1.5"], "--loss: found '1.5'; expected a share from 0 to 1"),

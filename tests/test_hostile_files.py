@@ -102,7 +102,7 @@ def test_only_files_of_a_bounded_length_are_opened(tmp_path: Path, pipe: Path) -
         read_file(tmp_path / "long", 10**6)
     with pytest.raises(OSError, match="is a pipe; expected a file"):
         open_file(pipe)
-    with pytest.raises(OSError, match="is a device; expected a file"):
+    with pytest.raises(OSError, match="is a device"):
         open_file("/dev/zero")
     with pytest.raises(IsADirectoryError):
         open_file(tmp_path)
@@ -116,7 +116,7 @@ def test_a_pipe_is_no_recording(pipe: Path, capsys: pytest.CaptureFixture[str]) 
         with pytest.raises(RecordingError) as found:
             opened(pipe)
         assert str(found.value) == expected
-    with pytest.raises(DeclarationError, match="is a pipe; expected a file"):
+    with pytest.raises(DeclarationError, match="is a pipe"):
         Replay(name="r", file=pipe)
     for command in (
         ["render", "lwr_udp", "-o", str(pipe.with_suffix(".png")), "--replay", str(pipe)],
@@ -170,14 +170,14 @@ def test_endless_meshes_pieces_and_tables_are_refused(
     endless("mesh.stl"), endless("piece.xml")
     for field, file in (("mesh", "mesh.stl"), ("mjcf", "piece.xml")):
         scene = Scene(objects=[Object(name="o", directory=str(tmp_path), **{field: file})])
-        with pytest.raises(DeclarationError, match="is a device; expected a file"):
+        with pytest.raises(DeclarationError, match="is a device"):
             World(scene)
     with pytest.raises(DeclarationError, match=r"nothing\.xml: No such file"):
         as_spec("nothing.xml", tmp_path)
     table = endless("table.csv")
     with pytest.raises(CsvError, match=r"table\.csv: cannot be read: is a device"):
         read_csv(table)
-    with pytest.raises(DeclarationError, match="cannot be read: is a device; expected a file"):
+    with pytest.raises(DeclarationError, match="cannot be read: is a device"):
         read_toml(endless("scene.toml"))
 
 
@@ -256,7 +256,7 @@ def test_scenes_of_thousands_of_robots_are_refused_before_they_are_built(
 ) -> None:
     one = SerialRobot(dh_convention="craig", dh_params=[[0, 0, 0, 0.2]])
     many = [one.model_copy(update={"name": f"r{i}"}) for i in range(201)]
-    with pytest.raises(DeclarationError, match="robots: found 201; expected at most 200"):
+    with pytest.raises(DeclarationError, match="robots: found 201"):
         Scene(robots=many)
     Scene(robots=many[:200])
 
@@ -283,7 +283,7 @@ def test_models_of_groups_in_each_other_do_not_multiply(tmp_path: Path) -> None:
         text = ROBOT.format("r") if depth == 7 else inner
         (tmp_path / f"m{depth}" / "group.toml").write_text(text)
     (tmp_path / "scene.toml").write_text('[groups.all]\nmodel = "m0"\n')
-    with pytest.raises(DeclarationError, match=r"groups: found \d+; expected at most 100"):
+    with pytest.raises(DeclarationError, match=r"groups: found \d+"):
         load_scene(tmp_path / "scene.toml")
 
 
@@ -320,5 +320,5 @@ def test_endless_meshes_in_a_piece_of_mjcf_are_refused(
         '<mujoco><asset><mesh name="m" file="mesh.stl"/></asset><worldbody>'
         '<geom type="mesh" mesh="m"/></worldbody></mujoco>'
     )
-    with pytest.raises(DeclarationError, match=r"mesh\.stl: is a device; expected a file"):
+    with pytest.raises(DeclarationError, match=r"mesh\.stl: is a device"):
         as_spec(text, tmp_path)

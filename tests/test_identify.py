@@ -215,7 +215,7 @@ def test_the_command_writes_lines_and_a_figure(
         (["--plot", "x.jpg"], "--plot: found 'x.jpg'; expected a name that ends in .png, .pdf"),
         (["-o", "x.txt"], "--output: found 'x.txt'; expected a name that ends in .toml"),
         (["--from", "3", "--to", "2"], "--to: found 2; expected more than 3 s"),
-        (["--to", "0.2"], "run has 0.2 s of 'lwr'; expected at least 0.5 s"),
+        (["--to", "0.2"], "run has 0.2 s of 'lwr'"),
     ],
 )
 def test_the_command_says_what_is_wrong(

@@ -208,7 +208,7 @@ def test_what_is_wrong_is_told_once_each() -> None:
         ),
         ({"from": "udp.values0", "joints": [1]}, "joints: found [1]; expected names of joints"),
         ({"from": True, "joints": ["a"]}, "found True; expected an event"),
-        ([{"from": 1, "joints": ["a"]}, 3], "found 3 among tables; expected { from = "),
+        ([{"from": 1, "joints": ["a"]}, 3], "found 3 among tables"),
     ],
 )
 def test_a_table_that_says_something_else_is_refused(table: Any, message: str) -> None:
@@ -320,7 +320,7 @@ def test_declared_limbs_count_and_faults_in_them_are_told() -> None:
         fork(limbs={"a": ["l_hip", "nee"], "stem": ["l_hip"], "b": []})
     text = str(caught.value)
     assert "limbs.a.1: no joint 'nee'" in text
-    assert "limbs.stem: a joint has this name; expected another one" in text
+    assert "limbs.stem: a joint has this name" in text
     assert "limbs.stem.0: l_hip is in a already; expected it in one limb" in text
     assert "limbs.b: found no joints; expected one or more" in text
 

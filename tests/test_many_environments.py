@@ -159,8 +159,8 @@ def test_scenarios_are_stepped_one_by_one() -> None:
 @pytest.mark.parametrize(
     ("many", "options", "message"),
     [
-        (0, {}, "num_envs: found 0; expected 1 or more"),
-        (2, {"threads": 0}, "threads: found 0; expected 1 or more"),
+        (0, {}, "num_envs: found 0"),
+        (2, {"threads": 0}, "threads: found 0"),
         (2, {"render_mode": "rgb_array"}, "expected None, or vectorization_mode='sync'"),
         (2, {"tim_limit": 1.0}, "tim_limit: unknown option; did you mean 'time_limit'?"),
     ],
@@ -176,7 +176,7 @@ def test_what_is_asked_for_wrongly_is_told(
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"runaway_speed": 3.0}, "found run.runaway_speed; expected 0"),
+        ({"runaway_speed": 3.0}, "found run.runaway_speed"),
     ],
 )
 def test_runs_that_need_more_than_steps_are_stepped_alone(

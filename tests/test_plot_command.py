@@ -89,7 +89,7 @@ def test_a_table_is_the_same_run(folder: Path, tmp_path: Path) -> None:
         (["--joints", "A9"], "no joint 'A9' in swing; available: A1, A2, A3"),
         (["--robot", "lrw"], "no robot 'lrw' in swing; did you mean 'lwr'?"),
         (["--from", "3"], "run swing lasts from 0 s to 0.5 s; found nothing from 3 s"),
-        (["--from", "3", "--to", "2"], "--to: found 2; expected more than 3 s"),
+        (["--from", "3", "--to", "2"], "--to: found 2"),
         (["--source", "upd"], "no source 'upd' in "),
         (["--joints", "A1,,A2"], "found 'A1,,A2'; expected names with commas between them"),
     ],

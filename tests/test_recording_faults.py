@@ -125,7 +125,7 @@ def foreign(path: Path) -> None:
     ("content", "expected"),
     [
         (b"", "is empty; expected a file that sero-mj record wrote"),
-        (b"time,a\n0,1\n", r"is no MCAP file: found b'time,a\\n0' at its beginning; expected"),
+        (b"time,a\n0,1\n", r"is no MCAP file: found b'time,a\\n0' at its beginning"),
         (b"\x89MCAP0\r\n", "is cut off or damaged at byte 8 .*; expected a file that"),
     ],
 )

@@ -239,7 +239,7 @@ def test_a_writer_of_ours_goes_on_where_one_that_died_has_stopped(block: str) ->
         assert struct.unpack("<Qd", made.read(16)) == (8, 1.5)
         writer.put(struct.pack("<Qd", 99, 2.5))
         assert struct.unpack("<Qd", made.read(16)) == (10, 2.5)
-        with pytest.raises(ValueError, match="found 3 bytes; expected 16"):
+        with pytest.raises(ValueError, match="found 3 bytes"):
             writer.put(b"abc")
     assert exists(block)  # it was not the writer's own
     remove(made)
@@ -269,7 +269,7 @@ def test_our_writer_removes_no_block_of_another_one(block: str) -> None:
 
 
 def test_what_our_writer_cannot_write_is_told(block: str) -> None:
-    with pytest.raises(ValueError, match="lock 'v' has 2 numbers; expected one"):
+    with pytest.raises(ValueError, match="lock 'v' has 2 numbers"):
         ShmWriter(block, Structure("v:2d"), "v")
     if sys.platform == "linux":
         os.mkdir(f"/dev/shm{block}")

@@ -216,7 +216,7 @@ def test_nan_of_a_users_controller_stops_it_with_joint_and_time() -> None:
         for rows in simulation.run(chunk=10):
             seen.append(rows)
     assert str(caught.value).startswith("lwr/A3 at 0.05")
-    assert "asks for nan Nm; expected a finite number" in str(caught.value)
+    assert "asks for nan Nm" in str(caught.value)
     assert simulation.step in (50, 51)
     assert seen[-1][1] == simulation.step + 1
     assert np.isfinite(simulation.log.of("lwr", "joint_angles")).all()

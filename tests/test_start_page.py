@@ -272,7 +272,7 @@ def test_no_path_leads_out_of_the_folder(name: str, size: int) -> None:
     [
         ("nonsense", "found no list of files; expected paths and sizes"),
         (b"\xff", "found no list of files"),
-        ('[{"path": "a.toml", "size": 1e999}]', "found no list of files; expected paths and sizes"),
+        ('[{"path": "a.toml", "size": 1e999}]', "found no list of files"),
         ('[{"path": "a.toml", "size": 1.5}]', "found no list of files"),
         ("[" * 100_000, "found no list of files"),
         ("[]", "found no file; drop a robot, a scene or a recording"),

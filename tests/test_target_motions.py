@@ -243,7 +243,7 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
 @pytest.mark.parametrize(
     ("law", "message"),
     [
-        ({"kind": "way_points"}, "found neither of times and speed; expected one of them"),
+        ({"kind": "way_points"}, "found neither of times and speed"),
         ({"kind": "way_points", "speed": 0.5}, "way_points: is required; expected way_points or"),
         (
             {"kind": "way_points", "way_points": [[1, 2]], "speed": 0.5},
@@ -278,7 +278,7 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
         ({"kind": "sine", "amplitude": 1}, "frequency: is required"),
         (
             {"kind": "sine", "amplitude": 1, "frequency": -1},
-            "frequency: found -1; expected 0 to 1000",
+            "frequency: found -1",
         ),
         (
             {"kind": "step", "amplitude": [1, 2]},

@@ -394,10 +394,10 @@ ENTITIES = "".join(
         ("<robot>" + "<a>" * 400, "robot.urdf:1: is not XML that can be read: Excessive depth"),
         (f'<!DOCTYPE r [<!ENTITY a "lol">{ENTITIES}]><robot name="&i;"/>', "declares entities"),
         ('<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot>&a;</robot>',
-         "robot.urdf: is not XML that can be read: declares entities ('a'); expected none"),
+         "robot.urdf: is not XML that can be read: declares entities ('a')"),
         ("\n<mujoco/>",
          "robot.urdf:2: is an MJCF file; expected a URDF file, whose root is <robot>"),
-        ("<robot/>", "robot.urdf:1: robot: has no <link>; expected one or more"),
+        ("<robot/>", "robot.urdf:1: robot: has no <link>"),
     ],
 )  # fmt: skip
 def test_what_is_no_urdf_is_refused(tmp_path: Path, text: str, expected: str) -> None:
@@ -429,7 +429,7 @@ def test_what_is_not_quite_xml_is_read_as_others_read_it(
 @pytest.mark.parametrize("start", ['<?xml version="0.0"?>', '\n<?xml version="1.0"?>'])
 def test_what_is_not_quite_xml_is_guarded_as_any_other(tmp_path: Path, start: str) -> None:
     (found,) = problems(tmp_path, f'{start}<!DOCTYPE r [<!ENTITY a "b">]><robot name="&a;"/>')
-    assert "declares entities ('a'); expected none" in found
+    assert "declares entities ('a')" in found
     (depth,) = problems(tmp_path, f"{start}<robot>" + "<s:a>" * 400)
     assert "Excessive depth" in depth
     (mismatch,) = problems(tmp_path, f"{start}\n<robot><s:link></robot>")

@@ -231,7 +231,7 @@ def test_everything_that_is_wrong_is_told_at_once_and_not_twice() -> None:
     [
         (b"", "is empty; expected a first line #X3D V3.0 utf8 or #VRML V2.0 utf8"),
         (b'<?xml version="1.0"?>\n<X3D/>', "is X3D in the XML encoding; expected a first line"),
-        (b"#VRML V1.0 ascii\nSeparator {}\n", "is VRML V1.0, which is older than VRML97; expected"),
+        (b"#VRML V1.0 ascii\nSeparator {}\n", "is VRML V1.0, which is older than VRML97"),
         (b"solid cube\n", "begins with 'solid cube'; expected a first line #X3D V3.0 utf8"),
         (b"\x1f\x8bxx", "is packed by gzip, and damaged"),
         (gzip.compress(b"#VRML V2.0 utf8\n")[:-9], "is packed by gzip, and ends too soon"),
