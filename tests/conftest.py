@@ -206,15 +206,32 @@ def lwr_world(lwr: SerialRobot) -> World:
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Any]:
-    """Chromium, as Playwright works it."""
+def playwright() -> Iterator[Any]:
+    """Playwright, of which a process has one."""
     from playwright.sync_api import sync_playwright
-    from web_tools import ARGUMENTS, CHROMIUM
 
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
-        yield browser
-        browser.close()
+        yield playwright
+
+
+@pytest.fixture(scope="session")
+def browser(playwright: Any) -> Iterator[Any]:
+    """Chromium, as Playwright works it."""
+    yield from _chromium(playwright)
+
+
+@pytest.fixture
+def own_browser(playwright: Any) -> Iterator[Any]:
+    """Another one, for who may leave it as no other test wants it."""
+    yield from _chromium(playwright)
+
+
+def _chromium(playwright: Any) -> Iterator[Any]:
+    from web_tools import ARGUMENTS, CHROMIUM
+
+    browser = playwright.chromium.launch(executable_path=CHROMIUM, args=ARGUMENTS)
+    yield browser
+    browser.close()
 
 
 @pytest.fixture

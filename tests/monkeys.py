@@ -206,8 +206,9 @@ class WindowHand:
 class PageHand:
     """Works a page in a browser: presses, sizes and texts are the browser's own.
 
-    To others it would answer with its next frame, a twentieth of a second later each, so keys and
-    motions come from within the page, several at once.
+    To others it would answer with its next frame, later each, so keys and motions come from within
+    the page, several at once. Dear ImGui takes a change of a key or button per frame, so more than
+    that would wait in its queue, and be without effect until long after.
 
     Args:
         page: Playwright's.
@@ -216,7 +217,8 @@ class PageHand:
     def __init__(self, page: Any) -> None:
         self._page = page
         self._line = page.context.new_cdp_session(page)
-        self._waiting: list[tuple[str, str, dict[str, Any]]] = []  # class, kind and what it has
+        # What comes with one frame each: class, kind and what it has.
+        self._waiting: list[list[tuple[str, str, dict[str, Any]]]] = [[]]
 
     def do(self, event: Event) -> None:
         """Does one event, or keeps it for the next one that is the browser's own."""
@@ -226,10 +228,9 @@ class PageHand:
         getattr(self, f"_{name}")(*how)
 
     def flush(self) -> None:
-        """Does what was kept."""
-        waiting, self._waiting = self._waiting, []
-        if waiting:
-            self._page.evaluate(_DISPATCH, waiting)
+        """Does what was kept, and returns when the page has heard of it."""
+        waiting, self._waiting = self._waiting, [[]]
+        self._page.evaluate(_DISPATCH, waiting)
 
     def _character(self, character: str) -> None:
         self._key(character, frozenset([SHIFT] if character in "+?_" else []))
@@ -239,13 +240,15 @@ class PageHand:
         if len(name) > 1:
             code = f"Arrow{name.title()}" if name in _ARROWS else name.title()
         how = {"key": code if len(name) > 1 else name, "code": code, **_held(mods)}
-        self._waiting += [("KeyboardEvent", kind, how) for kind in ("keydown", "keyup")]
+        self._waiting[-1].append(("KeyboardEvent", "keydown", how))
+        self._waiting.append([("KeyboardEvent", "keyup", how)])
 
     def _move(self, x: float, y: float) -> None:
-        self._waiting.append(("MouseEvent", "mousemove", {"clientX": x, "clientY": y}))
+        self._waiting[-1].append(("MouseEvent", "mousemove", {"clientX": x, "clientY": y}))
 
     def _wheel(self, turns: int) -> None:
-        self._waiting.append(("WheelEvent", "wheel", {"deltaY": -100 * turns}))
+        self._waiting[-1].append(("WheelEvent", "wheel", {"deltaY": -100 * turns}))
+        self._waiting.append([])
 
     def _button(self, x: float, y: float, button: int, is_down: bool, mods: frozenset[str]) -> None:
         self._line.send(
@@ -259,6 +262,7 @@ class PageHand:
 
     def _text(self, text: str) -> None:
         self._page.keyboard.type(text)
+        self._waiting = [[] for _ in range(2 * len(text) + 1)]
 
     def _resize(self, width: int, height: int) -> None:
         self._page.set_viewport_size({"width": width, "height": height})
@@ -271,10 +275,13 @@ def _held(mods: frozenset[str]) -> dict[str, bool]:
 _ARROWS = ("left", "right", "up", "down")
 _CODES = {" ": "Space", ".": "Period", ",": "Comma", "-": "Minus", "_": "Minus", "=": "Equal",
           "+": "Equal", "[": "BracketLeft", "]": "BracketRight", "?": "Slash"}  # fmt: skip
-_DISPATCH = """(waiting) => {
+_DISPATCH = """async (waiting) => {
     const canvas = document.querySelector("canvas");
-    for (const [kind, name, how] of waiting) {
-        const event = new window[kind](name, { ...how, bubbles: true, cancelable: true });
-        canvas.dispatchEvent(event);
+    for (const events of waiting) {
+        for (const [kind, name, how] of events) {
+            const event = new window[kind](name, { ...how, bubbles: true, cancelable: true });
+            canvas.dispatchEvent(event);
+        }
+        await new Promise(requestAnimationFrame);
     }
 }"""

@@ -43,6 +43,22 @@ def test_a_second_browser_watches_and_takes_over(browser: Any, tmp_path: Path) -
         third.close()
 
 
+def test_control_is_released_and_asked_back_with_a_button_that_was_let_go_of_elsewhere(
+    browser: Any, tmp_path: Path
+) -> None:
+    """While a dialog was open, say: Studio held it for ever, and its bar could not be clicked."""
+    with Served(tmp_path, "lwr") as served:
+        visitor = Visitor(browser, served)
+        visitor.hears("First remote draw frame applied")
+        line = visitor.page.context.new_cdp_session(visitor.page)
+        where = {"x": 450, "y": 200, "button": "right", "clickCount": 1}
+        line.send("Input.dispatchMouseEvent", {"type": "mousePressed", **where})
+        for wanted in (False, True):
+            visitor.set_control(wanted)
+        visitor.press("p")
+        visitor.close()
+
+
 def test_a_restarted_server_is_found_again(browser: Any, tmp_path: Path) -> None:
     port = free_port(socket.SOCK_STREAM)
     options: dict[str, Any] = {"settings": (POSE, TORQUES), "port": port}

@@ -21,6 +21,7 @@ TORQUES = "lwr.torques=20,60,-30,40,-9,5,3"
 FEW = 60  # pixels of an arrow, at least
 SIZE = (560, 400)  # small: software draws a few such pictures a second
 _SCALE = 0.5  # pixels of pictures by those of pages, likewise
+_CONTROL = (94, 16)  # its button in Studio's bar, from the lower right corner, pixels
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 MISSING = ["chromium"] * (CHROMIUM is None)
 MISSING += ["playwright"] * (importlib.util.find_spec("playwright") is None)
@@ -38,8 +39,9 @@ ARGUMENTS = [
 DRAWS_ON_DEMAND = """
 window.framesDrawn = 0;
 window.framesWanted = 5;
+window.frameWait = 50;
 const next = window.requestAnimationFrame.bind(window);
-window.requestAnimationFrame = frame => setTimeout(next, 50, time => {
+window.requestAnimationFrame = frame => setTimeout(next, frameWait, time => {
     frame(time);
     if (framesDrawn < framesWanted) framesDrawn += 1;
 });
@@ -61,6 +63,13 @@ _DRAW = """() => new Promise(resolve => {
 _PASS = """() => new Promise(resolve => {
     let left = 4;
     const look = () => left-- ? requestAnimationFrame(look) : resolve();
+    look();
+})"""
+# Not for ever: what was pressed may have been without effect.
+_AWAIT_CONTROL = """(wanted) => new Promise(resolve => {
+    let left = 100;
+    const look = () => isInControl === wanted || !left-- ? resolve(isInControl)
+        : requestAnimationFrame(look);
     look();
 })"""
 # Serves frames, and answers what is asked about the page on its standard input.
@@ -273,6 +282,20 @@ class Visitor:
         self._sees("seen['is_key_down']")
         self.page.keyboard.up(key)
         self._sees("not seen['is_key_down']")
+
+    def set_control(self, wanted: bool) -> None:
+        """Asks for control, or releases it, as Studio's bar has it at one place."""
+        self._until(lambda: self._press_control(wanted) is wanted, 100.0, f"control: {wanted}")
+
+    def _press_control(self, wanted: bool) -> Any:
+        """Presses there, if need be; what has been opened by a click before takes one more."""
+        if self.page.evaluate("isInControl") is not wanted:
+            self.page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
+            self.page.mouse.move(SIZE[0] - _CONTROL[0], SIZE[1] - _CONTROL[1])
+            for do in (self.settle, self.page.mouse.down, self.page.mouse.up):
+                do()
+                self.page.evaluate(_PASS)
+        return self.page.evaluate(_AWAIT_CONTROL, wanted)
 
     def _sees(self, expression: str) -> None:
         """Waits until the server has seen it."""
