@@ -15,6 +15,11 @@ pytestmark = [
     pytest.mark.timeout(300),
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
 ]
+# Else most of the time went to films, which software draws.
+_BLACK_PICTURES = """[setattr(type(w), "picture_size", (64, 48)),
+    setattr(type(w), "picture", lambda self: np.zeros((48, 64, 3), np.uint8))] and None""".replace(
+    "\n", " "
+)
 EVENTS, AT_ONCE = 2000, 40
 # The menu of a page without what ends it, as it should.
 _WITHOUT_QUIT = """setattr(imgui, "MenuItem", lambda label, *rest, build=imgui.MenuItem:
@@ -30,8 +35,7 @@ def test_random_events_do_not_end_a_page(own_browser: Any, tmp_path: Path) -> No
         errors.open("w") as stream,
         Served(folder, "lwr_double", control="joint", errors=stream) as served,
     ):
-        # Of films: software takes 0.3 s for one of full size.
-        served.ask("setattr(type(w), 'picture_size', (64, 48))")
+        served.ask(_BLACK_PICTURES)
         served.ask(_WITHOUT_QUIT)
         served.ask("w.toggle_plot()")
         visitor = Visitor(own_browser, served)
@@ -40,9 +44,7 @@ def test_random_events_do_not_end_a_page(own_browser: Any, tmp_path: Path) -> No
         page.on("crash", lambda _: faults.append("the page has crashed"))
         page.on("dialog", lambda dialog: dialog.dismiss())
         visitor.hears("First remote draw frame applied")
-        # Every event has a frame of its own.
-        page.evaluate("frameWait = 10")
-        served.ask("[setattr(studio, name, 60.0) for name in ('RATE', '_UI_RATE')]")
+        page.evaluate("frameWait = 10")  # every event has a frame of its own
         hand, monkey, done = PageHand(page), Monkey(seed=1), 0
         events = monkey.events()
         while done < EVENTS:
