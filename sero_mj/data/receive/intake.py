@@ -25,7 +25,7 @@ from .structure import LAST_ROW, LAST_ROW_TOLERANCE, Rows, Structure, are_frames
 # In the order in which they change; who waits for a malformed packet finds the others done.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
             "wrong_constant", "wrong_size", "received")  # fmt: skip
-_MOST_KEPT = 2048  # bytes of a malformed packet, or as many as a right one has
+_MAX_KEPT = 2048  # bytes of a malformed packet, or as many as a right one has
 
 
 def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
@@ -40,7 +40,7 @@ def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
         bytes or `size`; and the lengths that the packets had, (n,).
     """
     lengths = np.array([len(packet) for packet in packets], np.intp)
-    width = max(size, min(int(lengths.max()), _MOST_KEPT))
+    width = max(size, min(int(lengths.max()), _MAX_KEPT))
     text = b"".join(packet[:width].ljust(width, b"\0") for packet in packets)
     return np.frombuffer(text, np.uint8).reshape(len(packets), width), lengths
 

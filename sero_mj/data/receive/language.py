@@ -36,7 +36,7 @@ _EQUALS = re.compile(r"\s*(=)\s*")
 _NUMBER = re.compile(
     r"size\b|[+-]?(?:0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
 )
-_LONGEST_NUMBER = 40  # characters; Python itself refuses to read thousands of digits
+_MAX_NUMBER = 40  # characters; Python itself refuses to read thousands of digits
 _NUMBERED = re.compile(r"(values|vectors|matrices)[0-9]+")
 _EXPECTED = "expected a count and F, V, M, T, x or a type, for example 7F1M"
 _TOO_LONG = f"the packet would be too long; expected at most {MAX_PACKET_BYTES} bytes"
@@ -262,8 +262,8 @@ class _Parser:
 
     def number(self, text: str, item: Item) -> int | float:
         """A number that an item's type can hold; of integers exactly what is written."""
-        if len(text) > _LONGEST_NUMBER:
-            raise self.wrong(f"expected a number of at most {_LONGEST_NUMBER} characters")
+        if len(text) > _MAX_NUMBER:
+            raise self.wrong(f"expected a number of at most {_MAX_NUMBER} characters")
         digits = text.lstrip("+-")
         value: int | float
         if digits[:2].lower() == "0x":

@@ -17,9 +17,9 @@ from ...base.frames import Array
 from .structure import Rows
 
 SMALLEST, LARGEST = 1e-6, 1e6  # sizes of numbers that look like measurements in SI units
-_MOST_BYTES = 2048
+_MAX_BYTES = 2048
 _NEW_TYPE, _NEW_ITEM = 8.0, 1.0  # bits
-_MOST_RAW = 0.25  # share of bytes that nothing speaks for, above which nothing is guessed
+_MAX_RAW = 0.25  # share of bytes that nothing speaks for, above which nothing is guessed
 # Numpy's type and bits of a number of a usual size: a double has one of 2,048 exponents, and 40 of
 # these are from 1e-6 to 1e6. Of integers the largest that is usual.
 _FLOATS = {"d": ("f8", 58.0), "f": ("f4", 29.0)}
@@ -56,12 +56,12 @@ def mixed_layout(rows: Rows) -> tuple[str, list[Run], float] | None:
     Args:
         rows: packets of one sender one after the other, (n, size), n >= 1.
     """
-    if not 0 < rows.shape[1] <= _MOST_BYTES:
+    if not 0 < rows.shape[1] <= _MAX_BYTES:
         return None
     found = [(*_cheapest(rows, order), order) for order in "<>"]
     _, runs, raw, order = min(found, key=lambda each: each[0])
     has_floats = any(run.letter in _FLOATS for run in runs)
-    if raw > _MOST_RAW * rows.shape[1] or not (has_floats or any(run.is_counter for run in runs)):
+    if raw > _MAX_RAW * rows.shape[1] or not (has_floats or any(run.is_counter for run in runs)):
         return None
     ahead = 1 if order == "<" else -1  # the high bytes are behind the low ones, or before them
     return order, _wide_counters(runs[::ahead])[::ahead], 1.0 - raw / rows.shape[1]

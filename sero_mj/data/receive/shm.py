@@ -19,7 +19,7 @@ _BUSY = 2e-3  # s; how long a picture waits while the block is being read for ot
 _COUNT_EVERY = 1.0  # s; how often a block that stays too small is counted
 _GATHER = 8e-4  # s; packets that come faster are checked together, as one costs what ten do
 _TRIES = 50  # to read a packet between two writes; some 200 us
-_LONGEST_SPIN = 2e-4  # s; a packet that has to stand still for longer is looked at again later
+_MAX_SPIN = 2e-4  # s; a packet that has to stand still for longer is looked at again later
 _WRITING_FOR = 0.1  # s; a packet takes no longer to be written by a writer that lives
 
 
@@ -374,7 +374,7 @@ class _PacketFinder:
         stands = seen == self._standing
         if stands and started - self._since >= self._settle:
             return seen
-        if self._settle > _LONGEST_SPIN:
+        if self._settle > _MAX_SPIN:
             if not stands:
                 self.torn += bool(self._standing)
                 self._standing, self._since = seen, clock.monotonic()

@@ -24,11 +24,11 @@ from .mixed_layout import LARGEST, SMALLEST, mixed_layout
 from .structure import Rows, Structure, are_frames
 
 _KEPT = 16  # packets of a stream that guesses are made from
-_MOST_STREAMS = 100  # more senders and sizes than anyone reads
+_MAX_STREAMS = 100  # more senders and sizes than anyone reads
 
-_MOST_JOINTS = 64
-_MOST_GUESSES = 4
-_MOST_NUMBERS = 512  # among which frames are looked for
+_MAX_JOINTS = 64
+_MAX_GUESSES = 4
+_MAX_NUMBERS = 512  # among which frames are looked for
 _HEADERS = {0: "", 2: "1H", 4: "1I", 8: "1Q", 16: "2Q"}  # bytes to what they may be
 _TYPES = {
     "<f8": "float64",
@@ -168,7 +168,7 @@ class Sniffer:
             places = np.array([i for i, other in enumerate(keys) if other == key])
             stream = self.streams.get(key)
             if stream is None:
-                if len(self.streams) >= _MOST_STREAMS:
+                if len(self.streams) >= _MAX_STREAMS:
                     self.untold += len(places)
                     continue
                 stream = self.streams[key] = Stream(unpack_address(key[0]), key[1])
@@ -209,9 +209,9 @@ def guess_layouts(rows: Rows) -> list[Guess]:
         text, about = KNOWN[size]
         known = Structure(text, column_major=False)
         is_it = not known.find_wrong_constants(rows).any()
-        rank = 0 if is_it else _MOST_GUESSES - 1
+        rank = 0 if is_it else _MAX_GUESSES - 1
         guesses.insert(rank, Guess(text, False, False, about, float(is_it)))
-    return guesses[:_MOST_GUESSES]
+    return guesses[:_MAX_GUESSES]
 
 
 def _mixed(rows: Rows) -> list[Guess]:
@@ -286,7 +286,7 @@ def _body(numbers: NDArray[np.floating]) -> tuple[str, bool, str]:
     parts, words, at = [], [], 0
     for end in ends:
         if count := end - at:
-            twice = count % 2 == 0 and count // 2 <= _MOST_JOINTS and count > 2
+            twice = count % 2 == 0 and count // 2 <= _MAX_JOINTS and count > 2
             parts.append(f"{count // 2}F{count // 2}F" if twice else f"{count}F")
             words.append(f"{count // 2} joints twice" if twice else _plural(count, "number"))
         if end < numbers.shape[1]:
@@ -307,7 +307,7 @@ def find_frames(numbers: NDArray[np.floating]) -> tuple[list[int], bool]:
     Args:
         numbers: (n, k).
     """
-    if not 16 <= numbers.shape[1] <= _MOST_NUMBERS:
+    if not 16 <= numbers.shape[1] <= _MAX_NUMBERS:
         return [], True
     with np.errstate(invalid="ignore", over="ignore"):
         windows = sliding_window_view(np.nan_to_num(numbers.astype(np.float64)), 16, axis=1)

@@ -27,7 +27,7 @@ _GROWN = 1.4  # largest factor by which an arrow is made larger for that
 _NARROWEST = 0.1  # full width of an arrow over its radius
 _AXES = 2.0  # length of axes over the radius of arrows, so that they extend out of the housings
 _AT_ONE_PLACE = 0.02  # of the robot's extent
-_LEAST_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
+_MIN_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
 
 
 class MeasuredBodies(NamedTuple):
@@ -185,5 +185,5 @@ def _loads(model: mujoco.MjModel, data: mujoco.MjData, robot: MeasuredBodies, li
     load = GRAVITY * mass * np.where(hinge, np.maximum(lever, 0.1 * link), 1.0)
     for kind in (hinge, ~hinge):
         if kind.any():
-            load[kind] = np.maximum(load[kind], _LEAST_SHARE * load[kind].max())
+            load[kind] = np.maximum(load[kind], _MIN_SHARE * load[kind].max())
     return np.asarray(np.maximum(load, 1e-9))

@@ -18,8 +18,8 @@ from ...base.declaration import Name, Vector
 from ...base.errors import Problem, did_you_mean
 from .robot_parts import VALUE_INPUTS, ArrowQuantity, BillboardLines, Posed
 
-_MOST_MEMBERS = 400  # of a group
-_MOST_TOLD = 5  # members of a group that do not exist; each takes a search for the nearest name
+_MAX_MEMBERS = 400  # of a group
+_MAX_TOLD = 5  # members of a group that do not exist; each takes a search for the nearest name
 
 
 class Group(Posed):
@@ -59,7 +59,7 @@ class Group(Posed):
 
     name: Name
     description: str = ""
-    robots: list[Name] = Field(min_length=1, max_length=_MOST_MEMBERS)
+    robots: list[Name] = Field(min_length=1, max_length=_MAX_MEMBERS)
     torques: Vector | None = None
     commanded_torques: Vector | None = None
     joint_accelerations: Vector | None = None
@@ -167,7 +167,7 @@ def group_problems(
     problems = []
     for name, group in groups.items():
         unknown = [each for each in dict.fromkeys(group.robots) if each not in declared]
-        for each in unknown[:_MOST_TOLD]:
+        for each in unknown[:_MAX_TOLD]:
             near = did_you_mean(each, {known for known in declared if known != name})
             message = f"no robot or group '{each}'{near}"
             problems.append(Problem(f"groups.{name}.robots", message))

@@ -38,7 +38,7 @@ _STEEL = 7800.0  # kg/m3; no link is denser
 # Meshes this much thinner than they are long have no hull; these have one of a sheet of 1 mm.
 _FLAT, _THICKNESS = 1e-5, 0.5e-3  # and half of that, m
 # Lower bound: MuJoCo refuses bodies of smaller mass.
-_LEAST_MASS = 1e-6  # kg
+_MIN_MASS = 1e-6  # kg
 # A link without a mass, which MuJoCo refuses as well, has this share of its robot's mass, and this
 # radius of gyration in m; and the least of both that MuJoCo takes, in kg and kg m2.
 _BARE_SHARE, _BARE_RADIUS, _LEAST = 1e-9, 0.01, 2e-15
@@ -219,7 +219,7 @@ def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInert
     """Estimates inertias from the declared density and the hulls and shapes that are drawn."""
     density = min(robot.dynamics.density, _STEEL)
     root = mujoco.MjSpec()
-    root.compiler.boundmass, root.compiler.boundinertia = _LEAST_MASS, 1e-12
+    root.compiler.boundmass, root.compiler.boundinertia = _MIN_MASS, 1e-12
     # How far a slide may travel, and so how long its rod is drawn, says nothing of what it weighs.
     robot = robot.model_copy(update={"position_limits": None})
     drawn = drawn_geoms(mujoco.MjSpec(), robot, [])

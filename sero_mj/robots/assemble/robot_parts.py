@@ -27,7 +27,7 @@ BILLBOARD_VALUES = (
     "billboard_values",
 )
 MAX_JOINTS = 128
-_MOST_CHILDREN = 2000  # as many as a scene may have objects
+_MAX_CHILDREN = 2000  # as many as a scene may have objects
 # Fields that can be given in degrees instead.
 IN_DEGREES = {
     "position_limits_deg": "position_limits",
@@ -170,7 +170,7 @@ TreeFrames = Annotated[
     BeforeValidator(_tree_frames, json_schema_input_type=list[list[Any] | dict[str, Any]] | None),
 ]
 Children = Annotated[
-    list[Object], Field(max_length=_MOST_CHILDREN), AfterValidator(_children_differ)
+    list[Object], Field(max_length=_MAX_CHILDREN), AfterValidator(_children_differ)
 ]
 
 

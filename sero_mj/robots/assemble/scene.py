@@ -43,7 +43,7 @@ _WITH_FRAMES = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
 NOT = "not"
 JOINING = ("and", "or", NOT)  # words between comparisons
 FUNCTIONS = ("abs", "min", "max", "norm", "any", "all")
-_LONGEST_ORIGIN = 100_000  # characters of the text of a route; each may become a word of it
+_MAX_ORIGIN = 100_000  # characters of the text of a route; each may become a word of it
 _FOR, _BETWEEN = " for ", ";"  # of origins that are for some joints only
 _OF_JOINTS = ("from", "joints")
 # Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
@@ -636,8 +636,8 @@ def origin_text(origin: Any) -> str:
         text = f"{_BETWEEN} ".join(_text_for_joints(entry) for entry in origin)
     else:
         text = _plain_text(origin)
-    if len(text) > _LONGEST_ORIGIN:
-        raise ValueError(f"found {len(text)} characters; expected at most {_LONGEST_ORIGIN}")
+    if len(text) > _MAX_ORIGIN:
+        raise ValueError(f"found {len(text)} characters; expected at most {_MAX_ORIGIN}")
     return text
 
 

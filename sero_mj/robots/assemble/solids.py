@@ -12,7 +12,7 @@ from ...base.frames import Array, Bools, Ints
 
 _SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
 _ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
-_MOST_CROSSINGS = 24  # of surfaces along a ray
+_MAX_CROSSINGS = 24  # of surfaces along a ray
 _NEAR = 2.5  # distance up to which faces of skins count, over the largest radius
 _STEP = 1e-6  # beyond a surface, over the largest radius
 _ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
@@ -100,7 +100,7 @@ class Solids:
         """Yields the surfaces along a ray: of which geom or skin, how far, whether it is left."""
         geom, normal, step = self._geom, self._normal, _STEP * reach
         at = 0.0
-        for _ in range(_MOST_CROSSINGS):
+        for _ in range(_MAX_CROSSINGS):
             if at > reach:
                 break
             point = start + at * direction
@@ -113,7 +113,7 @@ class Solids:
             at += gap + step
         for i, (faces, vertices, normals) in enumerate(skins):
             at = 0.0
-            for _ in range(_MOST_CROSSINGS if len(faces) else 0):
+            for _ in range(_MAX_CROSSINGS if len(faces) else 0):
                 point = start + at * direction
                 gap = mujoco.mju_raySkin(
                     len(faces), len(vertices), faces, vertices, point, direction, geom

@@ -8,7 +8,7 @@ from typing import Any
 
 from ...base.errors import DeclarationError
 
-_MOST_NAMED = 8  # in one sentence
+_MAX_NAMED = 8  # in one sentence
 
 
 class NoJoints(DeclarationError):
@@ -34,5 +34,5 @@ class ImportedTables:
 
 def first_of(names: Sequence[str]) -> str:
     """Names with commas, of many the first and how many more."""
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return ", ".join(names[:_MOST_NAMED]) + more
+    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+    return ", ".join(names[:_MAX_NAMED]) + more

@@ -39,9 +39,9 @@ MESH_ENDINGS = (
 )  # fmt: skip
 MOST_MESH_BYTES = 500_000_000  # of a file that MuJoCo reads (ten million triangles)
 MOST_CONVERTED_BYTES = 100_000_000  # of any other; converting takes up to 30 times as much memory
-_MOST_STL_FACES = 200_000  # MuJoCo takes no more from an STL file
-_MOST_PICTURE_BYTES = 50_000_000  # of a texture
-_MOST_KEPT_BYTES = 150_000_000  # of meshes, with their vertices
+_MAX_STL_FACES = 200_000  # MuJoCo takes no more from an STL file
+_MAX_PICTURE_BYTES = 50_000_000  # of a texture
+_MAX_KEPT_BYTES = 150_000_000  # of meshes, with their vertices
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
 _FLAT = 1e-5  # thickness over length
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -145,7 +145,7 @@ def _keep(key: _Key, pieces: tuple[MeshPiece, ...]) -> None:
     with _lock:
         _kept[key] = pieces
         sizes = [sum(len(p.contents) + p.points.nbytes for p in each) for each in _kept.values()]
-        while sum(sizes) > _MOST_KEPT_BYTES:
+        while sum(sizes) > _MAX_KEPT_BYTES:
             _kept.popitem(last=False)
             sizes.pop(0)
 
@@ -171,7 +171,7 @@ def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...]
         if _is_binary(contents) and len(contents) < 84 + 50 * count:
             found = max(len(contents) - 84, 0) // 50
             raise _wrong(path, f"is cut off: it announces {count} triangles, found {found}")
-        if len(contents) != 84 + 50 * count or not 1 <= count <= _MOST_STL_FACES:
+        if len(contents) != 84 + 50 * count or not 1 <= count <= _MAX_STL_FACES:
             return None  # in ASCII, or too many faces
     _check(path, piece.points)
     return (piece,)
@@ -286,7 +286,7 @@ def _material_colors(path: Path, contents: bytes) -> dict[bytes, Rgba]:
     colors: dict[bytes, Rgba] = {}
     for file in _statements(contents, b"mtllib"):
         try:
-            text = read_file(path.parent / file.decode(), _MOST_PICTURE_BYTES)
+            text = read_file(path.parent / file.decode(), _MAX_PICTURE_BYTES)
         except (OSError, ValueError):
             continue
         for block in re.split(rb"^[ \t]*newmtl[ \t]+", text, flags=re.MULTILINE)[1:]:
@@ -325,7 +325,7 @@ def _mean_color(picture: Any) -> Rgba | None:
 
     try:
         if isinstance(picture, Path):
-            picture = Image.open(io.BytesIO(read_file(picture, _MOST_PICTURE_BYTES)))
+            picture = Image.open(io.BytesIO(read_file(picture, _MAX_PICTURE_BYTES)))
         pixels = np.asarray(picture.convert("RGBA").resize((16, 16)), np.float64) / 255.0
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
         return None

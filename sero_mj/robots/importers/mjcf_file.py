@@ -16,7 +16,7 @@ from ...base.errors import DeclarationError, Problem
 from ...base.paths import format_of_file, open_file, read_file
 
 _LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
-_MOST_BYTES = 100_000_000  # of a file of MJCF
+_MAX_BYTES = 100_000_000  # of a file of MJCF
 MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
 
 
@@ -71,7 +71,7 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
         root = _root_element(source)
         return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
     if is_file_name(source):
-        open_file(folder / source, _MOST_BYTES).close()  # MuJoCo would read a pipe forever
+        open_file(folder / source, _MAX_BYTES).close()  # MuJoCo would read a pipe forever
         found = format_of_file(folder / source)
         if found not in (None, "an MJCF file", "a URDF file"):  # what is no XML MuJoCo tells
             raise ValueError(f"is {found}; expected MJCF, which begins with <mujoco>")
@@ -93,7 +93,7 @@ def _included(text: str, folder: Path) -> Mapping[str, bytes]:
         except ElementTree.ParseError:
             continue  # MuJoCo reports the position
         for name in names - set(found):
-            found[name] = read_file(folder / name, _MOST_BYTES)
+            found[name] = read_file(folder / name, _MAX_BYTES)
             waiting.append(found[name])
     return found
 

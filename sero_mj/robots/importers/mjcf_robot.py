@@ -140,7 +140,7 @@ def tree_of(source: Any, folder: Path) -> MjcfTree:
         raise DeclarationError([Problem("mjcf", reason)]) from None
     if is_file_name(source):
         _kept[folder / source] = _changed(folder / source), tree
-        while len(_kept) > _MOST_KEPT:
+        while len(_kept) > _MAX_KEPT:
             del _kept[next(iter(_kept))]
     return tree
 
@@ -154,7 +154,7 @@ def kept_tree(source: Any, folder: Path) -> MjcfTree:
     return tree_of(source, folder)
 
 
-_MOST_KEPT = 8
+_MAX_KEPT = 8
 _kept: dict[Path, tuple[int, MjcfTree]] = {}  # by file, with the time of its last change
 
 

@@ -26,7 +26,7 @@ _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
 PACKAGES_VARIABLE = "SERO_MJ_PACKAGES"
 # Arguments of xacro as an object of JSON: what `--arg` adds to.
 ARGUMENTS_VARIABLE = "SERO_MJ_XACRO_ARGUMENTS"
-_MOST_ABOVE = 12  # folders above a file that are searched
+_MAX_ABOVE = 12  # folders above a file that are searched
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/*")
 # As xacro and launch files name packages, whose own programs put a path there.
 _FIND = re.compile(r"(?:file:/*)?\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)/*")
@@ -130,7 +130,7 @@ def package_folders(
 def _above(file: Path) -> list[Path]:
     """Returns the folders above a file, and above what it is a link to."""
     paths = dict.fromkeys((Path(os.path.abspath(file)), Path(os.path.realpath(file))))
-    return list(dict.fromkeys(above for path in paths for above in [*path.parents][:_MOST_ABOVE]))
+    return list(dict.fromkeys(above for path in paths for above in [*path.parents][:_MAX_ABOVE]))
 
 
 def _listed(variable: str) -> list[Path]:

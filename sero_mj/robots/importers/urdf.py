@@ -39,8 +39,8 @@ from .robot_tree import (
 )
 from .xml_file import Element, XmlError, parse_loose_xml, parse_xml
 
-_MOST_BYTES = 50_000_000
-_MOST_JOINTS = 128  # that move
+_MAX_BYTES = 50_000_000
+_MAX_JOINTS = 128  # that move
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
            "capsule": "radius, length"}  # fmt: skip
@@ -166,9 +166,9 @@ class UrdfFile:
         self._stop()
         self._check_mimics(joints)
         moving = [joint for joint in joints if joint.kind in MOVING]
-        if len(moving) > _MOST_JOINTS:
+        if len(moving) > _MAX_JOINTS:
             found = f"{len(moving)} joints that move"
-            self._problem(root, "robot", f"found {found}; expected at most {_MOST_JOINTS}")
+            self._problem(root, "robot", f"found {found}; expected at most {_MAX_JOINTS}")
         self._stop()
         self._tell_about_meshes()
         given = (root.get("name") or "").strip()
@@ -214,7 +214,7 @@ class UrdfFile:
 
     def _root(self) -> Element:
         try:
-            root, told = parse_loose_xml(read_file(self.path, _MOST_BYTES))
+            root, told = parse_loose_xml(read_file(self.path, _MAX_BYTES))
             self._warnings += told
             if any(_XACRO.match(name) for each in root.iter() for name in _names(each)):
                 root = self._expanded()

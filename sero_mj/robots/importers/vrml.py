@@ -35,8 +35,8 @@ from .vrml_nodes import (
 )
 
 MOST_BYTES = 50_000_000  # of a file, unpacked; a million triangles, say
-_MOST_TOKENS = 2_000_000  # that are no numbers in a list; some seconds
-_MOST_DEPTH = 120  # of nodes inside nodes; reading one takes a few calls
+_MAX_TOKENS = 2_000_000  # that are no numbers in a list; some seconds
+_MAX_DEPTH = 120  # of nodes inside nodes; reading one takes a few calls
 _GZIP = b"\x1f\x8b"
 _HEADER = re.compile(r"#(?:X3D V\d+\.\d+|VRML V2\.0)\b")
 # Parts of robots are often written without the header, to be inlined.
@@ -194,8 +194,8 @@ class _Parser:
                 yield _Token(found.lastgroup, word, line)
             line += word.count("\n")
             position = found.end()
-            if count > _MOST_TOKENS:
-                message = f"has more than {_MOST_TOKENS:,} words; nothing as long is read"
+            if count > _MAX_TOKENS:
+                message = f"has more than {_MAX_TOKENS:,} words; nothing as long is read"
                 self.problems.add("", message, line)
                 raise _TooMuch
         while True:
@@ -242,8 +242,8 @@ class _Parser:
     @contextmanager
     def _deeper(self) -> Iterator[None]:
         self._depth += 1
-        if self._depth > _MOST_DEPTH:
-            message = f"nodes inside nodes are deeper than {_MOST_DEPTH}; nothing as deep is read"
+        if self._depth > _MAX_DEPTH:
+            message = f"nodes inside nodes are deeper than {_MAX_DEPTH}; nothing as deep is read"
             self._is_lost = False
             self._tell(message, self._token.line)
             raise _TooMuch

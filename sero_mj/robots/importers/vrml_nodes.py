@@ -17,7 +17,7 @@ import numpy as np
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
 
-_MOST_PROBLEMS = 20  # told of one file
+_MAX_PROBLEMS = 20  # told of one file
 # Numbers of one value of a type.
 _WIDTHS = {
     "Float": 1, "Double": 1, "Time": 1, "Int32": 1,
@@ -175,8 +175,8 @@ class Problems:
         if not self.found:
             return
         different = dict.fromkeys(self.found)
-        left = len(different) - _MOST_PROBLEMS
-        shown = sorted(different, key=lambda each: each.line or 0)[:_MOST_PROBLEMS]
+        left = len(different) - _MAX_PROBLEMS
+        shown = sorted(different, key=lambda each: each.line or 0)[:_MAX_PROBLEMS]
         if left > 0:
             shown.append(Problem("", f"and {left} more", str(self.path)))
         raise DeclarationError(shown)

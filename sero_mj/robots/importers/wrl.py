@@ -22,9 +22,9 @@ from .wrl_geometry import GEOMETRIES, Triangles
 
 log = logging.getLogger(__name__)
 
-_MOST_NODES = 100_000  # on the way through a file; USE and PROTO may make many of few
-_MOST_TRIANGLES = 5_000_000
-_MOST_INLINES = 200
+_MAX_NODES = 100_000  # on the way through a file; USE and PROTO may make many of few
+_MAX_TRIANGLES = 5_000_000
+_MAX_INLINES = 200
 _DEFAULT_COLOUR = (0.8, 0.8, 0.8)
 
 # What holds others, and the field in which it does.
@@ -83,8 +83,8 @@ def read_wrl(path: Path) -> list[Triangles]:
             continue
         for piece in triangles_of(seen, problems.of(seen.path), left_out):
             count += len(piece[1])
-            if count > _MOST_TRIANGLES:
-                message = f"has more than {_MOST_TRIANGLES:,} triangles"
+            if count > _MAX_TRIANGLES:
+                message = f"has more than {_MAX_TRIANGLES:,} triangles"
                 raise DeclarationError([Problem("", message, str(path))])
             pieces.append(piece)
     problems.raise_all()
@@ -137,8 +137,8 @@ def visit(
     while todo:
         seen, files = todo.pop()
         count += 1
-        if count > _MOST_NODES:
-            message = f"has more than {_MOST_NODES:,} nodes, counting those of every USE"
+        if count > _MAX_NODES:
+            message = f"has more than {_MAX_NODES:,} nodes, counting those of every USE"
             raise DeclarationError([Problem("", message, str(path))])
         node, inner = seen.node, list[Node]()
         T, here = seen.T, problems.of(seen.path)
@@ -152,7 +152,7 @@ def visit(
             with here.told(node.label, node.line):
                 T = seen.T @ transform_of(node)
             inner = _children(node, here)
-        elif node.kind == "Inline" and len(inlined) < _MOST_INLINES:
+        elif node.kind == "Inline" and len(inlined) < _MAX_INLINES:
             file = None
             with here.told(f"{node.label}.url", node.line):
                 file = inlined_file(node, seen.path)

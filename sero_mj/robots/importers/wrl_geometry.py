@@ -13,9 +13,9 @@ from ...base.frames import Array, Ints, rotation_about
 from .vrml_nodes import Node, Problems, get, instance
 
 _AROUND = 32  # sides of what is round
-_MOST_CORNERS = 2000  # of a polygon that is not convex; cutting it takes the square of it
-_MOST_BENT = 50_000  # polygons that are not convex
-_MOST_COLOURS = 24  # of one shape whose vertices have colours; more become their mean
+_MAX_CORNERS = 2000  # of a polygon that is not convex; cutting it takes the square of it
+_MAX_BENT = 50_000  # polygons that are not convex
+_MAX_COLOURS = 24  # of one shape whose vertices have colours; more become their mean
 
 Triangles = tuple[Array, Ints, Array | None]  # vertices (v, 3), faces (f, 3), rgba (4,)
 
@@ -167,8 +167,8 @@ def _cut(points: Array, index: Ints) -> Ints:
         fan = np.stack([np.zeros(count - 2, int), np.arange(1, count - 1), np.arange(2, count)], 1)
         cut.append(polygons[is_convex][:, fan].reshape(-1, 3))
         bent += int((~is_convex).sum())
-        if bent > _MOST_BENT:
-            raise ValueError(f"has more than {_MOST_BENT:,} polygons that are not convex")
+        if bent > _MAX_BENT:
+            raise ValueError(f"has more than {_MAX_BENT:,} polygons that are not convex")
         for polygon, outline, normal in zip(
             polygons[~is_convex], outlines[~is_convex], normals[~is_convex], strict=True
         ):
@@ -191,10 +191,10 @@ def clip_ears(outline: Array, normal: Array) -> Ints:
 
     Source: Meisters, Polygons Have Ears, 1975.
     """
-    if len(outline) > _MOST_CORNERS:
+    if len(outline) > _MAX_CORNERS:
         raise ValueError(
             f"found a polygon of {len(outline)} corners that is not convex; expected at most "
-            f"{_MOST_CORNERS}"
+            f"{_MAX_CORNERS}"
         )
     # Onto the plane of the two axes in which it is largest, counter-clockwise.
     drop = int(np.abs(normal).argmax())
@@ -368,7 +368,7 @@ def _by_colour(
     _check_index("colors", chosen.ravel(), len(colors), least=0)
     means = np.clip(colors[chosen].mean(axis=1), 0.0, 1.0)
     values, which = np.unique(means.round(3), axis=0, return_inverse=True)
-    if len(values) > _MOST_COLOURS:
+    if len(values) > _MAX_COLOURS:
         return [(slice(None), means.mean(axis=0))]
     return [(which.ravel() == k, value) for k, value in enumerate(values)]
 

@@ -38,8 +38,8 @@ from .x3d_protos import (
 )
 from .x3d_surroundings import camera_table, light_table, object_table, rounded, view_axes
 
-_MOST_DEBUG_LEVEL = 3
-_MOST_TRIANGLES = 500_000  # of the shapes of a scene; those of a robot are in files
+_MAX_DEBUG_LEVEL = 3
+_MAX_TRIANGLES = 500_000  # of the shapes of a scene; those of a robot are in files
 _MISSING = "no such file"
 Z_IS_UP = "z is up"  # in WorldInfo, of scenes that we write
 # Turns y, which is up in X3D, into z.
@@ -297,7 +297,7 @@ class _Reader:
         table: dict[str, Any] = {"kind": "udp" if is_udp else "shm", "structure": ""}
         table |= self._fields(node, fields, place, ("metadata",), [*SOURCE_EVENTS])
         if "debug_level" in table:
-            table["debug_level"] = min(table["debug_level"], _MOST_DEBUG_LEVEL)
+            table["debug_level"] = min(table["debug_level"], _MAX_DEBUG_LEVEL)
         self.sources[name] = table
 
     def _fields(
@@ -359,8 +359,8 @@ class _Reader:
         shape = seen.node
         table, text, count = object_table(seen, self.problems.of(seen.path), self.not_shown)
         self.triangles += count
-        if self.triangles > _MOST_TRIANGLES:
-            message = f"shapes have more than {_MOST_TRIANGLES:,} triangles"
+        if self.triangles > _MAX_TRIANGLES:
+            message = f"shapes have more than {_MAX_TRIANGLES:,} triangles"
             self.problems.add(shape.label, message, shape.line)
             self.problems.raise_all()
         if table is None:

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from lxml import etree
 
 Element: TypeAlias = Any  # lxml has no types
-_MOST_HEAD = 100_000  # bytes in which a file's first element begins
+_MAX_HEAD = 100_000  # bytes in which a file's first element begins
 _NO_ELEMENT = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!.*?>", re.DOTALL)
 _ELEMENT = re.compile(rb"<([A-Za-z_][\w.-]*)")
 # What may stand before a file's first element, and before its declaration although it must not.
@@ -23,7 +23,7 @@ _ROOT = re.compile(
     rb"(?>\s|\xef\xbb\xbf|<!--(?>.*?-->)|<\?(?>.*?\?>))*+<[A-Za-z_][^\s/>]*", re.DOTALL
 )
 _PREFIX = re.compile(rb"[<\s]([A-Za-z_][\w.-]*):[A-Za-z_][\w.-]*(?=[\s=/>])")
-_MOST_PREFIXES = 100
+_MAX_PREFIXES = 100
 
 
 class XmlError(ValueError):
@@ -107,7 +107,7 @@ def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
         first = error
     told: list[str] = []
     encoding = None
-    found = _DECLARATION.match(contents[:_MOST_HEAD])
+    found = _DECLARATION.match(contents[:_MAX_HEAD])
     is_first = found is not None and not found[1].strip(b"\xef\xbb\xbf")
     if found is not None and not (is_first and _VERSION.search(found[2])):
         stated = _ENCODING.search(found[2])
@@ -120,7 +120,7 @@ def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
         tag = contents[root.end() : contents.find(b">", root.end())]
         known = {b"xml", b"xmlns", *re.findall(rb"xmlns:([\w.-]+)", tag)}
         unknown = sorted({*_PREFIX.findall(contents)} - known)
-        if 0 < len(unknown) <= _MOST_PREFIXES:
+        if 0 < len(unknown) <= _MAX_PREFIXES:
             added = b"".join(b' xmlns:%b="%b"' % (each, each) for each in unknown)
             contents = contents[: root.end()] + added + contents[root.end() :]
             told.append(f"prefixes of names are not declared: {_shown(b', '.join(unknown))}")
