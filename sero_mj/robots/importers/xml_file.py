@@ -78,7 +78,7 @@ def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
 
 
 def _known(encoding: str) -> str:
-    """lxml's name of an encoding that Python knows, too; else the name unchanged."""
+    """Returns lxml's name of an encoding, if Python knows it, too; else the name unchanged."""
     try:
         etree.XMLParser(encoding=encoding)
     except LookupError:
