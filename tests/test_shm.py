@@ -34,7 +34,7 @@ LOCKED: dict[str, Any] = {"structure": "lock:1Q v:2d", "lock": "lock"}
 @pytest.fixture(autouse=True)
 def patient_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread that a busy machine holds up in its read is waited for, else nothing new is seen."""
-    monkeypatch.setattr(shm, "_BUSY", 5.0)
+    monkeypatch.setattr(shm, "_LOCK_TIMEOUT", 5.0)
 
 
 def locked(lock: int, *values: float) -> bytes:

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-_MOST_SHOWN = 60  # characters of a long text on either side of what is wrong
+_MAX_SHOWN = 60  # characters of a long text on either side of what is wrong
 
 
 def nearest(name: str, available: Iterable[str]) -> str | None:
@@ -178,10 +178,10 @@ class RouteError(SeroError, ValueError):
 
 def _pointing(text: str, position: int, length: int) -> str:
     """Names the characters of a text at which something is wrong."""
-    end = min(position + length, position + _MOST_SHOWN)
+    end = min(position + length, position + _MAX_SHOWN)
     found = f"'{text[position:end]}'" if position < len(text) else "the end"
-    first, last = max(position - _MOST_SHOWN, 0), end + _MOST_SHOWN
-    if last - first < len(text) - 2 * _MOST_SHOWN:
+    first, last = max(position - _MAX_SHOWN, 0), end + _MAX_SHOWN
+    if last - first < len(text) - 2 * _MAX_SHOWN:
         text = f"{'...' * (first > 0)}{text[first:last]}{'...' * (last < len(text))}"
     return f"'{text}', character {position + 1}: found {found}"
 

@@ -14,10 +14,10 @@ from .errors import DeclarationError, Problem
 from .paths import format_of, read_file
 
 _MCAP = b"\x89MCAP"
-_MOST_BYTES = 20_000_000
-_MOST_PARTS = 100  # of a dotted key; reading one takes the square of it
+_MAX_BYTES = 20_000_000
+_MAX_PARTS = 100  # of a dotted key; reading one takes the square of it
 # Of keys and tables, each of which is a table of 1 kB while it is read, and of texts and numbers.
-_MOST_NAMES, _MOST_VALUES = 100_000, 2_000_000
+_MAX_NAMES, _MAX_VALUES = 100_000, 2_000_000
 # Quotes and comments go whole; one that is not closed ends with its line.
 _LONG_TEXT = (
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\Z)'
@@ -41,7 +41,7 @@ _NAMES_AND_VALUES = re.compile(
     r"(?P<ends>=|(?(header)\]\]?[ \t]*+(?=[\n#]|\Z)|=))?",
     re.DOTALL | re.MULTILINE,
 )
-_MOST_ROWS = 300  # of an array whose entries are told apart; looking takes the square of it
+_MAX_ROWS = 300  # of an array whose entries are told apart; looking takes the square of it
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -57,7 +57,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         return DeclarationError([Problem("", message, str(path), int(line[1]) if line else None)])
 
     try:
-        contents = read_file(path, _MOST_BYTES)
+        contents = read_file(path, _MAX_BYTES)
         other = _other_format(contents)
         if other is None:
             return parse_toml(_as_text(contents))
@@ -95,14 +95,14 @@ def _check_counts(text: str) -> None:
             parts = 0
         else:
             parts = key.count(".") + 1
-            if parts > _MOST_PARTS:
+            if parts > _MAX_PARTS:
                 parts = len(_PARTS.findall(key))  # without the dots in quotes
             names += parts if found["ends"] else 0
             values += 0 if found["ends"] else 1
         for count, most, what in (
-            (parts, _MOST_PARTS, "parts of a key with dots"),
-            (names, _MOST_NAMES, "keys and tables"),
-            (values, _MOST_VALUES, "values"),
+            (parts, _MAX_PARTS, "parts of a key with dots"),
+            (names, _MAX_NAMES, "keys and tables"),
+            (values, _MAX_VALUES, "values"),
         ):
             if count > most:
                 line = text.count("\n", 0, found.start("key") if key else found.start()) + 1
@@ -132,7 +132,7 @@ def key_lines(path: Path) -> dict[str, int]:
     """
     lines: dict[str, int] = {}
     try:
-        text = _as_text(read_file(path, _MOST_BYTES))
+        text = _as_text(read_file(path, _MAX_BYTES))
     except (OSError, UnicodeDecodeError):
         return lines
     table = ""
@@ -192,7 +192,7 @@ def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str,
     """
     key = _array_in(parsed)
     rows = statement.rstrip("\n").split("\n")
-    if not key or not 1 < len(rows) <= _MOST_ROWS:
+    if not key or not 1 < len(rows) <= _MAX_ROWS:
         return 0, {}
     found: dict[str, int] = {}
     known = begin = 0

@@ -1,6 +1,6 @@
-"""Bytes to values, values to poses, and both to files and back.
+"""Decodes bytes to values, values to poses, and records and replays both.
 
 In: packets, shared memory, recordings. Out: the state of a world, every frame; recordings; packets
-of robots that we play.
+of simulated robots.
 Open first: `receive/source.py`; then `drive/mirror.py`, `record/recorder.py`, `send/play.py`.
 """

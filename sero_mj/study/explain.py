@@ -40,7 +40,7 @@ _ENDING, _FAST = 0.6, 0.004  # s, the last of a run, and the low pass there
 _BEFORE = 0.1  # s, by which something may seem to begin earlier through the slower low pass
 _MUCH = 0.05  # of the torque limit, which a drive that runs off does other than it should
 _ROUGHER = 2.0  # times what was before, above which noise is told
-_FINE, _LEAST_NOISE = 2e-4, 1.5e-3  # of the torque limit
+_FINE, _MIN_NOISE = 2e-4, 1.5e-3  # of the torque limit
 
 
 def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -> list[Explanation]:
@@ -296,7 +296,7 @@ def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
     rough = np.maximum(a.roughness, _FINE * a.scale)
     for joint, name in enumerate(a.robot.names):
         scale, values = float(a.scale[joint]), rough[:, joint]
-        least = _LEAST_NOISE * scale
+        least = _MIN_NOISE * scale
         found = _rougher(np.log(values))
         begin, size = None, 0.0
         if found is not None and np.median(values[found:]) > least:

@@ -23,25 +23,25 @@ LEAST_EFFECT = 5e-4  # of the torque limit, root mean square while it acts
 LEAST_ROWS = 8  # of a stretch
 # Finer differences mean nothing: of the torque limit, of the torque, and of its change (by s).
 _FLOOR, _FLOOR_SHARE, _FLOOR_TIME = 1e-4, 1e-3, 2e-3
-_LEAST_SHARE = 0.08  # of the largest effect at a joint, below which others are not told
-_LEAST_SCORE = 12.0  # by which an explanation must beat none
+_MIN_SHARE = 0.08  # of the largest effect at a joint, below which others are not told
+_MIN_SCORE = 12.0  # by which an explanation must beat none
 _ROWS_PER_FACT = 2.0  # neighbours among the rows of a low pass tell nearly the same
-_MOST_PER_JOINT = 3
+_MAX_PER_JOINT = 3
 _ROUNDS = 40
-_LEAST_VARIANCE = 1e-3  # of residuals in units of their standard deviations
+_MIN_VARIANCE = 1e-3  # of residuals in units of their standard deviations
 # Joints that differ, from which on a payload is looked for by all but one; and how many are tried.
-_LEAST_JOINTS, _MOST_TRIED = 3, 2
+_MIN_JOINTS, _MAX_TRIED = 3, 2
 _GRID, _ROUNDS_OF_EDGES = 18, 3
 # Standard deviations of what is expected: gain, share of the torque limit, payload (SI), masses.
 _GAIN, _SHARE = 1.0, 0.1
 _LATE, _NEAR = 1.3, (0.4, 2.0)  # of the factor by which a delay is fitted
 _TRIED_DELAYS = (0.002, 0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, before they are refined
 _ROUNDS_OF_DELAYS, _EXACT = 4, 0.02
-_MOST_GAIN = 2.6  # away from 1
-_LEAST_SIGN = 1.3  # likewise, from which on it is the sign that is wrong
+_MAX_GAIN = 2.6  # away from 1
+_MIN_SIGN = 1.3  # likewise, from which on it is the sign that is wrong
 _PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
 _MASSES = np.array([0.5])
-_LEAST_MASS, _LEAST_SHARE_OF_MASS = 0.03, 0.005  # kg; of the links' masses
+_MIN_MASS, _MIN_SHARE_OF_MASS = 0.03, 0.005  # kg; of the links' masses
 _FAR_BETTER = 0.1  # share of the squares that something else leaves
 _UNEXPLAINED = 0.002  # of the torque limit
 _PUSHED = 2  # joints that something unknown acts on, from which on it may act on others as well
@@ -273,7 +273,7 @@ class Search:
         if first is None or not self.known[0].any():
             return first
         # Where a joint has a fault of its own, what is of all joints is found by the others.
-        without = [None, *range(self.n)] if len(fits) >= _LEAST_JOINTS else [None]
+        without = [None, *range(self.n)] if len(fits) >= _MIN_JOINTS else [None]
         kinds: list[tuple[Kind, Part, Array]] = [
             ("payload", "flange", _PAYLOAD), ("masses", "links", _MASSES)
         ]  # fmt: skip
@@ -287,7 +287,7 @@ class Search:
             found = [fit for fit in tried if fit is not None]
             found.sort(key=lambda fit: -fit.gain)
             totals += [
-                (total, fit) for fit in found[:_MOST_TRIED]
+                (total, fit) for fit in found[:_MAX_TRIED]
                 if (total := self._total_with(fit)) is not None
             ]  # fmt: skip
         if not totals:
@@ -321,7 +321,7 @@ class Search:
         mine = [fit for fit in self.fits if fit.joint == joint]
         total = float((self.left[:, :, joint] ** 2).sum())
         most = _evidence(total, 0.0, self.count[joint], self.facts[joint])
-        if len(mine) >= _MOST_PER_JOINT or most < _LEAST_SCORE:
+        if len(mine) >= _MAX_PER_JOINT or most < _MIN_SCORE:
             return None
         told = {(fit.kind, fit.part) for fit in mine}
         new = [each for each in candidates if (each.kind, each.part) not in told]
@@ -329,7 +329,7 @@ class Search:
         fits += [self._unknown(joint, side) for side in (0, 1)]
         known = [fit for fit in fits if fit is not None]
         best = max(known, key=lambda fit: fit.gain, default=None)
-        if best is None or best.gain < _LEAST_SCORE or not self._matters(best):
+        if best is None or best.gain < _MIN_SCORE or not self._matters(best):
             return None
         rivals = [fit.gain for fit in known if (fit.kind, fit.part) != (best.kind, best.part)]
         best.confidence = _odds([best.gain, *rivals, 0.0])
@@ -381,7 +381,7 @@ class Search:
             return None
         H, g, _ = sums.between(first, last)
         parameters, errors = _solved(H, g, inverse, total, int(count))
-        if candidate.kind == "gain" and abs(parameters[0]) > _MOST_GAIN:
+        if candidate.kind == "gain" and abs(parameters[0]) > _MAX_GAIN:
             return None
         if candidate.delay and not _NEAR[0] < parameters[0] < _NEAR[1]:
             return None
@@ -455,7 +455,7 @@ class Search:
             gain = float(scores(np.array([first]), np.array([last]))[0])
         else:
             first, last, gain = self.edges.best(scores)
-        if not gain > _LEAST_SCORE:
+        if not gain > _MIN_SCORE:
             return None
         parts = [sums[j].between(first, last) for j in np.flatnonzero(used)]
         H, g = (
@@ -470,7 +470,7 @@ class Search:
         seen = np.ix_(self.edges.share(first, last) > 0.5, used)
         before = float((self.left[0][seen] ** 2).sum())
         after = float(((self.left - columns @ parameters)[0][seen] ** 2).sum())
-        least = max(_LEAST_MASS if kind == "payload" else _LEAST_SHARE_OF_MASS, 3.0 * errors[0])
+        least = max(_MIN_MASS if kind == "payload" else _MIN_SHARE_OF_MASS, 3.0 * errors[0])
         is_body = abs(parameters[0]) > least and after < 0.4 * before
         return fit if is_body and self._matters(fit) else None
 
@@ -488,7 +488,7 @@ class Search:
             return bool((effects > LEAST_EFFECT * self.found.scale).any())
         others = [self._effects(each)[fit.joint] for each in self.fits]
         least = LEAST_EFFECT * self.found.scale[fit.joint]
-        return bool(effects[fit.joint] > max([least, *(_LEAST_SHARE * each for each in others)]))
+        return bool(effects[fit.joint] > max([least, *(_MIN_SHARE * each for each in others)]))
 
     def _refit(self) -> None:
         """Fits all that was found once more, each to what the others leave, and takes it away."""
@@ -514,7 +514,7 @@ class Search:
             X = fit.columns.reshape(-1, fit.columns.shape[-1])
             covariance = np.linalg.inv(X.T @ X + np.diag(1.0 / fit.priors**2))
             if fit.kind != "unexplained":
-                scale = _ROWS_PER_FACT * max(variance, _LEAST_VARIANCE)
+                scale = _ROWS_PER_FACT * max(variance, _MIN_VARIANCE)
                 fit.errors = np.asarray(np.sqrt(np.diag(covariance) * scale), np.float64)
 
     def explanations(self, more: Sequence[Explanation]) -> list[Explanation]:
@@ -545,7 +545,7 @@ class Search:
         # Joint torque control commands no motors.
         is_far_better = not found.torque_control and after < _FAR_BETTER * by_sign
         for fit in self.fits:
-            is_sign = fit.kind == "gain" and abs(fit.parameters[0]) > _LEAST_SIGN
+            is_sign = fit.kind == "gain" and abs(fit.parameters[0]) > _MIN_SIGN
             if fit.joint != joint or fit.kind == "unexplained" or is_sign:
                 continue
             acts = known & (self.edges.share(*fit.edges) > 0.5)
@@ -564,7 +564,7 @@ class Search:
         if fit.joint < 0:
             return True
         effects = [float(self._effects(each)[fit.joint]) for each in self.fits]
-        return float(self._effects(fit)[fit.joint]) > _LEAST_SHARE * max(effects)
+        return float(self._effects(fit)[fit.joint]) > _MIN_SHARE * max(effects)
 
     def _is_of_contact(self, fit: _Fit) -> bool:
         """Whether a sensor seems wrong while something pushes other joints more."""
@@ -591,8 +591,8 @@ class Search:
         joints = np.array(names)[felt].tolist() if fit.joint < 0 else [names[fit.joint]]
         if kind == "gain":
             # Of two runs the second may be the one with the wrong sign.
-            kind = "sign" if abs(size) > _LEAST_SIGN else "gain"
-            size, unit = 1.0 + (size if size < _LEAST_SIGN else -size), ""
+            kind = "sign" if abs(size) > _MIN_SIGN else "gain"
+            size, unit = 1.0 + (size if size < _MIN_SIGN else -size), ""
         elif kind == "delay":
             size, error, unit = fit.delay * size, fit.delay * error, "s"
         elif kind == "friction":
@@ -636,7 +636,7 @@ def _solved(H: Array, g: Array, inverse: Array, total: float, count: int) -> tup
     covariance = np.linalg.inv(H + inverse)
     parameters = covariance @ g
     rest = total - float(2.0 * g @ parameters - parameters @ H @ parameters)
-    variance = _ROWS_PER_FACT * max(rest / count, _LEAST_VARIANCE)
+    variance = _ROWS_PER_FACT * max(rest / count, _MIN_VARIANCE)
     return parameters, np.sqrt(np.diag(covariance) * variance)
 
 

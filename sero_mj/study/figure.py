@@ -32,7 +32,7 @@ _A4_HEIGHT = 265.0
 _ROW, _MIN_ROW = 27.0, 14.0  # mm
 _HEAD, _FOOT = 12.0, 20.0  # mm, of the title and the legend; of headings and the time axis
 _NAMES = 27.0  # mm, left of the panels
-_LONGEST_NAME = 9  # characters; longer ones are smaller
+_MAX_NAME = 9  # characters; longer ones are smaller
 _TITLE_PAD, _LINE = 10.5, 6.5  # points; names of spans stand beneath the title
 _MM = 1.0 / 25.4  # inch
 _MIN_MM = 60.0, 40.0
@@ -175,7 +175,7 @@ class Figure:
     def _label(self, panel: Axes, name: str, beneath: str) -> None:
         left = -_NAMES * _MM * 72.0  # points
         look: Any = {"xycoords": "axes fraction", "textcoords": "offset points"}
-        size = 9.0 * min(1.0, _LONGEST_NAME / max(len(name), 1))
+        size = 9.0 * min(1.0, _MAX_NAME / max(len(name), 1))
         panel.annotate(name, (0.0, 0.5), (left, 0.0), **look, fontsize=size, fontweight="bold",
                        va="bottom", color=INK)  # fmt: skip
         panel.annotate(beneath, (0.0, 0.5), (left, -2.0), **look, fontsize=6.0, va="top",

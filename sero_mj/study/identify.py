@@ -12,7 +12,7 @@ squares, as in Gautier). What is left is no white noise, so that standard errors
 and West, which hold for residuals that resemble their neighbours, of all joints together.
 
 What a motion does not move is not told: where the variance of an estimate is more than
-`_MOST_INFLATED` times that of one which nothing else could be taken for, or where too few rows
+`_MAX_INFLATED` times that of one which nothing else could be taken for, or where too few rows
 say anything about it.
 
 Source: Newey, West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
@@ -42,14 +42,14 @@ from .torque_residuals import TorqueResiduals, torque_residuals
 if TYPE_CHECKING:
     from rich.table import Table
 
-_MOST_ROWS = 4000
-_LEAST_MOVING = 20  # rows in which a joint moves
-_MOST_INFLATED = 3000.0
+_MAX_ROWS = 4000
+_MIN_MOVING = 20  # rows in which a joint moves
+_MAX_INFLATED = 3000.0
 # Standard deviation of the payload's inertia that is expected before anything is known, kg m2.
 _INERTIA = 0.3
 # Of the torque limit: what friction at low speed and the low pass leave of a perfect run is less.
 _FLOOR = 2e-5
-_LEAST_SURE = 3.0  # standard errors, below which a payload is none
+_MIN_SURE = 3.0  # standard errors, below which a payload is none
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class Identified:
     def has_payload(self) -> bool:
         """Whether there is one beyond doubt."""
         mass = self.mass
-        return mass.value is not None and mass.value > _LEAST_SURE * (mass.error or 0.0)
+        return mass.value is not None and mass.value > _MIN_SURE * (mass.error or 0.0)
 
 
 def identify(log: RunLog, name: str) -> Identified:
@@ -144,7 +144,7 @@ def identify(log: RunLog, name: str) -> Identified:
         UsageError: no such robot, no measured torques, too short a run, or one in which no joint
             moves.
     """
-    found = torque_residuals(log, name, most_rows=_MOST_ROWS)
+    found = torque_residuals(log, name, most_rows=_MAX_ROWS)
     n = found.robot.n
     if bool(found.slow.all()):
         raise UsageError(f"{log.name}: no joint of '{name}' moves; expected a run that moves it")
@@ -174,7 +174,7 @@ def _motor_side(
     elif found.torque_control:
         reason = "joint torque control makes up for friction"
     rows = np.isfinite(found.motor[:, k])
-    if reason is None and rows.sum() < _LEAST_MOVING:
+    if reason is None and rows.sum() < _MIN_MOVING:
         reason = f"the run moves {name} too little to tell"
     if reason is not None:
         return [Estimate(None, None, reason)] * 3, np.inf, nothing
@@ -227,7 +227,7 @@ def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], 
     ]  # fmt: skip
     mass = estimates[0]
     fit = np.where(known, X @ values, np.nan)
-    if mass.value is None or mass.error is None or mass.value < _LEAST_SURE * mass.error:
+    if mass.value is None or mass.error is None or mass.value < _MIN_SURE * mass.error:
         reason = mass.reason or "there is no payload beyond doubt"
         return [mass, *[Estimate(None, None, reason)] * 3], offsets, condition, fit
     # c = h / m, and its error by the slopes of that.
@@ -284,7 +284,7 @@ def _estimates(
     errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     why = f"{reason} (condition number {condition:.0f})"
     return [
-        Estimate(float(value), float(error)) if each < _MOST_INFLATED else Estimate(None, None, why)
+        Estimate(float(value), float(error)) if each < _MAX_INFLATED else Estimate(None, None, why)
         for value, error, each in zip(values, errors, inflation, strict=True)
     ]
 

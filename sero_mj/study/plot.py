@@ -49,7 +49,7 @@ _MARKERS = {
     "velocity_limit": ">",
     "position_limit": "<",
 }
-_MOST_ROWS = 12  # of a page, unless joints or a size are given
+_MAX_ROWS = 12  # of a page, unless joints or a size are given
 _CLOSE, _LEVELS = 0.1, 5  # share of the time within which marks stand beneath each other
 _Joint = tuple[str, int]  # robot, and index of the joint
 _OF_ERROR = ("torque_error", "frozen_torque")  # findings that stand beside the error
@@ -90,7 +90,7 @@ def plot_run(
         for log in [logs] if isinstance(logs, RunLog) else logs:
             chosen = _choose(log, robots, joints)
             pages = [chosen]
-            if len(chosen) > _MOST_ROWS and joints is None and size_mm is None:
+            if len(chosen) > _MAX_ROWS and joints is None and size_mm is None:
                 is_pdf = path.suffix.lower() == ".pdf"
                 pages = _by_robots(chosen) if is_pdf else [_most_loaded(log, chosen)]
             figures += [
@@ -104,10 +104,10 @@ def _by_robots(chosen: Sequence[_Joint]) -> list[list[_Joint]]:
     pages: list[list[_Joint]] = [[]]
     for _, group in groupby(chosen, key=lambda each: each[0]):
         joints = list(group)
-        if len(pages[-1]) + len(joints) > _MOST_ROWS and pages[-1]:
+        if len(pages[-1]) + len(joints) > _MAX_ROWS and pages[-1]:
             pages.append([])
         for joint in joints:
-            if len(pages[-1]) == _MOST_ROWS:
+            if len(pages[-1]) == _MAX_ROWS:
                 pages.append([])
             pages[-1].append(joint)
     return pages
@@ -123,7 +123,7 @@ def _most_loaded(log: RunLog, chosen: Sequence[_Joint]) -> list[_Joint]:
                 values = np.abs(log.of(robot, signal)[:, k])
                 peaks[i] = max(peaks[i], np.nanmax(values, initial=0.0))
     shares = peaks / np.where(np.isfinite(limits), limits, max(peaks.max(), 1e-9))
-    kept = np.sort(np.argsort(-shares, kind="stable")[:_MOST_ROWS])
+    kept = np.sort(np.argsort(-shares, kind="stable")[:_MAX_ROWS])
     return [chosen[i] for i in kept]
 
 

@@ -39,14 +39,14 @@ WINDOW = 0.016  # s, standard deviation of the low pass: 10 Hz
 _REACH = 4.0  # of these, to which the low pass reaches
 _EVERY = 2.0  # of these, between two rows that are kept
 MOST_ROWS = 600  # that are kept
-_MOST_READ = 120_000  # rows of a run; of longer ones every second, third, ... is used
-_LEAST_ROWS = 12  # that are kept
+_MAX_READ = 120_000  # rows of a run; of longer ones every second, third, ... is used
+_MIN_ROWS = 12  # that are kept
 _SLOW = 0.01  # rad/s or m/s, up to which Coulomb friction may hold the joint
 _TURNING = 0.999  # mean of the sign of the velocity, below which it turns
 _FULL = 0.95  # of a torque limit, from which on a drive may give no more
 _NOISE = -0.35  # correlation of second differences, below which they are noise
 _STOP = 0.005  # of a joint's range, from which on it is at an end of it
-_LEAST_SCALE = 1e-3  # Nm or N, of joints that have no limit and feel nothing
+_MIN_SCALE = 1e-3  # Nm or N, of joints that have no limit and feel nothing
 _MOVE = 1e-4  # s, by which the Jacobian is moved to find its derivative
 
 # s, which sensors and drives may be late by; between two of them what they do is interpolated.
@@ -159,10 +159,10 @@ def torque_residuals(
     a = np.diff(rows["q"], n=2, axis=0) / step**2
     at, measured, commanded = rows["t"][2:, 0], rows["measured"][2:], rows["commanded"][2:]
     low_pass = _LowPass(at, step, times, most_rows, window)
-    if len(low_pass.times) < _LEAST_ROWS:
+    if len(low_pass.times) < _MIN_ROWS:
         raise UsageError(
             f"{log.name} has {log.times[-1] - log.times[0]:.3g} s of '{name}'; expected at least "
-            f"{_LEAST_ROWS * low_pass.step + 2 * _REACH * low_pass.width:.2g} s"
+            f"{_MIN_ROWS * low_pass.step + 2 * _REACH * low_pass.width:.2g} s"
         )
     model = _link_torques(robot, q, v, a)
     dynamics = robot_dynamics(robot)
@@ -269,7 +269,7 @@ def _even(log: RunLog, name: str) -> tuple[dict[str, Array], float]:
     has = log.has(name, "commanded_torques")
     signals["commanded"] = compared_signal(log, name, "commanded_torques") if has else missing
     signals["t"] = times[:, None]
-    thin = -(-round((times[-1] - times[0]) / log.timestep) // _MOST_READ)
+    thin = -(-round((times[-1] - times[0]) / log.timestep) // _MAX_READ)
     step = log.timestep * max(thin, 1)
     even = times[0] + step * np.arange(int((times[-1] - times[0]) / step + 1e-6) + 1)
     if len(even) == len(times) and np.allclose(even, times, rtol=0.0, atol=1e-3 * step):
@@ -449,7 +449,7 @@ def _held(at: Array, measured: Array) -> tuple[float, float, float]:
 def _scale(robot: SerialRobot, measured: Array) -> Array:
     if robot.torque_limits is not None:
         return np.asarray(robot.torque_limits, np.float64)
-    return np.asarray(np.maximum(np.nanmax(np.abs(measured), axis=0, initial=0.0), _LEAST_SCALE))
+    return np.asarray(np.maximum(np.nanmax(np.abs(measured), axis=0, initial=0.0), _MIN_SCALE))
 
 
 def _stands_alone(robot: SerialRobot, log: RunLog) -> bool:
@@ -473,7 +473,7 @@ def _at_stops(robot: SerialRobot, angles: Array) -> Bools:
 def _is_smaller(a: Array, b: Array) -> bool:
     """Whether residuals (K, n) are smaller than others at most joints, by how they differ there."""
     known = np.isfinite(a) & np.isfinite(b)
-    joints = known.sum(axis=0) > _LEAST_ROWS
+    joints = known.sum(axis=0) > _MIN_ROWS
     if not joints.any():
         return False
     mine, others, apart = (

@@ -20,7 +20,7 @@ from ._units import robot_of, units_of, wrong_unit
 from .route import Route
 from .values import Value, joined
 
-_MOST_LISTED = 8  # joints in a message
+_MAX_LISTED = 8  # joints in a message
 
 
 class Place(NamedTuple):
@@ -121,7 +121,7 @@ def joint_parts(
         places = free
     if value.is_frames or (count != len(places) and not is_one):
         names = [robot_of(scene, to).names[joint] for to, joint in places]
-        listed = names if len(names) <= _MOST_LISTED else [names[0], "...", names[-1]]
+        listed = names if len(names) <= _MAX_LISTED else [names[0], "...", names[-1]]
         many = "1 value" if count == 1 else f"{count} values"
         fewer = f", or {len(free)} without the coupled ones" if len(free) < len(places) else ""
         takes = f"{len(places)}{fewer}: {', '.join(listed)}"

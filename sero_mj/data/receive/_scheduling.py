@@ -1,10 +1,10 @@
-"""Lets a thread answer within a millisecond beside threads that compute.
+"""Lets a thread answer within a millisecond beside compute-bound threads.
 
-Neither the system's time slices nor the interpreter's may keep it waiting. No privilege is needed.
+It must not wait for time slices of the system or the interpreter. No privilege is needed.
 
-Linux shares a core among busy threads in slices of about 3 ms. A thread that asks for shorter ones
-(`sched_setattr(2)`, from Linux 6.12 on) goes before those that ask for long ones, and gets no more
-of the core in all. Who has to answer within a millisecond beside threads that render needs that.
+Linux shares a core among busy threads in slices of about 3 ms. A thread that requests shorter ones
+(`sched_setattr(2)`, since Linux 6.12) is scheduled before those with longer ones, without a larger
+share of the core. This is needed to answer within a millisecond beside threads that render.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import sys
 import threading
 
 _SWITCH_INTERVAL = 5e-4  # s
-_SLICE = 100_000  # ns; the shortest that there is
-# Not in Python, nor in older C libraries: the numbers of `sched_setattr` and `sched_getattr`.
+_SLICE = 100_000  # ns; the minimum
+# Numbers of `sched_setattr` and `sched_getattr`, missing in Python and in older C libraries.
 _CALLS = {"x86_64": (314, 315), "aarch64": (274, 275), "riscv64": (274, 275)}
 
 
@@ -35,15 +35,14 @@ class _Attributes(ctypes.Structure):
 
 
 def request_short_slices() -> bool:
-    """Requests them for the calling thread; returns whether the system grants it.
+    """Requests short slices for the calling thread; returns whether the system grants them.
 
-    Older systems, and others than Linux, have not; nor do threads change that somebody has made
-    real-time ones.
+    Older Linux and other systems do not support them; real-time threads are left unchanged.
     """
     attributes = _read()
     if attributes is None or attributes.policy != os.SCHED_OTHER:
         return False
-    attributes.runtime = _SLICE  # and all else as it is
+    attributes.runtime = _SLICE  # all else unchanged
     set_call, _ = _CALLS[platform.machine()]
     if ctypes.CDLL(None).syscall(set_call, 0, ctypes.byref(attributes), 0) != 0:
         return False
@@ -52,7 +51,7 @@ def request_short_slices() -> bool:
 
 
 def _read() -> _Attributes | None:
-    """How the thread that calls is scheduled, or None where that is not known."""
+    """The scheduling attributes of the calling thread; None if unknown."""
     if sys.platform != "linux" or platform.machine() not in _CALLS:
         return None
     attributes = _Attributes()
@@ -63,10 +62,10 @@ def _read() -> _Attributes | None:
 
 
 class _ShortTurns:
-    """Shortens the interpreter's switch interval as long as a receiver answers.
+    """Shortens the interpreter's switch interval while a receiver answers.
 
-    Who answers has to wait until the interpreter switches to it: up to 5 ms by default, of which
-    a controller's cycle of 1 ms knows nothing.
+    An answering thread waits until the interpreter switches to it: up to 5 ms by default, too long
+    for a controller's cycle of 1 ms.
     """
 
     def __init__(self) -> None:
@@ -75,7 +74,7 @@ class _ShortTurns:
         self._lock = threading.Lock()
 
     def begin(self, receiver: object) -> None:
-        """Shortens it, from now on."""
+        """Shortens the interval."""
         with self._lock:
             if not self._answering:
                 self._usual = sys.getswitchinterval()
@@ -83,7 +82,7 @@ class _ShortTurns:
             self._answering.add(id(receiver))
 
     def end(self, receiver: object) -> None:
-        """Restores it, when no other receiver answers."""
+        """Restores the interval if no other receiver answers."""
         with self._lock:
             was_answering = id(receiver) in self._answering
             self._answering.discard(id(receiver))

@@ -1,7 +1,7 @@
-"""Tracks what a source gets: by numbers, by who sends, and by when it comes.
+"""Tracks the packets of a source by sequence number, sender and arrival time.
 
-Numbers or time stamps tell loss, reordering, duplicates and restarts; addresses tell one sender
-that replaces another from several at once; arrivals tell rate, jitter and delay.
+Numbers or time stamps show loss, reordering, duplicates and restarts; addresses distinguish a
+replaced sender from several concurrent ones; arrivals give rate, jitter and delay.
 """
 
 from __future__ import annotations
@@ -14,33 +14,33 @@ import numpy as np
 from ...base.frames import Array, Ints
 from .structure import Rows
 
-# Positions: the order of a packet relative to those before it.
+# Positions: the order of a packet relative to earlier ones.
 NEXT, DUPLICATE, LATE, RESTARTED = range(4)
 
-LATE_WITHIN = 64  # numbers; what is further back comes from a sender that restarted
+LATE_WITHIN = 64  # numbers; older ones mean that the sender has restarted
 LATE_SECONDS = 0.5  # likewise for time stamps
-RUN = 4  # as many old packets, one after the other in order, come from such a sender as well
-PAUSE = 0.5  # s; after it, an old number comes from such a sender as well
-MOST_LOST = 3000  # numbers; who skips more over the wrap to 0 restarted (RFC 3550, appendix A.1)
-_WINDOW = (1 << (LATE_WITHIN + 1)) - 1  # a bit for the newest number and each that may be late
+RUN = 4  # so many consecutive old packets in order mean the same
+PAUSE = 0.5  # s; after such a pause, an old number means the same
+MOST_LOST = 3000  # numbers; a larger gap across the wrap to 0 is a restart (RFC 3550, appendix A.1)
+_WINDOW = (1 << (LATE_WITHIN + 1)) - 1  # a bit for the newest number and each possibly late one
 
-SEEN_FOR = 2.0  # s for which a sender counts after its last packet
-MOST_SENDERS = 64  # that are followed; more at once is a flood
-_STREAM = 2  # packets; who sends every packet from a new port does not begin anew each time
+SEEN_FOR = 2.0  # s after its last packet until a sender is forgotten
+MOST_SENDERS = 64  # tracked; more are a flood
+_MIN_STREAM = 2  # packets; a sender that changes its port with every packet is no restart each time
 
 _WEIGHT = 1.0 / 16.0  # of a new packet in a running mean, as in RFC 3550, section 6.4.1
-_LONG_PAUSE = 2.0  # s; a longer one says nothing about the rate
-_BASELINE = 10.0  # s for which the fastest packet is the measure; clocks of two machines drift
+_LONG_PAUSE = 2.0  # s; longer ones do not affect the rate
+_BASELINE = 10.0  # s; window of the fastest packet, since clocks of two machines drift
 
 
 class SequenceTracker:
     """Follows the sequence numbers of one sender.
 
     Args:
-        modulus: the number that wraps to 0 (65536 for 16 bits); 0 where they do not wrap.
+        modulus: the number that wraps to 0 (65536 for 16 bits); 0 for no wrap.
 
     Attributes:
-        lost: numbers that never came; one that comes late is taken off again.
+        lost: missing numbers; one that arrives late is subtracted again.
     """
 
     def __init__(self, modulus: int = 0) -> None:
@@ -49,7 +49,7 @@ class SequenceTracker:
         self._last: int | None = None
         self._last_arrival = 0.0
         self._run, self._run_last = 0, 0
-        # Bit k is about the number k before the last: whether it came, whether it counts as lost.
+        # Bit k stands for the k-th number before the last: whether it arrived, whether it is lost.
         self._came = self._missing = 0
 
     def is_consecutive(self, numbers: Sequence[int]) -> bool:
@@ -60,11 +60,11 @@ class SequenceTracker:
             and first == self._last + 1
             and (not self._modulus or last < self._modulus)
             and last - first == len(numbers) - 1
-            and list(numbers) == list(range(first, last + 1))  # one twice may hide one lost
+            and list(numbers) == list(range(first, last + 1))  # a duplicate may hide a loss
         )
 
     def skip_to(self, number: int, arrival: float) -> None:
-        """Advances to a number, all before it having come in order."""
+        """Advances to a number, after all earlier ones have arrived in order."""
         steps = number - (self._last or 0)
         self._came = _shifted(self._came, steps) | ((1 << min(steps, LATE_WITHIN + 1)) - 1)
         self._missing = _shifted(self._missing, steps)
@@ -114,7 +114,7 @@ class SequenceTracker:
         if self._came & bit:
             return DUPLICATE
         self._came |= bit
-        if self._missing & bit:  # else it is from before the first one that was seen
+        if self._missing & bit:  # else it precedes the first one received
             self._missing &= ~bit
             self.lost -= 1
         return LATE
@@ -129,9 +129,9 @@ def _shifted(bits: int, steps: int) -> int:
 
 
 class StampTracker:
-    """Follows the time stamps of one sender; equal ones are no duplicates."""
+    """Follows the time stamps of one sender; equal stamps are not duplicates."""
 
-    lost = 0  # stamps do not tell
+    lost = 0  # unknown from stamps
 
     def __init__(self) -> None:
         self._last: float | None = None
@@ -155,13 +155,13 @@ class StampTracker:
 
 @dataclass
 class _Sender:
-    """When a sender has sent.
+    """The activity of a sender.
 
     Attributes:
-        first: which packet of all was its first.
-        last: which was its last.
-        at: when that came, s.
-        count: its packets.
+        first: index of its first packet.
+        last: index of its last packet.
+        at: arrival of that, s.
+        count: number of its packets.
     """
 
     first: int
@@ -171,15 +171,15 @@ class _Sender:
 
 
 class Senders:
-    """Tells a sender that takes the place of another from one that sends beside it.
+    """Distinguishes a sender that replaces another one from a concurrent one.
 
-    A program that is started anew sends from another port. Its predecessor is silent from then on;
-    two that send at once are heard of in turns.
+    A restarted program sends from another port, and its predecessor is silent from then on; packets
+    of concurrent senders alternate.
 
     Attributes:
-        at_once: how many send at once; 1 as long as none returns after another one has sent.
-        gone: addresses of those in whose place another one sends, since the last `note`.
-        begins: row of the last `note` from which on another one sends; None where none begins.
+        at_once: number of concurrent senders; 1 as long as none returns after another one has sent.
+        gone: addresses of the senders replaced since the last `note`.
+        begins: row of the last `note` at which another one begins to send; None for none.
     """
 
     def __init__(self) -> None:
@@ -188,7 +188,7 @@ class Senders:
         self.begins: int | None = None
         self._seen: dict[bytes, _Sender] = {}
         self._current = b""
-        self._replaced: set[bytes] = set()  # who are gone if they keep silent
+        self._replaced: set[bytes] = set()  # gone unless they send again
         self._packets = 0
 
     def note(self, senders: Rows, arrivals: Array) -> None:
@@ -196,7 +196,7 @@ class Senders:
 
         Args:
             senders: addresses, (n, any number of bytes), n >= 1.
-            arrivals: when their packets came, (n,), s.
+            arrivals: of their packets, (n,), s.
         """
         self.gone, self.begins = [], None
         if (senders == senders[0]).all():
@@ -219,7 +219,7 @@ class Senders:
         else:
             before = self._seen.get(self._current)
             self._seen[key] = _Sender(first, last, at, len(rows))
-            if before is not None and before.last < first and before.count >= _STREAM:
+            if before is not None and before.last < first and before.count >= _MIN_STREAM:
                 self._replaced.add(self._current)
                 self.begins = int(rows[0])
         self._current = key
@@ -244,24 +244,24 @@ class Senders:
 
 
 class Timing:
-    """Measures arrivals, and what time stamps say about them.
+    """Measures rate, jitter and delay from arrivals and time stamps.
 
     Attributes:
         interval: running mean of the time between packets, s; 0 while unknown.
-        jitter: running mean of how much that time differs from what the sender's time stamps say
-            (RFC 3550, section 6.4.1), or, without these, from its mean, s.
-        delay: by how much the last packet was slower than the fastest of the last 10 to 20 s, s.
+        jitter: running mean of the difference of that time from the sender's time stamps (RFC 3550,
+            section 6.4.1), or, without these, from its mean, s.
+        delay: of the last packet relative to the fastest of the last 10 to 20 s, s.
     """
 
     def __init__(self) -> None:
         self.interval = self.jitter = self.delay = 0.0
         self._arrival: float | None = None
         self._stamp: float | None = None
-        self._fastest = [np.inf, np.inf]  # of this stretch of time and of the one before
+        self._fastest = [np.inf, np.inf]  # of this interval and the previous one
         self._since = 0.0
 
     def restart(self) -> None:
-        """Discards what depends on the sender's clock, after a restart."""
+        """Discards values that depend on the sender's clock, after a restart."""
         self._arrival = self._stamp = None
         self._fastest = [np.inf, np.inf]
 
@@ -269,7 +269,7 @@ class Timing:
         """Adds packets to the statistics.
 
         Args:
-            arrivals: when they came, (n,), n >= 1, s.
+            arrivals: (n,), n >= 1, s.
             stamps: when they were sent, by the sender's clock, (n,), s.
         """
         if len(arrivals) == 1 and self.interval > 0.0 and self._arrival is not None:
@@ -319,7 +319,7 @@ class Timing:
             self._compare(arrival - stamp, arrival - stamp)
 
     def _compare(self, fastest: float, last: float) -> None:
-        """Sets the delay, where so many seconds are between arrivals and the sender's clock."""
+        """Sets the delay from the differences between arrivals and the sender's clock, s."""
         assert self._arrival is not None
         if self._arrival - self._since > _BASELINE:
             self._since = self._arrival
@@ -338,7 +338,7 @@ def _joined(before: float | None, values: Array) -> Array:
 
 
 def _running(mean: float, values: Array) -> float:
-    """The running mean after these values, as if it were updated with one after the other."""
+    """The running mean after these values, equal to updating it one by one."""
     if not len(values):
         return mean
     kept = (1.0 - _WEIGHT) ** np.arange(len(values) - 1, -1, -1)

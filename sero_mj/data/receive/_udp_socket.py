@@ -1,8 +1,8 @@
-"""UDP sockets: opens them, says clearly why one cannot be opened, and reads them in batches.
+"""Opens UDP sockets, with clear errors, and reads them in batches.
 
-On Linux one `recvmmsg` call takes up to 256 packets, with the time at which the kernel got each; a
-Python call for each would be too slow for a hundred thousand a second. Elsewhere they are read one
-by one.
+On Linux one `recvmmsg` call reads up to 256 packets, with the kernel's arrival time of each; a
+Python call per packet would be too slow for a hundred thousand a second. Elsewhere they are read
+one by one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ...base.frames import Array, Ints
 from .structure import Rows
 
 DEFAULT_BUFFER = 4 * 2**20  # bytes; the system may grant less
-_SO_RCVBUFFORCE = 33  # Linux: beyond net.core.rmem_max, where the user may
+_SO_RCVBUFFORCE = 33  # Linux: beyond net.core.rmem_max, if permitted
 _REASONS = {
     errno.EADDRINUSE: " is in use by another program; close that, or choose another port",
     errno.EACCES: ": no permission; choose a port above 1023",
@@ -38,7 +38,7 @@ _REASONS = {
 BATCH = 256  # packets
 _ADDRESS_BYTES, _V4_BYTES = 28, 16  # of sockaddr_in6, and of sockaddr_in
 _CONTROL_BYTES = 64  # a time stamp (32) and a count of dropped packets (24)
-_MAPPED = bytes(10) + b"\xff\xff"  # before an IPv4 address in one of IPv6
+_MAPPED = bytes(10) + b"\xff\xff"  # prefix of an IPv4 address in IPv6
 # Linux's numbers; not in Python's socket module.
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
@@ -64,7 +64,7 @@ class _Mmsghdr(ctypes.Structure):
     _fields_ = [("header", _Msghdr), ("length", ctypes.c_uint)]
 
 
-# The control message that comes first: header, then seconds and nanoseconds of a 64-bit system.
+# The first control message: header, then seconds and nanoseconds of a 64-bit system.
 _STAMP = np.dtype(
     {
         "names": ["level", "kind", "seconds", "nanoseconds"],
@@ -79,14 +79,14 @@ OnArrival = Callable[[memoryview, int, bytes], None]
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Datagrams that came one after the other; valid until the next are read.
+    """Consecutive datagrams; valid until the next are read.
 
     Attributes:
-        rows: (n, `most` bytes), uint8; what was longer is cut off.
-        lengths: as they were sent, (n,), bytes; of what was cut off at least the row's length.
+        rows: (n, `most` bytes), uint8; longer ones are truncated.
+        lengths: as sent, (n,), bytes; of truncated ones at least the row's length.
         arrivals: on the clock of `time.monotonic`, (n,), s.
-        senders: socket addresses as the system has them, (n, 28), uint8.
-        dropped: packets that the kernel has dropped so far, or None where it does not say.
+        senders: socket addresses in the system's layout, (n, 28), uint8.
+        dropped: packets that the kernel has dropped so far, or None if unknown.
     """
 
     rows: Rows
@@ -107,8 +107,8 @@ class Datagrams:
         most: bytes of a packet that are kept.
 
     Attributes:
-        on_arrival: called before anything else is done with each packet, with its bytes, as many
-            as are kept; how long it is; and its sender as in `Batch.senders`. None for nothing.
+        on_arrival: called with each packet before anything else, with its kept bytes, its length,
+            and its sender as in `Batch.senders`. None for no call.
     """
 
     def __init__(self, sock: socket.socket, most: int) -> None:
@@ -125,8 +125,8 @@ class Datagrams:
         if sys.platform == "linux":
             for option in (_SO_RXQ_OVFL, _SO_TIMESTAMPNS):
                 sock.setsockopt(socket.SOL_SOCKET, option, 1)
-            # They do not wait, so they need not let other threads run: to come back behind one that
-            # renders takes up to the interpreter's switch interval.
+            # They do not block, so they need not release the interpreter: regaining it from a
+            # thread that renders takes up to the switch interval.
             library = ctypes.PyDLL(None, use_errno=True)
             self._recvmmsg = getattr(library, "recvmmsg", None)
             self._sendto = getattr(library, "sendto", None)
@@ -145,7 +145,7 @@ class Datagrams:
         header["name"], header["namelen"] = _places(self._senders), _ADDRESS_BYTES
         header["iov"], header["iovlen"] = _places(self._vectors), 1
         header["control"], header["controllen"] = _places(self._controls), _CONTROL_BYTES
-        # What the kernel changes.
+        # Fields changed by the kernel.
         self._got, self._namelen = states["length"], header["namelen"]
         self._controllen = header["controllen"]
         self._row_views = [memoryview(row) for row in self._rows]  # type: ignore[arg-type]
@@ -159,7 +159,7 @@ class Datagrams:
         ]
 
     def receive(self) -> Batch | None:
-        """Returns what is there, up to 256 packets, or None when there is nothing.
+        """Returns up to 256 available packets, or None without any.
 
         Raises:
             OSError: the system says what is wrong with the socket.
@@ -168,7 +168,7 @@ class Datagrams:
         return self.take()
 
     def read(self) -> int:
-        """Reads what is there behind what is `waiting`; returns how many packets that were.
+        """Appends available packets to `waiting`; returns their number.
 
         Raises:
             OSError: the system says what is wrong with the socket.
@@ -180,7 +180,7 @@ class Datagrams:
         return count
 
     def take(self) -> Batch | None:
-        """Returns what was read since the last one, or None when there is nothing."""
+        """Returns the packets read since the last call, or None without any."""
         count, self.waiting = self.waiting, 0
         if not count:
             return None
@@ -196,7 +196,7 @@ class Datagrams:
         return Batch(rows, lengths, arrivals, senders, self._dropped)
 
     def send(self, data: bytes, to: bytes) -> None:
-        """Sends a packet to an address as in `Batch.senders`; raises OSError where it cannot."""
+        """Sends a packet to an address as in `Batch.senders`; raises OSError on failure."""
         if self._sendto is None:
             self._socket.sendto(data, _as_tuple(to))
             return
@@ -222,20 +222,20 @@ class Datagrams:
                 return 0
             raise OSError(error, os.strerror(error))
         if (on_arrival := self.on_arrival) is not None:
-            # Without numpy: beside a renderer its code has to come from memory first.
+            # Without numpy, whose code is not in the cache beside a renderer.
             for i in range(first, first + count):
                 sender = self._sender_view[i * _ADDRESS_BYTES : (i + 1) * _ADDRESS_BYTES]
                 on_arrival(self._row_views[i], self._headers[i].length, bytes(sender))
         return count
 
     def _arrivals(self, count: int) -> Array:
-        """When the kernel got the packets, on the monotonic clock."""
+        """The kernel's arrival times of the packets, on the monotonic clock."""
         now, wall = _both_clocks()
         stamps = self._stamps[:count]
         if not (stamps["kind"] == _SO_TIMESTAMPNS).all():
             return np.full(count, now * 1e-9)
         stamped = stamps["seconds"] * 1_000_000_000 + stamps["nanoseconds"]
-        # The wall clock may have been set in between; nothing arrives later than it is read.
+        # The wall clock may have been set in between; arrivals cannot be later than reading.
         arrivals: Array = (now - np.maximum(wall - stamped, 0)) * 1e-9
         return arrivals
 
@@ -263,16 +263,16 @@ class Datagrams:
 
 
 def _places(rows: NDArray[Any]) -> Ints:
-    """Addresses in memory of an array's rows."""
+    """Memory addresses of an array's rows."""
     return np.asarray(rows.ctypes.data + rows.strides[0] * np.arange(len(rows)))
 
 
 def _both_clocks() -> tuple[int, int]:
-    """The monotonic and the wall clock at one moment, ns; nothing has run in between."""
+    """The monotonic and the wall clock at the same time, ns, without interruption."""
     for _ in range(4):
         before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
         if after - before < 20_000:
-            break  # else another thread had the processor, and the two would be apart
+            break  # else another thread ran in between
     return before, wall
 
 
@@ -294,7 +294,7 @@ def unpack_address(packed: bytes) -> tuple[str, int]:
 
 
 def _as_tuple(packed: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
-    """One of `Batch.senders` as Python's sockets take it."""
+    """One of `Batch.senders` in the form of Python's sockets."""
     host, port = unpack_address(packed)
     if ":" not in host:
         return host, port
@@ -305,14 +305,14 @@ def _as_tuple(packed: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
 def canonical_address(packed: bytes) -> tuple[bytes, int]:
     """Address, 16 bytes, and port of one of `Batch.senders`.
 
-    IPv4 as IPv6 has it (`::ffff:192.168.0.7`), which is how a socket on `::` sees it.
+    IPv4 is mapped to IPv6 (`::ffff:192.168.0.7`), as on a socket bound to `::`.
     """
     port = int.from_bytes(packed[2:4], "big")
     return (_MAPPED + packed[4:8] if packed[0] == 2 else packed[8:24]), port
 
 
 def is_multicast(host: str) -> bool:
-    """Whether an address is a group that senders reach with one packet."""
+    """Whether an address is a multicast group."""
     try:
         return ipaddress.ip_address(host.partition("%")[0]).is_multicast
     except ValueError:
@@ -320,12 +320,12 @@ def is_multicast(host: str) -> bool:
 
 
 def _needs_interface(host: str) -> bool:
-    """Whether an address means something only together with a network: `ff02::1`, `fe80::1`."""
+    """Whether an address needs a network interface: `ff02::1`, `fe80::1`."""
     try:
         address = ipaddress.IPv6Address(host)
     except ValueError:
         return False
-    # Of a group the scope is in its second byte: 1 is this machine, 2 this network.
+    # The scope of a group is in its second byte: 1 is this machine, 2 this network.
     return address.is_link_local or (address.is_multicast and address.packed[1] & 15 in (1, 2))
 
 
@@ -363,7 +363,7 @@ def open_socket(source: str, host: str, port: int, interface: str, buffer: int) 
             sock.bind((address, port, 0, socket.if_nametoindex(interface or zone)))
         else:
             sock.bind((host, port))
-    # A name that cannot be one makes other errors than a name that is not known.
+    # Invalid names raise other errors than unknown names.
     except (OSError, TypeError, UnicodeError) as error:
         if sock is not None:
             sock.close()
@@ -375,7 +375,7 @@ def _set_buffer(sock: socket.socket, size: int) -> None:
     wanted = size or DEFAULT_BUFFER
     try:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted)
-    except OSError:  # some systems refuse what they cannot grant
+    except OSError:  # some systems refuse excessive sizes
         if size:
             raise
     if not size and sys.platform == "linux":
@@ -394,7 +394,7 @@ def _join(sock: socket.socket, group: str, port: int, interface: str) -> None:
         joined = struct.pack("=16sI", packed, index)
         sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_JOIN_GROUP, joined)
         return
-    # On Linux a socket bound to the group gets nothing else; Windows cannot bind to one.
+    # On Linux a socket bound to the group receives nothing else; Windows cannot bind to one.
     sock.bind((group if sys.platform == "linux" else "", port))
     here = "0.0.0.0"
     index = 0
@@ -412,7 +412,7 @@ def _join(sock: socket.socket, group: str, port: int, interface: str) -> None:
 def _why(error: Exception, interface: str) -> str:
     if not isinstance(error, OSError):
         return f": not an address: {error}"
-    # Python's own error for an interface that is not there has no number.
+    # Python's error for a missing interface has no number.
     unknown = (None, errno.ENODEV, errno.EADDRNOTAVAIL, errno.ENXIO)
     names = [name for _, name in socket.if_nameindex()]
     if interface and interface not in names and error.errno in unknown:

@@ -1,9 +1,9 @@
 """KUKA's Fast Research Interface (FRI) 1.0: its packets, and `FriReceiver` for an LWR 4/4+.
 
-The controller sends one measurement packet each cycle (1 to 100 ms) to an address that is set
-there; a client answers each with a command packet. A client that does not answer is sent
-measurements all the same, with the quality `unacceptable`. Packets are little-endian and without
-gaps; their layouts are those of the interface, the names are ours.
+The controller sends one measurement packet each cycle (1 to 100 ms) to a configured address; a
+client answers each with a command packet. Without answers it still sends measurements, with the
+quality `unacceptable`. Packets are little-endian and without gaps; their layouts are those of the
+interface, the names are ours.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from .structure import Rows, Structure, are_frames
 from .udp import UdpReceiver
 
 PORT = 49938  # FRI's own default
-CYCLES = (0.001, 0.1)  # s; the shortest and the longest that a controller can be set to
+CYCLES = (0.001, 0.1)  # s; minimum and maximum of a controller's setting
 ALL_DRIVES = 0x7F  # `power` with all seven on
 
-INVALID = 65535  # -1, for state and quality are unsigned
+INVALID = 65535  # -1, as state and quality are unsigned
 STATES = {0: "off", 1: "monitor", 2: "command", INVALID: "invalid"}
 QUALITIES = {0: "unacceptable", 1: "bad", 2: "ok", 3: "perfect", INVALID: "invalid"}
 
@@ -49,7 +49,7 @@ MEASUREMENT = " ".join(
         "jacobian:42f mass_matrix:49f gravity_torques:7f",
     )
 )
-# To the controller, 376 bytes. Without a bit in `command_flags` nothing behind them counts.
+# To the controller, 376 bytes. Without a bit in `command_flags` the rest is ignored.
 COMMAND = " ".join(
     (
         _HEADER.format("0x1005"),
@@ -65,12 +65,12 @@ _COMMANDED = ("commanded_before_fri", "commanded_offset")
 class FriLayout(Structure):
     """The measurement packet, with its values in this package's conventions.
 
-    - `commanded_angles` is added: FRI tells what the robot's program commands and what its client
-      adds to that; the robot follows the sum.
-    - `tcp_moment` comes as z, y, x and is handed on as x, y, z; so do the last three rows of the
+    - `commanded_angles` is added: FRI reports the command of the robot's program and the offset of
+      its client; the robot follows the sum.
+    - `tcp_moment` is sent as z, y, x and returned as x, y, z; so are the last three rows of the
       `jacobian` (6 x 7, row by row).
-    - A frame that is none (zeros, say, before a program has commanded one) is no data, NaN, where
-      that is allowed.
+    - An invalid frame (zeros, say, before a program has commanded one) is no data, NaN, where that
+      is allowed.
 
     Attributes:
         missing: frames that may be no data; in the others, what is no frame is malformed.
@@ -94,7 +94,7 @@ class FriLayout(Structure):
         return self._derive(super().decode_rows(rows, events))
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """A packet's `state` and `quality`, as `STATES` and `QUALITIES` have them.
+        """A packet's `state` and `quality`, see `STATES` and `QUALITIES`.
 
         Args:
             values: event name to its array, of one packet.
@@ -103,12 +103,12 @@ class FriLayout(Structure):
 
     @property
     def required_frames(self) -> tuple[str, ...]:
-        """Matrices that make a packet malformed where they are neither frames nor NaN."""
+        """Matrices that make a packet malformed unless they are frames or NaN."""
         return tuple(event for event in self.matrices if event not in self.missing)
 
     def find_not_finite(self, rows: Rows, but: Collection[str] = ()) -> NDArray[np.bool_]:
         """Which packets have NaN or infinity outside the events `but`, (n,)."""
-        if "commanded_angles" not in but:  # then both of its parts have to be right
+        if "commanded_angles" not in but:  # then both of its parts must be finite
             but = frozenset(but).difference(_COMMANDED)
         return super().find_not_finite(rows, but)
 
@@ -128,8 +128,7 @@ class FriLayout(Structure):
     def encode(self, values: Mapping[str, ArrayLike]) -> bytes:
         """Returns the packet that carries these events; see `Structure.encode`.
 
-        `commanded_angles` are written as the program's, less the `commanded_offset` where that is
-        given as well.
+        `commanded_angles` are written as the program's, minus the `commanded_offset` if given.
         """
         packed: dict[str, Any] = {
             event: np.array(value) if event in ("tcp_moment", "jacobian") else value
@@ -158,13 +157,13 @@ _NO_COMMAND = Structure(COMMAND).encode({})[4:]
 
 
 def counter_of(packet: memoryview, length: int) -> int | None:
-    """Returns the `send_counter` of a measurement, and None of any other packet.
+    """Returns the `send_counter` of a measurement; None for any other packet.
 
-    The same as `FriLayout.find_wrong_constants`, but for one packet, that is ten times as fast.
+    The same check as `FriLayout.find_wrong_constants`, but ten times as fast for one packet.
 
     Args:
         packet: its bytes, at least eight.
-        length: how many of them it has.
+        length: their number.
     """
     if length != _SIZE:
         return None
@@ -173,7 +172,7 @@ def counter_of(packet: memoryview, length: int) -> int | None:
 
 
 def no_command(counter: int, reflected: int) -> bytes:
-    """Returns a command packet that commands nothing: all but its header is 0.
+    """Returns a command packet that commands nothing: all zero except its header.
 
     Args:
         counter: of the packets sent so far, this one included; its lower 16 bits are sent.
@@ -191,19 +190,19 @@ def is_good(state: float, quality: float) -> bool:
 
 
 class FriReceiver(UdpReceiver):
-    """Receives the measurements of an LWR; commands nothing.
+    """Receives the measurements of an LWR, without commanding it.
 
-    What FRI fixes (`structure`, byte order, counters, time stamps) cannot be set. Events are in
-    SI units; frames are T_base_tcp as the controller has its base and its tool set, that is base
-    to flange without a tool. `answer_rate` is 1 when every packet was answered; like `latency`,
+    Fields fixed by FRI (`structure`, byte order, counters, time stamps) cannot be set. Events are
+    in SI units; frames are T_base_tcp with the base and tool set in the controller, that is base to
+    flange without a tool. `answer_rate` is 1 when every packet was answered; like `latency`,
     `jitter` (s) and `miss_rate` it is an average of the controller over 100 packets.
 
     Attributes:
-        answer: whether measurements are answered. Every answer is a command packet with no command
-            in it: its flags, and all but its header, are 0. Without answers the controller calls
-            the quality unacceptable. With them an interface that its program has put into command
-            mode stays there, and holds the robot where that program has it.
-            Answers go first: what is in a packet is looked at up to 4 ms later.
+        answer: whether measurements are answered. Every answer is a command packet without a
+            command: all but its header, including its flags, is 0. Without answers the controller
+            rates the quality as unacceptable. With them an interface put into command mode by its
+            program stays there, and the robot follows that program. Answers have priority: packets
+            are processed up to 4 ms later.
     """
 
     name: str = "fri"
@@ -216,7 +215,7 @@ class FriReceiver(UdpReceiver):
     answer: bool = False
 
     protocol: ClassVar[str] = "fri"
-    # Where nobody has said what is routed, frames may be missing.
+    # As long as the routes are unknown, frames may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(FRAMES)
     _answers: int = PrivateAttr(0)
 
@@ -244,11 +243,11 @@ class FriReceiver(UdpReceiver):
 
     @property
     def answers(self) -> int:
-        """How many packets were answered since it was opened."""
+        """Number of packets answered since it was opened."""
         return self._answers
 
     def allow_nan(self, events: Collection[str]) -> None:
-        """Lets NaN, and frames that are none, mean `no data` in these events, and in no others.
+        """Treats NaN and invalid frames as `no data` in these events, and in no others.
 
         Raises:
             UnknownName: an event that FRI does not have.
@@ -273,7 +272,7 @@ class FriReceiver(UdpReceiver):
         self._answers = 0
 
     def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
-        """Answers before anything else is done, for the controller measures the latency."""
+        """Answers before anything else, because the controller measures the latency."""
         if not self.answer:
             return None
 

@@ -22,53 +22,53 @@ from ._tracking import (
 )
 from .structure import LAST_ROW, LAST_ROW_TOLERANCE, Rows, Structure, are_frames
 
-# In the order in which they change; who waits for a malformed packet finds the others done.
+# In the order of their updates: malformed counts are last, so that waiting for them suffices.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
             "wrong_constant", "wrong_size", "received")  # fmt: skip
-_MOST_KEPT = 2048  # bytes of a malformed packet, or as many as a right one has
+_MAX_KEPT = 2048  # bytes of a malformed packet, or the size of a valid one
 
 
 def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
-    """Puts packets of any length into the rows that `Intake.take` and recorders take.
+    """Pads packets of any length to rows for `Intake.take` and recorders.
 
     Args:
         packets: bytes of each, n >= 1.
-        size: bytes of a right one.
+        size: bytes of a valid one.
 
     Returns:
-        rows (n, `size` or more), with zeros behind a shorter packet; a longer one ends after 2048
-        bytes or `size`; and the lengths that the packets had, (n,).
+        rows (n, `size` or more), shorter packets padded with zeros, longer ones truncated after
+        2048 bytes or `size`; and the lengths of the packets, (n,).
     """
     lengths = np.array([len(packet) for packet in packets], np.intp)
-    width = max(size, min(int(lengths.max()), _MOST_KEPT))
+    width = max(size, min(int(lengths.max()), _MAX_KEPT))
     text = b"".join(packet[:width].ljust(width, b"\0") for packet in packets)
     return np.frombuffer(text, np.uint8).reshape(len(packets), width), lengths
 
 
 @dataclass
 class Counters:
-    """What came in since the source was opened.
+    """Counts of packets since the source was opened.
 
     Attributes:
         received: packets of any kind.
         wrong_size: malformed ones: not as long as the structure says.
-        wrong_constant: malformed ones: another number where the structure demands one.
+        wrong_constant: malformed ones: a number differs from the structure's constant.
         not_finite: malformed ones: with NaN or infinity where these are not allowed.
         not_frames: malformed ones: with a matrix that is not a rigid frame.
-        foreign: from others than the `sender` that was named; not looked at.
-        lost: sequence numbers that never came.
-        late: came after one with a higher number; applied only when none may be lost.
-        duplicates: came before with the same number; not applied.
+        foreign: from senders other than the configured `sender`; not examined.
+        lost: missing sequence numbers.
+        late: arrived after one with a higher number; applied only when none may be lost.
+        duplicates: repeated sequence numbers; not applied.
         restarts: how often the sender restarted: with its numbers, or from another port.
         torn: reads of shared memory given up because the writer was always in between.
-        senders: how many send at once, in turns, within the last 2 s.
-        blanked: good ones with NaN or infinity where these are allowed.
-        superseded: good ones that a later packet replaced before they were used, as intended
-            when a robot sends faster than pictures are made.
-        dropped: packets that the kernel threw away because its buffer was full.
-        last_fault: what was wrong with the last malformed packet.
+        senders: number of concurrent senders within the last 2 s.
+        blanked: valid ones with NaN or infinity where these are allowed.
+        superseded: valid ones replaced by a later packet before use, as intended when a robot sends
+            faster than the frame rate.
+        dropped: packets that the kernel dropped because its buffer was full.
+        last_fault: error of the last malformed packet.
         last_size: bytes of the last packet of a wrong size.
-        last_fault_time: when the last malformed packet came, on the clock of `Source.now`.
+        last_fault_time: arrival of the last malformed packet, on the clock of `Source.now`.
     """
 
     received: int = 0
@@ -92,17 +92,17 @@ class Counters:
 
     @property
     def malformed(self) -> int:
-        """Packets that were counted and not applied."""
+        """Number of malformed packets, which are not applied."""
         return self.wrong_size + self.wrong_constant + self.not_finite + self.not_frames
 
 
 class Intake:
-    """Checks packets in batches, as they come from a socket, a memory block or a file.
+    """Checks packets in batches, as received from a socket, a memory block or a file.
 
     Args:
         layout: of the packets.
         sequence: event that numbers the packets; empty for none.
-        time: event that says when the packet was sent; empty for none.
+        time: event with the packet's send time; empty for none.
         time_scale: s per unit of `time`.
         lossless: whether late packets are applied as well.
         nan_allowed: events in which NaN means `no data`.
@@ -137,7 +137,7 @@ class Intake:
         self._trackers: OrderedDict[bytes, SequenceTracker | StampTracker] = OrderedDict()
         self._lost_by_forgotten = 0
         self._senders = Senders()
-        # What the batch in work adds; it counts only when the good packets have been handed on.
+        # Counts of the current batch, added only after its good packets have been handed on.
         self._tally = Counters()
         self._modulus = 0
         if sequence:
@@ -147,16 +147,16 @@ class Intake:
     def take(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
     ) -> tuple[Rows, Array]:
-        """Sorts packets, and returns those to apply; `count` then counts them all.
+        """Sorts packets, and returns those to apply; `count` then counts all.
 
         Args:
             rows: (n, `size` or more), n >= 1, one packet a row.
-            lengths: of the packets, (n,), bytes; what a row does not hold need not be there.
+            lengths: of the packets, (n,), bytes; may exceed the row.
             arrivals: (n,), s.
             senders: addresses, (n, any number of bytes).
 
         Returns:
-            rows (m, `size`) and arrivals (m,); views into the arguments where all are good.
+            rows (m, `size`) and arrivals (m,); views into the arguments if all are good.
         """
         counters, layout = self._tally, self.layout
         counters.received += len(rows)
@@ -181,7 +181,7 @@ class Intake:
         stamps = self._stamps(rows) if self._time else None
         places = self._follow(rows, arrivals, stamps, senders)
         blank = layout.find_not_finite(rows)
-        if is_finite := not blank.any():  # as nearly always
+        if is_finite := not blank.any():  # the usual case
             good = ~blank
         else:
             good = ~layout.find_not_finite(rows, self.nan_allowed)
@@ -189,7 +189,7 @@ class Intake:
         if required := layout.required_frames:
             good &= self._are_frames(rows, arrivals, good, required)
         self._time_good(good, arrivals, stamps, places, begins)
-        # What is malformed has been counted, and is not counted again as late, say.
+        # Malformed packets have been counted, and are not counted again, as late for instance.
         if places.any():
             duplicate = good & (places == DUPLICATE)
             late = good & (places == LATE)
@@ -213,13 +213,13 @@ class Intake:
         self._fault(fault, arrivals[last])
 
     def decode(self, rows: Rows) -> dict[str, Array]:
-        """Decodes rows that `take` returned; infinity and NaN in what may be blank are NaN."""
+        """Decodes rows from `take`; infinity becomes NaN where NaN is allowed."""
         values = self.layout.decode_rows(rows)
         _blank_not_finite(values, self.nan_allowed, self.layout.matrices)
         return values
 
     def count(self) -> None:
-        """Adds what the last `take` found to the counters."""
+        """Adds the counts of the last `take` to the counters."""
         tally, counters = self._tally, self.counters
         self._tally = Counters()
         for name in _COUNTED:
@@ -236,7 +236,7 @@ class Intake:
             self.on_fault(tally.last_fault)
 
     def restart(self) -> None:
-        """Registers a restart of the sender that more than its numbers shows."""
+        """Registers a restart of the sender detected by other means than its numbers."""
         self._lost_by_forgotten += sum(tracker.lost for tracker in self._trackers.values())
         self._trackers.clear()
         self.counters.restarts += 1
@@ -260,7 +260,7 @@ class Intake:
         places: NDArray[np.int8],
         begins: int | None,
     ) -> None:
-        """Measures the packets that are not malformed, from the last restart on."""
+        """Measures the timing of well-formed packets since the last restart."""
         timed = good.copy()
         restarts = np.flatnonzero(places == RESTARTED)
         self._tally.restarts += len(restarts)
@@ -268,14 +268,14 @@ class Intake:
             self.timing.restart()
             timed[: max([begins or 0, *restarts[-1:]])] = False
         if stamps is not None:
-            timed &= np.isfinite(stamps)  # where NaN is allowed, it tells no time
+            timed &= np.isfinite(stamps)  # NaN, where allowed, is no time
         if timed.any():
             self.timing.add(arrivals[timed], None if stamps is None else stamps[timed])
 
     def _are_frames(
         self, rows: Rows, arrivals: Array, finite: NDArray[np.bool_], events: Collection[str]
     ) -> NDArray[np.bool_]:
-        """Which packets have nothing but frames in these events; NaN is judged elsewhere."""
+        """Which packets have only valid frames in these events; NaN is checked elsewhere."""
         layout = self.layout
         values = layout.decode_rows(rows, events)
         matrices = np.concatenate([values[event] for event in events], axis=1)
@@ -298,7 +298,7 @@ class Intake:
     def _follow(
         self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Rows | None
     ) -> NDArray[np.int8]:
-        """What the packets' numbers or time stamps say, as positions, (n,)."""
+        """The positions of packets by their numbers or time stamps, (n,)."""
         places = np.zeros(len(rows), np.int8)
         if not self._sequence and stamps is None:
             return places
@@ -331,12 +331,12 @@ class Intake:
             self._trackers[sender] = tracker
             if len(self._trackers) > MOST_SENDERS:
                 self._lost_by_forgotten += self._trackers.popitem(last=False)[1].lost
-        else:  # who sends is the last to be forgotten
+        else:  # senders are forgotten last
             self._trackers.move_to_end(sender)
         return tracker
 
     def _note_senders(self, senders: Rows, arrivals: Array) -> int | None:
-        """Notes who sent; returns the row from which on another one does, with another clock."""
+        """Registers senders; returns the first row of a new sender, with another clock."""
         self._senders.note(senders, arrivals)
         for gone in self._senders.gone:  # its successor is the same program, restarted
             self._tally.restarts += 1
@@ -346,7 +346,7 @@ class Intake:
 
 
 def _describe_not_finite(values: Mapping[str, Array], but: Collection[str]) -> str:
-    """Where the first NaN or infinity stands outside the events `but`; empty when nowhere."""
+    """Describes the first NaN or infinity outside the events `but`; empty for none."""
     for event, array in values.items():
         if event in but:
             continue
@@ -360,9 +360,9 @@ def _describe_not_finite(values: Mapping[str, Array], but: Collection[str]) -> s
 def _blank_not_finite(
     values: MutableMapping[str, Array], events: Collection[str], matrices: Collection[str]
 ) -> None:
-    """Makes NaN of every infinity in these events, and of a whole matrix with either in it.
+    """Replaces infinities in these events, and matrices with NaN or infinity, by NaN.
 
-    What has to change is replaced by a copy; `values` are those of one packet or of many.
+    Changed arrays are copied; `values` are those of one packet or of many.
     """
     for event in events:
         array = values.get(event)
@@ -371,7 +371,7 @@ def _blank_not_finite(
         good = np.isfinite(array)
         if good.all():
             continue
-        if event in matrices:  # part of a frame is none
+        if event in matrices:  # a partial frame is invalid
             good &= good.all(axis=(-2, -1), keepdims=True)
         values[event] = np.where(good, array, np.nan)
 
@@ -379,12 +379,12 @@ def _blank_not_finite(
 def find_not_frame(
     values: Mapping[str, Array], events: Collection[str], *, column_major: bool
 ) -> str:
-    """Says which is the first matrix that is no rigid frame, and why; empty when all are frames.
+    """Describes the first matrix that is not a rigid frame; empty if all are valid.
 
     Args:
-        values: event name to its array; matrices that are NaN are left out.
-        events: those that are matrices.
-        column_major: how they were read, for advice when the other way gives a frame.
+        values: event name to its array; NaN matrices are skipped.
+        events: those with matrices.
+        column_major: the order used, to suggest the other one if that gives a frame.
     """
     matrices = np.concatenate([values[event] for event in events])
     wrong = ~(are_frames(matrices) | np.isnan(matrices[:, 3, 3]))

@@ -13,9 +13,9 @@ import numpy as np
 
 from ...base.errors import StructureError, did_you_mean
 
-MAX_PACKET_BYTES = 65_507  # the most that one UDP packet over IPv4 carries
+MAX_PACKET_BYTES = 65_507  # the maximum of a UDP packet over IPv4
 
-# By letter: the name of the events, and the numbers that one of their items has in the packet.
+# By letter: the name of the events, and the shape of one item in the packet.
 KINDS: dict[str, tuple[str, tuple[int, ...]]] = {
     "F": ("values", ()),
     "V": ("vectors", (3,)),
@@ -36,7 +36,7 @@ _EQUALS = re.compile(r"\s*(=)\s*")
 _NUMBER = re.compile(
     r"size\b|[+-]?(?:0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
 )
-_LONGEST_NUMBER = 40  # characters; Python itself refuses to read thousands of digits
+_MAX_NUMBER = 40  # characters; Python itself refuses to read thousands of digits
 _NUMBERED = re.compile(r"(values|vectors|matrices)[0-9]+")
 _EXPECTED = "expected a count and F, V, M, T, x or a type, for example 7F1M"
 _TOO_LONG = f"the packet would be too long; expected at most {MAX_PACKET_BYTES} bytes"
@@ -47,15 +47,15 @@ class Item:
     """One item of a structure string.
 
     Attributes:
-        name: the event's name, given or numbered; empty for what makes no event.
+        name: the event's name, given or numbered; empty for items without an event.
         kind: `F`, `V`, `M` or `T`; `x` for bytes that are skipped.
         count: how many.
         type: numpy's name of the number's type, with byte order; `u1` when skipped.
         offset: its first byte in the packet.
         is_bool: whether any byte but 0 is 1.
-        constant: what every number of it must be; None where anything may stand.
+        constant: the required value of every number; None for any value.
         is_size: whether that constant is the packet's size.
-        at: index in the text at which it begins; behind `=` for a size.
+        at: index in the text at which it begins; after `=` for a size.
     """
 
     name: str
@@ -70,17 +70,17 @@ class Item:
 
     @cached_property
     def wire_shape(self) -> tuple[int, ...]:
-        """How its numbers stand in the packet; of matrices row by row."""
+        """Shape of its numbers in the packet; matrices are row-major."""
         return (self.count, *(KINDS[self.kind][1] if self.kind in KINDS else ()))
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
-        """Of its event's array; 3 x 4 matrices get their last row."""
+        """Shape of its event's array; 3 x 4 matrices get their last row."""
         return (self.count, 4, 4) if self.kind == "T" else self.wire_shape
 
     @cached_property
     def numbers(self) -> int:
-        """How many numbers it has in the packet."""
+        """Number of its numbers in the packet."""
         return math.prod(self.wire_shape)
 
     @cached_property
@@ -90,7 +90,7 @@ class Item:
 
     @cached_property
     def dtype(self) -> np.dtype[Any]:
-        """Of one of its numbers in the packet."""
+        """Type of one of its numbers in the packet."""
         return np.dtype(self.type)
 
     @cached_property
@@ -100,7 +100,7 @@ class Item:
 
     @cached_property
     def is_float(self) -> bool:
-        """Whether NaN can stand there."""
+        """Whether it can contain NaN."""
         return self.type[-2] == "f"
 
 
@@ -109,11 +109,11 @@ def parse(text: str, *, is_double: bool = True, alignment: int = 1) -> list[Item
 
     Args:
         text: see STRUCTURE.md.
-        is_double: what `F`, `V`, `M` and `T` are where they name no type.
+        is_double: the type of `F`, `V`, `M` and `T` without a letter.
         alignment: every item begins at a multiple of this many bytes.
 
     Raises:
-        StructureError: points at the first character that is wrong.
+        StructureError: points at the first invalid character.
     """
     return _Parser(text, is_double, alignment).items()
 
@@ -147,14 +147,14 @@ class _Parser:
 
     @property
     def next(self) -> str:
-        """The character to read; empty at the end."""
+        """The next character; empty at the end."""
         return self.text[self.at : self.at + 1]
 
     def wrong(self, reason: str, at: int | None = None) -> StructureError:
         return StructureError(self.text, self.at if at is None else at, reason)
 
     def skip(self, pattern: re.Pattern[str]) -> int:
-        """Goes on behind a pattern that may be empty."""
+        """Skips a pattern, which may be empty."""
         if found := pattern.match(self.text, self.at):
             self.at = found.end()
         return self.at
@@ -200,7 +200,7 @@ class _Parser:
         return name
 
     def with_name(self, item: Item) -> Item:
-        """Remembers a name, and numbers an event without one; checks alone make no event."""
+        """Stores a name, or numbers an unnamed event; unnamed checks create no event."""
         if item.name:
             self.names.add(item.name)
             return item
@@ -242,7 +242,7 @@ class _Parser:
         raise self.wrong(f"{kinds}, for example 7F1M{hint}", self.at - 1)
 
     def with_constant(self, item: Item) -> Item:
-        """Reads what stands behind `=`, if there is any."""
+        """Reads the constant after `=`, if any."""
         equals = _EQUALS.match(self.text, self.at)
         if equals is None:
             return item
@@ -261,9 +261,9 @@ class _Parser:
         return item
 
     def number(self, text: str, item: Item) -> int | float:
-        """A number that an item's type can hold; of integers exactly what is written."""
-        if len(text) > _LONGEST_NUMBER:
-            raise self.wrong(f"expected a number of at most {_LONGEST_NUMBER} characters")
+        """A number in the range of an item's type; integers are exact."""
+        if len(text) > _MAX_NUMBER:
+            raise self.wrong(f"expected a number of at most {_MAX_NUMBER} characters")
         digits = text.lstrip("+-")
         value: int | float
         if digits[:2].lower() == "0x":
@@ -281,7 +281,7 @@ class _Parser:
         return int(value)
 
     def with_size(self, item: Item) -> Item:
-        """Puts in the packet's size, which is known only at the end."""
+        """Inserts the packet's size, which is known only at the end."""
         if self.size > limits(item)[1]:
             reason = f"the packet has {self.size} bytes; expected a type that holds this number"
             raise self.wrong(f"{reason}, for example 1H=size", item.at)
@@ -289,7 +289,7 @@ class _Parser:
 
 
 def limits(item: Item) -> tuple[int | float, int | float]:
-    """The least and the greatest finite number that an item's type holds."""
+    """The minimum and maximum finite number of an item's type."""
     if item.is_bool:
         return 0, 1
     if item.is_float:

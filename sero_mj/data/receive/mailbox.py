@@ -1,4 +1,4 @@
-"""`Mailbox`: good packets between the thread that receives them and those that take them."""
+"""`Mailbox`: passes good packets from the receiving thread to its consumers."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy as np
 from ...base.frames import Array
 from .structure import Rows
 
-HEARD_BYTES = 16 * 2**20  # of packets that wait for `take_all`; the oldest are dropped
-QUEUE_BYTES = 64 * 2**20  # of packets that wait to be taken when none may be lost
-_LOOK_AGAIN = 0.1  # s
+HEARD_BYTES = 16 * 2**20  # of packets waiting for `take_all`; the oldest are dropped
+QUEUE_BYTES = 64 * 2**20  # of packets waiting to be taken when none may be lost
+_WAIT_INTERVAL = 0.1  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +36,11 @@ class Packet:
 
 @dataclass(frozen=True, eq=False)
 class Packets:
-    """Good packets, one after the other.
+    """Consecutive good packets.
 
     Attributes:
         values: event name to its arrays, (n, ...), float64, n >= 1.
-        arrivals: when they arrived, (n,), s, on the clock of `Source.now`.
+        arrivals: (n,), s, on the clock of `Source.now`.
         number: of the last one.
     """
 
@@ -59,17 +59,16 @@ class Packets:
 
 
 class Mailbox:
-    """Keeps good packets until they are taken; they are decoded by who takes them.
+    """Keeps good packets until they are taken; the consumer decodes them.
 
     Args:
-        decode: makes values of packets in rows.
-        on_superseded: is told how many packets were replaced by newer ones before anybody looked.
+        decode: converts packets in rows to values.
+        on_superseded: called with the number of packets replaced by newer ones before use.
 
     Attributes:
-        is_lossless: whether every packet is kept, and `put` waits where there is no room; else the
-            newest wins.
-        number: how many were put until now.
-        closing: set while the source is being closed: `put` then no longer waits.
+        is_lossless: whether every packet is kept, and `put` waits for room; else only the newest.
+        number: of packets put so far.
+        closing: set while the source is being closed, so that `put` does not wait.
     """
 
     def __init__(
@@ -93,7 +92,7 @@ class Mailbox:
         self._heard_bytes = 0
 
     def empty(self) -> None:
-        """Forgets all packets and begins to count anew; what `keep_all` has begun goes on."""
+        """Discards all packets and resets the count; `keep_all` stays in effect."""
         self.number = self._looked = self._taken = self._queued_bytes = 0
         self._last = self._decoded = None
         self._queue.clear()
@@ -103,7 +102,7 @@ class Mailbox:
         self.closing.clear()
 
     def forget_last(self) -> None:
-        """Forgets the newest packet; those that follow are counted on, so that they are new."""
+        """Discards the newest packet; counting continues, so that later ones are new."""
         self._last = None
 
     @property
@@ -112,7 +111,7 @@ class Mailbox:
         return None if self._last is None else float(self._last[1][-1])
 
     def put(self, rows: Rows, arrivals: Array) -> None:
-        """Puts packets in, on the source's own thread."""
+        """Adds packets, on the source's own thread."""
         last = rows[-1:].copy()
         if self._heard is not None:
             with self._room:
@@ -126,7 +125,7 @@ class Mailbox:
         else:
             with self._room:
                 while self._queued_bytes > QUEUE_BYTES and not self.closing.is_set():
-                    self._room.wait(_LOOK_AGAIN)
+                    self._room.wait(_WAIT_INTERVAL)
                 self._queue.append((rows.copy(), arrivals.copy()))
                 self._queued_bytes += rows.size
                 self.number += len(rows)
@@ -148,7 +147,7 @@ class Mailbox:
         return decoded
 
     def take(self) -> Packets | None:
-        """The packets since the last call, or the newest of them; None where there is none."""
+        """The packets since the last call, or the newest of them; None without any."""
         if not self.is_lossless:
             packets = self.newest()
             if packets is None or packets.number == self._taken:
@@ -164,12 +163,12 @@ class Mailbox:
         return self._joined(batches, self._taken)
 
     def keep_all(self) -> None:
-        """Begins to keep all packets for `take_all`, whatever `take` returns."""
+        """Starts to keep all packets for `take_all`, independent of `take`."""
         with self._room:
             self._heard, self._heard_bytes = deque(), 0
 
     def take_all(self) -> Packets | None:
-        """All packets since the last call, of the last 16 MB; None where there is none."""
+        """All packets since the last call, at most 16 MB; None without any."""
         with self._room:
             batches, self._heard_bytes = [*(self._heard or ())], 0
             if batches:
@@ -185,5 +184,5 @@ class Mailbox:
         return Packets(self._decode(rows), arrivals, number)
 
     def wait(self, timeout: float) -> bool:
-        """Waits up to `timeout` s until a packet has come; returns whether one has."""
+        """Waits up to `timeout` s for a packet; returns whether one has arrived."""
         return self._first.wait(timeout)

@@ -1,9 +1,9 @@
 """Guesses a layout of doubles, floats, integers, padding and counters in one packet.
 
-At every byte of a packet an item of some type may begin. Each costs the bits that it takes to tell
-its numbers, given what its type usually holds, and the cheapest way from the first byte to the last
-is the guess (minimum description length; Rissanen 1978). Numbers that do not change from packet to
-packet, and counters, cost next to nothing.
+An item of any type may begin at every byte of a packet. Its cost is the number of bits that encode
+its numbers, given the usual values of its type, and the cheapest path from the first byte to the
+last is the guess (minimum description length; Rissanen 1978). Constant numbers and counters cost
+almost nothing.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ from numpy.typing import NDArray
 from ...base.frames import Array
 from .structure import Rows
 
-SMALLEST, LARGEST = 1e-6, 1e6  # sizes of numbers that look like measurements in SI units
-_MOST_BYTES = 2048
+SMALLEST, LARGEST = 1e-6, 1e6  # magnitudes of plausible measurements in SI units
+_MAX_BYTES = 2048
 _NEW_TYPE, _NEW_ITEM = 8.0, 1.0  # bits
-_MOST_RAW = 0.25  # share of bytes that nothing speaks for, above which nothing is guessed
-# Numpy's type and bits of a number of a usual size: a double has one of 2,048 exponents, and 40 of
-# these are from 1e-6 to 1e6. Of integers the largest that is usual.
+_MAX_RAW = 0.25  # share of unexplained bytes above which no guess is made
+# Numpy's type and bits of a number of usual magnitude: a double has one of 2,048 exponents, of
+# which 40 are from 1e-6 to 1e6. For integers the largest usual value.
 _FLOATS = {"d": ("f8", 58.0), "f": ("f4", 29.0)}
 _INTEGERS = {"I": ("u4", 2**16), "i": ("i4", 2**16), "H": ("u2", 2**12), "h": ("i2", 2**12),
              "B": ("u1", 2**4)}  # fmt: skip
 _WIDTHS = {"Q": 8, "I": 4, "H": 2, "B": 1}
-# Bits of 0, of the number of the packet before, of one more than that, and of unusual ones above
+# Bits of 0, of the previous packet's number, of that plus one, and of unusual ones in addition to
 # those of their bytes.
 _ZERO, _SAME, _COUNTED, _ODD = 2.0, 1.0, 1.0, 4.0
-_EXPONENT = 3.0  # bits of a usual one that are those of the number before
-_PADDED = 0.5  # bits of a byte that is always 0
+_EXPONENT_BITS = 3.0  # bits of a usual one equal to those of the previous number
+_PADDING_BITS = 0.5  # bits of an always-zero byte
 
 
 @dataclass(frozen=True)
 class Run:
-    """Items of one type beside each other.
+    """Adjacent items of one type.
 
     Attributes:
-        letter: of the type in a structure; `x` for bytes that are skipped.
+        letter: of the type in a structure; `x` for skipped bytes.
         count: how many.
         is_counter: whether it rises by one with every packet.
     """
@@ -49,26 +49,26 @@ class Run:
 
 
 def mixed_layout(rows: Rows) -> tuple[str, list[Run], float] | None:
-    """Returns the byte order, `<` or `>`, what stands in packets, and the share that is likely.
+    """Returns the byte order, `<` or `>`, the layout, and the share of likely bytes.
 
-    None where nothing shows.
+    None without a guess.
 
     Args:
-        rows: packets of one sender one after the other, (n, size), n >= 1.
+        rows: consecutive packets of one sender, (n, size), n >= 1.
     """
-    if not 0 < rows.shape[1] <= _MOST_BYTES:
+    if not 0 < rows.shape[1] <= _MAX_BYTES:
         return None
     found = [(*_cheapest(rows, order), order) for order in "<>"]
     _, runs, raw, order = min(found, key=lambda each: each[0])
     has_floats = any(run.letter in _FLOATS for run in runs)
-    if raw > _MOST_RAW * rows.shape[1] or not (has_floats or any(run.is_counter for run in runs)):
+    if raw > _MAX_RAW * rows.shape[1] or not (has_floats or any(run.is_counter for run in runs)):
         return None
-    ahead = 1 if order == "<" else -1  # the high bytes are behind the low ones, or before them
+    ahead = 1 if order == "<" else -1  # the high bytes follow the low ones, or precede them
     return order, _wide_counters(runs[::ahead])[::ahead], 1.0 - raw / rows.shape[1]
 
 
 def _wide_counters(runs: list[Run]) -> list[Run]:
-    """The same with the zeros next behind a counter in it: it has not risen so far yet."""
+    """The same with zeros adjacent to a counter included: high bytes of a small count."""
     result: list[Run] = []
     for run in runs:
         last, left = result[-1] if result else None, run.count
@@ -84,13 +84,13 @@ def _wide_counters(runs: list[Run]) -> list[Run]:
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """Items of a type that would begin at every byte.
+    """Hypothetical items of a type at every byte.
 
     Attributes:
         width: bytes of one.
-        bits: that tell its numbers in all packets, (k,); infinite where there can be none.
-        raw: how many of its bytes look like any, (k,).
-        counts: whether it is a counter, (k,); None where it cannot be.
+        bits: of its numbers in all packets, (k,); infinite where impossible.
+        raw: number of unexplained bytes, (k,).
+        counts: whether it is a counter, (k,); None if impossible.
     """
 
     width: int
@@ -100,9 +100,9 @@ class _Kind:
 
 
 def _cheapest(rows: Rows, order: str) -> tuple[float, list[Run], float]:
-    """Bits, runs, and bytes that nothing speaks for, of the cheapest layout in a byte order."""
+    """Bits, runs, and unexplained bytes of the cheapest layout in a byte order."""
     n, size = rows.shape
-    padding = np.where(rows.any(axis=0), np.inf, _PADDED)
+    padding = np.where(rows.any(axis=0), np.inf, _PADDING_BITS)
     kinds = {"x": _Kind(1, np.asarray(padding, np.float64), np.zeros(size))}
     for letter, (type_, usual) in _FLOATS.items():
         values = _at_every_byte(rows, order + type_)
@@ -111,10 +111,10 @@ def _cheapest(rows: Rows, order: str) -> tuple[float, list[Run], float]:
         good = (sizes >= SMALLEST) & (sizes <= LARGEST)
         width, is_odd = int(type_[1]), ~good & (sizes != 0)
         each = np.where(good, usual, np.where(is_odd, 8.0 * width + _ODD, _ZERO))
-        # Of what moves smoothly the first digits are those of the packet before.
+        # Smooth signals keep the leading digits of the previous packet.
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             change = np.abs(np.diff(values, axis=0)) / np.maximum(sizes[1:], sizes[:-1])
-            less = usual - _EXPONENT + np.log2(np.clip(change, 1e-15, 1.0))
+            less = usual - _EXPONENT_BITS + np.log2(np.clip(change, 1e-15, 1.0))
         smooth = good[1:] & good[:-1]
         each[1:] = np.where(smooth, np.maximum(less, _SAME), each[1:])
         kinds[letter] = _Kind(width, _told_once(values, each), width * is_odd.mean(axis=0))
@@ -133,7 +133,7 @@ def _cheapest(rows: Rows, order: str) -> tuple[float, list[Run], float]:
         raw = np.where(counts, 0.0, width * (sizes > small).mean(axis=0))
         kinds[letter] = _Kind(width, np.asarray(total, np.float64), raw, counts)
     best: list[dict[str, tuple[float, str]]] = [{"": (0.0, "")}]
-    for end in range(1, size + 1):  # the cheapest up to here by the type that ends here
+    for end in range(1, size + 1):  # the cheapest layout up to here, by the type that ends here
         here: dict[str, tuple[float, str]] = {}
         for letter, kind in kinds.items():
             at = end - kind.width
@@ -166,14 +166,14 @@ def _at_every_byte(rows: Rows, type_: str) -> NDArray[np.generic]:
 
 
 def _told_once(values: NDArray[np.generic], bits: Array) -> Array:
-    """Bits of numbers over all packets (n, k), where those that do not change cost little."""
+    """Bits of numbers over all packets (n, k); constant ones cost little."""
     with np.errstate(invalid="ignore"):  # a signalling NaN would warn
         same = values[1:] == values[:-1]
     return np.asarray(bits[0] + np.where(same, _SAME, bits[1:]).sum(axis=0))
 
 
 def _runs(items: list[Run]) -> list[Run]:
-    """Items of one type put together; counters stand by themselves."""
+    """Merges items of one type; counters are kept separate."""
     runs: list[Run] = []
     for item in items:
         last = runs[-1] if runs else None

@@ -1,4 +1,4 @@
-"""What a source has received so far, by cause, for people and for programs."""
+"""Reports what a source has received so far, by cause, for people and for programs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from .intake import Counters
 from .source import Source, age
 
-# What each counter means to somebody who looks for a fault; in the order in which to look.
+# Diagnoses by counter, in the order in which to check them.
 MEANINGS = {
     "lost": "numbers that never came",
     "late": "after one with a higher number",
@@ -31,9 +31,8 @@ def report(source: Source) -> dict[str, Any]:
     Returns:
         every counter by its name, and `source`, `about`, `receiving`, `rate` (packets/s), `age` (s
         since the last good packet, None before the first), `jitter` and `delay` (s, None where
-        the packets have no time stamp), `good`, `trouble` (what keeps packets from coming, where
-        that is known: shared memory that is not there, say), `fault_age` (s since the last packet
-        that was not applied, None where all were).
+        the packets have no time stamp), `good`, `trouble` (why no packets arrive, if known: missing
+        shared memory, say), `fault_age` (s since the last rejected packet, None for none).
     """
     counters, timing = source.counters, source.timing
     since = age(source.latest(), source.now())
@@ -54,10 +53,10 @@ def report(source: Source) -> dict[str, Any]:
 
 
 def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Rows of a table: what, how many, and what that means; causes that did not occur are left out.
+    """Rows of a table: cause, count, and diagnosis; causes that did not occur are left out.
 
     Args:
-        found: what `report` returned.
+        found: result of `report`.
     """
     rows = []
     why = f": {found['trouble']}" if found["trouble"] else ""

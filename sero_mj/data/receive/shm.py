@@ -1,4 +1,4 @@
-"""`ShmReader`: packets from POSIX shared memory, whoever writes it."""
+"""`ShmReader`: receives packets from POSIX shared memory."""
 
 from __future__ import annotations
 
@@ -14,43 +14,41 @@ from .mailbox import Packet, Packets
 from .shm_block import Block, block_path
 from .source import Source, log
 
-_LOOK_EVERY = 0.02  # s; how soon a block that is made, or made anew, is noticed
-_BUSY = 2e-3  # s; how long a picture waits while the block is being read for others
-_COUNT_EVERY = 1.0  # s; how often a block that stays too small is counted
-_GATHER = 8e-4  # s; packets that come faster are checked together, as one costs what ten do
-_TRIES = 50  # to read a packet between two writes; some 200 us
-_LONGEST_SPIN = 2e-4  # s; a packet that has to stand still for longer is looked at again later
-_WRITING_FOR = 0.1  # s; a packet takes no longer to be written by a writer that lives
+_BLOCK_POLL_INTERVAL = 0.02  # s; delay until a created or recreated block is detected
+_LOCK_TIMEOUT = 2e-3  # s; how long a frame waits while another thread reads the block
+_COUNT_INTERVAL = 1.0  # s; between counts of a block that remains too small
+_GATHER_TIME = 8e-4  # s; faster packets are checked together, since one costs as much as ten
+_MAX_ATTEMPTS = 50  # at reading a packet between two writes; some 200 us
+_MAX_SPIN = 2e-4  # s; a packet that has to be unchanged for longer is checked again later
+_MAX_WRITE_TIME = 0.1  # s; upper bound for a live writer
 
 
 class ShmReader(Source):
     """Reads packets of one structure from a block of POSIX shared memory.
 
-    The block need not exist: it is taken up when it appears, and again when it is made anew.
-    A packet is new when its bytes are; a writer that may write the same twice needs a counter or a
-    time in the structure, or it is taken for silent.
+    The block need not exist: it is opened when it appears, and again when it is recreated. A packet
+    is new when its bytes differ; a writer that may repeat packets needs a counter or a time in the
+    structure, or it is considered silent.
 
-    A torn packet, of which the writer has written a part only, is not applied:
+    A torn packet, written only in part, is not applied:
 
-    - With `lock` never. The writer makes that number odd before it writes, and even, another one
-      than before, when it is done (a seqlock).
-    - Without, a packet is applied when it has stood unchanged for `settle`; a writer that is
-      interrupted for longer in the middle of a packet is not noticed.
-    - With `sequence` alone likewise, and nothing is applied before the counter has changed: when it
-      is what the writer writes last, an interrupted one is noticed as well unless it has only
-      just begun.
+    - With `lock` never. The writer makes that number odd before it writes, and a different even
+      number when it is done (a seqlock).
+    - Without, a packet is applied when it has been unchanged for `settle`; a writer that is
+      interrupted within a packet for longer is not detected.
+    - With `sequence` alone likewise, and nothing is applied before the counter has changed: if the
+      writer writes it last, an interruption is detected as well unless it has only just begun.
 
-    Packets that the writer replaces before they are read are counted as `lost` where there is
-    a `sequence`, for only their numbers tell of them.
+    Packets that the writer replaces before they are read are counted as `lost` if there is a
+    `sequence`, since only their numbers show it.
 
     Attributes:
         block: name of the shared memory, `robot` or `/robot`.
         lock: event of the structure that is odd while the writer writes; empty for none. 0 means
             that nothing has been written yet.
-        offset: where in the block the packet begins, bytes.
-        poll_rate: how often the block is looked at, Hz; what is shown is read afresh for every
-            picture besides.
-        settle: without a lock, how long a packet has to stand unchanged, s.
+        offset: of the packet in the block, bytes.
+        poll_rate: at which the block is polled, Hz; in addition it is read for every frame.
+        settle: without a lock, how long a packet has to be unchanged, s.
     """
 
     name: str = "shm"
@@ -69,7 +67,7 @@ class ShmReader(Source):
     _look_next: float = PrivateAttr(0.0)
     _count_next: float = PrivateAttr(0.0)
     _trouble: str = PrivateAttr("")  # with the block itself
-    # What has been read and is to be checked: packets, of any length, and when they were read.
+    # Packets of any length to be checked, and when they were read.
     _gathered: list[tuple[bytes, float]] = PrivateAttr(default_factory=list)
     _checked: float = PrivateAttr(-np.inf)  # when others were
 
@@ -124,7 +122,7 @@ class ShmReader(Source):
         self.reset()
         self._packets = _PacketFinder(self)
         self._gathered, self._checked = [], -np.inf
-        self._count_next, self._look_next = 0.0, clock.monotonic() + _LOOK_EVERY
+        self._count_next, self._look_next = 0.0, clock.monotonic() + _BLOCK_POLL_INTERVAL
         self._trouble = ""
         try:
             self._block = Block(self.block)
@@ -153,7 +151,7 @@ class ShmReader(Source):
     def latest(self) -> Packet | None:
         """Returns the newest good packet, or None when there was none yet.
 
-        Looks into the block itself, so that a picture shows what is there now.
+        Reads the block itself, so that a frame shows its current contents.
         """
         self._look_now()
         return super().latest()
@@ -167,11 +165,11 @@ class ShmReader(Source):
         return super().take()
 
     def _look_now(self) -> None:
-        # Where no packet may be lost, the caller must not wait for room that it has to make itself.
+        # If no packet may be lost, the caller must not wait for room that only it can make.
         if self._thread in (None, threading.current_thread()) or not self.only_latest_packet:
             return
-        # The thread may be reading, which takes less, or calling back somebody who waits for us.
-        if self._reading.acquire(timeout=_BUSY):
+        # The thread may be reading, which takes less, or in a callback that waits for us.
+        if self._reading.acquire(timeout=_LOCK_TIMEOUT):
             try:
                 if not self.closing.is_set():
                     self._poll()
@@ -180,9 +178,9 @@ class ShmReader(Source):
                 self._reading.release()
 
     def wait(self, timeout: float) -> bool:
-        """Waits up to `timeout` s until a good packet has come; returns whether one has.
+        """Waits up to `timeout` s for a good packet; returns whether one has arrived.
 
-        When none has, why is logged, where it is known.
+        Otherwise the reason is logged, if known.
         """
         has_come = super().wait(timeout)
         if not has_come and self.trouble and self.debug_level >= 1:
@@ -190,7 +188,7 @@ class ShmReader(Source):
         return has_come
 
     def _call_back(self) -> None:
-        # Not on the thread of one that takes packets: it may hold what the callback waits for.
+        # Not on a consumer's thread, which may hold a lock that the callback waits for.
         self._owes_call_back = threading.current_thread() is not self._thread
         if not self._owes_call_back:
             super()._call_back()
@@ -200,20 +198,20 @@ class ShmReader(Source):
         while not self.closing.is_set():
             with reading:
                 self._poll()
-                if self._gathered and clock.monotonic() - self._checked >= _GATHER:
+                if self._gathered and clock.monotonic() - self._checked >= _GATHER_TIME:
                     self._check()
                 if self._owes_call_back:
                     self._call_back()
-            # Cheaper than to wait for an Event, and no less immediate.
+            # Cheaper than waiting for an Event, with the same latency.
             wake.acquire(timeout=period)
         self._check()
 
     def _poll(self) -> None:
-        """Looks into the block once, and keeps what is new."""
+        """Polls the block once, and keeps a new packet."""
         now = clock.monotonic()
         try:
             if now >= self._look_next:
-                self._look_next = now + _LOOK_EVERY
+                self._look_next = now + _BLOCK_POLL_INTERVAL
                 self._look_for_another()
             block, packets = self._block, self._packets
             if block is None or packets is None:
@@ -228,12 +226,12 @@ class ShmReader(Source):
                 packets.torn = 0
         elif len(found) == self.size:
             self._gathered.append((found, now))
-        elif now >= self._count_next and block.size:  # else it has been made a moment ago
-            self._count_next = now + _COUNT_EVERY
+        elif now >= self._count_next and block.size:  # else it has just been created
+            self._count_next = now + _COUNT_INTERVAL
             self._gathered.append((found, now))
 
     def _check(self) -> None:
-        """Hands on what has been read and is good."""
+        """Checks the packets read, and hands on the good ones."""
         if not self._gathered:
             return
         gathered, self._gathered = self._gathered, []
@@ -241,14 +239,14 @@ class ShmReader(Source):
         self._checked = clock.monotonic()
 
     def _look_for_another(self) -> None:
-        """Takes up the block that has the name now."""
+        """Opens the block that now has the name."""
         old = self._block
         assert self._packets is not None
         try:
             found = Block(self.block)
         except FileNotFoundError:
-            # The one without a name is kept: its writer may be alive, and a new one cannot
-            # have the same identity meanwhile.
+            # The unlinked block is kept open: its writer may be alive, and a new block cannot get
+            # the same identity meanwhile.
             is_gone = old is not None or self.receive_trigger
             self._trouble = f"{self.about} is gone" if is_gone else f"no {self.about} yet"
             return
@@ -275,14 +273,14 @@ def _why(error: OSError) -> str:
 
 
 class _PacketFinder:
-    """Finds packets in a block that another process writes, which are new and not torn.
+    """Finds new, untorn packets in a block written by another process.
 
-    A plain class: its attributes are looked up many times for a packet, thousands of times a
-    second.
+    A plain class for speed: its attributes are read many times per packet, at thousands of packets
+    a second.
 
     Attributes:
-        torn: how many reads were given up because the writer was in between.
-        trouble: what keeps packets from coming, for people; empty when nothing is known to.
+        torn: number of reads abandoned because the writer interfered.
+        trouble: why no packets arrive, for people; empty if unknown.
     """
 
     def __init__(self, reader: ShmReader) -> None:
@@ -296,20 +294,20 @@ class _PacketFinder:
 
     def forget(self) -> None:
         """Treats the next packet that is read as new."""
-        self._done = b""  # the packet that was returned last
-        self._standing = b""  # a new one that may not be whole
-        self._unfinished = b""  # one that is not, as its lock says
+        self._done = b""  # the last packet returned
+        self._standing = b""  # a new one that may be incomplete
+        self._unfinished = b""  # an incomplete one, according to its lock
         self._since = 0.0  # when either was first seen
 
     def find(self, block: Block) -> bytes | None:
-        """Returns the packet that is there, if it is new and whole.
+        """Returns the current packet, if it is new and complete.
 
-        What is too short to be one is returned likewise, every time.
+        Contents that are too short for a packet are returned every time.
 
         Raises:
             OSError: the block cannot be read.
         """
-        # Before it is read: whoever is held up in between must not count that as standing still.
+        # Before reading: a delay in between must not count as time without changes.
         started = clock.monotonic()
         seen = block.read(self._size, self._offset)
         if seen == self._done and seen:
@@ -335,7 +333,7 @@ class _PacketFinder:
     def _find_locked(self, block: Block, field: Item, seen: bytes) -> bytes | None:
         """Reads between two writes, by the writer's lock."""
         if seen == self._unfinished:  # the same write as before
-            if clock.monotonic() - self._since > _WRITING_FOR:
+            if clock.monotonic() - self._since > _MAX_WRITE_TIME:
                 self.trouble = (
                     f"the writer of {self._about} stopped in the middle of a packet: "
                     f"'{self._lock_name}' is odd"
@@ -343,12 +341,12 @@ class _PacketFinder:
             return None
         begin, count = field.offset, field.end - field.offset
         packet = seen
-        for _ in range(_TRIES):
+        for _ in range(_MAX_ATTEMPTS):
             before = block.read(count, self._offset + begin)
             packet = block.read(self._size, self._offset)
             after = block.read(count, self._offset + begin)
             if len(packet) < self._size:
-                return None  # it has just become smaller
+                return None  # it has just shrunk
             if before == after == packet[begin : field.end] and is_even(before, field):
                 return packet if self._is_counted(packet, before) else None
         self.torn += 1
@@ -357,7 +355,7 @@ class _PacketFinder:
         return None
 
     def _is_counted(self, packet: bytes, lock: bytes) -> bool:
-        """Whether the lock says that this whole packet is a new one."""
+        """Whether this complete packet is new, according to the lock."""
         if packet == self._done:
             return False
         name, about = self._lock_name, self._about
@@ -370,17 +368,17 @@ class _PacketFinder:
         return False
 
     def _find_standing(self, block: Block, seen: bytes, started: float) -> bytes | None:
-        """Reads again until nothing has changed for a while; `seen` was read from `started` on."""
+        """Reads until nothing has changed for `settle`; `seen` was read at `started`."""
         stands = seen == self._standing
         if stands and started - self._since >= self._settle:
             return seen
-        if self._settle > _LONGEST_SPIN:
+        if self._settle > _MAX_SPIN:
             if not stands:
                 self.torn += bool(self._standing)
                 self._standing, self._since = seen, clock.monotonic()
             return None
         changes, since = 0, clock.monotonic()
-        while changes < _TRIES:
+        while changes < _MAX_ATTEMPTS:
             started = clock.monotonic()
             again = block.read(self._size, self._offset)
             if len(again) < self._size:
@@ -396,7 +394,7 @@ class _PacketFinder:
 
 
 def is_even(number: bytes, field: Item) -> bool:
-    """Whether a lock says that the packet is whole; NaN and fractions do not."""
+    """Whether a lock's value means a complete packet; NaN and fractions do not."""
     dtype = field.dtype
     if dtype.kind == "f":
         return bool(np.frombuffer(number, dtype)[0] % 2 == 0)

@@ -10,10 +10,10 @@ import sys
 from collections.abc import Callable
 
 try:
-    # What `multiprocessing.shared_memory` is made of; on every POSIX system, in CPython and PyPy.
-    # The class itself would not do: in Python before 3.13 its resource tracker removes, when this
-    # process ends, the blocks of others that it has looked at (bpo-38119). A package of PyPI
-    # (posix_ipc) would be a dependency that needs a compiler wherever it has no wheel.
+    # The implementation of `multiprocessing.shared_memory`; on every POSIX system, in CPython and
+    # PyPy. The class itself is unsuitable: before Python 3.13 its resource tracker unlinks the
+    # blocks of other processes at exit (bpo-38119). The package posix_ipc would need a compiler
+    # wherever it has no wheel.
     import _posixshmem
 except ImportError:  # Windows
     _posixshmem = None
@@ -24,7 +24,7 @@ _Call = Callable[[int, object, int, int], int]
 
 
 def block_path(name: str) -> str:
-    """The name of a block as `shm_open` has it: `/robot` for `robot` and for `/robot`.
+    """The name of a block for `shm_open`: `/robot` for `robot` and for `/robot`.
 
     Raises:
         ValueError: no block can have this name.
@@ -48,7 +48,7 @@ def _system_call(name: str) -> _Call | None:
     only: between two reads that must be next to each other.
     """
     if sys.platform != "linux":
-        return None  # elsewhere shared memory is no file
+        return None  # elsewhere shared memory is not a file
     call = getattr(ctypes.PyDLL(None, use_errno=True), name)
     call.restype = ctypes.c_ssize_t
     call.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t, ctypes.c_long)
@@ -61,19 +61,18 @@ _PREAD, _PWRITE = _system_call("pread"), _system_call("pwrite")
 class Block:
     """An open block of POSIX shared memory.
 
-    On Linux it is read and written by system calls. A mapping would end the process with SIGBUS
-    where another one makes the block smaller; and what is read or written by one call is so before
-    the next call begins, on processors that reorder memory accesses as well. Elsewhere it is
-    mapped, and its size looked at before every access.
+    On Linux it is read and written by system calls. With a mapping, the process would get SIGBUS if
+    another one shrinks the block; and calls are ordered even on processors that reorder memory
+    accesses. Elsewhere it is mapped, and its size checked before every access.
 
     Args:
         name: of the block, with or without the slash at its front.
-        writable: whether it is to be written as well.
-        create: whether to make it; it must not exist yet.
+        writable: whether it is opened for writing as well.
+        create: whether to create it; it must not exist yet.
 
     Attributes:
         path: its name with the slash.
-        identity: tells it from another block that has had the same name; 0 where nothing does.
+        identity: distinguishes it from other blocks of the same name; 0 if unavailable.
 
     Raises:
         OSError: it does not exist (FileNotFoundError), exists already, may not be opened, or is
@@ -87,7 +86,7 @@ class Block:
             raise OSError("this system has no POSIX shared memory")
         flags = os.O_RDWR if writable else os.O_RDONLY
         flags |= os.O_CREAT | os.O_EXCL if create else 0
-        flags |= os.O_NONBLOCK  # a pipe of that name would keep us waiting
+        flags |= os.O_NONBLOCK  # a pipe of that name would block
         self._fd = _posixshmem.shm_open(self.path, flags, mode=0o600)
         self._map: mmap.mmap | None = None
         self._writable = writable
@@ -100,15 +99,15 @@ class Block:
 
     @property
     def size(self) -> int:
-        """Bytes it has now."""
+        """Its current size, bytes."""
         return os.fstat(self._fd).st_size
 
     def resize(self, size: int) -> None:
-        """Makes it so many bytes long."""
+        """Changes its size, bytes."""
         os.ftruncate(self._fd, size)
 
     def read(self, count: int, start: int = 0) -> bytes:
-        """Reads `count` bytes from `start`; fewer where the block ends before."""
+        """Reads `count` bytes from `start`; fewer at the block's end."""
         if _PREAD is None:
             mapped = self._mapped()
             return b"" if mapped is None else mapped[start : start + count]
@@ -141,7 +140,7 @@ class Block:
         return self._map
 
     def close(self) -> None:
-        """Closes it; the block stays. Harmless when it is closed."""
+        """Closes it without removing the block. Harmless if closed."""
         if self._map is not None:
             self._map.close()
             self._map = None
@@ -150,7 +149,7 @@ class Block:
             self._fd = -1
 
     def unlink(self) -> None:
-        """Removes its name, if that is still its own; the last user frees the memory."""
+        """Removes its name, if it still refers to this block; the last user frees the memory."""
         try:
             other = Block(self.path)
         except OSError:

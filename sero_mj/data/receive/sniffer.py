@@ -1,6 +1,6 @@
 """Listens to a port, sorts packets of any kind by sender and size, and guesses their structures.
 
-`Sniffer` takes the packets in; `guess_layouts` guesses from their size and their bytes.
+`Sniffer` receives the packets; `guess_layouts` guesses from their size and bytes.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from .language import MAX_PACKET_BYTES, TYPES
 from .mixed_layout import LARGEST, SMALLEST, mixed_layout
 from .structure import Rows, Structure, are_frames
 
-_KEPT = 16  # packets of a stream that guesses are made from
-_MOST_STREAMS = 100  # more senders and sizes than anyone reads
+_KEPT_PACKETS = 16  # packets of a stream used for guesses
+_MAX_STREAMS = 100  # senders and sizes
 
-_MOST_JOINTS = 64
-_MOST_GUESSES = 4
-_MOST_NUMBERS = 512  # among which frames are looked for
-_HEADERS = {0: "", 2: "1H", 4: "1I", 8: "1Q", 16: "2Q"}  # bytes to what they may be
+_MAX_JOINTS = 64
+_MAX_GUESSES = 4
+_MAX_NUMBERS = 512  # searched for frames
+_HEADERS = {0: "", 2: "1H", 4: "1I", 8: "1Q", 16: "2Q"}  # size in bytes to structure
 _TYPES = {
     "<f8": "float64",
     "<f4": "float32",
@@ -40,7 +40,7 @@ _IN_WORDS = {
     "d": "float64", "f": "float32", "Q": "uint64", "I": "uint32", "i": "int32", "H": "uint16",
     "h": "int16", "B": "byte", "x": "byte of padding",
 }  # fmt: skip
-# Packets of robots that are on the market, by size: structure, row by row, and words.
+# Packets of commercial robots, by size: structure, row-major, and description.
 KNOWN = {
     916: (MEASUREMENT, "KUKA FRI, measured data (LWR 4)"),
     376: (COMMAND, "KUKA FRI, commands (LWR 4)"),
@@ -49,15 +49,15 @@ KNOWN = {
 
 @dataclass(frozen=True)
 class Guess:
-    """A layout that would fit.
+    """A possible layout.
 
     Attributes:
-        structure: to be given to `Structure`.
+        structure: for `Structure`.
         is_double: whether `F`, `V` and `M` are float64.
-        column_major: how its matrices come.
-        about: what it is, in words.
-        plausible: share of its floating-point numbers but zeros that look like measurements, 0 to
-            1; 1 where there is none.
+        column_major: order of its matrices.
+        about: description.
+        plausible: share of its non-zero floating-point numbers that look like measurements, 0 to 1;
+            1 without any.
     """
 
     structure: str
@@ -76,14 +76,14 @@ class Stream:
         size: bytes of a packet.
         count: packets so far.
         timing: their rate and jitter.
-        last: the newest ones, the last one last.
+        last: the newest ones, in order.
     """
 
     sender: tuple[str, int]
     size: int
     count: int = 0
     timing: Timing = field(default_factory=Timing)
-    last: deque[bytes] = field(default_factory=lambda: deque(maxlen=_KEPT))
+    last: deque[bytes] = field(default_factory=lambda: deque(maxlen=_KEPT_PACKETS))
 
     @property
     def rows(self) -> Rows:
@@ -92,7 +92,7 @@ class Stream:
         return rows.reshape(len(self.last), self.size)
 
     def guesses(self) -> list[Guess]:
-        """Layouts that would fit, the most likely first."""
+        """Possible layouts, most likely first."""
         return guess_layouts(self.rows) if self.is_binary else []
 
     @property
@@ -102,7 +102,7 @@ class Stream:
 
     @property
     def description(self) -> str:
-        """The bytes in words, where they are text or zeros; else empty."""
+        """Description of text or zeros; else empty."""
         return describe_bytes(self.rows)
 
 
@@ -117,7 +117,7 @@ class Sniffer:
     Attributes:
         streams: by sender and size, in the order in which they were first seen.
         received: packets of all streams.
-        untold: packets of streams beyond the first hundred.
+        untold: number of packets of streams beyond the first hundred.
         port: that it listens on.
 
     Raises:
@@ -147,7 +147,7 @@ class Sniffer:
         self._socket.close()
 
     def receive(self, timeout: float, most: int) -> int:
-        """Takes in what comes within `timeout` s, up to `most` packets; returns how many."""
+        """Receives up to `most` packets within `timeout` s; returns their number."""
         before = self.received
         if select.select([self._socket], [], [], timeout)[0]:
             while self.received - before < most and (batch := self._datagrams.receive()):
@@ -168,24 +168,26 @@ class Sniffer:
             places = np.array([i for i, other in enumerate(keys) if other == key])
             stream = self.streams.get(key)
             if stream is None:
-                if len(self.streams) >= _MOST_STREAMS:
+                if len(self.streams) >= _MAX_STREAMS:
                     self.untold += len(places)
                     continue
                 stream = self.streams[key] = Stream(unpack_address(key[0]), key[1])
             stream.count += len(places)
             stream.timing.add(batch.arrivals[places])
-            stream.last.extend(batch.rows[i, : key[1]].tobytes() for i in places[-_KEPT:].tolist())
+            stream.last.extend(
+                batch.rows[i, : key[1]].tobytes() for i in places[-_KEPT_PACKETS:].tolist()
+            )
 
 
 def guess_layouts(rows: Rows) -> list[Guess]:
-    """Returns up to four layouts that would fit packets of one size, the most likely first.
+    """Returns up to four possible layouts of packets of one size, most likely first.
 
     Args:
         rows: packets of one sender one after the other, (n, size), n >= 1.
     """
     size = rows.shape[1]
     header, begin = find_header(rows)
-    first = ">" if header.startswith(">") else "<"  # the order that is taken where either would do
+    first = ">" if header.startswith(">") else "<"  # the default if both fit
     fits = {}
     for start, letters in {begin: header, **({} if header else _HEADERS)}.items():
         for type_, word in _TYPES.items():
@@ -195,7 +197,7 @@ def guess_layouts(rows: Rows) -> list[Guess]:
     ranked = [
         ranked_guess
         for (start, type_), ranked_guess in fits.items()
-        # A header that nothing tells of, and the other byte order, only where they say more.
+        # An unexplained header, and the other byte order, only if they explain more.
         if (start == begin or ranked_guess[1].plausible > best + 0.2)
         and (
             type_[0] == first or ranked_guess[1].plausible > _of(fits[start, f"{first}{type_[1:]}"])
@@ -209,13 +211,13 @@ def guess_layouts(rows: Rows) -> list[Guess]:
         text, about = KNOWN[size]
         known = Structure(text, column_major=False)
         is_it = not known.find_wrong_constants(rows).any()
-        rank = 0 if is_it else _MOST_GUESSES - 1
+        rank = 0 if is_it else _MAX_GUESSES - 1
         guesses.insert(rank, Guess(text, False, False, about, float(is_it)))
-    return guesses[:_MOST_GUESSES]
+    return guesses[:_MAX_GUESSES]
 
 
 def _mixed(rows: Rows) -> list[Guess]:
-    """A layout of several types, where there is one."""
+    """A layout of several types, if there is one."""
     found = mixed_layout(rows)
     if found is None:
         return []
@@ -254,23 +256,23 @@ def _of(ranked: tuple[tuple[float, ...], Guess]) -> float:
 def _with_body(
     rows: Rows, header: str, start: int, type_: str, word: str
 ) -> tuple[tuple[float, ...], Guess]:
-    """A layout with nothing but numbers of one type behind a header, and its rank."""
+    """A layout with numbers of one type after a header, and its rank."""
     numbers = rows[:, start:].view(type_)
     plausible, seen = plausibility(numbers)
     body, column_major, words = _body(numbers)
     about = f"{word}: {words}{f', behind a header of {start} bytes' if start else ''}"
-    before = ">" if header.startswith(">") else "<"  # an order holds from where it stands
+    before = ">" if header.startswith(">") else "<"  # an order applies to all following items
     order = type_[0] if type_[0] != before else ""
     structure = f"{header} {order}{body}" if header else order + body
     guess = Guess(structure, type_[-1] == "8", column_major, about, plausible)
-    # Doubles of few digits look like float32 as well, but then half of these are zero.
+    # Doubles of few digits also look like float32, but then half of these are zero.
     return (round(plausible, 1), float("M" in body), -float(start), float(seen)), guess
 
 
 def plausibility(numbers: NDArray[np.floating]) -> tuple[float, int]:
-    """Share of numbers but zeros that are from 1e-6 to 1e6 in size, and how many these are.
+    """Share and count of non-zero numbers with magnitudes from 1e-6 to 1e6.
 
-    The share is 1 where there are only zeros: nothing speaks against them.
+    The share is 1 if there are only zeros, which are plausible.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         sizes = np.abs(numbers.astype(np.float64))
@@ -280,13 +282,13 @@ def plausibility(numbers: NDArray[np.floating]) -> tuple[float, int]:
 
 
 def _body(numbers: NDArray[np.floating]) -> tuple[str, bool, str]:
-    """Structure of these numbers (n, k) without a header, `column_major`, and words for it."""
+    """Structure of these numbers (n, k) without a header, `column_major`, and a description."""
     places, column_major = find_frames(numbers)
     ends = [*places, numbers.shape[1]]
     parts, words, at = [], [], 0
     for end in ends:
         if count := end - at:
-            twice = count % 2 == 0 and count // 2 <= _MOST_JOINTS and count > 2
+            twice = count % 2 == 0 and count // 2 <= _MAX_JOINTS and count > 2
             parts.append(f"{count // 2}F{count // 2}F" if twice else f"{count}F")
             words.append(f"{count // 2} joints twice" if twice else _plural(count, "number"))
         if end < numbers.shape[1]:
@@ -302,12 +304,12 @@ def _plural(count: int, word: str) -> str:
 
 
 def find_frames(numbers: NDArray[np.floating]) -> tuple[list[int], bool]:
-    """Where rigid frames begin in all of these packets, and whether they come by columns.
+    """Offsets of rigid frames common to all packets, and whether they are column-major.
 
     Args:
         numbers: (n, k).
     """
-    if not 16 <= numbers.shape[1] <= _MOST_NUMBERS:
+    if not 16 <= numbers.shape[1] <= _MAX_NUMBERS:
         return [], True
     with np.errstate(invalid="ignore", over="ignore"):
         windows = sliding_window_view(np.nan_to_num(numbers.astype(np.float64)), 16, axis=1)
@@ -325,10 +327,10 @@ def find_frames(numbers: NDArray[np.floating]) -> tuple[list[int], bool]:
 
 
 def find_header(rows: Rows) -> tuple[str, int]:
-    """Structure and bytes of a header that counts packets or tells their size; empty if none.
+    """Structure and bytes of a header with a packet counter or size; empty if none.
 
     Args:
-        rows: packets one after the other, (n, size); at least four of them tell a counter.
+        rows: consecutive packets, (n, size); at least four are needed to detect a counter.
     """
     little, big = (_header_in(rows, order) for order in "<>")
     return (f">{big[0]}", big[1]) if big[1] > little[1] else little
@@ -342,13 +344,13 @@ def _header_in(rows: Rows, order: str) -> tuple[str, int]:
             if at + each >= size:
                 continue
             numbers = rows[:, at : at + each].view(f"{order}u{each}")[:, 0]
-            numbers = numbers.astype(f"u{each}")  # so that differences wrap in any order
-            # Eight bytes only where they keep doubles behind them in place.
+            numbers = numbers.astype(f"u{each}")  # so that differences wrap in either byte order
+            # Eight bytes only if doubles after them stay aligned.
             if letter == "Q" and ((size - at) % 8 or (numbers >= 2**32).any()):
                 continue
             if letter == "I" and (_second(numbers, order) == size).all():
                 continue  # a counter of two bytes, then the size
-            steps = np.diff(numbers)  # they wrap as the counter does
+            steps = np.diff(numbers)  # they wrap like the counter
             if len(rows) >= 4 and (steps == 1).all():
                 parts.append(f"1{letter}" if is_counted else f"number:1{letter}")
                 is_counted = True
@@ -368,12 +370,12 @@ def _second(numbers: NDArray[np.integer], order: str) -> NDArray[np.integer]:
 
 
 def is_text(packet: bytes) -> bool:
-    """Whether there are nothing but printable ASCII characters and line ends."""
+    """Whether it contains only printable ASCII characters and line ends."""
     return all(32 <= byte < 127 or byte in b"\t\r\n" for byte in packet)
 
 
 def describe_bytes(rows: Rows) -> str:
-    """What can be said of packets (n, size) in words: text, or only zeros; else empty."""
+    """Description of packets (n, size): text, or only zeros; else empty."""
     if not rows.size:
         return "empty"
     if not rows.any():

@@ -1,6 +1,6 @@
-"""`Source`: what UDP, shared memory, FRI, recordings and runs have in common.
+"""`Source`: the common base of UDP, shared memory, FRI, recordings and runs.
 
-A source reads off the render thread. What is malformed is counted and never handed on.
+A source reads outside the render thread. Malformed packets are counted and never handed on.
 """
 
 from __future__ import annotations
@@ -34,42 +34,43 @@ from .structure import Alignment, Rows, Structure
 
 log = logging.getLogger(__name__)
 
-# Events of every source that come without a packet, and change when none comes: 1 while packets
-# come, else 0; and 1 in a tick in which new ones were applied, else 0.
+# Events of every source that are independent of packets: 1 while packets arrive, else 0; and 1 in a
+# tick in which new ones were applied, else 0.
 SIGNALS: dict[str, tuple[int, ...]] = {"receiving": (1,), "receive_trigger": (1,)}
 QUIET_AFTER = 0.5  # s without a packet until a source counts as silent
-_WARN_EVERY = 10.0  # s
-# The fields that decide what packets mean; those that say where they come from do not matter.
+_WARN_INTERVAL = 10.0  # s
+# The fields that determine the meaning of packets, not their origin.
 _DECODING = (
     "is_double", "column_major", "alignment", "scale", "structure", "sequence", "time",
     "time_scale",
 )  # fmt: skip
-# Gets packets as they came: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
+# Receives raw packets: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
 Tap = Callable[[Rows, Ints, Array], object]
 
 
 class Source(Declaration):
-    """Where packets of one structure come from; the base of sources in other packages, too.
+    """A source of packets of one structure; also the base of sources in other packages.
 
-    A subclass calls `reset` in `open`, hands packets to `accept` on a thread of its own, and in
-    `close` sets `closing` before it waits for that thread.
+    A subclass calls `reset` in `open`, passes packets to `accept` on its own thread, and in `close`
+    sets `closing` before it waits for that thread.
 
     Attributes:
         name: the source's name in routes.
-        structure: what the packets look like, e.g. `7F1M`; see STRUCTURE.md.
+        structure: layout of the packets, e.g. `7F1M`; see STRUCTURE.md.
         is_double: `F`, `V`, `M` and `T` are float64, else float32 (`double` in files).
-        column_major: matrices come column by column, else row by row.
-        alignment: items begin at multiples of so many bytes: 1, 2, 4 or 8.
-        scale: times every floating-point number, of matrices the position; not `sequence`, `time`.
+        column_major: matrices are column-major, else row-major.
+        alignment: of items, bytes: 1, 2, 4 or 8.
+        scale: factor of every floating-point number, of matrices the position; not `sequence`,
+            `time`.
         only_latest_packet: the newest packet wins; when false every packet is handed on in order.
-        sequence: event that numbers the packets, of any type (1d is fine); it tells loss.
-        time: event that says when a packet was sent; it tells jitter and delay.
+        sequence: event that numbers the packets, of any type (also 1d), to detect loss.
+        time: event with a packet's send time, to measure jitter and delay.
         time_scale: s per unit of `time`.
         debug_level: what is logged: 0 nothing, 1 faults, 2 restarts and loss too, 3 every batch.
     """
 
     name: str = "source"
-    is_double: bool = Field(True, alias="double")  # these are before structure: its size needs them
+    is_double: bool = Field(True, alias="double")  # before structure, whose size depends on them
     column_major: bool = True
     alignment: Alignment = 1
     scale: float = Field(1.0, gt=0, lt=1e100)
@@ -80,9 +81,9 @@ class Source(Declaration):
     time_scale: float = Field(1.0, gt=0, lt=1e100)
     debug_level: int = Field(1, ge=0, le=3)
 
-    # What its sender has to keep to beside the structure: `fri`, or nothing more.
+    # The protocol of its sender in addition to the structure: `fri`, or none.
     protocol: ClassVar[str] = ""
-    # Where the structure comes from, for kinds whose structure cannot be declared.
+    # The origin of the structure, for kinds whose structure cannot be declared.
     _structure_is: ClassVar[str] = ""
     _intake: Intake | None = PrivateAttr(None)
     _nan_allowed: frozenset[str] = PrivateAttr(frozenset())
@@ -118,7 +119,7 @@ class Source(Declaration):
         return event
 
     def __reduce__(self) -> tuple[Callable[..., Source], tuple[type[Source], dict[str, Any]]]:
-        """Pickles what is declared, and nothing of what it has received or opened."""
+        """Pickles the declaration only, not what it has received or opened."""
         fields = {key: self.__dict__[key] for key in type(self).model_fields}
         return _declared_again, (type(self), fields)
 
@@ -139,9 +140,9 @@ class Source(Declaration):
         return plugin_name(SOURCES, type(self))
 
     def decoding_fields(self) -> dict[str, Any]:
-        """The fields that decide what packets mean, as JSON's types; for recordings.
+        """The fields that determine the meaning of packets, as JSON types; for recordings.
 
-        Those without which none of its kind can be made (`block`, say) are among them.
+        Required fields (such as `block`) are included.
         """
         required = {key for key, field in type(self).model_fields.items() if field.is_required()}
         kept = required.union(_DECODING)
@@ -150,13 +151,13 @@ class Source(Declaration):
 
     @property
     def intake(self) -> Intake:
-        """What checks and counts the packets; a new one after every `open`."""
+        """Checks and counts the packets; recreated by every `open`."""
         if self._intake is None:
             self._intake = self._new_intake()
         return self._intake
 
     def _new_intake(self, *, follows: bool = True) -> Intake:
-        """What checks packets; it `follows` their numbers, or judges each by itself."""
+        """A new intake; it `follows` sequence numbers, or checks each packet separately."""
         return Intake(
             self.layout,
             sequence=self.sequence if follows else "",
@@ -169,12 +170,12 @@ class Source(Declaration):
 
     @property
     def original(self) -> Source:
-        """What receives the packets; of a recording the source that it was made of."""
+        """The source that receives the packets; for a recording, the recorded source."""
         return self
 
     @property
     def counters(self) -> Counters:
-        """What came in since it was opened."""
+        """Counts of packets since it was opened."""
         return self.intake.counters
 
     @property
@@ -214,43 +215,43 @@ class Source(Declaration):
 
     @property
     def error(self) -> Exception | None:
-        """Why it cannot go on, where it has failed since it was opened; else None."""
+        """Why it has failed since it was opened; else None."""
         return None
 
     @property
     def receiving(self) -> bool:
-        """Whether a good packet came within the last half second."""
+        """Whether a good packet arrived within the last half second."""
         last = self._mail.last_arrival
         return last is not None and self.now() - last < QUIET_AFTER
 
     @property
     def receive_trigger(self) -> int:
-        """How many good packets have come: it changes with every one."""
+        """Number of good packets, which changes with every one."""
         return self._mail.number
 
     @property
     def is_live(self) -> bool:
-        """Whether packets arrive in real time; those of a recording come as `advance_to` asks."""
+        """Whether packets arrive in real time; those of a recording follow `advance_to`."""
         return True
 
     @property
     def end(self) -> float | None:
-        """Until when there are packets, s on the clock of `advance_to`; None where nothing ends."""
+        """Time of the last packet, s on the clock of `advance_to`; None for endless sources."""
         return None
 
     @property
     def begin(self) -> float:
-        """From when on there are packets, s on the clock of `advance_to`."""
+        """Time of the first packet, s on the clock of `advance_to`."""
         return 0.0
 
     @property
     def newest(self) -> float | None:
-        """Until when there are packets already, s, where nothing ends and the past can be seen."""
+        """Time of the newest packet, s, for endless sources with a visible past."""
         return None
 
     @property
     def step(self) -> float | None:
-        """Time step of a simulation, whose `advance_to` takes long, s; None for all others."""
+        """Time step of a simulation, whose `advance_to` is slow, s; None for all others."""
         return None
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
@@ -266,13 +267,14 @@ class Source(Declaration):
         return clock.monotonic()
 
     def advance_to(self, time: float) -> None:
-        """Advances to a time, s, where a source does not follow the real time."""
+        """Advances to a time, s, if the source does not run in real time."""
 
     def allow_nan(self, events: Collection[str]) -> None:
-        """Lets NaN and infinity mean `no data` in these events, and in no others.
+        """Treats NaN and infinity as `no data` in these events, and in no others.
 
-        There they are handed on as NaN, a matrix as a whole, and the rest of the packet is applied
-        (counted as `blanked`); anywhere else they make it malformed. From the next packet on.
+        They are passed on as NaN, a matrix as a whole, and the rest of the packet is applied
+        (counted as `blanked`); anywhere else they make it malformed. Takes effect with the next
+        packet.
 
         Raises:
             UnknownName: an event that the structure does not have.
@@ -284,11 +286,11 @@ class Source(Declaration):
         self.intake.nan_allowed = self._nan_allowed
 
     def on_receive(self, callback: Callable[[], None]) -> None:
-        """Calls back, on the source's thread, whenever good packets have come."""
+        """Registers a callback, on the source's thread, for the arrival of good packets."""
         self._callbacks.append(callback)
 
     def decode(self, packet: bytes) -> dict[str, Array] | None:
-        """Decodes one packet by itself; None for one that would not be applied. Counts nothing."""
+        """Decodes one packet without counting it; None if it would not be applied."""
         judge = self._new_intake(follows=False)
         judge.on_fault = lambda _: None
         rows, _ = judge.take(*pad_packets([packet], self.size), np.zeros(1))
@@ -297,14 +299,14 @@ class Source(Declaration):
         return {event: array[0] for event, array in judge.decode(rows).items()}
 
     def decode_rows(self, rows: Rows, lengths: Ints) -> tuple[dict[str, Array], Ints]:
-        """Decodes packets, each by itself. Counts nothing.
+        """Decodes packets separately, without counting them.
 
         Args:
-            rows: (n, bytes), a packet each, as taps get them.
+            rows: (n, bytes), a packet each, as passed to taps.
             lengths: of the packets, (n,).
 
         Returns:
-            event name to its arrays (m, ...), and which of the rows these are, (m,).
+            event name to its arrays (m, ...), and the indices of their rows, (m,).
         """
         judge = self._new_intake(follows=False)
         judge.on_fault = lambda _: None
@@ -312,7 +314,7 @@ class Source(Declaration):
         return judge.decode(good), numbers.astype(np.intp)
 
     def record_to(self, tap: Tap | None) -> None:
-        """Hands all packets, the malformed too, to `tap` as they come; None ends that."""
+        """Passes all packets, malformed ones included, to `tap` as they arrive; None ends that."""
         self._tap = tap
 
     @abstractmethod
@@ -332,7 +334,7 @@ class Source(Declaration):
 
     @property
     def _mail(self) -> Mailbox:
-        """The good packets that nobody has taken yet."""
+        """The mailbox of good packets."""
         if self._kept is None:
             self._kept = Mailbox(
                 self._decode_rows,
@@ -349,11 +351,11 @@ class Source(Declaration):
 
     @property
     def closing(self) -> threading.Event:
-        """Set while it is being closed: `accept` then no longer waits for room."""
+        """Set while it is being closed, so that `accept` does not wait for room."""
         return self._mail.closing
 
     def reset(self) -> None:
-        """Forgets all packets and counters, and takes a changed declaration into account."""
+        """Discards all packets and counters, and applies a changed declaration."""
         self.__dict__.pop("layout", None)
         self._intake = self._new_intake()
         self._mail.is_lossless = not self.only_latest_packet
@@ -373,7 +375,7 @@ class Source(Declaration):
         return self._mail.take()
 
     def keep_all(self) -> None:
-        """Begins to keep all good packets for `take_all`, whatever `take` returns."""
+        """Starts to keep all good packets for `take_all`, independent of `take`."""
         self._mail.keep_all()
 
     def take_all(self) -> Packets | None:
@@ -384,18 +386,18 @@ class Source(Declaration):
         return self._mail.take_all()
 
     def wait(self, timeout: float) -> bool:
-        """Waits up to `timeout` s until a good packet has come; returns whether one has."""
+        """Waits up to `timeout` s for a good packet; returns whether one has arrived."""
         return self._mail.wait(timeout)
 
     def accept(self, packets: Sequence[bytes], arrivals: Sequence[float] | None = None) -> None:
-        """Accepts packets as they came, the malformed too; only for the source's own thread.
+        """Accepts raw packets, malformed ones included; only for the source's own thread.
 
         Args:
             packets: bytes of each, n.
-            arrivals: when each came, n, s on the clock of `now`; now when None.
+            arrivals: of each, n, s on the clock of `now`; now when None.
 
         Raises:
-            ValueError: not as many arrivals as packets.
+            ValueError: the numbers of arrivals and packets differ.
         """
         times = np.full(len(packets), self.now()) if arrivals is None else np.array(arrivals, float)
         if len(times) != len(packets):
@@ -425,9 +427,9 @@ class Source(Declaration):
             callback()
 
     def _warn(self, fault: str) -> None:
-        """Logs a fault, but not each of a flood."""
+        """Logs a fault, at a limited rate."""
         now = clock.monotonic()
-        if self.debug_level >= 1 and now - self._warned > _WARN_EVERY:
+        if self.debug_level >= 1 and now - self._warned > _WARN_INTERVAL:
             self._warned = now
             log.warning("source '%s': a packet is not applied: %s", self.name, fault)
 
@@ -444,7 +446,7 @@ class Source(Declaration):
 def age(packet: Packet | None, now: float) -> float:
     """Seconds since the packet arrived, `now` being `Source.now()`.
 
-    Infinite without a packet, 0 when it came after `now`.
+    Infinite without a packet, 0 if it arrived after `now`.
     """
     return float("inf") if packet is None else max(now - packet.arrival, 0.0)
 
@@ -454,7 +456,7 @@ def _declared_again(kind: type[Source], fields: Mapping[str, Any]) -> Source:
 
 
 def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
-    """Builds a source from a scene's table; a source object is returned as it is.
+    """Builds a source from a scene's table; a source object is returned unchanged.
 
     Args:
         name: the source's name in routes.
@@ -480,6 +482,6 @@ def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
 
 
 def _structure_of(text: str, info: ValidationInfo) -> Structure:
-    """The structure of a declaration whose fields before it have been read."""
+    """The structure of a declaration, given its previously validated fields."""
     is_double, alignment = info.data.get("is_double", True), info.data.get("alignment", 1)
     return Structure(text, is_double=is_double, alignment=alignment)

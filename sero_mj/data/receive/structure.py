@@ -1,6 +1,6 @@
-"""`Structure`: a decoder and encoder for the packets that a structure string describes.
+"""`Structure`: a decoder and encoder for packets described by a structure string.
 
-`are_frames` says whether what was decoded are rigid frames.
+`are_frames` checks whether decoded matrices are rigid frames.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from ...base.errors import UnknownName
 from ...base.frames import Array, Ints
 from .language import Item, limits, parse
 
-Rows = NDArray[np.uint8]  # packets, or addresses of their senders, one a row
-# First and last byte, type, and which of the numbers between these; None for all of them.
+Rows = NDArray[np.uint8]  # packets, or addresses of their senders, one per row
+# First and last byte, type, and the selected numbers in between; None for all of them.
 _Block = tuple[int, int, np.dtype[Any], Ints | None]
 Alignment = Literal[1, 2, 4, 8]
 
-_ROTATION_TOLERANCE = 1e-3  # as `nearest_rotation` has it for frames in files
-# Much smaller: a frame sent the other way round has its position there, be that of 1 mm only.
+_ROTATION_TOLERANCE = 1e-3  # as in `nearest_rotation` for frames in files
+# Much smaller: a transposed frame has its position there, which may be only 1 mm.
 LAST_ROW_TOLERANCE = 1e-6
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 _IDENTITY = np.eye(3)
@@ -38,27 +38,27 @@ class Structure:
     Args:
         text: the structure string; STRUCTURE.md explains it.
         is_double: `F`, `V`, `M` and `T` are float64 when true, else float32.
-        column_major: matrices come column by column when true, else row by row.
-        alignment: every item begins at a multiple of this many bytes from the packet's start, as
-            Simulink's Byte Pack has it.
-        scale: every floating-point number is multiplied by it, but for those that are checked
-            against a constant; of matrices only the position.
+        column_major: whether matrices are column-major, else row-major.
+        alignment: every item begins at a multiple of this many bytes from the packet's start, as in
+            Simulink's Byte Pack.
+        scale: every floating-point number is multiplied by it, except those checked against a
+            constant; of matrices only the position.
 
     Attributes:
         text: the structure string.
         is_double: see above.
-        column_major: how matrices come.
+        column_major: see above.
         alignment: see above.
         scale: see above.
-        fields: all items of the string in order, with their places.
+        fields: all items of the string in order, with their offsets.
         events: event name to the shape of its array.
         matrices: names of the events that are matrices.
         size: bytes of a packet.
-        dtype: numpy's record type of a packet: every event's numbers as they stand there.
+        dtype: numpy's record type of a packet: the raw numbers of every event.
 
     Raises:
-        StructureError: points at the first character that is wrong.
-        ValueError: another alignment than 1, 2, 4 or 8, or a scale that is not above 0.
+        StructureError: points at the first invalid character.
+        ValueError: the alignment is not 1, 2, 4 or 8, or the scale is not above 0.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class Structure:
             for item in self.fields
             if item.constant is not None
         ]
-        # Event, type, first byte, count, and how to finish what is not just a view.
+        # Event, type, first byte, count, and the conversion unless it is a view.
         self._plan = [
             (name, item.dtype, item.offset, item.numbers, self._unless_plain(item))
             for name, item in self._by_event.items()
@@ -106,15 +106,16 @@ class Structure:
         self._blocks: dict[frozenset[str], list[_Block]] = {}
 
     def for_size(self, size: int) -> str:
-        """Says what else would have packets of another size: alignment, float32, padding.
+        """Suggests what would explain a different size: alignment, float32, padding.
 
-        Empty where nothing of these does.
+        Empty if none of these does.
         """
         found = []
         for alignment in _ALIGNMENTS[_ALIGNMENTS.index(self.alignment) :]:
             for is_double in (self.is_double, not self.is_double):
                 end = Structure(self.text, is_double=is_double, alignment=alignment).size
-                # What a C compiler adds at the end, so that the next one in an array is aligned.
+                # Padding of a C compiler at the end, so that the next element of an array is
+                # aligned.
                 padding = size - end
                 if not 0 <= padding < _ALIGNMENTS[-1] or (padding and size % max(alignment, 4)):
                     continue
@@ -139,9 +140,8 @@ class Structure:
     def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
         """Returns every event's array, float64, in the shapes of `events`.
 
-        Little-endian float64 is not copied: such arrays are views into the packet, and read-only
-        where it is; 3 x 4 matrices are copied. Constants are not looked at: see
-        `find_wrong_constants`.
+        Little-endian float64 is not copied: such arrays are views into the packet, and read-only if
+        it is; 3 x 4 matrices are copied. Constants are not checked: see `find_wrong_constants`.
 
         Raises:
             ValueError: the packet is not `size` bytes long.
@@ -160,13 +160,13 @@ class Structure:
         return values
 
     def decode_rows(self, rows: Rows, events: Collection[str] | None = None) -> dict[str, Array]:
-        """Decodes many packets at once; every array has one more axis at the front.
+        """Decodes many packets together; every array has an additional first axis.
 
-        What `decode` does not copy is a view into `rows` here.
+        Arrays not copied by `decode` are views into `rows` here.
 
         Args:
             rows: (n, `size` or more), one packet a row.
-            events: those that are wanted; all of them when None.
+            events: the requested ones; all of them when None.
         """
         with np.errstate(invalid="ignore", over="ignore"):
             return {
@@ -185,21 +185,21 @@ class Structure:
 
     @property
     def required_frames(self) -> tuple[str, ...]:
-        """Matrices that make a packet malformed where they are neither frames nor NaN."""
+        """Matrices that make a packet malformed unless they are frames or NaN."""
         return self.matrices
 
     def field(self, event: str) -> Item:
-        """Where an event stands in the packet; raises UnknownName."""
+        """The item of an event in the packet; raises UnknownName."""
         if event not in self._by_event:
             raise UnknownName("event", event, self.events)
         return self._by_event[event]
 
     def event_rows(self, rows: Rows, event: str) -> NDArray[Any]:
-        """One event's numbers of many packets as they stand there, of their own type, (n, k)."""
+        """The raw numbers of an event in many packets, of their own type, (n, k)."""
         return _numbers(rows, self._by_event[event])
 
     def _finished(self, item: Item, numbers: NDArray[Any]) -> Array:
-        """Numbers (..., k) of an item as float64 in its event's shape behind these axes."""
+        """Numbers (..., k) of an item as float64, reshaped to (..., shape of the event)."""
         if item.is_bool:
             numbers = numbers != 0
         values: Array = numbers.astype(np.float64, copy=False)
@@ -246,7 +246,7 @@ class Structure:
         return bad
 
     def _float_blocks(self, but: frozenset[str]) -> list[_Block]:
-        """What one look can check: numbers of one type that are whole numbers of it apart."""
+        """Blocks that can be checked together: numbers of one type, aligned to its size."""
         known = self._blocks.get(but)
         if known is not None:
             return known
@@ -264,20 +264,20 @@ class Structure:
             columns //= dtype.itemsize
             is_all = len(columns) * dtype.itemsize == end - start
             blocks.append((start, end, dtype, None if is_all else columns))
-        if len(self._blocks) > 8:  # who allows NaN here and there again and again
+        if len(self._blocks) > 8:  # frequent changes of where NaN is allowed
             self._blocks = {}
         self._blocks[but] = blocks
         return blocks
 
     def find_wrong_constants(self, rows: Rows) -> NDArray[np.bool_]:
-        """Which packets have another number where the string demands one, (n,)."""
+        """Which packets have a number different from its constant, (n,)."""
         bad = np.zeros(len(rows), bool)
         for item, constant in self._constants:
             bad |= _is_wrong(rows, item, constant).any(axis=1)
         return bad
 
     def describe_wrong_constant(self, rows: Rows) -> str:
-        """Says what is wrong with the first packet's constants; empty when nothing is."""
+        """Describes the first packet's wrong constants; empty if correct."""
         for item, constant in self._constants:
             if (wrong := _is_wrong(rows[:1], item, constant)[0]).any():
                 index = int(np.argmax(wrong))
@@ -292,18 +292,18 @@ class Structure:
         return ""
 
     def encode(self, values: Mapping[str, ArrayLike]) -> bytes:
-        """Returns the packet that carries these events; events that are not given are zero.
+        """Returns the packet of these events; missing events are zero.
 
-        Constants are written, `scale` is undone, and what goes into integers is rounded.
+        Constants are written, `scale` is undone, and integers are rounded.
 
         Args:
-            values: event name to an array in the shape of `events`. A leading 1 may be left out:
-                (4, 4) will do for (1, 4, 4).
+            values: event name to an array in the shape of `events`. A leading 1 may be omitted: (4,
+                4) for (1, 4, 4).
 
         Raises:
             UnknownName: an event that this structure does not have.
-            ValueError: an event of another shape, a number that its type cannot hold, or another
-                one than the constant that must stand there.
+            ValueError: an event has a wrong shape, or a number is out of the range of its type, or
+                differs from its constant.
         """
         packet = np.zeros((1, self.size), np.uint8)
         for name, given in values.items():
@@ -327,7 +327,7 @@ class Structure:
         return packet.tobytes()
 
     def _to_write(self, item: Item, array: NDArray[Any]) -> NDArray[Any]:
-        """An event's array as its numbers stand in the packet, of a type that fits there."""
+        """An event's array in the layout and type of the packet."""
         if len(item.shape) == 3:
             array = np.array(array, np.float64)
             if self._is_scaled(item):
@@ -355,8 +355,8 @@ class Structure:
 def are_frames(matrices: Array) -> NDArray[np.bool_]:
     """Whether each of the matrices (n, 4, 4) is a rigid frame, (n,).
 
-    The last row is 0 0 0 1 within 1e-6, the upper left 3 x 3 orthonormal within 1e-3 and no mirror
-    image.
+    The last row is 0 0 0 1 within 1e-6, the upper left 3 x 3 orthonormal within 1e-3 and not a
+    reflection.
     """
     # Entries far above 1 are still far from a rotation, and their squares do not overflow.
     rotations = np.minimum(np.maximum(matrices[:, :3, :3], -2.0), 2.0)  # np.clip is slower
@@ -379,14 +379,14 @@ def _is_wrong(rows: Rows, item: Item, constant: Any) -> NDArray[np.bool_]:
 
 
 def _shown(number: Any) -> str:
-    """A number, of integers also as ids are written."""
+    """A number as text; integers also in hexadecimal."""
     if isinstance(number, np.integer) and number > 9:
         return f"{number} (0x{int(number):x})"
     return str(number)
 
 
 def _as_numbers(item: Item, given: ArrayLike) -> NDArray[Any]:
-    """An array of numbers; of Python integers for 64-bit ones, which numpy might round."""
+    """An array of numbers; 64-bit integers as Python integers, which numpy might round."""
     try:
         array = np.asarray(given)
         if array.dtype.kind not in "biuf" or (item.item_bytes == 8 and isinstance(given, list)):
@@ -401,7 +401,7 @@ def _as_numbers(item: Item, given: ArrayLike) -> NDArray[Any]:
 
 
 def _fitted(item: Item, array: NDArray[Any]) -> NDArray[Any]:
-    """The array in an item's type.
+    """The array converted to an item's type.
 
     Raises:
         ValueError: a number is out of its range.
@@ -414,7 +414,7 @@ def _fitted(item: Item, array: NDArray[Any]) -> NDArray[Any]:
         expected = f"numbers from {low:g} to {high:g}"
     else:
         whole = np.rint(array) if array.dtype.kind == "f" else array
-        # In float64 the greatest int64 is 2**63, which is one too many.
+        # In float64 the maximum int64 is 2**63, which is one too large.
         above = float(high) if array.dtype.kind == "f" and high >= 2**53 else None
         with np.errstate(invalid="ignore"):
             fits = (whole >= low) & (whole <= high if above is None else whole < above)

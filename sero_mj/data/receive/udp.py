@@ -1,4 +1,4 @@
-"""`UdpReceiver`: packets from a UDP socket, read on a thread of its own (the paper's Fig. 5)."""
+"""`UdpReceiver`: packets from a UDP socket, read on a separate thread (the paper's Fig. 5)."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from ._udp_socket import (
 )
 from .source import Source, log
 
-# At many packets per second it is cheaper to let some come together; the renderer shares the
-# interpreter with this thread.
+# At high rates it is cheaper to gather packets; the renderer shares the interpreter with this
+# thread.
 _KEPT_BYTES = 2048
-_BUSY = 8  # packets in a batch
-_GATHER = 5e-4  # s
-_LATER = 4e-3  # s for which packets that are answered may wait until they are looked at
+_BUSY_BATCH = 8  # packets in a batch
+_GATHER_TIME = 5e-4  # s
+_MAX_CHECK_DELAY = 4e-3  # s that answered packets may wait until they are checked
 
 
 def _as_list(value: Any) -> Any:
@@ -48,8 +48,8 @@ class UdpReceiver(Source):
             and `::` takes IPv4 too.
         interface: name or address of the network interface on which a group is joined; needed by
             addresses that mean another machine on every network (`ff02::1`, `fe80::1`).
-        sender: whose packets are taken: addresses, with or without a port (`192.168.0.7:1234`,
-            `[fe80::1]:1234`); anybody's when empty. Those of others are counted as `foreign`.
+        sender: accepted senders: addresses, with or without a port (`192.168.0.7:1234`,
+            `[fe80::1]:1234`); any when empty. Packets of others are counted as `foreign`.
         buffer_size: bytes of the kernel's receive buffer; 0 for 4 MiB, or what the system grants.
     """
 
@@ -131,8 +131,8 @@ class UdpReceiver(Source):
     def _receive(self) -> None:
         sock, wake = self._socket, self._wake
         assert sock is not None and wake is not None
-        # One more byte than is right: where the system does not tell, it shows what was too long.
-        # A recording keeps what is wrong whole, if it is not very long.
+        # One additional byte reveals packets that are too long if the system does not report it. A
+        # recording keeps what is wrong whole, if it is not very long.
         datagrams = Datagrams(sock, max(self.layout.size + 1, _KEPT_BYTES))
         datagrams.on_arrival = self._on_arrival(datagrams.send)
         answers, since = datagrams.on_arrival is not None, 0.0
@@ -145,15 +145,18 @@ class UdpReceiver(Source):
                 try:
                     count = datagrams.read()
                 except OSError as error:
-                    # An ICMP answer to somebody else's packet may surface here; go on receiving.
+                    # An ICMP answer to another program's packet may surface here; continue
+                    # receiving.
                     self.counters.last_fault = f"socket: {error.strerror}"
-                    self.closing.wait(0.01)  # an error that stays must not take a whole core
+                    self.closing.wait(0.01)  # a persistent error must not occupy a whole core
                     continue
                 if answers and datagrams.waiting < BATCH:
-                    # The next answer is more urgent than what is there to be looked at.
+                    # The next answer is more urgent than checking packets.
                     if count and datagrams.waiting == count:
                         since = time.monotonic()
-                    left = _LATER - (time.monotonic() - since) if datagrams.waiting else None
+                    left = (
+                        _MAX_CHECK_DELAY - (time.monotonic() - since) if datagrams.waiting else None
+                    )
                     if left is None or left > 0.0:
                         selector.select(left)
                         continue
@@ -164,8 +167,8 @@ class UdpReceiver(Source):
                 if batch.dropped is not None:
                     self.counters.dropped = batch.dropped
                 self._take_in(batch)
-                if _BUSY <= len(batch) < BATCH and not answers:
-                    self.closing.wait(_GATHER)
+                if _BUSY_BATCH <= len(batch) < BATCH and not answers:
+                    self.closing.wait(_GATHER_TIME)
         if (batch := datagrams.take()) is not None:
             self._take_in(batch)
 
@@ -174,7 +177,7 @@ class UdpReceiver(Source):
         return None
 
     def _is_known(self, sender: bytes) -> bool:
-        """Whether packets of a socket address, as in `Batch.senders`, are taken."""
+        """Whether packets of a socket address, as in `Batch.senders`, are accepted."""
         return not self._allowed or _is_among(sender, self._allowed)
 
     def _take_in(self, batch: Batch) -> None:
@@ -200,7 +203,7 @@ def split_sender(text: str) -> tuple[str, int]:
     """Address and port of `192.168.0.7:1234`; the port is 0 when there is none.
 
     Raises:
-        ValueError: it is no address.
+        ValueError: it is not an address.
     """
     host, port = text, ""
     if text.startswith("["):

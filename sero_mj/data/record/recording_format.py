@@ -39,7 +39,7 @@ ABOUT, CLOCK, LOST = "about", "sero-mj", "lost"
 SOURCE_KEY = "sero-mj"  # in the metadata of a raw channel
 RAW_ENCODING = "application/octet-stream"
 SIGNALS_ENCODING, SCHEMA_ENCODING = "json", "jsonschema"
-_MOST_NS = 2**64 - 1
+_MAX_NS = 2**64 - 1
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class RecordingClock:
         if not math.isfinite(arrival):
             raise ValueError(f"arrival: found {arrival}; expected seconds on time.monotonic")
         log_time = round(arrival * 1e9) - self.monotonic_ns + self.epoch_ns
-        if not 0 <= log_time <= _MOST_NS:
+        if not 0 <= log_time <= _MAX_NS:
             raise ValueError(f"arrival: found {arrival}, which is before 1970 or after 2554")
         return log_time
 

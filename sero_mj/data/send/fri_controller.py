@@ -24,7 +24,7 @@ from .sender import SendReport, UdpSink, send
 
 _MONITOR, _COMMAND = 1, 2
 _QUALITY_NUMBERS = {name: number for number, name in QUALITIES.items()}
-_MOST_BYTES = 65_536
+_MAX_BYTES = 65_536
 
 WINDOW = 100  # packets that FRI averages over
 _PATIENCE = 2  # packets that may go out before the answer to one is missed; ours
@@ -181,7 +181,7 @@ class FriController:
         if not select.select([sock], [], [], max(left, 0.0))[0]:
             return False
         try:
-            packet = sock.recv(_MOST_BYTES)
+            packet = sock.recv(_MAX_BYTES)
         except OSError:  # an earlier packet met no listener, say
             return True
         self.take_answer(packet, time.perf_counter())

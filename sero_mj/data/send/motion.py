@@ -22,7 +22,7 @@ _AMPLITUDE = 0.4  # of half the joint's range
 _AMPLITUDE_ABOUT_POSE = 0.2  # likewise, about a declared pose
 _BEND = 0.2  # of half the range: the arm swings about a bent pose, not about a stretched one
 _DEFAULT_RANGE = (-1.0, 1.0)  # rad or m, for joints without limits
-_LONGEST_SWING = 1.1  # rad
+_MAX_SWING = 1.1  # rad
 _REDUCTION, _REDUCTIONS = 0.75, 10  # of swings that make robots meet, and how often
 _LOOKED_AT = 0.618034 * np.arange(500)  # s; poses of all phases of the joints' periods
 _PERIODS = np.array([7.0, 9.0, 6.0, 8.0, 5.0, 4.0, 3.5])  # s; repeated for more joints
@@ -49,7 +49,7 @@ class SineMotion:
         half = (high - low) / 2
         sign = np.where(np.arange(robot.n) % 2 == 0, 1.0, -1.0)
         share = _AMPLITUDE if robot.joint_angles is None else _AMPLITUDE_ABOUT_POSE
-        swing = np.minimum(share * half, _LONGEST_SWING)
+        swing = np.minimum(share * half, _MAX_SWING)
         self._centre = (low + high) / 2 + sign * _BEND * half
         if robot.joint_angles is not None:
             self._centre = np.clip(robot.joint_angles, low + swing, high - swing)

@@ -34,7 +34,7 @@ _point = of_shape(3).func
 
 
 def _place(value: Any) -> Any:
-    """Returns a frame's name as it is, or a point in the world (3,), m."""
+    """Returns a frame's name unchanged, or a point in the world (3,), m."""
     return value if isinstance(value, str) else _point(value)  # type: ignore[call-arg]
 
 
@@ -54,7 +54,7 @@ class SmartArrow(Declaration):
         longest: maximum length or width, m; larger magnitudes are drawn striped (round) or dark
             (straight).
         radius: of a round arrow, m.
-        unit: shown behind its numbers; None for the kind's SI unit.
+        unit: shown after its numbers; None for the kind's SI unit.
         decimals: of its numbers.
         rgba: colour; None for the kind's.
         show: whether it is shown.
@@ -165,7 +165,7 @@ def list_frames(
     frames: Mapping[str, ReceivedFrame],
     objects: Sequence[Object],
 ) -> dict[str, NamedFrame]:
-    """Returns all frames of a scene by name, except `world`; objects of shape `axes` are some."""
+    """Returns all frames of a scene by name, except `world`; includes objects of shape `axes`."""
     found: list[NamedFrame] = []
     for name, robot in robots.items():
         look = (name, name, robot.axes_length, 1.0 - robot.axes_transparency)

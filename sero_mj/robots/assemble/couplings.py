@@ -1,4 +1,4 @@
-"""Coupled joints: joints that a gear or a tendon moves along with another one.
+"""Coupled joints: joints driven by another one through a gear or a tendon.
 
 A coupled joint is at offset + ratio * (the joint it is coupled to). Of n joints k are independent;
 packets, routes and declared poses may have k values or all n.
@@ -18,12 +18,12 @@ from ...base.frames import Array, Ints
 
 
 class Coupling(Declaration):
-    """What a coupled joint follows.
+    """The coupling of a joint to another one.
 
     Attributes:
-        to: name of the joint that it follows, which may be coupled itself.
+        to: name of the driving joint, which may be coupled itself.
         ratio: its angle over that joint's; 1 for equal angles, -1 for opposite ones.
-        offset: its angle where that joint is at zero, rad or m.
+        offset: its value at zero of that joint, rad or m.
     """
 
     to: str
@@ -40,13 +40,13 @@ class Coupling(Declaration):
 
 @dataclass(frozen=True, eq=False)
 class CoupledJoints:
-    """How n joints follow k independent ones.
+    """The couplings of n joints to k independent ones.
 
     Attributes:
         independent: indices of the independent joints, (k,).
-        source: for every joint, the one that it follows, as an index into `independent`, (n,).
+        source: for every joint, its independent joint as an index into `independent`, (n,).
         ratio: of its value to that joint's, (n,); 1 for an independent one.
-        offset: its value where that joint is at zero, (n,), rad or m.
+        offset: its value at zero of that joint, (n,), rad or m.
     """
 
     independent: Ints
@@ -66,7 +66,7 @@ class CoupledJoints:
 
     @property
     def is_coupled(self) -> bool:
-        """Whether any joint is."""
+        """Whether any joint is coupled."""
         return self.k < self.n
 
     def positions(self, independent: Array) -> Array:
@@ -80,23 +80,23 @@ class CoupledJoints:
     def full(self, key: str, values: Array) -> Array:
         """Returns values of a per-joint input for all joints.
 
-        Coupled joints get the positions and accelerations that follow from the others', and NaN,
-        no data, for anything else.
+        Coupled joints get positions and accelerations computed from the others', and NaN, no data,
+        for anything else.
 
         Args:
             key: of the input, e.g. `joint_angles`.
-            values: (..., n), returned as they are, or (..., k).
+            values: (..., n), returned unchanged, or (..., k).
         """
         if values.shape[-1] != self.k or not self.is_coupled:
             return values
         return np.asarray(values[..., self.source] * self.factors(key) + self.constants(key))
 
     def factors(self, key: str) -> Array:
-        """Returns what every joint's value is multiplied by, (n,), to get it from its source's."""
+        """Returns the factors, (n,), from the values of the sources to those of all joints."""
         return self.ratio if key in ("joint_angles", "joint_accelerations") else np.ones(self.n)
 
     def constants(self, key: str) -> Array:
-        """Returns what is then added to it, (n,); NaN where nothing is known."""
+        """Returns the constants that are then added, (n,); NaN for unknown values."""
         if key == "joint_angles":
             return self.offset
         known = np.isin(np.arange(self.n), self.independent)
@@ -104,7 +104,7 @@ class CoupledJoints:
 
 
 def coupling_problems(names: Sequence[str], couplings: Mapping[str, Coupling]) -> list[Problem]:
-    """Returns couplings of and to joints that do not exist, and circles.
+    """Returns couplings of and to joints that do not exist, and cycles.
 
     Args:
         names: of all joints.
@@ -121,7 +121,7 @@ def coupling_problems(names: Sequence[str], couplings: Mapping[str, Coupling]) -
         way = [name]
         while way[-1] in couplings and couplings[way[-1]].to not in way:
             way.append(couplings[way[-1]].to)
-        if way[-1] in couplings and couplings[way[-1]].to == name == min(way):  # told once
+        if way[-1] in couplings and couplings[way[-1]].to == name == min(way):  # reported once
             circle = " to ".join([*way, name])
             problems.append(Problem(name, f"joints are coupled in a circle: {circle}"))
     return problems
@@ -134,7 +134,7 @@ def coupled_joints(names: Sequence[str], couplings: Mapping[str, Coupling]) -> C
     for i, name in enumerate(names):
         at = name
         while at in couplings:
-            # offset and ratio are those of this joint over `at`; now over what `at` follows
+            # offset and ratio were relative to `at`; now relative to the source of `at`
             offset[i] += ratio[i] * couplings[at].offset
             ratio[i] *= couplings[at].ratio
             at = couplings[at].to

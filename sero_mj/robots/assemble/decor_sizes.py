@@ -15,23 +15,23 @@ from .solids import Solids, geom_boxes, geoms_of
 # Smallest radius of an arrow: of the link's length, or of half the length of the shorter of the
 # bodies that the joint connects, but of the robot's extent at most.
 _SMALLEST, _OF_HALF, _OF_ROBOT = 0.12, 0.25, 0.05
-_OF_SKIN = 0.12  # of the robot's extent: a skin may be much thicker than the bodies inside of it
+_OF_SKIN = 0.12  # of the robot's extent: a skin may be much thicker than the bodies inside it
 _STEP = 1.12  # ratio of the radii that are tried
 _HEIGHT = 0.3  # of an arrow, over its radius
-_HIDDEN = 0.47  # share of an arrow that may be hidden: links extend on one or two sides
-# How much less has to be hidden of an arrow that is larger by a factor of e, and of one that is
-# larger than a fraction of the link's length.
+_MAX_HIDDEN = 0.47  # share of an arrow that may be hidden: links extend on one or two sides
+# Required reduction of the hidden share for an arrow larger by a factor of e, and for one larger
+# than a fraction of the link's length.
 _PER_SIZE, _PER_LARGE, _LARGEST = 0.06, 0.2, 0.75
-_FAMILY = 5  # number of joints nearest to a joint, which have arrows of similar size
-_GROWN = 1.4  # largest factor by which an arrow is made larger for that
-_NARROWEST = 0.1  # full width of an arrow over its radius
+_NEIGHBOURS = 5  # number of nearest joints with arrows of similar size
+_MAX_GROWTH = 1.4  # largest factor by which an arrow is made larger for that
+_MIN_WIDTH = 0.1  # full width of an arrow over its radius
 _AXES = 2.0  # length of axes over the radius of arrows, so that they extend out of the housings
 _AT_ONE_PLACE = 0.02  # of the robot's extent
-_LEAST_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
+_MIN_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
 
 
 class MeasuredBodies(NamedTuple):
-    """What of a model is a robot.
+    """The part of a model that is a robot.
 
     Attributes:
         bodies: ids of its bodies.
@@ -81,7 +81,7 @@ def measure(model: mujoco.MjModel, data: mujoco.MjData, robot: MeasuredBodies) -
     radius = _radii(model, data, robot, boxes, links, extent)
     apart = np.linalg.norm(anchors[:, None] - anchors, axis=2)
     apart[apart <= _AT_ONE_PLACE * extent] = np.inf
-    width = np.clip(apart.min(axis=1) / radius, _NARROWEST, 1.0)
+    width = np.clip(apart.min(axis=1) / radius, _MIN_WIDTH, 1.0)
     return Sizes(link, radius, width, _AXES * radius, _loads(model, data, robot, link))
 
 
@@ -95,8 +95,8 @@ def _radii(
 ) -> Array:
     """Returns the radius of every arrow, (n,), m.
 
-    The smallest with which the arrow is seen, rarely larger than the bodies that the joint
-    connects, and where these allow it like those of the joints beside it.
+    The smallest visible radius, rarely larger than the bodies that the joint connects, and if
+    possible similar to those of neighbouring joints.
     """
     anchors, axes = data.xanchor[robot.joints], data.xaxis[robot.joints]
     solids = Solids(model, data)
@@ -113,7 +113,7 @@ def _radii(
         height = _HEIGHT * np.sqrt(least * most)
         shares = solids.hidden_shares(anchors[i], axes[i], radii, height)
         large = _LARGEST * max(links[i], float(np.median(links)))
-        cost = np.maximum(shares - _HIDDEN, 0.0) + _PER_SIZE * np.log(radii / least)
+        cost = np.maximum(shares - _MAX_HIDDEN, 0.0) + _PER_SIZE * np.log(radii / least)
         cost += _PER_LARGE * np.maximum(np.log(radii / large), 0.0)
         best = min(int(cost.argmin()) + 1, count - 1)  # one step clear of the surface
         tried.append(radii[best:])
@@ -121,9 +121,9 @@ def _radii(
         smallest.append(radii[best])
     radius = np.empty(len(links))
     for i, (radii, shares) in enumerate(zip(tried, hidden, strict=True)):
-        near = np.argsort(np.linalg.norm(anchors - anchors[i], axis=1), kind="stable")[:_FAMILY]
-        wanted = min(float(np.median(np.array(smallest)[near])), _GROWN * smallest[i])
-        fits = radii[shares <= max(_HIDDEN, shares[0])]
+        near = np.argsort(np.linalg.norm(anchors - anchors[i], axis=1), kind="stable")[:_NEIGHBOURS]
+        wanted = min(float(np.median(np.array(smallest)[near])), _MAX_GROWTH * smallest[i])
+        fits = radii[shares <= max(_MAX_HIDDEN, shares[0])]
         radius[i] = fits[np.abs(np.log(fits / wanted)).argmin()]
     return radius
 
@@ -131,12 +131,12 @@ def _radii(
 def _half_lengths(
     model: mujoco.MjModel, boxes: tuple[Array, Array], robot: MeasuredBodies
 ) -> dict[int, float]:
-    """Returns half the length of what is welded together, m, by the first body of it.
+    """Returns half the length of bodies welded together, m, by the first of them.
 
     Args:
         model: compiled.
         boxes: about all geoms, see `geom_boxes`.
-        robot: whose joints connect the bodies; what has no geoms is left out.
+        robot: whose joints connect the bodies; bodies without geoms are left out.
     """
     low, high = boxes
     bodies = model.jnt_bodyid[robot.joints]
@@ -185,5 +185,5 @@ def _loads(model: mujoco.MjModel, data: mujoco.MjData, robot: MeasuredBodies, li
     load = GRAVITY * mass * np.where(hinge, np.maximum(lever, 0.1 * link), 1.0)
     for kind in (hinge, ~hinge):
         if kind.any():
-            load[kind] = np.maximum(load[kind], _LEAST_SHARE * load[kind].max())
+            load[kind] = np.maximum(load[kind], _MIN_SHARE * load[kind].max())
     return np.asarray(np.maximum(load, 1e-9))

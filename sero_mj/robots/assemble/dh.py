@@ -5,13 +5,13 @@ Standard (classic): T_{i-1,i} = Rz(theta) Tz(d) Tx(a) Rx(alpha), joint i turns a
 
 Sources: Craig, Introduction to Robotics, eq. 3.6 (modified); Denavit and Hartenberg 1955 as in
 Spong et al., Robot Modeling and Control, eq. 3.10 (standard). Frame 0 is the base; the joint
-joint angle q_i is added to theta_i (revolute) or to d_i (prismatic). Where robots branch, i - 1 is
-what carries joint i (see `joint_tree`).
+joint angle q_i is added to theta_i (revolute) or to d_i (prismatic). In branching robots, i - 1 is
+the parent of joint i (see `joint_tree`).
 
-Mirrored at the xz plane, a frame T becomes S T S with S = diag(1, -1, 1, 1). S turns the signs of
-alpha and theta (S Rx(alpha) S = Rx(-alpha), S Rz(theta) S = Rz(-theta)), and leaves Tx and Tz as
-they are: the mirror image of a table is one with these two negated, whose revolute joints turn the
-other way.
+Mirrored at the xz plane, a frame T becomes S T S with S = diag(1, -1, 1, 1). S inverts the signs of
+alpha and theta (S Rx(alpha) S = Rx(-alpha), S Rz(theta) S = Rz(-theta)), and leaves Tx and Tz
+unchanged: the mirror image of a table has these two negated, and its revolute joints turn the other
+way.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class DhTable(JointTree):
         return np.asarray(np.abs(self.a) + np.abs(self.d))
 
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
-        """Returns how far the origins of neighbouring frames are apart, (..., n), m."""
+        """Returns the distances between the origins of neighbouring frames, (..., n), m."""
         return np.hypot(self.a, self.d + np.where(self.revolute, 0.0, extensions))
 
     def transforms(self, joint_values: Array) -> Array:

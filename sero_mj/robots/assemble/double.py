@@ -16,12 +16,12 @@ COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
 AXES_OPACITY = 0.5  # of its coordinate axes
 DOUBLE_GROUP = 2  # of its geoms
 OUT_OF_SIGHT = np.array([0.0, 0.0, -1000.0])
-# A link closer to the robot's own than this is hidden, to avoid flicker (z-fighting), and has its
-# full opacity from this multiple of it on, so that it does not appear at once.
+# A link closer to the robot's own than this is hidden, to avoid flicker (z-fighting), and has full
+# opacity at this multiple of it, so that it fades in.
 _HIDDEN_DISTANCE = 0.002  # m
 _HIDDEN_ANGLE = np.deg2rad(0.5)
 _SHOWN_FROM = 5.0
-_CLEAR = 4.0  # of an arrow's radius, from which on a path's doubles are fully shown
+_CLEARANCE = 4.0  # in arrow radii, at which a path's doubles are fully shown
 # Opacity factors of a path's first and last double: the path must not hide the robot.
 _PATH_FADE = (0.12, 0.6)
 
@@ -107,8 +107,8 @@ def fade_in(positions: Array, rotations: Array, others: Array, other_rotations: 
 def spread_out(positions: Array, radii: Array) -> Array:
     """Returns the opacity factors of the links of a path's doubles, (rows, n + 1).
 
-    From the last double back, a link is shown where it is clear of the same link of the next one
-    that is shown: doubles that cover each other would merge into a blob.
+    Starting from the last double, a link is shown if it is clear of the same link of the previously
+    shown double: overlapping doubles would merge.
 
     Args:
         positions: of the links' frames, from the base on, (rows, n + 1, 3), m.
@@ -116,13 +116,13 @@ def spread_out(positions: Array, radii: Array) -> Array:
     """
     rows, links = positions.shape[:2]
     factors = np.ones((rows, links))
-    clear = _CLEAR * np.append(radii[:1], radii)
+    clear = _CLEARANCE * np.append(radii[:1], radii)
     kept = positions[-1].copy()
     kept_end = np.roll(kept, -1, axis=0)
     for k in reversed(range(rows - 1)):
         end = np.roll(positions[k], -1, axis=0)
         moved = np.linalg.norm(positions[k] - kept, axis=1)
-        # A link turns about its first end; the last one is as far as its own frame.
+        # A link turns about its first end; the last one extends to its own frame.
         moved[:-1] = np.maximum(moved, np.linalg.norm(end - kept_end, axis=1))[:-1]
         factors[k] = np.clip(2.0 * moved / clear - 1.0, 0.0, 1.0)
         is_shown = factors[k] > 0.5

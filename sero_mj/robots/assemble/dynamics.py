@@ -1,6 +1,6 @@
 """The tables `[dynamics]` and `[torque_control]` of a robot file.
 
-Link inertias, joint friction and elasticity; what the joint torque control makes of them.
+Link inertias, joint friction and elasticity, and the parameters of the joint torque control.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from ...base.frames import Array
 
 # Relative tolerance: typed values are rounded, and a flat plate meets the bound exactly.
 _ROUNDING = 1e-6
-_ZERO = 1e-12  # relative; a moment this small is rounding, and below zero in other axes
+_ZERO = 1e-12  # relative; smaller moments are rounding errors, and may be negative in other axes
 # kg/m3 of a link's hull: hollow aluminium with motors and gears. At 840 the hulls of the LWR's
 # moving links have their true mass of 13.4 kg.
 LINK_DENSITY = 840.0
 
-_POINT_RADIUS = 0.005  # m, of the ball that a point mass becomes
+_POINT_RADIUS = 0.005  # m, of the ball that replaces a point mass
 _INERTIAL = ("masses", "centers_of_mass", "inertias")
 _FRAMES = ("frames", "frame_origins", "mass_scale")
 _PER_LINK = (*_INERTIAL, "frame_origins")
@@ -77,7 +77,7 @@ def link_name(k: int) -> str:
 
 
 def inertia_problem(tensor: Array) -> str | None:
-    """Returns why no rigid body can have this tensor about its centre of mass; None if one can.
+    """Returns why no rigid body can have this tensor about its centre of mass; None if valid.
 
     Its principal moments are positive, and none is larger than the sum of the other two (each
     is an integral of a sum of two squares).
@@ -100,10 +100,10 @@ def inertia_problem(tensor: Array) -> str | None:
 
 
 def balanced_tensor(tensor: Array, mass: float) -> Array:
-    """Returns the tensor (3, 3), kg m2, of a body that is like one that no rigid body can have.
+    """Returns a similar valid tensor (3, 3), kg m2, for one that no rigid body can have.
 
-    Its axes stay. Principal moments are raised to those of a ball of `_POINT_RADIUS`, and of the
-    two smaller ones each by the same amount until their sum is the largest.
+    Its axes are kept. Principal moments are raised to at least those of a ball of `_POINT_RADIUS`,
+    and the two smaller ones by equal amounts until their sum equals the largest.
 
     Args:
         tensor: about the centre of mass, (3, 3), kg m2, symmetric.
@@ -173,21 +173,21 @@ class Dynamics(Declaration):
 
     Attributes:
         frames: the frame of centres, tensors and origins: `dh`, the frame of the link's DH row
-            (the base's for the base), or `zero_pose`, its axes parallel to the base's at zero
-            joint angles and its origin in the same place.
+            (the base's for the base), or `zero_pose`, with axes parallel to the base's at zero
+            joint angles and the same origin.
         frame_origins: (n + 1, 3), offsets of the origins of these frames along their own axes,
-            m; for data from a model with other origins of its link frames.
-        masses: (n + 1,); 0, with a tensor of zeros, for a link without any.
+            m; for data from a model with different origins of its link frames.
+        masses: (n + 1,); 0, with a tensor of zeros, for a massless link.
         centers_of_mass: (n + 1, 3).
         inertias: about the centre of mass, per link 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the
             entries of the tensor as in URDF, not the products of inertia) or 3 x 3.
-        inertia_repair: what is done to tensors that no rigid body can have, as in tables that were
-            identified or have point masses: `none`, they are an error, or `balance`, see
-            `balanced_tensor`; `repaired` says which. Files may still call it `mend`.
+        inertia_repair: handling of tensors that no rigid body can have, such as identified values
+            or point masses: `none`, they are an error, or `balance`, see `balanced_tensor`;
+            `repaired` lists the changes. Files may still use the old name `mend`.
         mass_scale: multiplies masses and tensors of the moving links.
         density: kg/m3, used to estimate links when no masses are given.
         motor_inertias: (n,), as seen at the joint: rotor times the square of the gear ratio.
-        viscous_friction: (n,), of motor and gear, before the torque sensor.
+        viscous_friction: (n,), of motor and gear, on the motor side of the torque sensor.
         coulomb_friction: (n,), likewise.
         joint_stiffness: (n,), of gear and torque sensor, for `elastic_joints`.
         joint_damping: (n,), in parallel with the stiffness.
@@ -213,7 +213,7 @@ class Dynamics(Declaration):
 
     @property
     def repaired(self) -> list[str]:
-        """What `inertia_repair` has changed, a line for every link."""
+        """The changes by `inertia_repair`, a line for every link."""
         return list(self._repaired)
 
     @model_validator(mode="after")
@@ -267,14 +267,14 @@ class Dynamics(Declaration):
 
 
 class TorqueControl(Declaration):
-    """The joint torque control between controllers and motors, where `run.torque_control` is on.
+    """The joint torque control between controllers and motors, used if `run.torque_control` is on.
 
     Attributes:
-        inertia_ratio: of what the motors feel like to what they are; a fourth to a tenth is usual
+        inertia_ratio: of apparent to actual motor inertia; a fourth to a tenth is usual
             (Albu-Schäffer, Ott, Hirzinger 2007).
-        motor_inertias: (n,), what they feel like, where that is not one ratio for all; kg m2 or kg,
-            as seen at the joint.
-        bandwidth: of the low pass that the measured torque goes through, 1/s.
+        motor_inertias: (n,), apparent inertias, instead of a common ratio; kg m2 or kg, reflected
+            to the joint.
+        bandwidth: of the low-pass filter of the measured torque, 1/s.
         damping: ratio, of shaped motor inertia on the spring of an elastic joint with a held link.
         friction_bandwidth: of the friction observer, 1/s; 0 for no compensation.
     """
@@ -286,7 +286,7 @@ class TorqueControl(Declaration):
     friction_bandwidth: float = Field(100.0, ge=0, le=1e5)
 
     def check_counts(self, n: int) -> None:
-        """Checks that there is an entry for each of n joints.
+        """Checks that every table has n entries, one per joint.
 
         Raises:
             DeclarationError: with the key of this table.

@@ -1,4 +1,4 @@
-"""`GravityTorques`: the torques that hold robots still, by their model."""
+"""`GravityTorques`: the torques that hold robots still, computed from their model."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from .world import World, dynamics_of
 
 
 class GravityTorques:
-    """Knows what the joints of robots hold against gravity, with all that they carry.
+    """Computes the gravity torques of robots, including everything that they carry.
 
-    Robots that are mounted on others weigh on these. Bases are where they are declared.
+    Mounted robots load their carriers. Bases are at their declared frames.
 
     Args:
         robots: by name.
@@ -34,7 +34,7 @@ class GravityTorques:
             raise DeclarationError([Problem(f"robots.{name}", why) for name in floating])
         scene = Scene(robots=list(robots.values()), floor=False)
         known = dynamics_of(scene)
-        # Without meshes: to compile them takes longest, and their masses are known.
+        # Without meshes: they take longest to compile, and the masses are known.
         bare = [
             robot.model_copy(update={"filenames": [], "collisions": []})
             for robot in scene.robots.values()

@@ -1,8 +1,8 @@
-"""Models that are groups: a hand of fingers, a robot of a torso, arms and hands.
+"""Models of groups: a hand of fingers, or a robot with torso, arms and hands.
 
 `models/NAME/group.toml` has tables of robots and groups, which are mounted on each other, and of
-objects. A group with `model = "NAME"` becomes these before anything else sees it: robots
-`GROUP_ROBOT` in the order of the model's `members`, which stand where the group does.
+objects. A group with `model = "NAME"` is replaced by these before anything else reads it: robots
+`GROUP_ROBOT` in the order of the model's `members`, placed at the group's frame.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ _OF_ENTRY = ["model", "mount", "base_frame", "mirrored", "robots", "groups", *_D
 
 @dataclass
 class Expanded:
-    """The tables that groups become.
+    """The tables that result from expanding groups.
 
     Attributes:
         robots: tables by name, with the place and the model's file of each.
         groups: tables by name, each with its robots; without models.
-        objects: what is fixed to the base of a robot, by its name.
+        objects: those fixed to the base of a robot, by its name.
         declared: where tables are declared, by `robots.NAME` and `groups.NAME`.
-        problems: everything that is wrong in models and in what names them.
-        broken: `groups.NAME` of those that are left out.
-        most: robots and groups that a scene may have; models that are in several models again
-            become as many as their product, so no more are added beyond.
+        problems: all errors in models and in references to them.
+        broken: `groups.NAME` of the groups left out.
+        most: maximum numbers of robots and groups; nested models multiply, so expansion stops
+            beyond them.
     """
 
     robots: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -57,18 +57,18 @@ class Expanded:
 
     @property
     def is_full(self) -> bool:
-        """Whether there are more than a scene may have."""
+        """Whether a maximum is exceeded."""
         groups = len(self.groups) + len(self.broken)
         return len(self.robots) > self.most["robots"] or groups > self.most["groups"]
 
 
 def expand_groups(tables: Mapping[str, Any], file: Path, most: Mapping[str, int]) -> Expanded:
-    """Returns what the groups of a scene become that have a model; others stay as they are.
+    """Expands the groups of a scene that have a model; others are kept.
 
     Args:
         tables: of the scene's `groups`, by name.
-        file: that they are in; models are looked for beside it, and among the shipped ones.
-        most: `robots` and `groups` that there may be; it ends soon after these.
+        file: of the scene; models are searched for beside it, and among the shipped ones.
+        most: maximum numbers of `robots` and `groups`; expansion stops soon after them.
     """
     found = Expanded(most=most)
     for name, table in tables.items():
@@ -81,11 +81,11 @@ def expand_groups(tables: Mapping[str, Any], file: Path, most: Mapping[str, int]
 
 
 def where(problem: Problem, declared: Declared) -> Problem:
-    """Returns a problem with the file, key and line of a table that several places declare.
+    """Returns a problem with its file, key and line, for a table declared in several places.
 
     Args:
         problem: whose key is inside the table.
-        declared: the places; the first one that has the key counts, else the last.
+        declared: the places; the first one with the key is used, else the last.
     """
     key = problem.key.partition(".")[0]
     path, prefix = next((place for place in declared if has_key(place, key)), declared[-1])
@@ -93,17 +93,17 @@ def where(problem: Problem, declared: Declared) -> Problem:
 
 
 def has_key(place: tuple[Path, str], key: str) -> bool:
-    """Whether a table of a file, at this key, has a key."""
+    """Whether the table at this place of a file has a key."""
     file, prefix = place
     return Problem(key, "").inside(prefix).key in key_lines(file)
 
 
 @dataclass(frozen=True)
 class _Place:
-    """Where the members of a model stand, or a scene's robots.
+    """The frame of the members of a model, or of a scene's robots.
 
     Attributes:
-        scope: what is before their names, e.g. `justin_left_hand_`.
+        scope: prefix of their names, e.g. `justin_left_hand_`.
         T: frame (4, 4) of the group.
         mirrored: whether all of it is mirrored at the xz plane of that frame.
         mount: frame of a robot that T is relative to; None in the world.
@@ -122,7 +122,7 @@ class _Place:
         """Returns the place of a member, from its `mount`, `base_frame` and `mirrored`.
 
         Raises:
-            DeclarationError: one of these is wrong.
+            DeclarationError: one of these is invalid.
         """
         T, mirrored, mount = np.eye(4), table.get("mirrored", False), table.get("mount")
         problems = []
@@ -140,7 +140,7 @@ class _Place:
             T = MIRROR @ T @ MIRROR
         if mount is None:
             T, mount, declared = self.T @ T, self.mount, self.mounted
-        else:  # on another member, which is mirrored where the group is
+        else:  # on another member, which is mirrored if the group is
             mount = f"{self.scope}{mount}"
         scope = f"{self.scope}{name}_"
         return _Place(scope, T, mirrored != self.mirrored, mount, declared, self.inside)
@@ -149,7 +149,7 @@ class _Place:
 def _add_group(
     found: Expanded, around: _Place, name: str, entry: Mapping[str, Any], declared: Declared
 ) -> None:
-    """Adds a group with a model and all of its members, or tells why it cannot be."""
+    """Adds a group with a model and all of its members, or reports why it is invalid."""
     if found.is_full:
         return
     problems = [
@@ -172,7 +172,7 @@ def _add_group(
         return
     try:
         _Members(found, replace(place, inside=(*place.inside, path)), entry, declared).add()
-    except DeclarationError as error:  # its file cannot be read at all
+    except DeclarationError as error:  # its file is unreadable
         found.problems += error.problems
         found.broken.append(f"groups.{around.scope}{name}")
 
@@ -181,7 +181,7 @@ def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
     """Returns the file of a group's model.
 
     Raises:
-        DeclarationError: there is none, or it would be in itself.
+        DeclarationError: there is none, or it would contain itself.
     """
     if not isinstance(model, str | Path):
         raise DeclarationError([Problem("", f"found {model!r}; expected a group's name")])
@@ -206,9 +206,9 @@ class _Members:
     """Adds the members of one group with a model.
 
     Args:
-        found: gets them.
-        place: of the group; the innermost file that it is inside is its model.
-        entry: the group's table, with tables of members whose keys count more than the model's.
+        found: receives them.
+        place: of the group; its innermost file is the model.
+        entry: the group's table, with tables of members whose keys override the model's.
         declared: where that is declared.
 
     Raises:
@@ -333,7 +333,7 @@ class _Members:
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns a table of a group with another one over it, whose members count one by one."""
+    """Merges a table over another one of a group, member by member."""
     merged = {**below, **above}
     for section in ("robots", "groups"):
         one, other = below.get(section), above.get(section)
@@ -344,18 +344,18 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
 
 
 def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -> dict[str, Any]:
-    """Returns tables whose models, meshes and pieces of MJCF are found from anywhere.
+    """Returns tables with models, meshes and MJCF files resolved to absolute paths.
 
-    A model that is there becomes the `Path` of its file, from the working directory; a name is
-    looked for beside the file that it stands in.
+    An existing model is replaced by the `Path` of its file; names are searched for beside the file
+    that contains them.
 
     Args:
-        folder: that their names are relative to.
+        folder: base folder of their names.
         tables: of a model, with its sections, or of a group in a scene.
-        beside: whether models may also stand beside that folder, as models stand beside each other.
+        beside: whether models may also be siblings of that folder, as models usually are.
     """
     found: dict[str, Any] = deepcopy(dict(tables))
-    whole = folder.absolute()  # names of files in it are not put behind a folder again
+    whole = folder.absolute()  # file names in it are not prefixed again
     for section in _SECTIONS:
         entries = found.get(section)
         for table in entries.values() if isinstance(entries, dict) else ():
@@ -372,6 +372,6 @@ def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -
             around = Path(os.path.normpath(folder / ".."))
             for place in (folder, around) if beside else (folder,):
                 if isinstance(table.get("model"), str):
-                    with suppress(DeclarationError, UnknownName):  # told where it is used
+                    with suppress(DeclarationError, UnknownName):  # reported where it is used
                         table["model"] = find(table["model"], place)
     return found

@@ -1,7 +1,7 @@
-"""`Group`: robots that are moved, switched and shown as one.
+"""`Group`: robots that are moved, switched and shown together.
 
-A group lists robots and other groups in order. A route to one of its inputs gives each robot its
-share of the values, in that order; a route to one of its switches sets those of all.
+A group lists robots and other groups in order. A route to one of its inputs distributes the values
+to the robots in that order; a route to one of its switches sets it for all of them.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from ...base.declaration import Name, Vector
 from ...base.errors import Problem, did_you_mean
 from .robot_parts import VALUE_INPUTS, ArrowQuantity, BillboardLines, Posed
 
-_MOST_MEMBERS = 400  # of a group
-_MOST_TOLD = 5  # members of a group that do not exist; each takes a search for the nearest name
+_MAX_MEMBERS = 400  # of a group
+_MAX_REPORTED = 5  # unknown members of a group; for each the nearest name is searched
 
 
 class Group(Posed):
     """An ordered group of robots, and defaults for these.
 
-    What is declared of a robot itself, in its model or in its table, counts more than the default
-    of its group, and a group's more than that of the group around it. None is no default.
+    Fields declared for a robot, in its model or in its table, override the defaults of its group,
+    and those of an inner group override those of an outer one. None means no default.
 
     Attributes:
         name: in routes, e.g. `justin` in `justin.joint_angles`.
         description: one line about it.
         robots: names of robots and groups, in the order of the values in packets.
-        joint_angles: initial pose of all of them in that order, rad or m: of all joints, or of the
-            independent ones. It counts more than the poses of its robots and of groups in it.
+        joint_angles: initial pose of all robots in that order, rad or m: of all joints, or of the
+            independent ones. It overrides the poses of its robots and inner groups.
         joint_angles_deg: the same in degrees; converted to joint_angles.
-        torques: initial measured torques likewise, Nm or N; this and the three that follow have
-            values of all joints or of the independent ones, and None for no data.
+        torques: initial measured torques, Nm or N; like the next three, of all joints or of the
+            independent ones, None for no data.
         commanded_torques: Nm or N.
         joint_accelerations: rad/s2 or m/s2.
         billboard_values: in the unit that the billboards show.
-        enable_touch_sensor: whether a click on a robot toggles its features; this and all that
-            follow are defaults of the robots' own fields.
+        enable_touch_sensor: whether a click on a robot toggles its features; this and all following
+            fields are defaults for the robots.
         stale_after: s.
         show_axes: whether coordinate axes are shown.
         axes_size: m.
@@ -59,7 +59,7 @@ class Group(Posed):
 
     name: Name
     description: str = ""
-    robots: list[Name] = Field(min_length=1, max_length=_MOST_MEMBERS)
+    robots: list[Name] = Field(min_length=1, max_length=_MAX_MEMBERS)
     torques: Vector | None = None
     commanded_torques: Vector | None = None
     joint_accelerations: Vector | None = None
@@ -79,36 +79,36 @@ class Group(Posed):
     billboard_lines: BillboardLines = None
     elastic_joints: bool | None = None
 
-    # Files and keys of its tables, where it has a model; for problems found later.
+    # Files and keys of its tables, if it has a model; for problems found later.
     _declared: tuple[tuple[Path, str], ...] = PrivateAttr(())
 
     @property
     def defaults(self) -> dict[str, object]:
-        """The defaults that it has, by the robots' field."""
+        """Its defaults, by the robots' field."""
         fields = [key for key in type(self).model_fields if key not in _OWN]
         return {key: getattr(self, key) for key in fields if getattr(self, key) is not None}
 
     def without_defaults(self) -> Group:
-        """Returns the group as its members alone: poses and looks are those of its robots."""
+        """Returns the group with its members only, without poses and defaults."""
         group = Group(name=self.name, robots=self.robots)
         group._declared = self._declared
         return group
 
 
-SHARED = ("joint_angles", *VALUE_INPUTS)  # fields whose values its robots share, in their order
-_OWN = ("name", "description", "robots", "joint_angles_deg", *SHARED)  # fields that are no defaults
+SHARED = ("joint_angles", *VALUE_INPUTS)  # fields whose values are distributed to its robots
+_OWN = ("name", "description", "robots", "joint_angles_deg", *SHARED)  # no defaults
 
 
 @dataclass(frozen=True)
 class Membership:
-    """Which robots are in which groups.
+    """The robots of all groups.
 
     Attributes:
-        members: names of the robots of every group in their order, those of groups in it included,
-            each once.
-        around: names of the groups around every robot and group, inner ones first.
+        members: names of the robots of every group in order, including those of inner groups, each
+            once.
+        around: names of the groups that contain every robot and group, inner ones first.
         circles: names of groups that are in each other.
-        twice: groups with a robot that is in them twice, and its name.
+        twice: groups that contain a robot twice, and its name.
     """
 
     members: dict[str, list[str]]
@@ -118,7 +118,7 @@ class Membership:
 
 
 def membership(groups: Mapping[str, Sequence[str]]) -> Membership:
-    """Resolves groups of groups.
+    """Resolves nested groups.
 
     Args:
         groups: names of robots and groups, by the name of their group.
@@ -157,17 +157,17 @@ def membership(groups: Mapping[str, Sequence[str]]) -> Membership:
 def group_problems(
     groups: Mapping[str, Group], found: Membership, declared: Collection[str]
 ) -> list[Problem]:
-    """Returns members that do not exist or come twice, circles, and defaults that contradict.
+    """Returns unknown and repeated members, cycles, and contradictory defaults.
 
     Args:
         groups: by name.
-        found: what `membership` returned.
+        found: result of `membership`.
         declared: names of all robots and groups, valid or not.
     """
     problems = []
     for name, group in groups.items():
         unknown = [each for each in dict.fromkeys(group.robots) if each not in declared]
-        for each in unknown[:_MOST_TOLD]:
+        for each in unknown[:_MAX_REPORTED]:
             near = did_you_mean(each, {known for known in declared if known != name})
             message = f"no robot or group '{each}'{near}"
             problems.append(Problem(f"groups.{name}.robots", message))
@@ -187,7 +187,7 @@ def group_problems(
 def _contradictions(
     groups: Mapping[str, Group], found: Membership, robot: str, around: list[str]
 ) -> list[Problem]:
-    """Returns defaults of a robot on which groups that are not in each other do not agree."""
+    """Returns defaults of a robot that differ between groups that do not contain each other."""
     problems = []
     for one, other in combinations(around, 2):
         first, second = groups[one].defaults, groups[other].defaults

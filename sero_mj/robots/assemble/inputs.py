@@ -61,7 +61,7 @@ class Input:
         kind: `angles` move a robot or double, `values` are shown at joints, a `pose` moves a
             base, an object or a camera, a `frame` is stored, a `vector` is shown by an arrow, a
             `toggle` turns a feature on or off.
-        coupled: which joints follow which, where some do; values of the others suffice then.
+        coupled: couplings of the joints, if any; values of the independent joints then suffice.
     """
 
     name: str
@@ -108,7 +108,7 @@ def list_inputs(scene: Scene) -> dict[str, Input]:
 
     for name, robot in scene.robots.items():
         add_per_joint(name, robot)
-        if robot.mount is None:  # else what carries it moves it
+        if robot.mount is None:  # else its carrier moves it
             add(name, (4, 4), "pose", "base_frame")
         add(name, (4, 4), "frame", "flange_check")
         add(name, (1,), "toggle", *OWNER_TOGGLES)
@@ -132,7 +132,7 @@ def list_inputs(scene: Scene) -> dict[str, Input]:
 def inputs_of_group(
     inputs: Mapping[str, Input], group: str, key: str, members: Sequence[str]
 ) -> list[Input]:
-    """Returns the inputs of a group's members that one of the group means, in their order.
+    """Returns the members' inputs for an input of their group, in order.
 
     Args:
         inputs: all, by `name.key`.
@@ -142,7 +142,7 @@ def inputs_of_group(
 
     Raises:
         UnknownName: no member has such an input.
-        ValueError: not all of them have it, or it is a frame and several have it.
+        ValueError: not all of them have it, or several have it and it is a frame.
     """
     found = {name: inputs.get(f"{name}.{key}") for name in members}
     items = [item for item in found.values() if item is not None]
@@ -163,12 +163,12 @@ def inputs_of_group(
 
 
 def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
-    """Returns the share of every input in values that are set for a group.
+    """Distributes values set for a group to the inputs of its members.
 
     Args:
-        items: of its robots, as `inputs_of_group` has them.
+        items: of its robots, from `inputs_of_group`.
         target: the group's input, for messages.
-        values: of all joints or of the independent ones in their order; a switch is for all.
+        values: of all joints or of the independent ones in order; a switch applies to all.
 
     Raises:
         ValueError: a wrong number of values, or one that moves something is not finite.
@@ -223,9 +223,9 @@ def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int], int]
 
 
 def to_array(item: Input, values: Any) -> Array:
-    """Returns the values of an input as an array (k,) or more; empty where they are no numbers.
+    """Returns the values of an input as an array (k,) or more; empty if not numeric.
 
-    The name of an arrow quantity is its index, and coupled joints that are missing are added.
+    The name of an arrow quantity is converted to its index, and missing coupled joints are added.
     """
     if isinstance(values, str) and item.key == "arrow_quantity" and values in ARROW_QUANTITIES:
         values = ARROW_QUANTITIES.index(values)
@@ -242,7 +242,7 @@ def to_array(item: Input, values: Any) -> Array:
 
 
 def to_frame(target: str, values: Array) -> Array:
-    """Returns a frame (4, 4); raises ValueError with the name of the input if it is none."""
+    """Returns a frame (4, 4); raises ValueError with the name of the input if it is invalid."""
     try:
         return frame_from(values, numbers)
     except ValueError as error:

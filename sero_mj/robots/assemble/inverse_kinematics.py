@@ -1,8 +1,8 @@
-"""Inverse kinematics: joint angles that bring a frame of a robot to a pose, or as near as it gets.
+"""Inverse kinematics: joint angles that bring a frame to a pose, or as close as possible.
 
 Damped least squares (Nakamura and Hanafusa 1986, Inverse Kinematic Solutions With Singularity
 Robustness, J. Dyn. Sys. Meas. Control 108; Wampler 1986, IEEE Trans. Systems, Man, and Cybernetics
-16), step by step from the angles before: what moves continuously is followed continuously.
+16), iterated from the previous angles, so that continuous motions are followed continuously.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from ...base.frames import Array, Bools
 from .robot import SerialRobot
 
 ITERATIONS = 60
-CLOSE = 1e-3  # m, or rad; what is nearer is reached
+CLOSE = 1e-3  # m or rad; smaller errors count as reached
 _DAMPING = 1e-4  # of the pseudo-inverse, m2 and rad2
-_LONGEST = 0.2  # rad or m per iteration
+_MAX_STEP = 0.2  # rad or m per iteration
 _AT_LIMIT = 1e-6  # rad or m
-_BACK = 0.5  # of the way back to the posture, per iteration
-_RESTS = 1e-4  # rad or m; a step of the null space below it has come to its end
-# Angles to where the frame is then, (4, 4), m, and its Jacobian (6, n): linear, then angular.
+_POSTURE_GAIN = 0.5  # fraction of the way to the posture, per iteration
+_MIN_POSTURE_STEP = 1e-4  # rad or m; smaller null-space steps end the iteration
+# Maps angles to the frame, (4, 4), m, and its Jacobian (6, n): linear, then angular.
 Place = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
 class Reached:
-    """Angles as near as they get to a pose.
+    """The angles closest to a pose.
 
     Attributes:
         angles: (n,), rad or m.
-        distance: that is left, m.
-        angle: that is left, rad; 0 where only a position was asked for.
-        at_limit: which joints are at a position limit, (n,).
+        distance: remaining, m.
+        angle: remaining, rad; 0 for a goal without orientation.
+        at_limit: whether each joint is at a position limit, (n,).
     """
 
     angles: Array
@@ -49,7 +49,7 @@ class Reached:
 
 
 def frame_place(robot: SerialRobot, base: Array, link: int, at: Array) -> Place:
-    """Returns where a frame of a robot is, by numpy, as a function of its independent joints.
+    """Returns a function from the independent joints to a frame of a robot, in numpy.
 
     Args:
         robot: its declaration.
@@ -58,7 +58,7 @@ def frame_place(robot: SerialRobot, base: Array, link: int, at: Array) -> Place:
         at: T_link_frame (4, 4), m.
     """
     tree, coupled = robot.kinematics, robot.coupled
-    follows: Array = np.zeros((coupled.n, coupled.k))  # of all joints' rates those of these
+    follows: Array = np.zeros((coupled.n, coupled.k))  # maps their rates to those of all joints
     follows[np.arange(coupled.n), coupled.source] = coupled.ratio
 
     def place(angles: Array) -> tuple[Array, Array]:
@@ -75,7 +75,7 @@ def frame_place(robot: SerialRobot, base: Array, link: int, at: Array) -> Place:
 
 
 def independent_limits(robot: SerialRobot) -> Array | None:
-    """Position limits of the independent joints, (k, 2), within which coupled ones keep theirs."""
+    """Limits of the independent joints, (k, 2), that also satisfy those of coupled ones."""
     limits = robot.position_limits
     if limits is None:
         return None
@@ -97,16 +97,16 @@ def reach(
     posture: Array | None = None,
     iterations: int = ITERATIONS,
 ) -> Reached:
-    """Returns angles at which a frame is at a pose, within the position limits.
+    """Returns joint angles that bring a frame to a pose, within the position limits.
 
     Args:
         place: of the frame.
         goal: T_world_frame (4, 4), m.
-        angles: (n,), rad or m, to begin with.
+        angles: (n,), rad or m, initial.
         limits: (n, 2), rad or m; None for none.
-        turns: whether the rotation matters, or the position alone.
-        posture: (n,), where the null space is drawn to; None lets it stay where the way leads.
-        iterations: at most.
+        turns: whether the goal includes the orientation.
+        posture: (n,), target of the null space; None for none.
+        iterations: maximum number.
     """
     error: Array = np.zeros(6)
     rows = slice(None) if turns else slice(0, 3)
@@ -120,9 +120,9 @@ def reach(
         is_close = max(left) < 1e-2 * CLOSE
         if (is_close and posture is None) or iteration == iterations - 1:
             break
-        inner = None if posture is None else _BACK * (posture - angles)
+        inner = None if posture is None else _POSTURE_GAIN * (posture - angles)
         step = _step(jacobian[rows], error[rows], angles, limits, inner)
-        if is_close and float(np.abs(step).max()) < _RESTS:
+        if is_close and float(np.abs(step).max()) < _MIN_POSTURE_STEP:
             break
         angles = angles + step
     at_limit = np.zeros(len(angles), bool)
@@ -148,14 +148,14 @@ def _turn(rotation: Array) -> tuple[Array, float]:
 def _step(
     jacobian: Array, error: Array, angles: Array, limits: Array | None, inner: Array | None
 ) -> Array:
-    """A step towards the pose; joints that would leave their limits go up to them and stay.
+    """A step towards the pose; joints that would leave their limits are held at them.
 
     Args:
         jacobian: (m, n).
-        error: what is left, (m,), m and rad.
+        error: remaining, (m,), m and rad.
         angles: (n,).
         limits: (n, 2), or None.
-        inner: (n,), what to move where that leaves the frame in place; None for nothing.
+        inner: (n,), desired motion in the null space; None for none.
     """
     m, n = jacobian.shape
     low, high = (np.full(n, -np.inf), np.full(n, np.inf)) if limits is None else limits.T
@@ -170,7 +170,7 @@ def _step(
         step = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(m), rest)
         if inner is not None:
             step = step + free * inner
-        step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-12))
+        step *= min(1.0, _MAX_STEP / max(float(np.abs(step).max()), 1e-12))
         out = (free > 0.0) & ((angles + step < low) | (angles + step > high))
         if not out.any():
             break

@@ -1,4 +1,4 @@
-"""Speeds of joints: the declared limits, and what stands for them where there are none."""
+"""Speeds of joints: the declared limits, or defaults for joints without limits."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from .robot import SerialRobot
 
 Use = Literal["shown", "target", "agent", "runaway"]
 
-# rad/s of a joint that turns, and m/s of one that slides, by what the speed is for: of a robot that
-# is only shown; of a target that a controller follows; of an agent's actions; and from which on a
-# simulated joint has run away.
+# rad/s of revolute and m/s of prismatic joints, by purpose: a robot that is only shown; a target
+# followed by a controller; an agent's actions; and the threshold above which a simulated joint has
+# run away.
 UNDECLARED: Mapping[Use, tuple[float, float]] = {
     "shown": (4.0, 1.0),
     "target": (1.5, 0.5),
@@ -30,7 +30,7 @@ def undeclared_speeds(robot: SerialRobot, use: Use) -> Array:
 
 
 def joint_speeds(robot: SerialRobot, use: Use) -> Array:
-    """The velocity limits (n,), rad/s or m/s, or what stands for them."""
+    """The velocity limits (n,), rad/s or m/s, or their defaults."""
     if robot.velocity_limits is None:
         return undeclared_speeds(robot, use)
     return np.asarray(robot.velocity_limits, np.float64)

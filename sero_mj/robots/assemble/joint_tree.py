@@ -1,9 +1,9 @@
 """`JointTree`: kinematics of a tree of joints in numpy, independent of MuJoCo.
 
-Frame 0 is the base, frame i that of the link that joint i moves. Each joint is on the link of
-another one or on the base: T_0,i = T_0,p(i) T_p(i),i(q_i), with p(i) < i. A serial robot has
-p(i) = i - 1. What T_p(i),i is, a table says: of Denavit and Hartenberg (`dh`), or of the
-joints' frames (`JointFrames`).
+Frame 0 is the base, frame i that of the link moved by joint i. The parent of each joint is the link
+of another one or the base: T_0,i = T_0,p(i) T_p(i),i(q_i), with p(i) < i. A serial robot has p(i) =
+i - 1. T_p(i),i is given by a Denavit-Hartenberg table (`dh`), or by the joints' frames
+(`JointFrames`).
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ class JointTree(ABC):
         revolute: True for revolute joints, False for prismatic ones, (n,) bool.
         sign: -1 for joints that turn against their z axis, those of a mirrored robot, else 1, (n,);
             None for 1 throughout.
-        parents: index of the frame that carries each joint, (n,): 0 for the base, i for joint i;
-            None for a serial robot, 0 to n - 1.
-        root: T_base_0, (4, 4): what the rows of joints on the base start from; None for the base.
+        parents: index of each joint's parent frame, (n,): 0 for the base, i for joint i; None for a
+            serial robot, 0 to n - 1.
+        root: T_base_0, (4, 4): origin of the rows of joints on the base; None for the base.
     """
 
     revolute: Bools
@@ -42,11 +42,11 @@ class JointTree(ABC):
 
     @abstractmethod
     def step_lengths(self) -> Array:
-        """Returns how far it is from joint to joint along the table's offsets, (n,), m."""
+        """Returns the lengths from joint to joint along the table's offsets, (n,), m."""
 
     @abstractmethod
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
-        """Returns how far the origins of neighbouring frames are apart, (n,), m.
+        """Returns the distances between the origins of neighbouring frames, (n,), m.
 
         Args:
             extensions: of prismatic joints, (..., n), m.
@@ -61,7 +61,7 @@ class JointTree(ABC):
 
     @property
     def turns_in_carrier(self) -> bool:
-        """Whether joints are on z of what carries them (standard DH), not on their link's own z."""
+        """Whether axes are z of the parent frame (standard DH), not of the link's own frame."""
         return False
 
     def __len__(self) -> int:
@@ -141,23 +141,23 @@ class JointTree(ABC):
     def axis_frames(self) -> Array:
         """Frame of every joint's axis in that of the link it moves, z along it, (n, 4, 4).
 
-        Joint values grow about, or along, z.
+        Joint values increase about, or along, z.
         """
         T = np.tile(np.eye(4), (len(self), 1, 1))
         if self.turns_in_carrier:
             T = inverse(self.link_transforms(np.zeros(len(self))))
             if self.root is not None:
                 T = np.where((self.carriers == 0)[:, None, None], T @ self.root, T)
-        # The joints of a mirrored robot turn against z of their frames.
+        # Joints of a mirrored robot turn opposite to z of their frames.
         return np.asarray(np.where(self.signs[:, None, None] > 0, T, T @ _TURNED))
 
     def joint_axes(self, frames: Array) -> tuple[Array, Array]:
         """Returns every joint axis as a direction and a point, in the coordinates of `frames`.
 
-        Joint values grow about, or along, the direction.
+        Joint values increase about, or along, the direction.
 
         Args:
-            frames: what `frames()` returned, (..., n + 1, 4, 4).
+            frames: result of `frames()`, (..., n + 1, 4, 4).
 
         Returns:
             directions (..., n, 3) of unit length and points (..., n, 3) in m.
@@ -182,7 +182,7 @@ class JointTree(ABC):
             joint_angles: (..., n), rad or m.
             base_frame: T_world_base (4, 4); identity when None.
             flange_frame: T_link_flange (4, 4); identity when None.
-            link: index of the frame that carries the flange; the last one by default.
+            link: index of the flange's parent frame; the last one by default.
 
         Returns:
             (..., 6, n): rows 0-2 linear velocity (m per rad or m), rows 3-5 angular velocity,
@@ -204,13 +204,13 @@ _TURNED = np.diag([1.0, -1.0, -1.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class JointFrames(JointTree):
-    """A tree of joints with frames of their own, as URDF and MJCF have it.
+    """A tree of joints with individual frames, as in URDF and MJCF.
 
     T_p(i),i(q) = F_i Rz(q), or F_i Tz(q) for a prismatic joint.
 
     Attributes:
-        fixed: F, frame of every link on what carries it at joint value zero, (n, 4, 4), m; z is
-            the joint's axis.
+        fixed: F, frame of every link in its parent at joint value zero, (n, 4, 4), m; z is the
+            joint's axis.
 
     The others are those of `JointTree`.
     """
@@ -234,7 +234,7 @@ class JointFrames(JointTree):
         return self.distances()
 
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
-        """Returns how far the origins of neighbouring frames are apart, (..., n), m."""
+        """Returns the distances between the origins of neighbouring frames, (..., n), m."""
         extended = np.where(self.revolute, 0.0, extensions)[..., None] * self.fixed[:, :3, 2]
         return np.asarray(np.linalg.norm(self.fixed[:, :3, 3] + extended, axis=-1))
 

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from ...base.errors import Problem, did_you_mean
 
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-_OF_ANY = ("joint", "j")  # words that say nothing of the limb, as numbers do
-# Words that say to which part of a body a joint belongs, where no word is common to its limb.
+_GENERIC_WORDS = ("joint", "j")  # words that do not identify a limb, like numbers
+# Words that identify the part of a body, for limbs whose joints share no word.
 _PARTS = {
     "arm": ("shoulder", "elbow", "forearm", "wrist"),
     "leg": ("hip", "thigh", "knee", "calf", "ankle"),
@@ -24,20 +24,20 @@ _PART_OF = {word: part for part, words in _PARTS.items() for word in (part, *wor
 def find_limbs(
     names: Sequence[str], carriers: Sequence[int], followed: Mapping[str, str]
 ) -> dict[str, list[int]]:
-    """Returns the limbs of a robot, by what the names of their joints have in common.
+    """Returns the limbs of a robot, named after the common part of their joints' names.
 
-    A limb is a run of joints of which each is the only one on the link of the one before, as long
-    as it can be. Runs that only follow another joint belong to that one's: the knuckles of a
-    gripper to its drive. Where names have nothing in common that another limb does not have as
-    well, those of the first and the last joint name it.
+    A limb is a maximal run of joints, each the only child of the previous one. Runs of coupled
+    joints only belong to the limb of their driving joint: the knuckles of a gripper to its drive.
+    If the joints' names have no distinctive common part, the limb is named after the first and the
+    last joint.
 
     Args:
         names: of the joints, n.
-        carriers: index of the frame that carries each joint, n: 0 for the base, i for joint i.
-        followed: for each coupled joint the one that it follows.
+        carriers: index of each joint's parent frame, n: 0 for the base, i for joint i.
+        followed: for each coupled joint its driving joint.
 
     Returns:
-        indices of joints by limb; every joint is in one, in the order of the joints.
+        indices of joints by limb, in the order of the joints; every joint is in exactly one.
     """
     on = Counter(carriers)
     runs: list[list[int]] = []
@@ -57,7 +57,7 @@ def find_limbs(
 
 
 def limb_problems(names: Sequence[str], limbs: Mapping[str, Sequence[str]]) -> list[Problem]:
-    """Returns what is wrong with declared limbs: names and joints that are unknown or used twice.
+    """Returns errors of declared limbs: names and joints that are unknown or used twice.
 
     Args:
         names: of the joints.
@@ -85,11 +85,11 @@ def limb_problems(names: Sequence[str], limbs: Mapping[str, Sequence[str]]) -> l
 def all_limbs(
     names: Sequence[str], found: Mapping[str, list[int]], declared: Mapping[str, Sequence[str]]
 ) -> dict[str, list[int]]:
-    """Returns the declared limbs, and the joints that are in none of them as they were found.
+    """Returns the declared limbs, and the remaining joints in the limbs found.
 
     Args:
         names: of the joints.
-        found: what `find_limbs` returned.
+        found: result of `find_limbs`.
         declared: names of joints by limb, without problems.
     """
     index = {name: i for i, name in enumerate(names)}
@@ -106,7 +106,7 @@ def all_limbs(
 def _with_followers(
     runs: list[list[int]], names: Sequence[str], followed: Mapping[str, str]
 ) -> list[list[int]]:
-    """Returns the runs, those of coupled joints alone put into that of the joint they follow."""
+    """Returns runs, those of only coupled joints merged into that of their driving joint."""
     number = {names[i]: k for k, run in enumerate(runs) for i in run}
 
     def leader(k: int) -> int:
@@ -132,7 +132,7 @@ def _ends(names: Sequence[str], run: Sequence[int]) -> str:
 
 
 def _named(joints: Sequence[str]) -> str:
-    """Returns what the names of a limb's joints have in common; empty where it is nothing."""
+    """Returns the common part of the names of a limb's joints; may be empty."""
     if len(joints) == 1:
         return joints[0]
     words = [_WORDS.findall(name) for name in joints]
@@ -140,7 +140,7 @@ def _named(joints: Sequence[str]) -> str:
     common = [
         word
         for word in dict.fromkeys(words[0])
-        if word.lower() in shared and not word.isdigit() and word.lower() not in _OF_ANY
+        if word.lower() in shared and not word.isdigit() and word.lower() not in _GENERIC_WORDS
     ]
     words_of_all = {word.lower() for each in words for word in each}
     parts = {_PART_OF[word] for word in words_of_all if word in _PART_OF}

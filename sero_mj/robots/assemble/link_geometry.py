@@ -1,4 +1,4 @@
-"""The geoms of a robot's links: mesh files and primitive shapes as declared, or generated ones."""
+"""The geoms of a robot's links: declared mesh files and primitive shapes, or generated ones."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def drawn_geoms(
     """Returns the attributes of the visible geoms of the base and every link, in their frames.
 
     Args:
-        root: gets the meshes; those that it has are used again.
+        root: receives the meshes; existing ones are reused.
         robot: declared or generated shapes.
-        problems: get those of files that cannot be read.
+        problems: receives those of unreadable files.
         shrink: factor of all sizes, about each link's origin.
         hull: of meshes, see `mesh_assets`.
     """
@@ -52,10 +52,10 @@ def drawn_geoms(
 
 
 def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
-    """Returns those of the declared `collisions`, or of MJCF.
+    """Returns the geoms of the declared `collisions`, or of MJCF.
 
     Raises:
-        DeclarationError: files that cannot be read.
+        DeclarationError: a file cannot be read.
     """
     if robot.mjcf is not None:
         return touching_links(root, robot)
@@ -108,7 +108,7 @@ def part_geoms(
         root: gets the meshes.
         part: with the scale of its mesh.
         name: of its mesh.
-        folder: that its file is in.
+        folder: of its file.
         rgba: its colour; None for the file's own.
         hull: of its mesh, see `mesh_assets`.
 

@@ -2,7 +2,7 @@
 
 A robot becomes one body at its base frame with a chain of bodies, one per row of its DH table,
 whose frames are the DH frames: body i is at T_{i-1,i}(q_i = 0) and moves about, or along, z of
-its own frame (craig) or of its parent's (standard). The base is a mocap body, or hangs on the body
+its own frame (craig) or of its parent's (standard). The base is a mocap body, or a child of a body
 of the robot that carries it.
 """
 
@@ -46,10 +46,10 @@ SKY = "sky"  # name of the texture
 _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 _KEY_LIGHT = np.array([1.5, -1.5, 4.0])  # position relative to the middle of the robots, m
 _TILE = 0.25  # edge of a tile of the floor, m
-_SCENE_SIZE = 1.25  # of a robot for which position and edge are made, m
+_SCENE_SIZE = 1.25  # of a robot for which these are chosen, m
 _SPOT = mujoco.mjtLightType.mjLIGHT_SPOT
-# A double is slightly smaller than its robot, so that its surface is inside the robot's where
-# they nearly coincide: no flicker (z-fighting).
+# A double is slightly smaller than its robot, so that its surface is inside the robot's where they
+# nearly coincide, without flicker (z-fighting).
 _SHRINK = 0.985
 
 
@@ -66,7 +66,7 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     root = mujoco.MjSpec()
     root.modelname = scene.name
     root.compiler.degree = False
-    # A moving body needs a mass, also a link without geometry (in a wrist).
+    # A moving body needs a mass, even a link without geometry (in a wrist).
     root.compiler.boundmass, root.compiler.boundinertia = 1e-9, 1e-12
     moved = moving(scene)
     _surroundings(root, scene, moved)
@@ -88,7 +88,7 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     unbuilt: set[str | None] = set()
     for name in mount_order(scene.robots):
         robot, count = scene.robots[name], len(problems)
-        if carrier(robot) not in unbuilt:  # what carries it is wrong, and that is reported
+        if carrier(robot) not in unbuilt:  # its carrier is invalid, which is reported
             with collect(problems, f"robots.{name}"):
                 _add_robot(root, robot, None if dynamics is None else dynamics[name])
         if len(problems) > count or carrier(robot) in unbuilt:
@@ -132,7 +132,7 @@ def _add_robot(root: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics 
 
 
 def _standing_together(scene: Scene) -> list[list[str]]:
-    """Returns the robots that stand in the world, of each group that is one model."""
+    """Returns the robots placed in the world, for each group that is a model."""
     models = [scene.members(name) or [] for name, group in scene.groups.items() if group._declared]
     return [[name for name in robots if scene.robots[name].mount is None] for robots in models]
 
@@ -187,7 +187,7 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
     root.compiler.degree = False
     problems: list[Problem] = []
     inertia = declared_inertia(robot)
-    # Without declared masses those of its meshes say how large its arrows are.
+    # Without declared masses its arrows are scaled by those of its meshes.
     geoms = drawn_geoms(root, robot, problems, hull="never" if inertia else "unless flat")
     body = root.worldbody
     _add_geoms(body, geoms[0])
@@ -222,7 +222,7 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
 
 
 def _body_on(root: mujoco.MjSpec, label: str) -> mujoco.MjsBody:
-    """Returns the body of the children on a base or link, whose inertia is theirs alone."""
+    """Returns the body of the children on a base or link, with their inertia only."""
     name = f"{ON}{label}"
     body = root.worldbody if label == "base" else root.body(label)
     return root.body(name) or body.add_body(name=name)
@@ -284,14 +284,14 @@ def build_surroundings(
     middle: Array,
     size: float,
 ) -> mujoco.MjSpec:
-    """Returns surroundings as those of scenes, without robots.
+    """Returns surroundings like those of scenes, without robots.
 
     Args:
         look: colour theme.
         floor: its height, m; None for no floor.
         sky: whether there is a sky.
         lights: whether there are lights.
-        middle: of what is lit, (3,), m.
+        middle: of the lit region, (3,), m.
         size: of that, m.
     """
     root = mujoco.MjSpec()
@@ -341,7 +341,7 @@ def _add_floor(
     )  # fmt: skip
     floor = root.add_material(name="floor", texrepeat=[0.5 / tile] * 2, texuniform=True)
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
-    # A floor that casts shadows is speckled by its own shadow map.
+    # A floor that casts shadows shows artefacts of its own shadow map.
     root.worldbody.add_geom(
         name="floor", type=geom_type("plane"), pos=[0, 0, height], size=[0, 0, 0.05],
         material="floor", group=OBJECT_GROUP, castshadow=False,
@@ -396,7 +396,7 @@ def _add_object(
 
 
 def _mass_shares(path: Path, scale: Any) -> Array:
-    """Returns how the mass of a mesh file is shared by the hulls of its colours, (k,)."""
+    """Returns the mass fractions of the hulls of a mesh file's colours, (k,)."""
     root = mujoco.MjSpec()
     for mesh, _ in mesh_assets(root, "mesh", path, scale):
         root.worldbody.add_body().add_geom(type=MESH, meshname=mesh)
@@ -424,11 +424,11 @@ def _add_double(
 ) -> None:
     """Adds the bodies of a double, at zero joint angles.
 
-    The world hides them after compilation. Compiled out of sight they would make MuJoCo scale
-    near plane, far plane and shadows for a scene of a kilometre.
+    The world hides them after compilation. If they were compiled far away, MuJoCo would scale near
+    plane, far plane and shadows to a scene of a kilometre.
     """
     rows = body_names(double, robot)
-    geoms = drawn_geoms(root, robot, [], _SHRINK)  # problems are told of the robot itself
+    geoms = drawn_geoms(root, robot, [], _SHRINK)  # problems are reported for the robot itself
     at_zero = robot.kinematics.frames(np.zeros(robot.n), T_world_base)
     centres = joint_centres(robot)
     for names, share in zip(rows, path_fade(len(rows)), strict=True):
@@ -438,7 +438,7 @@ def _add_double(
             body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i]))
             for geom in geoms[i]:
                 body.add_geom(contype=0, conaffinity=0, mass=0, **{**geom, **look})
-    # Bodies of their own, since a link that coincides with the robot's is moved out of sight.
+    # Separate bodies, since a link that coincides with the robot's is moved out of sight.
     for i, name in enumerate(frame_names(double, robot)):
         body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i + 1]))
         body.add_site(name=name, group=SITE_GROUP)

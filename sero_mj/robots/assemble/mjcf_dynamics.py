@@ -24,9 +24,9 @@ from .robot_dynamics import LinkInertia, RobotDynamics
 from .shapes import housing_radii
 
 TIMESTEP = 1e-3  # s, an LWR's cycle
-HULL_GROUP = 4  # a group that is not shown: links are displayed by their meshes
-ON = "on_"  # before a label: the body of the children that are fixed there
-PAYLOAD = "payload"  # a body at the flange that weighs nothing until something is picked up
+HULL_GROUP = 4  # a hidden group: links are displayed by their meshes
+ON = "on_"  # prefix of a label: the body of the children fixed there
+PAYLOAD = "payload"  # a body at the flange, massless until something is picked up
 # Links closer than this count as neighbours, in housing radii: those of one wrist or shoulder
 # share a housing and always overlap.
 _ONE_HOUSING = 4.0
@@ -35,16 +35,17 @@ _FRICTION = {"solref_friction": [0.004, 1.0], "solimp_friction": [0.999, 0.9999,
 # Friction of metal, plastic and wood on each other; MuJoCo's default is that of rubber.
 _SLIDING = [0.3, 0.005, 1e-4]
 _RUBBER = [1.0, 0.005, 1e-4]
-# Contact stiffness rises over 5 mm, as with a rubber skin. With MuJoCo's default, stiff at once,
-# a sliding probe chatters: its force alternates between 0 and twice the mean every few steps.
+# Contact stiffness rises over 5 mm, as with a rubber skin. With MuJoCo's default, which is stiff
+# immediately, a sliding probe chatters: its force alternates between 0 and twice the mean every few
+# steps.
 _SOFT, _SUDDEN = [0.0, 0.95, 0.005, 0.5, 2.0], [0.9, 0.95, 1e-3, 0.5, 2.0]
 _TIME_CONSTANT = [0.03, 1.0]
-COUPLING = "-coupling"  # behind a joint's name: the constraint that couples it
-# Gears and tendons that couple joints give way by 1e-4 rad at most.
+COUPLING = "-coupling"  # suffix of a joint's name: the constraint that couples it
+# Gears and tendons that couple joints deflect by 1e-4 rad at most.
 _GEAR = {"solref": [0.004, 1.0], "solimp": [0.99, 0.9999, 1e-4, 0.5, 2.0]}
 _ON_FLOOR = 1 << 30  # the mask of geoms that touch the floor, and not each other
 _FAR = 1e6  # rad or m, for a joint with a limit on one side
-# Joint limits are soft, as rubber end stops are.
+# Joint limits are soft, like rubber end stops.
 _STOP = {"solref_limit": [0.02, 1.0], "solimp_limit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
 
 
@@ -53,17 +54,17 @@ def set_up_dynamics(root: mujoco.MjSpec, *, has_free: bool = False) -> None:
 
     Args:
         root: of the scene.
-        has_free: whether objects are free, which may be grasped.
+        has_free: whether there are free objects, which may be grasped.
     """
     root.compiler.boundmass = root.compiler.boundinertia = 0.0
     root.option.timestep = TIMESTEP
     root.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     root.option.cone = (
         mujoco.mjtCone.mjCONE_ELLIPTIC
-    )  # pyramids give a third too little friction when all is soft
+    )  # pyramids give a third too little friction in soft contacts
     if has_free:
-        # Friction is ten times as stiff as the contact is soft. What is held in a soft grasp slides
-        # through MuJoCo's soft friction: 4 mm/s of a can of 0.2 kg between two fingers, now 0.4.
+        # Friction is ten times stiffer than the contact. With MuJoCo's soft friction, objects in a
+        # soft grasp slip: a can of 0.2 kg between two fingers by 4 mm/s, now 0.4.
         root.option.impratio = 10.0
     floor = root.geom("floor")
     if floor is not None:
@@ -72,7 +73,7 @@ def set_up_dynamics(root: mujoco.MjSpec, *, has_free: bool = False) -> None:
 
 
 def set_friction(geom: Any, coefficient: float) -> None:
-    """Gives a geom a declared friction, which counts in all its contacts, whatever it touches."""
+    """Gives a geom a declared friction, which applies to all its contacts."""
     geom.friction[0], geom.priority = coefficient, 1
 
 
@@ -111,7 +112,7 @@ def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynami
 
 
 def set_inertia(body: mujoco.MjsBody, dynamics: RobotDynamics | LinkInertia, i: int) -> None:
-    """Gives a body the mass, centre and tensor of link i; 0 is the base, which a robot carries."""
+    """Gives a body the mass, centre and tensor of link i; 0 is the base of a carried robot."""
     moments, axes = principal_moments(dynamics.tensors[i])
     mujoco.mju_mat2Quat(body.iquat, axes.ravel())
     body.explicitinertial, body.mass = True, dynamics.masses[i]
@@ -126,10 +127,10 @@ def deflection_joint(name: str) -> str:
 def spring_damping(dynamics: RobotDynamics, timestep: float) -> Array:
     """Returns the damping of the elastic deflections in the model, (n,), Nm s/rad.
 
-    MuJoCo takes springs at the start of a step and damping at its end, and so a light link on a
+    MuJoCo evaluates springs at the start of a step and damping at its end, so a light link on a
     stiff spring is unstable without damping (an LWR's wrist at 1 kHz). Damping of half the
-    stiffness times the step makes it stable for all stiffnesses, links and steps: the spring
-    counts in the middle of the step. So what is declared counts if it is more, and else this.
+    stiffness times the step makes it stable for all stiffnesses, links and steps: the spring then
+    acts in the middle of the step. The declared damping is used if it is larger, else this.
 
     Args:
         dynamics: of n joints.
@@ -148,7 +149,7 @@ def is_limited(robot: SerialRobot, i: int) -> bool:
 
 
 def position_range(robot: SerialRobot, i: int) -> Array:
-    """Returns the position limits (2,) of a joint that has any, rad or m; none is far away."""
+    """Returns the position limits (2,) of a limited joint, rad or m; a missing one is far away."""
     assert robot.position_limits is not None
     return np.asarray(np.clip(robot.position_limits[i], -_FAR, _FAR))
 
@@ -168,7 +169,7 @@ def _add_deflection(
     )
     deflection.stiffness[0] = dynamics.joint_stiffness[i]
     deflection.damping[0] = spring_damping(dynamics, TIMESTEP)[i]
-    if is_limited(robot, i):  # of the link, not of the motor
+    if is_limited(robot, i):  # of the link, not the motor
         joint.limited = False
         stop = piece.add_tendon(
             name=f"{robot.names[i]}-stop", limited=True, range=position_range(robot, i), **_STOP
@@ -178,7 +179,7 @@ def _add_deflection(
 
 
 def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | None]) -> None:
-    """Adds collision geoms to links: the declared ones, else hulls of meshes, and shapes."""
+    """Adds collision geoms to links: declared ones, else hulls of meshes, and shapes."""
     sunk = _links_near_base(robot)
     is_declared = robot.collisions is not None or robot.mjcf is not None
     declared = touching_geoms(piece, robot) if is_declared else None
@@ -188,7 +189,7 @@ def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | 
         if declared is not None:
             for geom in declared[i]:
                 own = {**touches, **geom}
-                # With a mask that others must have, it touches the floor, which has none.
+                # With this mask it collides with the floor only, which has none.
                 own["contype"] = 0 if sunk[i] else own["contype"] or _ON_FLOOR
                 body.add_geom(group=HULL_GROUP, mass=0, **own)
             continue
@@ -205,7 +206,7 @@ def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | 
 def _links_near_base(robot: SerialRobot) -> Bools:
     """Returns which links are so close to a base in the world that they may overlap its mount.
 
-    (n + 1,). What moves with its base rests on the floor with all links.
+    (n + 1,). For a robot with a moving base all links collide with the floor.
     """
     if robot.free_base or robot.mount is not None:
         return np.zeros(robot.n + 1, bool)
@@ -225,10 +226,10 @@ def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
     near = _ONE_HOUSING * housing_radii(table, robot.T_n_flange, robot.flange_link)[0]
     steps, moves = table.step_lengths(), table.moves
     for i, k in combinations(range(robot.n + 1), 2):
-        between = np.flatnonzero(moves[i] != moves[k])  # the joints on the way from i to k
+        between = np.flatnonzero(moves[i] != moves[k])  # the joints between i and k
         # The offsets between the joint where link i ends and the one where link k begins.
         offsets = steps[between].sum()
-        if moves[k][moves[i]].all():  # k is farther out on the same branch
+        if moves[k][moves[i]].all():  # k is distal on the same branch
             last = len(between) - table.turns_in_carrier
             offsets = steps[between[1:last]].sum()
         if len(between) <= 2 or offsets < near:
@@ -245,11 +246,11 @@ def exclude_mounted(
     the robot that carries and of the carried one, or of two that the same link carries.
 
     Args:
-        root: gets the exclusions.
+        root: receives the exclusions.
         robots: by name.
-        together: names of robots that stand in the world, on one body each: fingers on a palm.
+        together: names of robots in the world that are mounted together: fingers on a palm.
     """
-    # By carrying link: robots there, their links near it, and how many joints away these are.
+    # By carrying link: the robots on it, their links near it, and their distances in joints.
     ways: dict[tuple[str, int], list[tuple[str, list[tuple[int, int]]]]] = {}
     for name, robot in robots.items():
         if robot.mount is None:
@@ -274,13 +275,13 @@ def exclude_mounted(
 
 
 def _links_beside(robot: SerialRobot, link: int) -> list[tuple[int, int]]:
-    """Returns the links with up to two joints between them and one, and how many these are."""
+    """Returns the links up to two joints away from a link, and their distances in joints."""
     between = (robot.kinematics.moves != robot.kinematics.moves[link]).sum(axis=1)
     return [(k, int(between[k])) for k in np.flatnonzero(between <= 2).tolist()]
 
 
 def _bodies_of(root: mujoco.MjSpec, robot: SerialRobot, link: int) -> list[str]:
-    """Returns the names of the bodies of a link and of what is fixed to it, its own first."""
+    """Returns the names of the bodies of a link and of objects fixed to it, its own first."""
     scope = f"{robot.name}/"
     names = [f"{scope}link{link}" if link else scope]
     fixed = [root.body(f"{scope}{ON}{f'link{link}' if link else 'base'}")]

@@ -36,15 +36,15 @@ def mesh_assets(
     """Adds a mesh file to the assets.
 
     Args:
-        spec: gets it; a mesh of the same file and scale that it has is used again.
-        name: of the mesh, where it is a new one.
-        path: of the file, in any format that `read_mesh` takes.
+        spec: receives it; an existing mesh of the same file and scale is reused.
+        name: of a new mesh.
+        path: of the file, in any format supported by `read_mesh`.
         scale: m per unit, one number or along x, y and z; negative ones mirror it.
-        hull: whether it gets a convex hull: for what touches or has a mass, with which a flat mesh
-            is refused; for a mass unless it is flat; or never, for what is only seen.
+        hull: whether it gets a convex hull: for collisions or masses, where flat meshes are
+            refused; for masses unless it is flat; or never, for visual geometry.
 
     Returns:
-        name and colour of a mesh for each colour in the file; None where the file has none.
+        name and colour of a mesh for each colour in the file; None for no colour.
 
     Raises:
         DeclarationError: the file cannot be read.
@@ -53,7 +53,7 @@ def mesh_assets(
     for k, piece in enumerate(read_mesh(path)):
         named = path.with_suffix(piece.ending)
         file = add_file(spec, named, piece.contents, piece.digest)
-        # Of the hull, so that a mesh with holes has a mass; a hull takes longer than all else.
+        # Of the hull, so that a mesh with holes has a mass; computing the hull dominates the time.
         has_hull = hull == "always" or (hull == "unless flat" and not piece.is_flat)
         inertia = _CONVEX if has_hull else _SHELL
         same = [mesh for mesh in spec.meshes if (mesh.file, mesh.inertia) == (file, inertia)]
@@ -80,7 +80,7 @@ _HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": 
 
 
 def half_sizes(kind: str, size: Array) -> Array:
-    """Returns MuJoCo's `size` of a shape that is declared with this one, m."""
+    """Returns MuJoCo's `size` for a declared size of a shape, m."""
     return np.asarray(size * _HALF.get(kind, 1.0))
 
 

@@ -1,7 +1,7 @@
-"""The geoms of robots from MJCF: taken from the compiled model of their file, as they are.
+"""The geoms of robots from MJCF: copied unchanged from the compiled model of their file.
 
-Meshes come with their vertices, normals and texture coordinates, materials with their textures, and
-geoms that touch with their masks and contact parameters.
+This includes vertices, normals and texture coordinates of meshes, textures of materials, and masks
+and contact parameters of collision geoms.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..importers.mjcf_tree import MjcfTree
 from .mjcf_elements import MESH, pose
 from .robot import SerialRobot
 
-TOUCHING = "touching-"  # before the names of what collides
+TOUCHING = "touching-"  # prefix of names of collision geoms
 _CONVEX, _SHELL = (
     mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
     mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
@@ -37,7 +37,7 @@ def mjcf_tree(robot: SerialRobot) -> MjcfTree:
     """Returns the robot in the model of its file.
 
     Raises:
-        DeclarationError: it cannot be read, or has another number of joints.
+        DeclarationError: it cannot be read, or has a different number of joints.
     """
     tree = kept_tree(robot.mjcf, Path(robot.directory))
     if len(tree.joints) != robot.n:
@@ -49,25 +49,25 @@ def mjcf_tree(robot: SerialRobot) -> MjcfTree:
 def drawn_links(
     root: mujoco.MjSpec, robot: SerialRobot, scope: str = "", shrink: float = 1.0
 ) -> list[list[dict[str, Any]]]:
-    """Returns the attributes of the geoms of base and links that are seen, in their frames.
+    """Returns the attributes of the visible geoms of base and links, in their frames.
 
     Args:
-        root: gets the meshes, materials and textures; those that it has are used again.
+        root: receives the meshes, materials and textures; existing ones are reused.
         robot: from MJCF.
-        scope: before their names.
+        scope: prefix of their names.
         shrink: factor of all sizes, about each link's origin.
     """
     tree = mjcf_tree(robot)
     model, geoms = tree.model, tree.geoms
     seen = geoms[(model.geom_group[geoms] < _SHOWN_GROUPS) & (model.geom_rgba[geoms, 3] > 0)]
     links: list[list[dict[str, Any]]] = [[] for _ in tree.poses]
-    # Where a link has geoms that touch nothing, those of other groups that touch stand for them.
+    # If a link has non-colliding geoms, colliding ones of other groups are their collision shapes.
     links_of = tree.links[model.geom_bodyid[seen]]
     is_look = (model.geom_contype | model.geom_conaffinity)[seen] == 0
     replaced = np.isin(links_of, links_of[is_look])
     replaced &= ~np.isin(model.geom_group[seen], model.geom_group[seen[is_look]])
     seen = seen[~replaced]
-    if model.nskin or not len(seen):  # what a skin would cover, and robots that only touch
+    if model.nskin or not len(seen):  # geoms under a skin, and robots with collision geoms only
         bare = np.setdiff1d(np.arange(len(tree.poses)), tree.links[model.geom_bodyid[seen]])
         hidden = np.isin(tree.links[model.geom_bodyid[geoms]], bare)
         seen = np.union1d(seen, geoms[hidden])
@@ -81,7 +81,7 @@ def drawn_links(
 
 
 def touching_links(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[dict[str, Any]]]:
-    """Returns those of the geoms that touch others, with their contact parameters."""
+    """Returns the collision geoms, with their contact parameters."""
     tree = mjcf_tree(robot)
     model, geoms = tree.model, tree.geoms
     touches = (model.geom_contype | model.geom_conaffinity)[geoms] > 0
@@ -93,7 +93,7 @@ def touching_links(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[dict[st
 
 
 def excluded_links(robot: SerialRobot) -> list[tuple[int, int]]:
-    """Returns pairs of links, 0 for the base, that its file excludes from touching each other."""
+    """Returns pairs of links, 0 for the base, whose collisions its file excludes."""
     tree = mjcf_tree(robot)
     pairs = []
     for signature in tree.model.exclude_signature.tolist():
@@ -145,7 +145,7 @@ def _mesh(
     scope: str,
     shrink: float,
 ) -> str:
-    """Adds a mesh, unless it is there, and returns its name."""
+    """Adds a mesh, unless it exists, and returns its name."""
     name = f"{scope}mesh{mesh}"
     if root.mesh(name) is not None:
         return name
@@ -170,7 +170,7 @@ def _mesh(
     root.add_mesh(
         name=name,
         scale=shrink * mirror,
-        # What is only seen may be flat, and has no hull.
+        # Visual geometry may be flat, and has no hull.
         inertia=_CONVEX if scope == TOUCHING else _SHELL,
         **arrays,
     )

@@ -1,8 +1,8 @@
-"""Robots mounted on frames of other robots: their order, where they stand, what can be wrong.
+"""Robots mounted on frames of other robots: their order, their poses, their errors.
 
 A robot with `mount = "arm/flange"` is carried by the robot `arm`: its `base_frame` is relative to
-that frame, and its base moves with it. The robots that carry each other are trees, whose roots
-stand in the world.
+that frame, and its base moves with it. Mounted robots form trees, whose roots are placed in the
+world.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from .robot_parts import frame_labels
 
 
 def carrier(robot: SerialRobot) -> str | None:
-    """Returns the name of the robot that carries a robot; None for one that stands in the world."""
+    """Returns the name of the robot that carries a robot; None for one placed in the world."""
     return None if robot.mount is None else robot.mount.partition("/")[0]
 
 
 def mount_labels(robot: SerialRobot) -> list[str]:
-    """Returns what can follow `NAME/` in a `mount`: base, links, flange, axes at the flange."""
+    """Returns the labels allowed after `NAME/` in a `mount`: base, links, flange, axes at it."""
     axes = [child.name for child in robot.children if child.shape == "axes"]
     return [*frame_labels(robot.n), *axes]
 
@@ -41,7 +41,7 @@ def mounted_by_joints(robots: Mapping[str, SerialRobot]) -> dict[str, SerialRobo
 
 
 def carriers(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
-    """Returns the names of the robots that a robot stands on, from the nearest on."""
+    """Returns the names of the robots that carry a robot, nearest first."""
     found: list[str] = []
     below = carrier(robots[name])
     while below is not None and below in robots and below not in (name, *found):
@@ -51,16 +51,16 @@ def carriers(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
 
 
 def mount_circles(robots: Mapping[str, SerialRobot]) -> list[list[str]]:
-    """Returns the names of robots that carry each other in circles, each circle once."""
+    """Returns the names of robots that carry each other in cycles, each cycle once."""
     ways = [[name, *carriers(robots, name)] for name in robots]
     return [way for way in ways if carrier(robots[way[-1]]) == way[0] == min(way)]
 
 
 def mount_order(robots: Mapping[str, SerialRobot]) -> list[str]:
-    """Returns the names of all robots, each after the one that carries it, else as declared.
+    """Returns the names of all robots in declared order, but each after its carrier.
 
     Raises:
-        CycleError: robots carry each other in a circle.
+        CycleError: robots carry each other in a cycle.
     """
     carriers = {name: carrier(robot) for name, robot in robots.items()}
     after = {name: {each} & set(robots) if each else set() for name, each in carriers.items()}
@@ -68,7 +68,7 @@ def mount_order(robots: Mapping[str, SerialRobot]) -> list[str]:
 
 
 def carried_by(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
-    """Returns the names of the robots that a robot carries, directly or on others."""
+    """Returns the names of the robots carried by a robot, directly or indirectly."""
     found = {name}
     for each in mount_order(robots):
         if carrier(robots[each]) in found:
@@ -77,7 +77,7 @@ def carried_by(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
 
 
 def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, int]:
-    """Returns the name of the robot that carries a mounted one, and the link, 0 for its base."""
+    """Returns the name of a mounted robot's carrier, and the link, 0 for its base."""
     below, _, label = (robots[name].mount or "").partition("/")
     robot = robots[below]
     label = next((child.on for child in robot.children if child.name == label), label)
@@ -89,9 +89,9 @@ def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
     """Returns T_base_mount (..., 4, 4) of a frame that robots can be mounted on.
 
     Args:
-        robot: that carries.
+        robot: the carrier.
         label: one of `mount_labels`.
-        frames: what `robot.kinematics.frames` returned, (..., n + 1, 4, 4).
+        frames: result of `robot.kinematics.frames`, (..., n + 1, 4, 4).
     """
     if label == "base":
         return frames[..., 0, :, :]
@@ -108,12 +108,12 @@ def base_frames(
     joint_angles: Mapping[str, ArrayLike] | None = None,
     placed: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
-    """Returns T_world_base (..., 4, 4) of every robot, by the DH tables of what carries it.
+    """Returns T_world_base (..., 4, 4) of every robot, by the kinematics of its carriers.
 
     Args:
         robots: by name.
         joint_angles: (..., n) by name, rad or m; the declared ones where missing.
-        placed: T_world_base (..., 4, 4) of robots that are elsewhere than declared.
+        placed: T_world_base (..., 4, 4) of robots not at their declared frames.
     """
     bases: dict[str, Array] = {}
     for name in mount_order(robots):
@@ -129,7 +129,7 @@ def base_frames(
 
 
 def unmounted(robot: SerialRobot, T_world_base: Array) -> SerialRobot:
-    """Returns the same robot, standing in the world for itself."""
+    """Returns the same robot, placed in the world without a mount."""
     is_fixed = robot.mount is None and not robot.free_base
     if is_fixed and np.array_equal(T_world_base, robot.base_frame):
         return robot
@@ -138,12 +138,12 @@ def unmounted(robot: SerialRobot, T_world_base: Array) -> SerialRobot:
 
 
 def mount_problems(robots: Mapping[str, SerialRobot], broken: Mapping[str, bool]) -> list[Problem]:
-    """Returns mounts on frames that do not exist, and circles of mounts.
+    """Returns mounts on unknown frames, and cycles of mounts.
 
     Args:
         robots: by name.
-        broken: for every carrier that is not among them, whether it is declared wrongly, which is
-            reported elsewhere.
+        broken: for every missing carrier, whether its declaration is invalid, which is reported
+            elsewhere.
     """
     problems = []
     frames = [f"{name}/{label}" for name, robot in robots.items() for label in mount_labels(robot)]

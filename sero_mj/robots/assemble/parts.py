@@ -33,12 +33,11 @@ class RobotPart:
         kinematics: its Denavit-Hartenberg table, or the frames of its joints.
         qpos: index of every joint in `qpos`, (n,).
         dofs: index of every joint in `qvel`, (n,).
-        mocap: index of its base in `mocap_pos` and `mocap_quat`; -1 where another robot carries it,
-            and where it is free.
+        mocap: index of its base in `mocap_pos` and `mocap_quat`; -1 for a mounted or free base.
         bodies: ids of the base and every link, (n + 1,).
         flange_body: id of the flange.
         joints: its rows in the world's `JointTable`.
-        free: index in `qpos` of position and quaternion of a base that is free, (7,); else empty.
+        free: index in `qpos` of position and quaternion of a free base, (7,); else empty.
         sizes: of its arrows, measured with `fit_arrows`; None for the declared ones.
     """
 
@@ -118,7 +117,7 @@ class RobotPart:
 
     @property
     def reach(self) -> float:
-        """Sum of the lengths of its links, of the longest branch, m; 1 where that is zero."""
+        """Sum of the lengths of its links, of the longest branch, m; 1 if that is zero."""
         table = self.kinematics
         return float(table.path_lengths(table.step_lengths()).max()) or 1.0
 
@@ -137,8 +136,8 @@ class DoublePart:
             links; empty for a path.
         path: joint angles of every row, (rows, n); None for a single double.
         joints: its rows in the world's `JointTable`; empty for a path.
-        below: the double of the robot that carries its robot, on which it stands while that has a
-            pose; None where both are not doubles of one group.
+        below: the double of its robot's carrier, on which it is mounted while that has a pose; None
+            unless both are doubles of one group.
     """
 
     double: Double
@@ -215,9 +214,9 @@ Owner = RobotPart | DoublePart
 
 
 def robots_of_bodies(model: mujoco.MjModel, robots: Mapping[str, RobotPart]) -> Ints:
-    """Returns of every body the number of the robot that it belongs to, (nbody,); -1 for none.
+    """Returns the number of the robot of every body, (nbody,); -1 for none.
 
-    What is fixed to a robot belongs to it, and robots that it carries do not.
+    Objects fixed to a robot belong to it, mounted robots do not.
     """
     owner = np.full(model.nbody, -1, np.intp)
     for number, part in reversed(list(enumerate(robots.values()))):

@@ -1,4 +1,4 @@
-"""A URDF without joints, a table or a tool, as a piece of MJCF for an object of a scene."""
+"""Converts a URDF without joints, such as a table or a tool, to MJCF for a scene's object."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 
 
 def urdf_piece(path: Path) -> mujoco.MjSpec:
-    """Returns what a URDF file without joints shows, and what of it touches.
+    """Returns the visual and collision geometry of a URDF file without joints.
 
     Raises:
         DeclarationError: the file cannot be read, or has joints.

@@ -1,7 +1,6 @@
 """`SerialRobot`: a robot declared by a Denavit-Hartenberg table and link geometry (Fig. 3).
 
-Where there is no such table, as in URDF and MJCF, its joints have frames of their own, and may be a
-tree.
+Without such a table, as in URDF and MJCF, its joints have individual frames, and may form a tree.
 """
 
 from __future__ import annotations
@@ -60,9 +59,9 @@ from .surroundings import Object, check_mjcf, set_directory
 
 log = logging.getLogger(__name__)
 
-BASE = "base"  # what carries a joint that is on no other one
+BASE = "base"  # the parent of joints without a parent joint
 _AXES_OF_REACH = 0.2
-# Fields of a DH table, as a robot with joint frames has them.
+# Values of a DH table's fields for a robot with joint frames.
 _OF_TABLE: dict[str, Any] = {
     "dh_params": np.zeros((0, 4)),
     "dh_params_deg": None,
@@ -71,14 +70,14 @@ _OF_TABLE: dict[str, Any] = {
     "dh_base_frame": np.eye(4),
 }
 _LIMBS_IN_REPR, _NAMES_IN_REPR = 8, 8
-_COUPLED_WITHIN = 1e-4  # rad or m; angles in files are rounded
+_COUPLING_TOLERANCE = 1e-4  # rad or m; angles in files are rounded
 
 
 class SerialRobot(Declaration):
-    """A robot as the paper's `SerialRobot` proto declares it, with the proto's defaults.
+    """A robot declared as in the paper's `SerialRobot` proto, with the proto's defaults.
 
     Frames are 4x4 row-major, lengths in m, angles in rad, torques in Nm (forces in N for
-    prismatic joints). n is the number of joints, 1 to 128. They are a chain, or with `parents` a
+    prismatic joints). n is the number of joints, 1 to 128. They form a chain, or with `parents` a
     tree.
 
     Attributes:
@@ -90,49 +89,48 @@ class SerialRobot(Declaration):
         dh_params: (n, 4), one row per joint.
         dh_params_deg: the same with alpha and theta in degrees; converted to dh_params.
         dh_columns: order of the four columns.
-        length_unit: unit of a and d in the table, `m` or `mm`; converted to m. It applies to
-            nothing else.
+        length_unit: unit of a and d in the table only, `m` or `mm`; converted to m.
         dh_base_frame: T_base_0, frame 0 of the table in the base.
         joint_frames: (n, 4, 4), for robots without a DH table: T_parent_i of every joint at zero
             joint value; joint i turns about, or slides along, z of its own frame.
-        parents: for robots that branch, n names: the joint whose link carries each joint, or
-            `base`. Those of a chain when None: each is on the one before.
+        parents: for branching robots, n names: each joint's parent joint, or `base`. When None, the
+            robot is a chain: the parent is the previous joint.
         joint_types: n times `revolute` or `prismatic`.
         joint_names: n names; J1, J2, ... by default.
-        link_names: names of base and links in the file that the robot comes from, n + 1. Frames
-            are called by them as well as by `base`, `link1`, ..., and by the joint of each link.
-        limbs: names of joints by limb, for robots that branch; joints that are in none have those
-            that `limb_joints` finds. Routes and panels name them.
+        link_names: names of base and links in the robot's original file, n + 1. They are names of
+            frames, in addition to `base`, `link1`, ..., and the joint of each link.
+        limbs: names of joints by limb, for branching robots; the others are found by `limb_joints`.
+            Routes and panels refer to them.
         couplings: joints that follow another one, by name: `{ to = "J3", ratio = 1, offset = 0 }`.
-            Inputs, and what is declared of them (`joint_angles`, `torques`, ...), then take values
-            of the independent joints alone as well; k is the number of these, else n.
+            Inputs and their declared values (`joint_angles`, `torques`, ...) may then be given for
+            the independent joints only; k is their number, else n.
         position_limits: (n, 2), lower and upper, rad or m.
         position_limits_deg: the same in degrees; converted to position_limits.
         velocity_limits: (n,), rad/s or m/s.
         velocity_limits_deg: the same in degrees per second; converted to velocity_limits.
         torque_limits: (n,), Nm or N.
         dynamics: masses, inertia and friction; estimated where not given.
-        torque_control: of joint torque control, used where a run asks for it.
+        torque_control: of joint torque control, used in runs with `torque_control`.
         elastic_joints: whether simulated joints are elastic, with `dynamics.joint_stiffness`.
         acceleration_limits: (n,), rad/s2 or m/s2, at which arrows of accelerations have full width.
         directory: folder of the mesh files.
         filenames: base and n links; a name, a table (see `LinkGeometry`), or a list of these.
             Without files, link shapes are generated from the DH table.
-        collisions: base and n links, as `filenames`: what touches in simulation, meshes by their
-            convex hulls. None for what is drawn, with one hull about a link's meshes.
+        collisions: base and n links, as `filenames`: collision geometry, meshes by their convex
+            hulls. None for the visual geometry, with one hull for a link's meshes.
         colors: red, green, blue, alpha (0 to 1) by name, for `filenames`.
-        mjcf: instead of `filenames` and `collisions`, MJCF whose geoms the links have: a file
+        mjcf: instead of `filenames` and `collisions`, MJCF with the geoms of the links: a file
             relative to `directory`, text, or an object, see `Object`; its joints are the robot's.
         mesh_scale: metres per unit of the mesh files.
-        mount: the frame of another robot that carries its base, e.g. `arm/flange`, or the joint
-            whose link does, `icub/l_elbow`; None for one that stands in the world.
+        mount: the frame of another robot that carries its base, e.g. `arm/flange`, or the joint of
+            that link, `icub/l_elbow`; None for a robot placed in the world.
         base_frame: T_world_base, or T_mount_base of a mounted robot.
-        free_base: whether its base is free in simulation, where it starts at `base_frame`; an
-            input places it in mirroring, as the others.
-        mirrored: whether it is the mirror image at the xz plane of its base of the robot that all
-            other fields describe, a left arm of a right one. Equal joint values are mirrored poses,
-            and equal torques hold them. With S = diag(1, -1, 1, 1) every frame T becomes S T S, so
-            z of its joint frames points against the sense in which joints turn.
+        free_base: whether its base is free in simulation, starting at `base_frame`; in mirroring an
+            input places it, like any base.
+        mirrored: whether it is the mirror image, at the xz plane of its base, of the robot
+            described by all other fields: a left arm from a right one. Equal joint values give
+            mirrored poses, held by equal torques. With S = diag(1, -1, 1, 1) every frame T becomes
+            S T S, so joints turn opposite to z of their frames.
         flange_frame: T_n_flange, from the last joint's frame.
         flange_on: name of the joint whose link carries the flange; None for the last one.
         joint_angles: (n,), initial pose, used until something is received.
@@ -141,7 +139,7 @@ class SerialRobot(Declaration):
         enable_touch_sensor: whether a click on the robot toggles its features.
         stale_after: s without a packet until the robot is shown grey.
         offsets_to_center_of_joints: (n, 3), m, offset of arrows and billboards in the joint's
-            frame; by default they stand at generated housings.
+            frame; by default they are at generated housings.
         show_axes: whether coordinate axes are shown at the base, every joint and the flange.
         axes_size: their length, m; by default in proportion to generated shapes.
         axes_transparency: 0 opaque to 1 invisible.
@@ -150,8 +148,8 @@ class SerialRobot(Declaration):
             `joint_accelerations`, or `singularity` (see `viewer.decor.singularity`).
         arrow_dead_band: fraction of the limit below which no arrow is shown, to hide noise.
         arrow_radius: of the round arrows, m; by default large enough to clear generated shapes.
-        fit_arrows: whether each joint's arrow is as large as the links' geometry beside it needs,
-            instead of `arrow_radius`, and axes without `axes_size` are in proportion to the reach.
+        fit_arrows: whether each joint's arrow is fitted to the adjacent links' geometry, instead of
+            `arrow_radius`, and axes without `axes_size` are in proportion to the reach.
         arrow_width_scale: m per Nm for a joint without torque limit. With a limit an arrow is
             `arrow_radius` wide at the limit, times this over its default of 0.01.
         torques: initial measured torques, (n,) or (k,), Nm or N; None for no data.
@@ -251,7 +249,7 @@ class SerialRobot(Declaration):
             return value
         if info.field_name in ("joint_angles", "joint_angles_deg", *VALUE_INPUTS):
             if not {"couplings", "joint_names"} <= info.data.keys():
-                return value  # it is unknown which joints are coupled
+                return value  # the couplings are unknown
             if info.data["couplings"] and info.field_name == "joint_angles_deg":
                 return np.rad2deg(_with_coupled(np.deg2rad(value), info))
             if info.data["couplings"]:
@@ -269,7 +267,7 @@ class SerialRobot(Declaration):
         if len(parents) != n:
             raise ValueError(f"found {len(parents)} entries; expected {n}, {_each(info.data)}")
         names, problems = _joint_names(info.data), []
-        branch = [BASE]  # the way to the joint before
+        branch = [BASE]  # the path to the previous joint
         for i, parent in enumerate(parents):
             if parent not in (BASE, *names):
                 message = f"no joint '{parent}'{did_you_mean(parent, [BASE, *names])}"
@@ -344,7 +342,7 @@ class SerialRobot(Declaration):
     @classmethod
     def _frames_instead_of_a_table(cls, fields: Any) -> Any:
         if isinstance(fields, Mapping) and fields.get("joint_frames") is not None:
-            # What a robot has of them that is checked anew, as one of its fields is set.
+            # Fields of an existing robot that is validated again because a field is set.
             as_without = {
                 key
                 for key in _OF_TABLE.keys() & fields
@@ -386,7 +384,7 @@ class SerialRobot(Declaration):
         return lines
 
     def frame_label(self, label: str) -> str:
-        """Returns `link3` for the joint or the link of its own file that a frame is called by."""
+        """Returns `link3` for the name of a joint, or of a link in its own file."""
         others = [child.name for child in self.children]
         return label if label in others else frame_label(label, self.names, self.link_names)
 
@@ -468,8 +466,8 @@ class SerialRobot(Declaration):
         """Reads a robot file and overrides its fields.
 
         Args:
-            model: a shipped robot's name (`lwr`), a folder with a `robot.toml`, or a file: TOML,
-                or what an importer takes.
+            model: a shipped robot's name (`lwr`), a folder with a `robot.toml`, or a file: TOML, or
+                any format with an importer.
             **overrides: any field of this class.
 
         Raises:
@@ -489,9 +487,9 @@ class SerialRobot(Declaration):
     ) -> SerialRobot:
         """Reads a URDF file, or xacro if the package `xacro` is installed.
 
-        A chain gets a Denavit-Hartenberg table that has its frames, where there is one, anything
-        else `joint_frames`. Links that are fixed to each other are one. What was lost (meshes that
-        are not found, say) is told as warnings by `logging`.
+        A chain gets a Denavit-Hartenberg table with the same frames, if there is one, anything else
+        `joint_frames`. Links that are fixed to each other are merged. Losses (such as missing
+        meshes) are logged as warnings.
 
         Args:
             path: of the file.
@@ -539,7 +537,7 @@ class SerialRobot(Declaration):
 
     @property
     def dh(self) -> DhTable | None:
-        """Its Denavit-Hartenberg table; None where its joints have frames of their own."""
+        """Its Denavit-Hartenberg table; None if its joints have individual frames."""
         table = self.kinematics
         return table if isinstance(table, DhTable) else None
 
@@ -554,7 +552,7 @@ class SerialRobot(Declaration):
 
     @property
     def carriers(self) -> Ints | None:
-        """Index of the frame that carries each joint, (n,), 0 for the base; None for a chain."""
+        """Index of each joint's parent frame, (n,), 0 for the base; None for a chain."""
         if self.parents is None:
             return None
         index = {BASE: 0, **{name: i + 1 for i, name in enumerate(self.names)}}
@@ -577,7 +575,7 @@ class SerialRobot(Declaration):
 
     @property
     def is_foreign(self) -> bool:
-        """Whether it comes from URDF or MJCF, where bases are anywhere in a robot."""
+        """Whether it is from URDF or MJCF, where the base can be anywhere in a robot."""
         return self.mjcf is not None or (
             self._model is not None and self._model.suffix in paths.robot_endings()
         )
@@ -595,7 +593,7 @@ class SerialRobot(Declaration):
 
     @property
     def mesh_scales(self) -> Array:
-        """M per unit of the mesh files, (3,), along x, y and z; negative where it is mirrored."""
+        """M per unit of the mesh files, (3,), along x, y and z; negative where mirrored."""
         return self.mesh_scale * (MIRROR.diagonal()[:3] if self.mirrored else np.ones(3))
 
     @property
@@ -626,14 +624,14 @@ class SerialRobot(Declaration):
 
     @property
     def torque_bounds(self) -> Array:
-        """`torque_limits` (n,), Nm or N; infinite where there are none."""
+        """`torque_limits` (n,), Nm or N; infinite for joints without a limit."""
         return np.full(self.n, np.inf) if self.torque_limits is None else self.torque_limits
 
     @property
     def arrow_radii(self) -> Array:
         """Radius of every joint's arrow (n,), m: as declared, else clear of generated shapes.
 
-        With `fit_arrows` the compiled scene has others.
+        With `fit_arrows` the compiled scene has different ones.
         """
         if self.has_geometry or "arrow_radius" in self.model_fields_set:
             return np.full(self.n, self.arrow_radius)
@@ -673,8 +671,8 @@ class SerialRobot(Declaration):
     def reach(self) -> float:
         """Maximum distance of the flange from the base, m, with all links in one line.
 
-        Prismatic joints count with their `position_limits`, without these as not extended. Of a
-        robot that branches it is that of the farthest link.
+        Prismatic joints are extended to their `position_limits`, without limits not at all. For a
+        branching robot it is that of the farthest link.
         """
         limits = np.zeros((self.n, 2)) if self.position_limits is None else self.position_limits
         tree, ends = self.kinematics, np.where(np.isfinite(limits), limits, 0.0).T
@@ -687,7 +685,7 @@ class SerialRobot(Declaration):
         """`offsets_to_center_of_joints` (n, 3): as declared, else at the generated housings.
 
         These are at the origins of Craig's frames. A standard frame is at the other end of the
-        row's d, often a whole pedestal away from the joint. Of a mirrored robot they are in the
+        row's d, often a whole pedestal away from the joint. For a mirrored robot they are in the
         frames whose z is the axis about which its joints turn.
         """
         offsets = np.zeros((self.n, 3))
@@ -702,14 +700,14 @@ class SerialRobot(Declaration):
 
     @property
     def home(self) -> Array:
-        """Initial joint angles (n,), rad or m: as declared, else zeros where joints are free."""
+        """Initial joint angles (n,), rad or m: as declared, else zero within the limits."""
         if self.joint_angles is not None:
             return self.joint_angles
         return self.coupled.positions(np.zeros(self.coupled.k))
 
     @property
     def coupled(self) -> CoupledJoints:
-        """Which joints follow which."""
+        """The couplings between joints."""
         return coupled_joints(self.names, self.couplings)
 
     def fwd_kin_base_to_flange(self, joint_angles: Any | None = None) -> Array:
@@ -726,7 +724,7 @@ class SerialRobot(Declaration):
 
 
 def _count(fields: Mapping[str, Any]) -> int | None:
-    """The number of joints; None where the table or the frames that say it are invalid."""
+    """The number of joints; None if the table or the frames are invalid."""
     rows = fields.get("joint_frames")
     if rows is None:
         rows = fields.get("dh_params")
@@ -734,7 +732,7 @@ def _count(fields: Mapping[str, Any]) -> int | None:
 
 
 def _each(fields: Mapping[str, Any]) -> str:
-    """What there is one entry for."""
+    """What each entry belongs to, for messages."""
     by_frames = fields.get("joint_frames") is not None
     return "one per frame of joint_frames" if by_frames else "one per row of dh_params"
 
@@ -747,11 +745,11 @@ def _joint_names(fields: Mapping[str, Any]) -> list[str]:
 def _with_coupled(values: Array, info: ValidationInfo) -> Array:
     """Returns the angles of all joints, given these or those of the independent ones.
 
-    Other values of the independent joints alone stay as they are: nothing is known of the others.
+    Other quantities of the independent joints are kept: those of coupled joints are unknown.
 
     Raises:
-        ValueError: a coupled joint is given, and elsewhere than its coupling has it; or values are
-            neither as many as the joints nor as many as the independent ones.
+        ValueError: the value of a coupled joint contradicts its coupling; or the number of values
+            is neither that of the joints nor of the independent ones.
     """
     names = _joint_names(info.data)
     coupled = coupled_joints(names, info.data["couplings"])
@@ -764,7 +762,7 @@ def _with_coupled(values: Array, info: ValidationInfo) -> Array:
         return coupled.positions(values)
     right = coupled.positions(values[coupled.independent])
     for name, found, expected in zip(names, values, right, strict=True):
-        if abs(found - expected) > _COUPLED_WITHIN:
+        if abs(found - expected) > _COUPLING_TOLERANCE:
             raise ValueError(
                 f"found {found:g} for {name}; its coupling has it at {expected:g}: leave it out"
             )
@@ -772,7 +770,7 @@ def _with_coupled(values: Array, info: ValidationInfo) -> Array:
 
 
 def _shortened(names: Sequence[str]) -> str:
-    """Names with commas, of many the first and the last ones."""
+    """Names separated by commas; of many only the first and the last."""
     if len(names) <= _NAMES_IN_REPR:
         return ", ".join(names)
     half = _NAMES_IN_REPR // 2
@@ -788,8 +786,8 @@ def build_robot(
     """Builds a robot from its fields, which override those of a robot file if one is given.
 
     Args:
-        fields: fields of `SerialRobot` that override the file's; entries of `dynamics`
-            and `torque_control` one by one.
+        fields: fields of `SerialRobot` that override the file's; single entries of `dynamics` and
+            `torque_control`.
         model: the robot file; its `directory` is relative to its folder.
         packages: folders of ROS packages by name, for URDF.
         arguments: of xacro by name.
@@ -806,7 +804,7 @@ def build_robot(
     if isinstance(below.setdefault("directory", ""), str):
         below["directory"] = str(model.parent / below["directory"])
     set_directory(below.get("children"), model.parent)
-    for key in (*IN_DEGREES.values(), "dh_params"):  # in the other unit
+    for key in (*IN_DEGREES.values(), "dh_params"):  # given in the other unit
         if key in fields or f"{key}_deg" in fields:
             below.pop(key, None)
             below.pop(f"{key}_deg", None)

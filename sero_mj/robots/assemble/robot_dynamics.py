@@ -35,12 +35,12 @@ _VISCOUS = 0.008
 _FIRST_MODE = 10.0  # Hz, motor against held link
 _DAMPING_RATIO = 0.03  # of that mode
 _STEEL = 7800.0  # kg/m3; no link is denser
-# Meshes this much thinner than they are long have no hull; these have one of a sheet of 1 mm.
-_FLAT, _THICKNESS = 1e-5, 0.5e-3  # and half of that, m
+# Meshes thinner than this share of their length have no hull; a sheet of 1 mm replaces them.
+_FLATNESS, _THICKNESS = 1e-5, 0.5e-3  # and half of that, m
 # Lower bound: MuJoCo refuses bodies of smaller mass.
-_LEAST_MASS = 1e-6  # kg
-# A link without a mass, which MuJoCo refuses as well, has this share of its robot's mass, and this
-# radius of gyration in m; and the least of both that MuJoCo takes, in kg and kg m2.
+_MIN_MASS = 1e-6  # kg
+# A massless link, which MuJoCo also refuses, gets this share of its robot's mass, and this radius
+# of gyration in m; and MuJoCo's minimum of both, in kg and kg m2.
 _BARE_SHARE, _BARE_RADIUS, _LEAST = 1e-9, 0.01, 2e-15
 
 
@@ -125,7 +125,7 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
 
 
 def about_masses(robot: SerialRobot, dynamics: RobotDynamics) -> str:
-    """Returns what a robot weighs, and what of that is not declared."""
+    """Returns a text with a robot's mass, and its undeclared parameters."""
     text = f"{dynamics.masses.sum():.4g} kg"
     declared = robot.dynamics.masses
     if declared is None or "masses" in dynamics.estimated:
@@ -147,7 +147,7 @@ def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:
 
 
 def declared_inertia(robot: SerialRobot) -> LinkInertia | None:
-    """Returns what base and links of a robot are declared to weigh; None if they are not."""
+    """Returns the declared inertias of base and links; None without declared masses."""
     if robot.mirrored:
         links = declared_inertia(robot.model_copy(update={"mirrored": False}))
         S = MIRROR[:3, :3]
@@ -194,7 +194,7 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
     owners: list[int] = []
     problems: list[Problem] = []
     places: list[Array] = []
-    # Without hulls MuJoCo keeps vertices in another frame, whose rounding would change every run.
+    # Without hulls MuJoCo stores vertices in another frame, whose rounding would change every run.
     for i, geoms in enumerate(drawn_geoms(root, robot, problems, hull="unless flat")):
         for geom in (geom for geom in geoms if geom["type"] == MESH):
             root.worldbody.add_geom(type=MESH, meshname=geom["meshname"], contype=0, conaffinity=0)
@@ -216,11 +216,11 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
 
 
 def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInertia:
-    """Estimates inertias from the declared density and the hulls and shapes that are drawn."""
+    """Estimates inertias from the declared density and the visual hulls and shapes."""
     density = min(robot.dynamics.density, _STEEL)
     root = mujoco.MjSpec()
-    root.compiler.boundmass, root.compiler.boundinertia = _LEAST_MASS, 1e-12
-    # How far a slide may travel, and so how long its rod is drawn, says nothing of what it weighs.
+    root.compiler.boundmass, root.compiler.boundinertia = _MIN_MASS, 1e-12
+    # The stroke of a slide, and so the drawn length of its rod, does not affect its mass.
     robot = robot.model_copy(update={"position_limits": None})
     drawn = drawn_geoms(mujoco.MjSpec(), robot, [])
     others = generated(robot)  # for links without geometry
@@ -251,13 +251,13 @@ def _corners(model: mujoco.MjModel, mesh: int) -> Array:
 
 
 def _hull(cloud: Array) -> Array:
-    """Returns the vertices (k, 3) of the convex hull of points (m, 3); they cannot be changed.
+    """Returns the vertices (k, 3) of the convex hull of points (m, 3), read-only.
 
-    Points in a plane are those of a sheet of a millimetre.
+    Coplanar points become a sheet of a millimetre.
     """
     middle = cloud.mean(axis=0)
     extents, axes = np.linalg.eigh((cloud - middle).T @ (cloud - middle) / len(cloud))
-    thin = extents < _FLAT**2 * max(extents[2], 1e-12)
+    thin = extents < _FLATNESS**2 * max(extents[2], 1e-12)
     if thin.any():
         away = _THICKNESS * axes.T[thin].sum(axis=0)
         cloud = np.concatenate([cloud - away, cloud + away])

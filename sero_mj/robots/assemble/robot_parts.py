@@ -27,7 +27,7 @@ BILLBOARD_VALUES = (
     "billboard_values",
 )
 MAX_JOINTS = 128
-_MOST_CHILDREN = 2000  # as many as a scene may have objects
+_MAX_CHILDREN = 2000  # as many as a scene may have objects
 # Fields that can be given in degrees instead.
 IN_DEGREES = {
     "position_limits_deg": "position_limits",
@@ -55,7 +55,7 @@ PER_JOINT = (
 
 
 class Posed(Declaration):
-    """What is declared with a pose in rad and m, or in degrees; see `Double` and `Group`."""
+    """A declaration with a pose in rad and m, or in degrees; see `Double` and `Group`."""
 
     joint_angles: Vector | None = None
     joint_angles_deg: Vector | None = None
@@ -71,10 +71,10 @@ class Posed(Declaration):
         return self
 
     def check_degrees(self, types: Mapping[str, Sequence[str]]) -> list[Problem]:
-        """Returns what is wrong with a pose in degrees: prismatic joints.
+        """Returns errors of a pose in degrees: prismatic joints.
 
         Args:
-            types: of the joints of the robots that it is for, by robot.
+            types: of the joints of its robots, by robot.
         """
         sliding = [name for name, of_joints in types.items() if "prismatic" in of_joints]
         if "joint_angles_deg" not in self.model_fields_set or not sliding:
@@ -97,7 +97,7 @@ def _differ(names: list[str]) -> list[str]:
 
 
 def _tree_frames(value: Any) -> Any:
-    """Reads frames as files have them, (n, 4, 4)."""
+    """Parses frames as given in files, (n, 4, 4)."""
     if value is None:
         return None
     if not isinstance(value, list | tuple | np.ndarray):
@@ -114,7 +114,7 @@ def _tree_frames(value: Any) -> Any:
 
 
 def _limits_of_shape(*shape: int | None) -> BeforeValidator:
-    """As `of_shape`, where `inf` is no limit."""
+    """As `of_shape`, with `inf` for no limit."""
     shaped: Any = of_shape(*shape).func
 
     def validate(value: Any) -> Any:
@@ -170,7 +170,7 @@ TreeFrames = Annotated[
     BeforeValidator(_tree_frames, json_schema_input_type=list[list[Any] | dict[str, Any]] | None),
 ]
 Children = Annotated[
-    list[Object], Field(max_length=_MOST_CHILDREN), AfterValidator(_children_differ)
+    list[Object], Field(max_length=_MAX_CHILDREN), AfterValidator(_children_differ)
 ]
 
 
@@ -188,7 +188,7 @@ class LinkGeometry(Declaration):
 
     Attributes:
         file: mesh, relative to the robot's `directory`.
-        shape: a primitive instead; `generated` for the shapes that a link without any file gets.
+        shape: a primitive instead; `generated` for the generated shapes of a link without files.
         size: of that, full lengths and radii in m, see `SHAPE_SIZES`.
         color: one of the robot's `colors`.
         frame: T_link_geometry, in the frame of the link.
@@ -237,17 +237,17 @@ class BillboardLine(Declaration):
 
 
 def frame_labels(n: int) -> list[str]:
-    """Returns what the frames of a robot with n joints are called: base, links, flange."""
+    """Returns the names of the frames of a robot with n joints: base, links, flange."""
     return ["base", *(f"link{i + 1}" for i in range(n)), "flange"]
 
 
 def frame_label(label: str, joints: Sequence[str], links: Sequence[str] | None) -> str:
-    """Returns what a frame of a robot is called here, if that is how its own file calls it.
+    """Translates the name of a frame in a robot's own file to ours.
 
     Args:
-        label: the name of a joint or a link; any other is returned as it is.
-        joints: names, n; each stands for the link that it moves.
-        links: names of the base and the links, n + 1; None where they have none.
+        label: the name of a joint or a link; any other is returned unchanged.
+        joints: names, n; each refers to the link that it moves.
+        links: names of the base and the links, n + 1; None without names.
     """
     labels = frame_labels(len(joints))
     if label in labels:
@@ -314,7 +314,7 @@ def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None
 
 
 def dh_rows(rows: Array, in_degrees: Array | None, columns: list[str]) -> Array:
-    """Returns the rows (n, 4) of a DH table in rad, converted from degrees where these are given.
+    """Returns the rows (n, 4) of a DH table in rad, converted from degrees if given in these.
 
     Raises:
         ValueError: angles that are implausible in rad, or a wrong number of rows.

@@ -43,8 +43,8 @@ _WITH_FRAMES = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
 NOT = "not"
 JOINING = ("and", "or", NOT)  # words between comparisons
 FUNCTIONS = ("abs", "min", "max", "norm", "any", "all")
-_LONGEST_ORIGIN = 100_000  # characters of the text of a route; each may become a word of it
-_FOR, _BETWEEN = " for ", ";"  # of origins that are for some joints only
+_MAX_ORIGIN = 100_000  # characters of a route's text; each may become a token
+_FOR, _BETWEEN = " for ", ";"  # in origins for some joints only
 _OF_JOINTS = ("from", "joints")
 # Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
 _TOKENS = re.compile(
@@ -64,7 +64,7 @@ class SceneToggles(Declaration):
     Attributes:
         legend: whether the legend of the arrows is shown.
         status: whether faults of the sources are shown.
-        frame_names: whether all axes that are shown show their names.
+        frame_names: whether all visible axes show their names.
         flange_checks: whether received flange frames are compared with the robots' own.
     """
 
@@ -79,21 +79,21 @@ class Scene:
 
     Args:
         robots: by name.
-        groups: ordered groups of robots, which routes and switches serve together.
+        groups: ordered groups of robots, which share routes and switches.
         sources: by name; a table with `kind` and its fields, or a source object.
         routes: origin by input (`lwr.joint_angles`): an event (`udp.values0`), an expression
             (`udp.values0[0:7] * deg`), or numbers; stored as text. For some of the joints
             `{"from": "udp.values0", "joints": ["l_elbow", "l_wrist"]}`, a list of these, or one
             limb in the key, `icub.left_arm.joint_angles`.
-        doubles: transparent doubles of the robots; one of a group becomes one of each of its
-            robots, `DOUBLE_ROBOT`.
+        doubles: transparent doubles of the robots; a double of a group becomes one per robot,
+            `DOUBLE_ROBOT`.
         arrows: Cartesian vectors, shown by smart arrows.
         frames: received frames.
         objects: fixed objects.
         cameras: by name.
         lights: by name; one that casts shadows when empty, in addition to a headlight.
-        floor: whether there is a floor, at z = 0; `below`: it is as low as the robots reach where
-            they are declared, if that is lower. When None it is `below` with a robot from URDF or
+        floor: whether there is a floor, at z = 0; `below`: at the lowest point of the robots in
+            their declared pose, if that is lower. When None it is `below` with a robot from URDF or
             MJCF, whose base may be its trunk, else at 0.
         view: the default view.
         toggles: initial toggles of the whole scene.
@@ -102,10 +102,10 @@ class Scene:
         name: shown in titles and messages.
         file: the file it was read from.
         broken: sections (`robots`) and entries (`robots.lwr`) of the file that are invalid.
-        lines: of the file by dotted key, where it is no TOML.
+        lines: of the file by dotted key, if it is not TOML.
 
     Raises:
-        DeclarationError: two robots have one name, or a route is neither text nor numbers.
+        DeclarationError: two robots have the same name, or a route is neither text nor numbers.
     """
 
     def __init__(
@@ -211,7 +211,7 @@ class Scene:
         return robot
 
     def _with_defaults(self, robot: SerialRobot) -> SerialRobot:
-        """Returns the robot with the defaults of its groups for what it does not set itself."""
+        """Returns the robot with the defaults of its groups for fields it does not set."""
         own = set(robot.model_fields_set)
         for name in self.membership.around.get(robot.name, []):  # inner ones first
             for key, value in self.groups[name].defaults.items():
@@ -224,7 +224,7 @@ class Scene:
         return robot
 
     def _share_out(self, group: Group) -> None:
-        """Gives the robots of a group their shares of what is declared of it per joint."""
+        """Distributes the per-joint values declared for a group to its robots."""
         robots = [self.robots[name] for name in self.membership.members[group.name]]
         place = f"groups.{group.name}"
         self._group_problems += [
@@ -262,7 +262,7 @@ class Scene:
             shares[key] = [None] * len(known) if fitting is None else fitting
             if fitting is not None:
                 continue
-            if len(known) == len(robots):  # else robots are wrong, which is reported elsewhere
+            if len(known) == len(robots):  # else robots are invalid, which is reported elsewhere
                 message = _not_their_sum(value.shape[-1], known)
                 self._group_problems.append(Problem(f"doubles.{double.name}.{key}", message))
         names = [f"{double.name}_{robot.name}" for robot in known]
@@ -272,16 +272,16 @@ class Scene:
         self.double_groups[double.name] = names
 
     def members(self, name: str) -> list[str] | None:
-        """Returns the robots of a group, or the doubles of one of its doubles; None if it is none.
+        """Returns the robots of a group, or the doubles of its double; None for other names.
 
-        Members that are declared wrongly, or missing, are among them.
+        Invalid and missing members are included.
         """
         return self.membership.members.get(name, self.double_groups.get(name))
 
     def routed(self, target: str) -> str | None:
-        """Returns the origin of the route to an input, or to that of its group; None for none.
+        """Returns the origin of the route to an input or its group's input; None for none.
 
-        Where routes lead to its limbs it is a list of their origins.
+        If routes lead to its limbs, it is a list of their origins.
         """
         name, _, key = target.partition(".")
         doubled = [group for group, names in self.double_groups.items() if name in names]
@@ -322,7 +322,7 @@ class Scene:
         return found
 
     def files(self) -> list[Path]:
-        """Returns the files that it is declared in, absolute: its own, and those of its models."""
+        """Returns the absolute paths of its files: its own, and those of its models."""
         models = [robot._model for robot in self.robots.values()]
         tables = [file for robot in self.robots.values() for file, _ in robot._declared]
         tables += [file for group in self.groups.values() for file, _ in group._declared]
@@ -341,7 +341,7 @@ class Scene:
         return name if robot is None or not label else f"{owner}/{robot.frame_label(label)}"
 
     def _by_links(self, entry: _Entry) -> _Entry:
-        """Returns an arrow or received frame that names links where it names joints."""
+        """Returns an arrow or received frame with names of joints replaced by links."""
         update = {
             key: self.frame_name(value)
             for key in ("at", "expressed_in", "relative_to")
@@ -415,7 +415,7 @@ class Scene:
         ]
 
     def _which_frame(self, name: str, frames: Mapping[str, NamedFrame]) -> str:
-        """Says which frame may be meant: of a joint that of its link, else the nearest name."""
+        """Suggests a frame: for a joint that of its link, else the nearest name."""
         owner, _, label = name.partition("/")
         robot = self.robots.get(owner)
         if robot is None:
@@ -433,7 +433,7 @@ class Scene:
         return bool({*sections, *(f"{section}.{name}" for section in sections)} & self.broken)
 
     def _double_problems(self) -> list[Problem]:
-        """Returns doubles of robots that do not exist or have another number of joints."""
+        """Returns doubles of unknown robots or with a wrong number of joints."""
         problems: list[Problem] = []
         of_group = {each: name for name, names in self.double_groups.items() for each in names}
         for name, double in self.doubles.items():
@@ -473,7 +473,7 @@ class Scene:
 
     @property
     def argument(self) -> str:
-        """What commands call it, or its only robot: a name, where it is shipped, or a file."""
+        """Its argument for commands, or that of its only robot: a shipped name, or a file."""
         file = self.file
         if file is None:
             files = [robot._model for robot in self.robots.values()]
@@ -514,7 +514,7 @@ class Scene:
 def _shares(value: Array, robots: Sequence[SerialRobot]) -> list[Array] | None:
     """Returns the shares of robots in values (..., n) of all joints, or of the independent ones.
 
-    None where there are as many values of neither.
+    None if the number of values fits neither.
     """
     for counts in ([robot.n for robot in robots], [robot.coupled.k for robot in robots]):
         if sum(counts) == value.shape[-1]:
@@ -523,7 +523,7 @@ def _shares(value: Array, robots: Sequence[SerialRobot]) -> list[Array] | None:
 
 
 def _not_their_sum(found: int, robots: Sequence[SerialRobot]) -> str:
-    """Returns what is wrong with so many values for robots together."""
+    """Returns the error message for a wrong number of values for several robots."""
     total, free = sum(robot.n for robot in robots), sum(robot.coupled.k for robot in robots)
     each = ", ".join(f"{robot.name} {robot.n}" for robot in robots)
     fewer = f", or {free} without the coupled joints" if free < total else ""
@@ -537,7 +537,7 @@ def _floor_problems(floor: Any) -> list[Problem]:
 
 
 def excess(sections: Mapping[str, Any]) -> list[Problem]:
-    """Returns sections with more entries than a scene may have, of any tables of a file."""
+    """Returns sections of a file's tables with more entries than a scene may have."""
     return [
         Problem(key, f"found {len(entries)}; expected at most {most}")
         for key, most in MOST_ENTRIES.items()
@@ -550,12 +550,12 @@ def _not_of_type(
     many: type[Sequence[Any]] | type[Mapping[str, Any]] | None = Sequence,
     **fields: Any,
 ) -> list[Problem]:
-    """Returns the problems of fields that do not have their type.
+    """Returns the problems of fields of a wrong type.
 
     Args:
         kind: of a field, or of its entries.
         many: `Sequence` or `Mapping` of them; None for one.
-        **fields: values by key; None where there is none.
+        **fields: values by key; None for a missing one.
     """
 
     def is_right(value: Any) -> bool:
@@ -577,7 +577,7 @@ def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
     """Returns the routes with every origin as text.
 
     Raises:
-        DeclarationError: origins that are neither text nor numbers nor tables of joints.
+        DeclarationError: an origin is neither text nor numbers nor a table of joints.
     """
     texts, problems = {}, []
     for target, origin in routes.items():
@@ -624,11 +624,11 @@ def names_in(origin: str) -> list[str]:
 def origin_text(origin: Any) -> str:
     """Returns an origin as text; numbers and (nested) lists of numbers are constants.
 
-    One that is for some joints only is `udp.values0 for l_elbow, l_wrist`, and several of these
-    stand one after the other with semicolons; `parts_of_origin` takes them apart.
+    One for some joints only is written `udp.values0 for l_elbow, l_wrist`, and several are
+    separated by semicolons; `parts_of_origin` splits them.
 
     Raises:
-        ValueError: the origin is none of what `Scene` lists.
+        ValueError: the origin is none of the types listed in `Scene`.
     """
     if isinstance(origin, Mapping):
         text = _text_for_joints(origin)
@@ -636,8 +636,8 @@ def origin_text(origin: Any) -> str:
         text = f"{_BETWEEN} ".join(_text_for_joints(entry) for entry in origin)
     else:
         text = _plain_text(origin)
-    if len(text) > _LONGEST_ORIGIN:
-        raise ValueError(f"found {len(text)} characters; expected at most {_LONGEST_ORIGIN}")
+    if len(text) > _MAX_ORIGIN:
+        raise ValueError(f"found {len(text)} characters; expected at most {_MAX_ORIGIN}")
     return text
 
 
@@ -658,7 +658,7 @@ def _plain_text(origin: Any) -> str:
 
 
 def _text_for_joints(table: Any) -> str:
-    """Returns an origin that is for some joints as text, see `origin_text`."""
+    """Returns an origin for some joints as text, see `origin_text`."""
     example = '{ from = "udp.values0", joints = ["A1", "A2"] }'
     if not isinstance(table, Mapping) or not table.keys() & {*_OF_JOINTS}:
         if not isinstance(table, Mapping):
@@ -678,9 +678,9 @@ def _text_for_joints(table: Any) -> str:
 
 
 def parts_of_origin(text: str) -> list[tuple[str, list[str] | None]]:
-    """Returns the parts of an origin's text: each origin, and the joints that it is for.
+    """Returns the parts of an origin's text: each origin, and its joints.
 
-    These are None for an origin of all joints.
+    The joints are None for an origin of all joints.
     """
     if _FOR not in text:
         return [(text, None)]

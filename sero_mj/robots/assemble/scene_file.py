@@ -1,4 +1,4 @@
-"""Reads a scene file and reports all of its problems at once."""
+"""Reads a scene file and reports all of its problems together."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from .surroundings import Camera, Light, Object, View, set_directory
 
 T = TypeVar("T")
 log = logging.getLogger(__name__)
-# Sections of tables by name; where several have the same name, the last one is meant by it alone.
+# Sections of tables by name; an ambiguous name refers to the last section that has it.
 _ENTRIES = ("sources", "lights", "cameras", "objects", "frames", "arrows", "doubles", "robots")
 _TABLES: Mapping[str, Callable[..., Any]] = {"view": View, "toggles": SceneToggles}
 _PLAIN = ("floor", "name", "description", "note")
-_OF_MODEL = ("model", "mount", "base_frame", "mirrored")  # keys of a group with a model alone
-_DEGREES = "_deg"  # how keys end that are in degrees
+_OF_MODEL = ("model", "mount", "base_frame", "mirrored")  # keys only of groups with a model
+_DEGREES = "_deg"  # suffix of keys in degrees
 _OF_DYNAMICS = (
     "motor_inertias", "viscous_friction", "coulomb_friction", "joint_stiffness", "joint_damping",
 )  # fmt: skip
@@ -57,11 +57,11 @@ def read_scene_file(
         known: names of other sections of such files, suggested when one is mistyped.
 
     Returns:
-        the scene without its invalid parts, and all problems. Sources and routes are not checked
-        here but in `sero_mj.data.drive`.
+        the scene without its invalid parts, and all problems. Sources and routes are checked in
+        `sero_mj.data.drive`.
 
     Raises:
-        DeclarationError: the file cannot be read at all.
+        DeclarationError: the file cannot be read.
     """
     described = _described(path) if tables is None else ImportedTables(tables)
     _refuse_excess(excess(described.tables), path, described)
@@ -70,19 +70,19 @@ def read_scene_file(
     _refuse_excess(excess(expanded), path, described)
     reader.lines = described.lines or None
     scene = reader.scene()
-    # What is wrong with the mount of a group is so for all of its robots.
+    # An error in the mount of a group concerns all of its robots.
     return scene, list(dict.fromkeys(scene.located(reader.problems)))
 
 
 def _refuse_excess(problems: Sequence[Problem], path: Path, described: ImportedTables) -> None:
-    """Raises DeclarationError for sections that would take long to build, before they are."""
+    """Raises DeclarationError for sections that would take too long, before building them."""
     if problems:
         lines = described.lines or key_lines(path)
         raise DeclarationError([located(problem, path, lines) for problem in problems])
 
 
 def _described(path: Path) -> ImportedTables:
-    """The tables of a file, whatever its format; what is not in them is logged."""
+    """The tables of a file in any format; losses are logged."""
     importer = find_importer(path)
     if importer is None:
         return ImportedTables(read_toml(path))
@@ -95,7 +95,7 @@ def _described(path: Path) -> ImportedTables:
 def group_from_model(
     model: str, name: str | None = None, **fields: Any
 ) -> tuple[list[SerialRobot], list[Group]]:
-    """Reads a model that is a group, as `[groups.NAME]` with `model` does in a scene.
+    """Reads the model of a group, like `[groups.NAME]` with `model` in a scene.
 
     Args:
         model: a shipped group's name (`dlr_hand2`), a folder with a `group.toml`, or a file.
@@ -108,7 +108,7 @@ def group_from_model(
 
     Raises:
         UnknownName: there is no such model.
-        DeclarationError: what is wrong in the files or the fields.
+        DeclarationError: all errors in the files or the fields.
     """
     path = paths.find_group_model(model)
     entry = {"model": path, **fields}
@@ -120,7 +120,7 @@ def group_from_model(
 
 
 class _Reader:
-    """Reads the sections of one file, with values over it, and collects their problems."""
+    """Reads the sections of one file with overrides, and collects their problems."""
 
     def __init__(
         self,
@@ -131,13 +131,13 @@ class _Reader:
     ) -> None:
         self.path, self.known = path, known
         self.tables = dict(tables)
-        self.lines: dict[str, int] | None = None  # of the keys, where the file is no TOML
+        self.lines: dict[str, int] | None = None  # of the keys, if the file is not TOML
         self.problems: list[Problem] = []
         self.broken: list[str] = []
         self._settings: dict[str, list[tuple[str, Any]]] = {}  # key and value, by entry
         self._set_for: dict[tuple[str, str], str] = {}  # the group that a robot's key was set for
         self._made: list[str] = []  # entries that are not in the file
-        self._of_groups: dict[str, dict[str, str]] = {}  # what is wrong with keys: message, robot
+        self._of_groups: dict[str, dict[str, str]] = {}  # errors by key: message, robot
         self.expanded = Expanded()
         others = self._override_groups(overrides)
         if isinstance(self.tables.get("groups"), dict):
@@ -146,7 +146,7 @@ class _Reader:
             self._override(target, value)
 
     def _expand(self, groups: dict[str, Any]) -> None:
-        """Puts the robots of groups that have a model among those of the file."""
+        """Adds the robots of groups with a model to those of the file."""
         self.expanded = expanded = expand_groups(groups, self.path, MOST_ENTRIES)
         self.problems += expanded.problems
         self.broken += expanded.broken
@@ -182,7 +182,7 @@ class _Reader:
             if key not in sections:
                 self.wrong(key, f"unknown section{did_you_mean(key, [*sections, *self.known])}")
                 if (meant := nearest(key, sections)) is not None:
-                    self.broken.append(meant)  # references to its entries are not reported as well
+                    self.broken.append(meant)  # references to its entries are not reported again
         read = {}
         for key, reader in sections.items():
             if key in self.tables:
@@ -194,14 +194,14 @@ class _Reader:
         if not self.tables and not self.broken:
             self.wrong("", "is empty; expected at least [robots.NAME] or [objects.NAME]")
         scene = Scene(**fields)
-        for name, robot in scene.robots.items():  # what is set for it counts more than its group's
+        for name, robot in scene.robots.items():  # its own values override its group's
             for key, value in self._settings.get(f"robots.{name}", []):
                 field = key.partition("[")[0]
                 if field.removesuffix(_DEGREES) in SHARED:
-                    with suppress(ValueError):  # told where the robot was built
+                    with suppress(ValueError):  # reported when the robot was built
                         changed = with_value({}, parts_of(key), value, built=robot)
                         setattr(robot, field, changed[field])
-        for key, messages in self._of_groups.items():  # robots of a group may have several sizes
+        for key, messages in self._of_groups.items():  # robots of a group may differ in size
             texts = [f"{message} ({robot})" for message, robot in messages.items()]
             self.wrong(key, "; ".join([*messages] if len(messages) == 1 else texts[:3]))
         self.problems += scene.problems()
@@ -222,9 +222,9 @@ class _Reader:
         return list(groups.values())
 
     def _override_groups(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
-        """Sets what is of the tables of groups, before these become robots; returns the rest.
+        """Applies overrides of groups before their expansion; returns the others.
 
-        That is `groups.NAME.KEY`, and of a group with a model what only such a group has.
+        These are `groups.NAME.KEY`, and keys specific to groups with a model.
         """
         others = {}
         for target, value in overrides.items():
@@ -243,7 +243,7 @@ class _Reader:
         return others
 
     def _override(self, target: str, value: Any) -> None:
-        """Overrides a key of the file, or `NAME.KEY` of a robot, a group, an object, ... of it."""
+        """Overrides a key of the file, or `NAME.KEY` of its robots, groups, objects, ..."""
         first, _, rest = target.partition(".")
         tables = {section: self.tables.get(section, {}) for section in (*_ENTRIES, "routes")}
         entries = {
@@ -309,7 +309,7 @@ class _Reader:
         self._drop_routes(f"{group}.{field}")
 
     def _drop_routes(self, *targets: str) -> None:
-        """Removes the routes to inputs, also those to limbs of these."""
+        """Removes the routes to inputs and their limbs."""
 
         def whole(target: str) -> str:
             name, _, key = target.partition(".")
@@ -322,7 +322,7 @@ class _Reader:
             }
 
     def _members(self) -> dict[str, list[str]]:
-        """Returns the robots of every group whose table is right in that."""
+        """Returns the robots of every group with a valid list of them."""
         tables = self.tables.get("groups")
         lists = {
             group: table["robots"]
@@ -357,14 +357,14 @@ class _Reader:
         return None
 
     def _lacking(self, place: str, problems: Sequence[Problem]) -> str | None:
-        """What an entry lacks that is not in the file; see `lacking`."""
+        """What an entry that is not in the file lacks; see `lacking`."""
         keys = [f"{place}.{field}" for field, _ in self._settings[place]]
         section, _, name = place.partition(".")
         others = [each for each in self.tables[section] if f"{section}.{each}" not in self._made]
         return lacking(section, name, problems, keys, others)
 
     def _as_set(self, place: str, problem: Problem) -> Problem | None:
-        """Returns the problem by the key that was set, where a robot in a group has it so."""
+        """Returns a problem with the key that was set, if a robot has it from its group."""
         section, _, name = place.partition(".")
         if section != "robots":
             return None
@@ -412,7 +412,7 @@ class _Reader:
         settings = self._settings.get(place, [])
         built = below = None
         lists: dict[str, int] = {}
-        if settings:  # over what the file says; elements of lists may be in a robot's own file
+        if settings:  # they override the file; elements of lists may be in a robot's own file
             with suppress(DeclarationError):
                 built = build(name, table)
             if isinstance(built, SerialRobot):
@@ -496,7 +496,7 @@ class _Reader:
 
 
 def _arguments(table: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The arguments of xacro in a robot's table; None where it has none."""
+    """The arguments of xacro in a robot's table; None without any."""
     found = table.get("arguments")
     is_right = isinstance(found, dict) and all(
         isinstance(value, str | int | float) for value in found.values()
@@ -508,25 +508,25 @@ def _arguments(table: Mapping[str, Any]) -> dict[str, Any] | None:
 
 
 def _lists_of(robot: SerialRobot) -> dict[str, int]:
-    """Returns how many numbers a robot's lists have for which one number may be set."""
+    """Returns the lengths of a robot's lists that can be set by a single number."""
     limits = ("velocity_limits", "torque_limits", "acceleration_limits")
     values = dict.fromkeys(SHARED, robot.coupled.k)
     return values | dict.fromkeys((*limits, *_OF_DYNAMICS), robot.n)
 
 
 def _without_other_unit(table: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """Returns a table without what it says in the other unit of what is set as a whole."""
+    """Returns a table without the field in the other unit, if a field is set as a whole."""
     other = key.removesuffix(_DEGREES) if key.endswith(_DEGREES) else f"{key}{_DEGREES}"
     return {each: value for each, value in table.items() if each != other}
 
 
 def _named(kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
-    """Returns a builder for a declaration that has a field for its name, and checks it."""
+    """Returns a builder for a declaration with a name field, and checks the name."""
     return lambda name, table: kind(**{**table, "name": name})
 
 
 def _nameless(kind: Callable[..., T]) -> Callable[[str, dict[str, Any]], T]:
-    """Returns a builder for a declaration without a field for its name."""
+    """Returns a builder for a declaration without a name field."""
 
     def build(name: str, table: dict[str, Any]) -> T:
         _check_name(name)

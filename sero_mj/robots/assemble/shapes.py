@@ -1,7 +1,7 @@
 """Generates link shapes from the frames of joints, for robots without meshes.
 
 Every link gets a cylinder about the axis of a revolute joint, or the rod of a prismatic one, which
-slides through a box of the link before; and capsules along the offsets to the next joint. Sizes
+slides through a box on the previous link; and capsules along the offsets to the next joint. Sizes
 are in proportion to the reach and never zero.
 """
 
@@ -21,7 +21,7 @@ SHELL = (0.93, 0.93, 0.91, 1.0)
 JOINT = (0.36, 0.38, 0.41, 1.0)
 
 _RADIUS_OF_REACH = 0.05
-_SMALLEST_REACH = 0.05  # m; a table of zeros still shows its joints
+_SMALLEST_REACH = 0.05  # m; so that a table of zeros still shows its joints
 # Radius of the last link over that of the first, so that nested joints share no surface.
 _TAPER = 0.55
 _HALF_HOUSING = 1.25  # half the length of a housing, in its radii
@@ -65,10 +65,10 @@ def housing_radii(table: JointTree, flange_frame: Array, flange_link: int = -1) 
 
 
 def clear_radii(table: JointTree, flange_frame: Array, flange_link: int = -1) -> Array:
-    """Returns the radius at which a ring about every joint is outside of all housings, (n,), m.
+    """Returns the radius of rings about the joints that clear all housings, (n,), m.
 
-    Axes that meet (of a shoulder, a wrist) have housings in one place: the ring of each is
-    outside of the largest.
+    Intersecting axes (of a shoulder or a wrist) have coinciding housings: each ring clears the
+    largest.
 
     Args:
         table: n joints.
@@ -121,7 +121,7 @@ def generate_shapes(
 
 
 def _on_root(shapes: list[LinkShape], root: Array | None) -> list[LinkShape]:
-    """Returns shapes of frame 0 of a table, and what connects it to the base, in the base."""
+    """Returns shapes of frame 0 of a table, and their connection to the base, in the base frame."""
     if root is None:
         return shapes
     moved = [replace(s, ends=s.ends @ root[:3, :3].T + root[:3, 3]) for s in shapes]

@@ -1,4 +1,4 @@
-"""What is seen of a compiled model: which geoms, and what is hidden inside of them."""
+"""Visibility in a compiled model: which geoms are shown, and what they enclose."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ...base.frames import Array, Bools, Ints
 
 _SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
 _ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
-_MOST_CROSSINGS = 24  # of surfaces along a ray
-_NEAR = 2.5  # distance up to which faces of skins count, over the largest radius
+_MAX_CROSSINGS = 24  # of surfaces along a ray
+_SKIN_DISTANCE = 2.5  # maximum distance of faces of skins, over the largest radius
 _STEP = 1e-6  # beyond a surface, over the largest radius
 _ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
-_MORE = 100  # geoms that MuJoCo adds to those of a model
+_EXTRA_GEOMS = 100  # geoms that MuJoCo adds to those of a model
 
 
 def is_shown(model: mujoco.MjModel) -> Bools:
@@ -25,12 +25,12 @@ def is_shown(model: mujoco.MjModel) -> Bools:
 
 
 def geoms_of(model: mujoco.MjModel, bodies: Ints, trunk: Ints | None = None) -> Ints:
-    """Returns the shown geoms of bodies, or all if none is shown, (k,).
+    """Returns the visible geoms of bodies, or all if none is visible, (k,).
 
     Args:
         model: compiled.
         bodies: ids.
-        trunk: the world's geoms that count, those of a fused trunk.
+        trunk: the world's geoms of a fused trunk.
     """
     mine = np.isin(model.geom_bodyid, bodies) & (model.geom_bodyid > 0)
     if trunk is not None:
@@ -77,13 +77,13 @@ class Solids:
         side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         side /= np.linalg.norm(side)
         other = np.cross(axis, side)
-        skins = [_near(skin, centre, _NEAR * float(radii[-1])) for skin in self._skins]
+        skins = [_near(skin, centre, _SKIN_DISTANCE * float(radii[-1])) for skin in self._skins]
         starts = centre + np.array([[-height / 2], [0.0], [height / 2]]) * axis
         directions = np.cos(_ROUND)[:, None] * side + np.sin(_ROUND)[:, None] * other
         reach, count = float(radii[-1]), len(_ROUND) * len(starts)
-        spans: list[tuple[int, float, float]] = []  # ray, and from where to where it is inside
+        spans: list[tuple[int, float, float]] = []  # ray, and the interval in which it is inside
         for ray, (direction, start) in enumerate(product(directions, starts)):
-            entered: dict[int, float] = {}  # where the ray has last met each geom or skin
+            entered: dict[int, float] = {}  # where the ray last entered each geom or skin
             for what, at, is_exit in self._crossings(start, direction, reach, skins):
                 if is_exit:
                     spans.append((ray, entered.get(what, 0.0), at))
@@ -97,10 +97,10 @@ class Solids:
     def _crossings(
         self, start: Array, direction: Array, reach: float, skins: list[_Skin]
     ) -> Iterator[tuple[int, float, bool]]:
-        """Yields the surfaces along a ray: of which geom or skin, how far, whether it is left."""
+        """Yields the surfaces along a ray: geom or skin, distance, whether the ray leaves it."""
         geom, normal, step = self._geom, self._normal, _STEP * reach
         at = 0.0
-        for _ in range(_MOST_CROSSINGS):
+        for _ in range(_MAX_CROSSINGS):
             if at > reach:
                 break
             point = start + at * direction
@@ -113,7 +113,7 @@ class Solids:
             at += gap + step
         for i, (faces, vertices, normals) in enumerate(skins):
             at = 0.0
-            for _ in range(_MOST_CROSSINGS if len(faces) else 0):
+            for _ in range(_MAX_CROSSINGS if len(faces) else 0):
                 point = start + at * direction
                 gap = mujoco.mju_raySkin(
                     len(faces), len(vertices), faces, vertices, point, direction, geom
@@ -128,7 +128,7 @@ _Skin = tuple[Array, Array, Array]  # faces (f, 3), vertices (v, 3) and their no
 
 
 def _posed_skins(model: mujoco.MjModel, data: mujoco.MjData) -> list[_Skin]:
-    scene = mujoco.MjvScene(model, maxgeom=model.ngeom + _MORE)
+    scene = mujoco.MjvScene(model, maxgeom=model.ngeom + _EXTRA_GEOMS)
     option, camera = mujoco.MjvOption(), mujoco.MjvCamera()
     mujoco.mjv_updateScene(model, data, option, None, camera, _ALL, scene)
     skins = []
@@ -144,7 +144,7 @@ def _posed_skins(model: mujoco.MjModel, data: mujoco.MjData) -> list[_Skin]:
 
 
 def _near(skin: _Skin, centre: Array, reach: float) -> _Skin:
-    """Returns a skin with only those of its faces that are near a point."""
+    """Returns a skin reduced to its faces near a point."""
     faces, vertices, normals = skin
     corners = vertices[faces]
     near = corners.min(axis=1) <= centre + reach

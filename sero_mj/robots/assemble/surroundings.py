@@ -37,7 +37,7 @@ Look = Literal["light", "dark"]
 
 
 def _inside(file: str) -> str:
-    """Returns a file name after checking that it does not leave its folder."""
+    """Returns a file name after checking that it is inside its folder."""
     path = Path(file)
     if "\0" in file:
         raise ValueError(f"found {file!r}; expected a file's name")
@@ -63,7 +63,7 @@ MeshFile = Annotated[str, AfterValidator(_of_a_mesh)]
 
 
 def check_mjcf(mjcf: Any) -> Any:
-    """Returns a piece of MJCF after checking that it is one; raises ValueError."""
+    """Returns a piece of MJCF after checking its type; raises ValueError."""
     if mjcf is None or is_mjcf_object(mjcf):
         return mjcf
     if not isinstance(mjcf, str):
@@ -76,7 +76,7 @@ def check_mjcf(mjcf: Any) -> Any:
 
 
 def check_shape_size(shape: str, size: Array | None) -> None:
-    """Checks that a shape has the numbers that it needs; raises ValueError."""
+    """Checks that a shape has the required numbers; raises ValueError."""
     meaning = SHAPE_SIZES[shape]
     if size is None or len(size) != len(meaning.split(",")) or (size <= 0).any():
         found = "none" if size is None else size.tolist()
@@ -89,8 +89,8 @@ def check_shape_size(shape: str, size: Array | None) -> None:
 class Object(Declaration):
     """An object: a primitive shape, coordinate axes, a mesh, a piece of MJCF, or a URDF.
 
-    It stands where it is declared, or on its flange; an object of a scene that has a mass is free
-    in simulation: it falls, is pushed and is held by what touches it.
+    It is fixed at its declared frame or to a flange; an object of a scene with a mass moves freely
+    in simulation: it falls, and can be pushed and held.
 
     Attributes:
         name: unique in its scene or robot.
@@ -101,13 +101,12 @@ class Object(Declaration):
         mjcf: MJCF file relative to `directory`, MJCF text that starts with `<mujoco`, or in
             Python an object that contains MJCF: a `mujoco.MjSpec`, a PyMJCF
             `mjcf.RootElement`, a dm_control composer entity.
-        urdf: URDF file without joints relative to `directory`: a table, a tool; it stays where it
-            is declared.
+        urdf: URDF file without joints relative to `directory`: a table, a tool; it is fixed.
         frame: pose in the world, or in the frame of a robot's link that a child is fixed to.
         on: of a robot's child, the frame that it is fixed to: `base`, `link1`, ..., `flange`.
         rgba: colour; an MJCF piece has its own.
-        mass: kg, of a solid of one density; a robot's child without one has water's density.
-        friction: coefficient of friction with all that it touches in simulation; 0.3 when None.
+        mass: kg, of a solid of uniform density; a robot's child without a mass has water's density.
+        friction: coefficient of friction of all its contacts in simulation; 0.3 when None.
         directory: base folder of the files, set by the reader of the declaration.
     """
 
@@ -147,7 +146,7 @@ class Object(Declaration):
         return self
 
     def _check_solid(self) -> None:
-        """Refuses a mass and a friction of what has none, or its own."""
+        """Refuses mass and friction for objects that have none or bring their own."""
         for key in ("mass", "friction"):
             if getattr(self, key) is None or self.shape not in (None, "axes") or self.mesh:
                 continue
@@ -248,7 +247,7 @@ class Palette:
 
 
 PALETTES = {
-    # Chosen with the key light so that a floor seen from above is just below white.
+    # Chosen together with the key light so that a floor seen from above is just below white.
     "light": Palette(
         sky=((0.97, 0.98, 0.99), (0.70, 0.76, 0.82)),
         tiles=((0.83, 0.85, 0.87), (0.86, 0.88, 0.90), (0.78, 0.80, 0.83)),
@@ -274,7 +273,7 @@ class Light(Declaration):
         direction: in which the light shines; of any length.
         diffuse: red, green, blue, 0 to 1.
         directional: parallel rays, as from the sun.
-        cast_shadow: whether objects cast shadows in it.
+        cast_shadow: whether objects cast shadows in its light.
     """
 
     position: Point

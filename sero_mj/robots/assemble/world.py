@@ -46,12 +46,12 @@ class World(WorldView):
         scene: what to compile.
         dynamic: whether to compile it for simulation: links have masses and collide, joints
             have friction and may be elastic (see `robots.assemble.mjcf_dynamics`).
-        dynamics: of its robots, where `dynamic`, instead of what they declare.
+        dynamics: of its robots, if `dynamic`, instead of the declared ones.
 
     Attributes:
         dynamic: whether it is compiled for simulation.
-        free_objects: indices in `qpos` (7,) of the pose of every object that is free, by name:
-            position, and quaternion with its scalar first; empty unless `dynamic`.
+        free_objects: indices in `qpos` (7,) of the pose of every free object, by name: position,
+            and quaternion with its scalar first; empty unless `dynamic`.
         dynamics: parameters of every robot's equations of motion, by name; empty unless
             `dynamic`.
 
@@ -118,9 +118,9 @@ class World(WorldView):
         return data
 
     def physics_model(self) -> mujoco.MjModel:
-        """Returns a model of what moves and touches, without shapes that are only looked at.
+        """Returns a model for physics, without visual geometry.
 
-        It moves as `model` does now, with the same bodies, joints and sites, in less time.
+        It moves exactly as `model`, with the same bodies, joints and sites, in less time.
         """
         spec, model = self._spec.copy(), self.model
         touching = (model.geom_contype | model.geom_conaffinity) > 0
@@ -129,10 +129,10 @@ class World(WorldView):
                 spec.delete(geom)
         bare = spec.compile()
         bare.opt.disableflags = model.opt.disableflags
-        if len(set(bare.dof_treeid.tolist())) <= 1:  # no more than one island anyway
+        if len(set(bare.dof_treeid.tolist())) <= 1:  # a single island anyway
             bare.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
         bare.opt.timestep, bare.opt.gravity = model.opt.timestep, model.opt.gravity
-        # What was set or changed after compiling.
+        # Values set or changed after compilation.
         for name in dir(model):
             kind = name.partition("_")[0]
             if kind not in ("dof", "jnt", "eq", "geom") and name not in _MASSES:
@@ -151,7 +151,7 @@ class World(WorldView):
         return []
 
     def geoms_in_view(self) -> Bools:
-        """Returns all geoms but the floor, (ngeom,) bool."""
+        """Returns all geoms except the floor, (ngeom,) bool."""
         return np.asarray(self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
 
     def reset(self, data: mujoco.MjData) -> None:
@@ -213,7 +213,7 @@ class World(WorldView):
     def export(self, path: Path) -> list[Path]:
         """Writes the scene as MJCF with its mesh files; key frame `home` is the declared pose.
 
-        Bodies weigh what they do in simulation; a comment says which masses are estimated.
+        Masses are those of simulation; a comment says which ones are estimated.
 
         Args:
             path: the XML file; meshes go into a folder beside it, `NAME_assets`.
@@ -227,7 +227,7 @@ class World(WorldView):
         return write_mjcf(spec, path, about)
 
     def _weighed(self) -> tuple[mujoco.MjSpec, str]:
-        """Returns its elements with the masses of simulation, and a comment about these."""
+        """Returns its spec with the masses of simulation, and a comment about them."""
         known = self.dynamics or dynamics_of(self.scene)
         spec, lines = self._spec.copy(), []
         for name, of in known.items():
@@ -271,7 +271,7 @@ class World(WorldView):
         return parts
 
     def _lower_floor(self) -> None:
-        """Moves the floor to the lowest point of what is declared, if that is lower."""
+        """Moves the floor to the lowest point of the declared scene, if that is lower."""
         data, seen = self._at_home(), self.geoms_in_view()
         low = float(geom_boxes(self.model, data)[0][seen, 2].min()) if seen.any() else 0.0
         floor = self.model.geom("floor").id
@@ -280,7 +280,7 @@ class World(WorldView):
         self.model.geom_sameframe[floor] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
 
     def _at_home(self) -> mujoco.MjData:
-        """Returns the model's state with all robots as declared, after `mj_fwdPosition`."""
+        """Returns the model's state in the declared pose of all robots, after `mj_fwdPosition`."""
         data = mujoco.MjData(self.model)
         for part in self.robots.values():
             data.qpos[part.qpos] = part.robot.home
@@ -288,7 +288,7 @@ class World(WorldView):
         return data
 
     def _measure_arrows(self) -> None:
-        """Measures the arrows of the robots that want ones that fit their links."""
+        """Measures the arrows of robots with `fit_arrows`."""
         fitted = {n: part for n, part in self.robots.items() if part.robot.fit_arrows}
         data = self._at_home() if fitted else None
         for name, part in fitted.items():
@@ -298,7 +298,7 @@ class World(WorldView):
             self.robots[name] = replace(part, sizes=measure(self.model, data, seen))
 
     def _free(self, base: int) -> Ints:
-        """Returns the indices in `qpos` of the free joint of a body; empty where it has none."""
+        """Returns the indices in `qpos` of the free joint of a body; empty without one."""
         joint = self.model.body_jntadr[base]
         if joint < 0:
             return np.zeros(0, np.intp)
@@ -344,7 +344,7 @@ class World(WorldView):
         return parts
 
     def _double_below(self, name: str) -> str | None:
-        """Returns the double that a double stands on: of the same group, of the robot below."""
+        """Returns the double below a double: of the same group, of its robot's carrier."""
         doubles = self.scene.doubles
         below = carrier(self.scene.robots[doubles[name].of])
         beside = next((g for g in self.scene.double_groups.values() if name in g), [])
@@ -352,7 +352,7 @@ class World(WorldView):
 
 
 def _warn_of_lengths(scene: Scene) -> None:
-    """Warns of robots that are so large that their lengths are probably in mm."""
+    """Warns of robots so large that their lengths are probably in mm."""
     for name, robot in scene.robots.items():
         if robot.reach > _IMPLAUSIBLE_REACH:
             log.warning(
@@ -367,7 +367,7 @@ def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
     """Masses, friction and elasticity of all robots of a scene, by name.
 
     Raises:
-        DeclarationError: what is wrong with them.
+        DeclarationError: all their errors.
     """
     found: dict[str, RobotDynamics] = {}
     problems: list[Problem] = []
@@ -382,7 +382,7 @@ def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
     return found
 
 
-# Fields of a model that say what bodies weigh, and those that say where something is in another.
+# Fields of a model with masses of bodies, and with frames relative to other elements.
 _MASSES = (
     "body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe",
     "body_invweight0",
@@ -405,7 +405,7 @@ def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:
 
 
 def _mesh_problems(scene: Scene) -> list[Problem]:
-    """Compiles every mesh of a scene by itself and returns the problems, by robot and file."""
+    """Compiles every mesh of a scene separately and returns the problems, by robot and file."""
     meshes: list[tuple[str, str, str | None]] = []
     for name, robot in scene.robots.items():
         for i, link in enumerate(robot.filenames):
@@ -426,7 +426,7 @@ def _mesh_problems(scene: Scene) -> list[Problem]:
 
 
 def _mesh_problem(key: str, path: Path) -> Problem | None:
-    solid = "filenames" not in key  # what is only drawn may be flat
+    solid = "filenames" not in key  # visual geometry may be flat
     hull: Hull = "always" if solid else "unless flat"
     root = mujoco.MjSpec()
     try:

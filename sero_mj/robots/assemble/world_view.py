@@ -116,16 +116,16 @@ class WorldView(Protocol):
         data.mocap_quat[self.placed[name]] = quat
 
     def shares(self, target: str, values: Any) -> dict[str, Any]:
-        """Returns values by the inputs that they are for: one, or those of the robots of a group.
+        """Returns values by input: a single one, or those of the robots of a group.
 
         Args:
             target: `name.input`, where the name may be that of a group, or of a double of one.
-            values: of one input as they are; of a group those of all joints, or of the
-                independent ones, in the order of its robots. A switch is that of all.
+            values: of one input unchanged; of a group those of all joints, or of the independent
+                ones, in the order of its robots. A switch applies to all.
 
         Raises:
             UnknownName: no robot of a group has such an input.
-            ValueError: the values are not as many as the group takes.
+            ValueError: the number of values does not match the group.
         """
         name, _, key = target.partition(".")
         members = None if target in self.inputs else self.scene.members(name)
@@ -142,7 +142,7 @@ class WorldView(Protocol):
         """Returns the input that `name.key` names.
 
         Raises:
-            UnknownName: no such name, or no such input of it; lists those that exist.
+            UnknownName: no such name or input; lists the existing ones.
         """
         if target in self.inputs:
             item = self.inputs[target]
@@ -182,7 +182,7 @@ class WorldView(Protocol):
         return _frame(state.site_xmat[site], state.site_xpos[site])
 
     def frame_site(self, name: str) -> int:
-        """Returns the site of a named frame, which a joint or a link's own name may name.
+        """Returns the site of a frame named by our name, a joint, or a link's original name.
 
         Raises:
             UnknownName: no such frame.

@@ -1,4 +1,4 @@
-"""External models: a `WorldView` of a model that sero-mj has not compiled.
+"""External models: a `WorldView` of a model not compiled by sero-mj.
 
 In: an `MjModel` and its `MjData`. Out: a `ModelWorld`, with the robots, joints, frames and decor
 sizes that decor reads of a `World`, derived from the model.

@@ -95,7 +95,7 @@ class ModelRobot(SerialRobot):
 
     @property
     def carriers(self) -> Ints | None:
-        """Index of the frame that carries each joint, (n,), 0 for the base."""
+        """Index of each joint's parent frame, (n,), 0 for the base."""
         return self._carriers
 
     @property

@@ -35,8 +35,8 @@ log = logging.getLogger(__name__)
 
 _FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # input: field
 _MUJOCO_VIEW = (90.0, -45.0)  # azimuth and elevation for a model without a view
-# Largest gap and size of things beside robots that belong in the picture, over the robots' size.
-_BESIDE, _SMALL = 1.0, 2.0
+# Maximum gap and size of objects beside robots that are framed, over the robots' size.
+_MAX_GAP, _MAX_SIZE = 1.0, 2.0
 _FLOORS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _EMPTY = np.empty(0, np.intp)
 
@@ -72,7 +72,7 @@ class ModelWorld(WorldView):
         name: in titles.
 
     Attributes:
-        options: what it was made with, apart from model and data, as arguments of another one.
+        options: its constructor arguments except model and data.
         not_finite: number of NaN and infinite values that were set; these are not shown.
         changes: how often inputs were set or cleared.
 
@@ -256,8 +256,8 @@ class ModelWorld(WorldView):
         size = float(np.linalg.norm(highest - lowest))
         gap = np.maximum(np.maximum(lowest - high, low - highest), 0.0)
         movable = model.body_dofnum[model.body_weldid[model.geom_bodyid]] > 0
-        beside = np.linalg.norm(gap, axis=1) <= _BESIDE * size
-        small = np.linalg.norm(high - low, axis=1) <= _SMALL * size
+        beside = np.linalg.norm(gap, axis=1) <= _MAX_GAP * size
+        small = np.linalg.norm(high - low, axis=1) <= _MAX_SIZE * size
         return np.asarray(of_robots | (movable & beside & small & is_shown(model)))
 
     def surroundings(self) -> mujoco.MjModel | None:

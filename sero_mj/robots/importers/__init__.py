@@ -1,7 +1,7 @@
-"""Files in which others describe robots and scenes, as the tables of our own.
+"""Robots and scenes in other file formats, as the tables of our own.
 
-In: a file of another format, and mesh files. Out: `ImportedTables`: the tables that a TOML file of
-ours would have, the lines they come from, and what was lost.
-Open first: `imported_tables.py`; then `robot_file.py`, which says what reads which ending, and
-`x3d.py` for scenes.
+In: a file of another format, and mesh files. Out: `ImportedTables`: the tables that our TOML file
+would have, their source lines, and what was lost.
+Open first: `imported_tables.py`; then `robot_file.py`, which selects the importer, and `x3d.py` for
+scenes.
 """

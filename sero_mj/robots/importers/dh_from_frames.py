@@ -1,18 +1,18 @@
 """The Denavit-Hartenberg table of a serial chain of joint frames.
 
-Any two lines have a common normal, so every serial chain has such a table; what is free in it is
-chosen as usual. Axes of a chain, each a line: the base's z axis, the joints' axes, and the
-flange's z axis. Of each two neighbours A and B there are the normal's direction x,
-its feet on both, its length a, and the angle alpha from A to B about x:
+Any two lines have a common normal, so every serial chain has such a table; its free parameters are
+chosen as usual. The axes of a chain, each a line: the base's z axis, the joints' axes, and the
+flange's z axis. For each two neighbours A and B the normal has a direction x, feet on both, a
+length a, and an angle alpha from A to B about x:
 
-- of x and its opposite, with a and alpha below zero, the one nearer to the x before it is taken,
-  so that offsets of theta are from -90 to 90 degrees (thus the Panda's a = -0.0825);
-- parallel axes: the normal goes through the foot on A of the normal before it;
-- coincident axes: likewise, and x is that before it.
+- of x and its opposite, with a and alpha negated, the one closer to the previous x is chosen, so
+  that offsets of theta are from -90 to 90 degrees (thus the Panda's a = -0.0825);
+- parallel axes: the normal goes through the foot of the previous normal on A;
+- coincident axes: likewise, and x is the previous one.
 
-Between two normals there are the angle theta and the distance d about, and along, the axis that
-both stand on. Craig's row i has alpha and a of the normal before joint i, the standard one those
-of the normal behind it (see `robots.assemble.dh` for the two).
+Two normals enclose the angle theta about, and the distance d along, their common axis. Craig's row
+i has alpha and a of the normal before joint i, the standard one those of the normal after it (see
+`robots.assemble.dh` for the two).
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ from ...base.frames import (
     rotation_angles,
 )
 
-_PARALLEL = 1e-9  # rad; what makes a difference is found by the check
+_PARALLEL = 1e-9  # rad; larger effects are detected by the check
 _ZERO = 1e-12  # m and rad: rounding
-_WITHIN = 1e-9  # m and rad, in every pose of the check
+_TOLERANCE = 1e-9  # m and rad, in every pose of the check
 _POSES = 200
 
 
 @dataclass(frozen=True, eq=False)
 class DhChain:
-    """A Denavit-Hartenberg table with all that it takes to stand for a chain of joint frames.
+    """A Denavit-Hartenberg table with the frames needed to replace a chain of joint frames.
 
     Attributes:
         convention: `craig` or `standard`.
         rows: alpha, a, theta, d per joint, (n, 4), rad and m.
         base_frame: T_base_0 (4, 4), from the robot's base to frame 0 of the table.
         flange_frame: T_n_flange (4, 4), from frame n of the table.
-        link_frames: T_i_link (n, 4, 4): every link's own frame in frame i of the table, for what
-            is given in the links' own frames.
+        link_frames: T_i_link (n, 4, 4): every link's own frame in frame i of the table, for data
+            given in the links' own frames.
     """
 
     convention: Literal["craig", "standard"]
@@ -78,7 +78,7 @@ def dh_from_frames(
     """Finds the table of a serial chain whose joints turn about, or slide along, z of their frames.
 
     Args:
-        joint_frames: T_{i-1,i} of every joint in the frame of the one before it, the first in the
+        joint_frames: T_{i-1,i} of every joint in the frame of the previous joint, the first in the
             base's, at zero joint values, (n, 4, 4), m.
         revolute: True for joints that turn, False for those that slide, (n,).
         flange_frame: T_n_flange (4, 4) in the last joint's frame; identity when None.
@@ -86,8 +86,8 @@ def dh_from_frames(
 
     Returns:
         the table; None if its frames differ from the chain's by more than 1e-9 m or rad in any of
-        200 random poses. That is so where axes miss being parallel by some 1e-6 rad, since their
-        normal is far away then.
+        200 random poses. That happens where axes deviate from parallel by some 1e-6 rad, since
+        their normal is then far away.
     """
     flange = np.eye(4) if flange_frame is None else flange_frame
     n = len(joint_frames)
@@ -98,7 +98,7 @@ def dh_from_frames(
     make = _craig if convention == "craig" else _standard
     rows, T_base_0 = make(at_zero, at_zero[-1] @ flange)
     rows[np.abs(rows) < _ZERO] = 0.0
-    # Links are where the chain has them at zero joint values, also where the table is rounded.
+    # Links keep their frames of the chain at zero joint values, even if the table is rounded.
     links = inverse(_chain(rows, convention, revolute, np.zeros(n), T_base_0)[1:]) @ at_zero[1:]
     chain = DhChain(convention, rows, T_base_0, links[-1] @ flange, links)
     return chain if _agrees(chain, joint_frames, revolute, flange) else None
@@ -110,7 +110,7 @@ def _craig(at_zero: Array, flange: Array) -> tuple[Array, Array]:
     rows = np.zeros((n, 4))
     for i, normal in enumerate(normals):
         rows[i, :2] = normal.alpha, normal.a
-        if i + 1 < n:  # the last frame is free: it is where the last normal stands
+        if i + 1 < n:  # the last frame is free: it is placed on the last normal
             rows[i, 2:] = _screw(normal, normals[i + 1], at_zero[i + 1][:3, 2])
     return rows, _frame_on(at_zero[0][:3, 2], normals[0].x, normals[0].foot_a)
 
@@ -119,7 +119,7 @@ def _standard(at_zero: Array, flange: Array) -> tuple[Array, Array]:
     normals = _normals(np.concatenate([at_zero[1:], flange[None]]))
     rows = np.zeros((len(normals), 4))
     z = at_zero[1][:3, 2]
-    # Frame 0 is free on the first axis: the base's own where that is its z axis.
+    # Frame 0 is free on the first axis: the base's own frame if the axis is its z axis.
     is_base = np.abs(z[:2]).max() < _ZERO and np.abs(at_zero[1][:2, 3]).max() < _ZERO and z[2] > 0
     T_base_0 = np.eye(4) if is_base else _frame_on(z, normals[0].x, normals[0].foot_a)
     before = _Normal(T_base_0[:3, 0], T_base_0[:3, 3], T_base_0[:3, 3], 0.0, 0.0)
@@ -131,7 +131,7 @@ def _standard(at_zero: Array, flange: Array) -> tuple[Array, Array]:
 
 
 def _normals(axes: Array) -> list[_Normal]:
-    """The normals of neighbours among axes, each z of a frame (m, 4, 4)."""
+    """The normals of neighbouring axes, each the z axis of a frame (m, 4, 4)."""
     x, foot = axes[0][:3, 0], axes[0][:3, 3]
     normals = []
     for A, B in pairwise(axes):
@@ -145,10 +145,10 @@ def _normal(z_a: Array, on_a: Array, z_b: Array, on_b: Array, before: Array) -> 
 
     Args:
         z_a: direction of axis A.
-        on_a: foot of the normal before on A.
+        on_a: foot of the previous normal on A.
         z_b: direction of axis B.
         on_b: any point on B.
-        before: direction of the normal before, at right angles to A.
+        before: direction of the previous normal, perpendicular to A.
     """
     across = np.cross(z_a, z_b)
     between = on_b - on_a
@@ -159,7 +159,7 @@ def _normal(z_a: Array, on_a: Array, z_b: Array, on_b: Array, before: Array) -> 
         x = x if np.linalg.norm(x) > _ZERO else before
     else:
         x = across
-        # on_a + s z_a + a x = on_b + t z_b, solved by what is at right angles to x.
+        # on_a + s z_a + a x = on_b + t z_b, solved in the plane perpendicular to x.
         foot_a = on_a + float(np.cross(between, z_b) @ across) / sine**2 * z_a
     x = _at_right_angles(x, z_a)
     x = x * _nearer(x, before, z_a)
@@ -178,13 +178,13 @@ def _at_right_angles(x: Array, z: Array) -> Array:
 
 
 def _nearer(x: Array, before: Array, z: Array) -> float:
-    """The sign of x for which theta about z from the normal before is from -90 to 90 degrees."""
+    """The sign of x for which theta about z from the previous normal is in -90 to 90 degrees."""
     cosine, sine = before @ x, np.cross(before, x) @ z
     return 1.0 if cosine > _ZERO or (abs(cosine) <= _ZERO and sine > 0) else -1.0
 
 
 def _screw(before: _Normal, normal: _Normal, z: Array) -> tuple[float, float]:
-    """Theta and d about, and along, the axis z that two normals stand on."""
+    """Theta about, and d along, the common axis z of two normals."""
     theta = np.arctan2(np.cross(before.x, normal.x) @ z, before.x @ normal.x)
     return float(theta), float((normal.foot_a - before.foot_b) @ z)
 
@@ -197,7 +197,7 @@ def _frame_on(z: Array, x: Array, origin: Array) -> Array:
 
 
 def _chain(rows: Array, convention: str, revolute: Bools, q: Array, T_base_0: Array) -> Array:
-    """Frames 0 to n of a table in the base's at joint values (..., n): (..., n + 1, 4, 4)."""
+    """Frames 0 to n of a table in the base frame at joint values (..., n): (..., n + 1, 4, 4)."""
     frames = np.empty((*q.shape[:-1], len(rows) + 1, 4, 4))
     frames[..., 0, :, :] = T_base_0
     for i, (alpha, a, theta, d) in enumerate(rows):
@@ -212,7 +212,7 @@ def _chain(rows: Array, convention: str, revolute: Bools, q: Array, T_base_0: Ar
 
 
 def _agrees(chain: DhChain, joint_frames: Array, revolute: Bools, flange: Array) -> bool:
-    """Whether every link and the flange are where the chain has them, in random poses."""
+    """Whether every link and the flange agree with the chain in random poses."""
     random = np.random.default_rng(0)
     n = len(joint_frames)
     q = random.uniform(-1.0, 1.0, (_POSES, n)) * np.where(revolute, np.pi, 1.0)
@@ -231,7 +231,7 @@ def _agrees(chain: DhChain, joint_frames: Array, revolute: Bools, flange: Array)
         at = at @ joint_frames[i] @ moved
         expected[:, i] = at
     expected[:, -1] = at @ flange
-    if np.abs(found[..., :3, 3] - expected[..., :3, 3]).max() > _WITHIN:
+    if np.abs(found[..., :3, 3] - expected[..., :3, 3]).max() > _TOLERANCE:
         return False
     turned = expected[..., :3, :3].mT @ found[..., :3, :3]
-    return bool(rotation_angles(turned).max() < _WITHIN)
+    return bool(rotation_angles(turned).max() < _TOLERANCE)

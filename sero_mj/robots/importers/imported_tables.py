@@ -1,4 +1,4 @@
-"""What a reader of a foreign file returns."""
+"""The result of reading a file in another format."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Any
 
 from ...base.errors import DeclarationError
 
-_MOST_NAMED = 8  # in one sentence
+_MAX_NAMED = 8  # in one sentence
 
 
 class NoJoints(DeclarationError):
-    """A file has no joint that moves: a table, a tool, a ball, which are objects of a scene."""
+    """A file has no movable joint: a table, a tool or a ball, which are objects of a scene."""
 
 
 @dataclass(frozen=True)
 class ImportedTables:
-    """A robot or a scene as the tables of our own file of it.
+    """A robot or a scene as the tables of a file in our format.
 
     Attributes:
         tables: as `tomllib` would read them.
-        lines: lines of the foreign file by dotted key of the tables; an error in a key that is not
-            there is at the line of the nearest key above it. None of a file of ours, where
-            `toml_file.key_lines` finds them once something is wrong.
-        warnings: what was lost or taken for something else, a sentence for each.
+        lines: lines of the original file by dotted key of the tables; an error in a missing key is
+            reported at the line of the nearest key above it. None for our own files, whose lines
+            `toml_file.key_lines` finds when there is an error.
+        warnings: what was lost or reinterpreted, a sentence for each.
     """
 
     tables: dict[str, Any]
@@ -33,6 +33,6 @@ class ImportedTables:
 
 
 def first_of(names: Sequence[str]) -> str:
-    """Names with commas, of many the first and how many more."""
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return ", ".join(names[:_MOST_NAMED]) + more
+    """Names separated by commas; of many only the first, and the number of the others."""
+    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+    return ", ".join(names[:_MAX_NAMED]) + more

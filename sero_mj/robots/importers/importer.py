@@ -1,4 +1,4 @@
-"""`Importer`: reads robots or scenes in a format of others as the tables of our own files.
+"""`Importer`: reads robots or scenes in another format as the tables of our own files.
 
 A package adds a format by an entry point in the group `sero_mj.importers`:
 
@@ -21,14 +21,15 @@ from .imported_tables import ImportedTables
 
 
 class Importer(ABC):
-    """A format; what it needs to read is imported in `read`, for all formats are asked often.
+    """A file format; its dependencies are imported in `read`, because all formats are asked often.
 
     Attributes:
-        endings: of its files, lower-case, with their dots.
+        endings: file extensions, lower-case, with their dots.
         is_scene: whether its files are scenes; else robots.
-        object_key: the key of an object of a scene that takes such a file where it has no joints,
-            as `urdf`; empty where none does.
-        order: of several that take a file, lowest first; sero-mj's own have 10 to 90.
+        object_key: the key of a scene's object for such a file without joints, such as `urdf`;
+            empty for none.
+        order: priority among importers that accept a file, lowest first; sero-mj's own have 10 to
+            90.
     """
 
     endings: ClassVar[tuple[str, ...]]
@@ -38,7 +39,7 @@ class Importer(ABC):
 
     @classmethod
     def takes(cls, path: Path, head: bytes) -> bool:
-        """Whether it reads a file.
+        """Whether it can read a file.
 
         Args:
             path: with one of its endings.
@@ -58,7 +59,7 @@ class Importer(ABC):
         Args:
             path: of the file.
             packages: folders of ROS packages by name.
-            arguments: of the file by name, as xacro has them.
+            arguments: of the file by name, as in xacro.
 
         Raises:
             DeclarationError: the file cannot be read.
@@ -67,20 +68,20 @@ class Importer(ABC):
 
 @cache
 def importers() -> tuple[Importer, ...]:
-    """All installed importers, in their order.
+    """All installed importers, sorted by `order`.
 
     Raises:
-        PluginError: the package of one cannot be imported.
+        PluginError: the package of an importer cannot be imported.
     """
     kinds: list[type[Importer]] = [load_plugin(IMPORTERS, name) for name in plugins(IMPORTERS)]
     return tuple(kind() for kind in sorted(kinds, key=lambda kind: kind.order))
 
 
 def find_importer(path: Path) -> Importer | None:
-    """The importer of a file, by its ending and its first bytes; None where its ending is no one's.
+    """The importer of a file, by its extension and first bytes; None for an unknown extension.
 
     Raises:
-        DeclarationError: the file is in another format than its ending says.
+        DeclarationError: the contents of the file do not match its extension.
     """
     named = [each for each in importers() if path.suffix.lower() in each.endings]
     if not named:

@@ -1,4 +1,4 @@
-"""The formats of others that sero-mj reads: URDF and xacro, MJCF, X3D."""
+"""The built-in importers: URDF and xacro, MJCF, X3D."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Urdf(Importer):
 
     @classmethod
     def takes(cls, path: Path, head: bytes) -> bool:
-        """See `Importer`: of .xml whatever begins with `<robot>`."""
+        """See `Importer`: .xml files whose root element is `<robot>`."""
         return path.suffix.lower() != ".xml" or first_element(head) == "robot"
 
     def read(

@@ -1,12 +1,12 @@
-"""Any mesh file as what MuJoCo reads: pieces of one colour each.
+"""Converts mesh files to what MuJoCo reads: pieces of one colour each.
 
-STL and OBJ pass through as they are wherever MuJoCo takes them. COLLADA is read by pycollada, with
+STL and OBJ are passed on unchanged wherever MuJoCo accepts them. COLLADA is read by pycollada, with
 its unit, the transforms of its nodes, and the colours of its materials; VRML97 by `wrl.py`;
 everything else by trimesh.
 
-A file's up axis is not applied: descriptions of robots are written against viewers that show the
-coordinates as they stand in the file (RViz and Gazebo), and most exporters state no true one.
-Textures are not shown; a material that has one gets the mean colour of its picture.
+A file's up axis is not applied: robot descriptions are written for viewers that show the file's
+coordinates unchanged (RViz and Gazebo), and most exporters do not state the true axis. Textures are
+not shown; a textured material gets the mean colour of its picture.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from ...base.paths import read_file
 from .wrl import read_wrl
 from .xml_file import parse_xml
 
-# What `read_mesh` takes; the first three MuJoCo reads itself.
+# Formats of `read_mesh`; the first three are read by MuJoCo itself.
 MESH_ENDINGS = (
     ".stl", ".obj", ".msh", ".dae", ".wrl", ".x3dv", ".ply", ".off", ".glb", ".gltf", ".3mf",
 )  # fmt: skip
 MOST_MESH_BYTES = 500_000_000  # of a file that MuJoCo reads (ten million triangles)
 MOST_CONVERTED_BYTES = 100_000_000  # of any other; converting takes up to 30 times as much memory
-_MOST_STL_FACES = 200_000  # MuJoCo takes no more from an STL file
-_MOST_PICTURE_BYTES = 50_000_000  # of a texture
-_MOST_KEPT_BYTES = 150_000_000  # of meshes, with their vertices
+_MAX_STL_FACES = 200_000  # MuJoCo's limit for STL files
+_MAX_PICTURE_BYTES = 50_000_000  # of a texture
+_MAX_KEPT_BYTES = 150_000_000  # of meshes, with their vertices
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
-_FLAT = 1e-5  # thickness over length
+_FLATNESS = 1e-5  # thickness over length
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 Rgba = tuple[float, float, float, float]
@@ -65,7 +65,7 @@ class MeshPiece:
 
     @cached_property
     def points(self) -> Array:
-        """Its vertices (k, 3), in the unit of the file; a vertex may be there several times."""
+        """Its vertices (k, 3), in the unit of the file; vertices may be repeated."""
         if self.ending == ".stl":
             corners = np.frombuffer(self.contents, _FACET, offset=84)["corners"]
             return np.asarray(corners.reshape(-1, 3), np.float64)
@@ -81,16 +81,16 @@ class MeshPiece:
 
     @cached_property
     def is_flat(self) -> bool:
-        """Whether it is in a plane, so that it has no volume and no convex hull."""
+        """Whether it is planar, so that it has no volume and no convex hull."""
         away = self.points - self.points.mean(axis=0)
         moments = np.linalg.eigvalsh(away.T @ away)
-        return bool(moments[0] < _FLAT**2 * moments[2])
+        return bool(moments[0] < _FLATNESS**2 * moments[2])
 
 
 def _points_of_obj(contents: bytes) -> Array:
     """Vertices (k, 3) of an OBJ file; raises ValueError."""
     lines, text = _lines_of_obj(contents, b"v")
-    # Fast, where all have as many numbers, 3 or with a colour 6; text that is no number ends it.
+    # Fast if all have the same count of numbers: 3, or 6 with a colour; other text ends parsing.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         values = np.fromstring(text, sep=" ")
@@ -107,13 +107,13 @@ _lock = threading.Lock()
 
 
 def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
-    """Reads a mesh file; lengths are in the unit that the file states, else in its own.
+    """Reads a mesh file; lengths are in the unit that the file states, else unconverted.
 
-    What was read is kept for the next time, until the file changes.
+    The result is cached until the file changes.
 
     Raises:
         DeclarationError: the file is missing, too large (`MOST_MESH_BYTES`,
-            `MOST_CONVERTED_BYTES`), of an unknown format, or has no triangles that can be drawn.
+            `MOST_CONVERTED_BYTES`), of an unknown format, or has no drawable triangles.
     """
     ending = path.suffix.lower()
     if ending not in MESH_ENDINGS:
@@ -145,7 +145,7 @@ def _keep(key: _Key, pieces: tuple[MeshPiece, ...]) -> None:
     with _lock:
         _kept[key] = pieces
         sizes = [sum(len(p.contents) + p.points.nbytes for p in each) for each in _kept.values()]
-        while sum(sizes) > _MOST_KEPT_BYTES:
+        while sum(sizes) > _MAX_KEPT_BYTES:
             _kept.popitem(last=False)
             sizes.pop(0)
 
@@ -155,7 +155,7 @@ def _wrong(path: Path, reason: str) -> DeclarationError:
 
 
 def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...] | None:
-    """The file itself as the only piece, if MuJoCo reads it and it has at most one colour."""
+    """The unchanged file as the only piece, if MuJoCo reads it and it has at most one colour."""
     if ending == ".obj":
         return _obj_as_it_is(path, contents)
     piece = MeshPiece(contents, ending)
@@ -171,20 +171,20 @@ def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...]
         if _is_binary(contents) and len(contents) < 84 + 50 * count:
             found = max(len(contents) - 84, 0) // 50
             raise _wrong(path, f"is cut off: it announces {count} triangles, found {found}")
-        if len(contents) != 84 + 50 * count or not 1 <= count <= _MOST_STL_FACES:
+        if len(contents) != 84 + 50 * count or not 1 <= count <= _MAX_STL_FACES:
             return None  # in ASCII, or too many faces
     _check(path, piece.points)
     return (piece,)
 
 
 def _is_binary(contents: bytes) -> bool:
-    """Whether an STL file is no text, which may begin with `solid` as well."""
+    """Whether an STL file is binary; its first word may be `solid` nevertheless."""
     return len(contents) >= 84 and b"\0" in contents[:1000]
 
 
 def _obj_as_it_is(path: Path, contents: bytes) -> tuple[MeshPiece, ...] | None:
     """As `_as_it_is`."""
-    contents = b"\n" + contents  # so that each line begins with its end
+    contents = b"\n" + contents  # so that each line is preceded by a line break
     colors = _material_colors(path, contents)
     used = list(dict.fromkeys(_statements(contents, b"usemtl")))
     if len({colors.get(name) for name in used}) > 1:
@@ -203,39 +203,39 @@ def _obj_as_it_is(path: Path, contents: bytes) -> tuple[MeshPiece, ...] | None:
 
 
 def _statements(contents: bytes, keyword: bytes) -> list[bytes]:
-    """What stands behind a keyword in the lines of an OBJ file that have something there."""
+    """The text after a keyword in the lines of an OBJ file, where not empty."""
     parts = contents.split(b"\n" + keyword)[1:]  # in a tenth of the time of a regular expression
     lines = (part.partition(b"\n")[0] for part in parts)
     return [line.strip() for line in lines if line[:1] in (b" ", b"\t") and line.strip()]
 
 
 def _lines_of_obj(contents: bytes, kind: bytes) -> tuple[int, bytes]:
-    """Returns how many lines of an OBJ file are of a kind, and their text.
+    """Returns the number of lines of a kind in an OBJ file, and their text.
 
     Args:
         contents: of the file, behind a line's end.
-        kind: the letter that such lines begin with.
+        kind: the first letter of such lines.
     """
     begin = contents.find(b"\n%b " % kind)
     end = contents.find(b"\n", contents.rfind(b"\n%b " % kind) + 1)
     text = contents[begin : end if end >= 0 else None]
     count = text.count(b"\n%b " % kind)
-    if begin >= 0 and text.count(b"\n") == count:  # all together: in a third of the time
+    if begin >= 0 and text.count(b"\n") == count:  # one block: takes a third of the time
         return count, text.translate(bytes.maketrans(kind, b" "))
     lines = re.findall(rb"\n%b[ \t]([^\n]*)" % kind, contents)
     return len(lines), b" ".join(lines)
 
 
 def _corners_of_obj(contents: bytes, count: int) -> Ints | None:
-    """Indices of vertices of all faces of an OBJ file, from 0; None where it has others.
+    """Vertex indices of all triangles of an OBJ file, from 0; None if it has other faces.
 
     Args:
         contents: of the file, behind a line's end.
-        count: of its vertices; negative indices count from the last of them.
+        count: number of vertices; negative indices count from the last.
     """
     _, text = _lines_of_obj(contents, b"f")
-    # A corner is `vertex/texture/normal`, of which the latter two may be missing; in most files
-    # all are of one form. Where this does not fit, every corner is read by itself.
+    # A corner is `vertex/texture/normal`, of which the latter two may be missing; in most files all
+    # have the same form. Otherwise every corner is parsed separately.
     numbers = _integers(text.replace(b"/", b" "))
     if numbers is None:
         return None
@@ -252,10 +252,10 @@ def _corners_of_obj(contents: bytes, count: int) -> Ints | None:
 
 
 def _integers(text: bytes) -> Ints | None:
-    """Whole numbers of a text, (k,); None where it has none, or something else."""
+    """Integers of a text, (k,); None if it has none, or anything else."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", DeprecationWarning)  # at what is no number
+            warnings.simplefilter("error", DeprecationWarning)  # for text that is not a number
             numbers = np.fromstring(text, np.int64, sep=" ")
     except (DeprecationWarning, ValueError):
         return None
@@ -263,30 +263,30 @@ def _integers(text: bytes) -> Ints | None:
 
 
 def _check_faces(path: Path, corners: Any, count: int) -> None:
-    """Raises DeclarationError for indices of vertices, from 0, of which there are fewer."""
+    """Raises DeclarationError for vertex indices, from 0, beyond the number of vertices."""
     if len(corners) and not 0 <= corners.min() <= corners.max() < count:
         raise _wrong(path, "has faces of vertices that it does not have")
 
 
 def _check(path: Path, points: Any) -> None:
-    """Raises DeclarationError for vertices (k, 3) of which MuJoCo makes no mesh."""
+    """Raises DeclarationError for vertices (k, 3) that MuJoCo rejects as a mesh."""
     if not np.isfinite(points).all():
         raise _wrong(path, "has vertices that are not finite numbers")
     if len(points) and np.abs(points).max() > LARGEST:
         raise _wrong(path, f"has vertices farther away than {LARGEST:g}")
     if len(points) < 3:
         raise _wrong(path, "has no triangles")
-    # Few vertices may be fewer than four different ones, as MuJoCo asks for.
+    # MuJoCo requires four distinct vertices; only small meshes can have fewer.
     if len(points) < 100 and len(np.unique(points, axis=0)) < 4:
         raise _wrong(path, "has fewer than 4 different vertices")
 
 
 def _material_colors(path: Path, contents: bytes) -> dict[bytes, Rgba]:
-    """Colours of an OBJ file's materials by name; none where their file cannot be read."""
+    """Colours of an OBJ file's materials by name; empty if their file cannot be read."""
     colors: dict[bytes, Rgba] = {}
     for file in _statements(contents, b"mtllib"):
         try:
-            text = read_file(path.parent / file.decode(), _MOST_PICTURE_BYTES)
+            text = read_file(path.parent / file.decode(), _MAX_PICTURE_BYTES)
         except (OSError, ValueError):
             continue
         for block in re.split(rb"^[ \t]*newmtl[ \t]+", text, flags=re.MULTILINE)[1:]:
@@ -307,7 +307,7 @@ def _material_colors(path: Path, contents: bytes) -> dict[bytes, Rgba]:
 
 
 def _rgba(values: Any) -> Rgba | None:
-    """A colour of 3 or 4 numbers; None where it is none."""
+    """A colour of 3 or 4 numbers; None if it is invalid."""
     try:
         numbers = np.array([float(value) for value in values][:4])
     except (TypeError, ValueError):
@@ -325,7 +325,7 @@ def _mean_color(picture: Any) -> Rgba | None:
 
     try:
         if isinstance(picture, Path):
-            picture = Image.open(io.BytesIO(read_file(picture, _MOST_PICTURE_BYTES)))
+            picture = Image.open(io.BytesIO(read_file(picture, _MAX_PICTURE_BYTES)))
         pixels = np.asarray(picture.convert("RGBA").resize((16, 16)), np.float64) / 255.0
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
         return None
@@ -337,7 +337,7 @@ def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...
     read = _READERS.get(ending, _trimesh_parts)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of libraries, at what they use themselves
+            warnings.simplefilter("ignore")  # of libraries about their own dependencies
             parts = read(path, ending, contents)
     except DeclarationError:
         raise
@@ -345,7 +345,7 @@ def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...
         raise _wrong(path, f"reading {ending} takes the package '{error.name}'") from error
     except RecursionError:
         raise _wrong(path, "is nested too deeply") from None
-    except Exception as error:  # libraries let out anything of a broken file
+    except Exception as error:  # libraries raise anything for a broken file
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise _wrong(path, f"cannot be read: {reason}") from error
     by_color: dict[Rgba | None, list[_Part]] = {}
@@ -402,7 +402,7 @@ def _as_msh(part: _Part) -> bytes:
 def _moved(
     vertices: Array, normals: Array | None, faces: Ints, T: Array, rgba: Rgba | None
 ) -> _Part:
-    """A part moved by T (4, 4), which may scale and mirror it."""
+    """A part transformed by T (4, 4), which may scale and mirror it."""
     linear = T[:3, :3]
     if np.linalg.det(linear) < 0:
         faces = faces[:, ::-1]
@@ -429,7 +429,7 @@ def _collada_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
     parts = []
     for bound in document.scene.objects("geometry"):
         for primitive in bound.original.primitives:
-            # A polygon list makes triangles of itself; lines cannot.
+            # A polygon list triangulates itself; lines cannot.
             has_polygons = hasattr(primitive, "triangleset")
             triangles = primitive.triangleset() if has_polygons else primitive
             corners = np.asarray(getattr(triangles, "vertex_index", None))
@@ -442,9 +442,9 @@ def _collada_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
 
 
 def _without_broken_materials(contents: bytes, known: set[str]) -> bytes:
-    """Takes materials that cannot be read off the geometry, which pycollada leaves out with them.
+    """Removes unreadable materials from geometry, which pycollada would leave out with them.
 
-    Often a picture is missing that a material is made of.
+    Often the picture of a material is missing.
     """
     root = parse_xml(contents)
     for bound in [*root.iter("{*}instance_material")]:
@@ -454,7 +454,7 @@ def _without_broken_materials(contents: bytes, known: set[str]) -> bytes:
 
 
 def _with_normals(primitive: Any, corners: Ints) -> tuple[Array, Array | None, Ints]:
-    """Vertices, each with one normal, and faces; COLLADA has an index of its own for normals."""
+    """Vertices, each with one normal, and faces; COLLADA indexes normals separately."""
     vertices = np.asarray(primitive.vertex, np.float64)
     if primitive.normal is None or primitive.normal_index is None:
         return vertices, None, corners

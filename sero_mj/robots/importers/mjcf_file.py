@@ -1,4 +1,4 @@
-"""Reads MJCF that users have, and the files it refers to, as a `mujoco.MjSpec`."""
+"""Reads MJCF and the files it refers to as a `mujoco.MjSpec`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...base.errors import DeclarationError, Problem
 from ...base.paths import format_of_file, open_file, read_file
 
 _LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
-_MOST_BYTES = 100_000_000  # of a file of MJCF
+_MAX_BYTES = 100_000_000  # of a file of MJCF
 MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
 
 
@@ -60,7 +60,7 @@ def is_file_name(source: Any) -> bool:
 
 
 def _root_element(source: Any) -> Any:
-    """Returns the PyMJCF root element of a composer entity; anything else as it is."""
+    """Returns the PyMJCF root element of a composer entity; anything else unchanged."""
     return getattr(source, "mjcf_model", source)
 
 
@@ -71,9 +71,9 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
         root = _root_element(source)
         return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
     if is_file_name(source):
-        open_file(folder / source, _MOST_BYTES).close()  # MuJoCo would read a pipe forever
+        open_file(folder / source, _MAX_BYTES).close()  # MuJoCo would read a pipe forever
         found = format_of_file(folder / source)
-        if found not in (None, "an MJCF file", "a URDF file"):  # what is no XML MuJoCo tells
+        if found not in (None, "an MJCF file", "a URDF file"):  # MuJoCo reports invalid XML
             raise ValueError(f"is {found}; expected MJCF, which begins with <mujoco>")
         return mujoco.MjSpec.from_file(str(folder / source))
     spec = mujoco.MjSpec.from_string(source, include=_included(source, folder))
@@ -93,7 +93,7 @@ def _included(text: str, folder: Path) -> Mapping[str, bytes]:
         except ElementTree.ParseError:
             continue  # MuJoCo reports the position
         for name in names - set(found):
-            found[name] = read_file(folder / name, _MOST_BYTES)
+            found[name] = read_file(folder / name, _MAX_BYTES)
             waiting.append(found[name])
     return found
 
@@ -127,7 +127,7 @@ def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | Non
     The name is unique across folders, so that specs can be attached to each other.
 
     Args:
-        spec: gets it.
+        spec: the spec.
         path: of the file.
         contents: of the file.
         digest: SHA-256 of the contents in hexadecimal digits, if it is known.
@@ -142,9 +142,9 @@ def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]
     """Writes a compiled spec as MJCF, with its files in a folder beside it, `NAME_assets`.
 
     Args:
-        spec: what `as_spec` returned, or was made of such.
+        spec: a result of `as_spec`, or built from such.
         path: of the XML file.
-        comment: a line for its beginning, or several.
+        comment: one or several lines at the beginning.
 
     Returns:
         the files written, the XML first.
@@ -169,7 +169,7 @@ def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]
 def _full_precision() -> Iterator[None]:
     """Makes MuJoCo write numbers with 17 digits instead of six.
 
-    MuJoCo 4.0.0 has no public function for it. A later one may lack this; then it writes six.
+    MuJoCo 4.0.0 has no public function for it. If a later version lacks this one, six are written.
     """
     folder = Path(mujoco.__file__).parent
     files = (file for name in _LIBRARY_NAMES for file in folder.glob(name))

@@ -1,7 +1,7 @@
 """Reads a robot from MJCF: its joints, limits, inertias, friction and couplings, as our tables.
 
-Its geoms stay in the file, which the robot's `mjcf` names: `robots.assemble.mjcf_links` takes them
-from there with their meshes, materials and collision parameters.
+Its geoms remain in the file, which the robot's `mjcf` names: `robots.assemble.mjcf_links` reads
+them from there with their meshes, materials and collision parameters.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from .mjcf_file import as_spec, is_file_name
 from .mjcf_tree import MjcfTree, find_tree, torque_limits
 from .robot_tree import TOO_FAR, meant_limits, six_of
 
-_HOME = ("home", "stand", "init", "default")  # key frames that are taken for the initial pose
+_INITIAL_KEYS = ("home", "stand", "init", "default")  # key frames used as the initial pose
 _TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
-_IMPLAUSIBLE = 10  # times the torque that holds all of the robot, stretched
-_WITHIN = 1e-4  # rad or m
+_MAX_FACTOR = 10  # times the torque that holds the whole robot, stretched
+_TOLERANCE = 1e-4  # rad or m
 # Keys of `[dynamics]` by MuJoCo's fields of degrees of freedom.
-_OF_JOINTS = {
+_DOF_FIELDS = {
     "motor_inertias": "armature",
     "viscous_friction": "damping",
     "coulomb_friction": "frictionloss",
@@ -35,7 +35,7 @@ _OF_JOINTS = {
 
 
 def read_mjcf(path: Path) -> ImportedTables:
-    """Reads the robot of an MJCF file; raises DeclarationError, of one without joints NoJoints."""
+    """Reads the robot of an MJCF file; raises DeclarationError, and NoJoints without joints."""
     try:
         tables, lost = mjcf_tables(path.name, path.parent)
     except DeclarationError as error:
@@ -45,11 +45,11 @@ def read_mjcf(path: Path) -> ImportedTables:
 
 
 def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """Returns the tables of a robot, and what is lost.
+    """Returns the tables of a robot, and what was lost.
 
     Args:
-        source: what `as_spec` takes.
-        folder: that file names are relative to.
+        source: as for `as_spec`.
+        folder: base folder of relative file names.
 
     Raises:
         DeclarationError: it cannot be read or compiled, or has no joints.
@@ -85,7 +85,7 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
             **_inertias(tree),
             **{
                 key: _bounded(getattr(model, f"dof_{what}")[dofs], what, names, lost)
-                for key, what in _OF_JOINTS.items()
+                for key, what in _DOF_FIELDS.items()
             },
         },
     }
@@ -100,7 +100,7 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
 
 
 def plain_tables(tables: dict[str, Any]) -> dict[str, Any]:
-    """Returns a robot's tables as one would write them by hand: without what says nothing."""
+    """Returns a robot's tables as written by hand: without entries that equal the defaults."""
     plain = {key: value for key, value in tables.items() if key != "directory"}
     for key in ("couplings", "free_base"):
         if not plain[key]:
@@ -116,7 +116,7 @@ def plain_tables(tables: dict[str, Any]) -> dict[str, Any]:
 def _link_names(tree: MjcfTree) -> list[str]:
     """Names of the first body of the base and of every link; `link1`, ... where it has none.
 
-    A link has no body where several joints are one after the other in the same one.
+    A link has no body if several joints are in the same body.
     """
     found = ["base", *(f"link{i + 1}" for i in range(len(tree.joints)))]
     for link in range(len(found)):
@@ -131,7 +131,7 @@ def tree_of(source: Any, folder: Path) -> MjcfTree:
     spec = as_spec(source, folder)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of attributes that MuJoCo will drop one day
+            warnings.simplefilter("ignore")  # about deprecated attributes
             tree = find_tree(spec.compile())
     except DeclarationError:
         raise
@@ -140,13 +140,13 @@ def tree_of(source: Any, folder: Path) -> MjcfTree:
         raise DeclarationError([Problem("mjcf", reason)]) from None
     if is_file_name(source):
         _kept[folder / source] = _changed(folder / source), tree
-        while len(_kept) > _MOST_KEPT:
+        while len(_kept) > _MAX_KEPT:
             del _kept[next(iter(_kept))]
     return tree
 
 
 def kept_tree(source: Any, folder: Path) -> MjcfTree:
-    """As `tree_of`, but as it was read last, of a file that has not changed since."""
+    """As `tree_of`, but cached until the file changes."""
     if is_file_name(source):
         changed, tree = _kept.get(folder / source, (0, None))
         if tree is not None and changed == _changed(folder / source):
@@ -154,7 +154,7 @@ def kept_tree(source: Any, folder: Path) -> MjcfTree:
     return tree_of(source, folder)
 
 
-_MOST_KEPT = 8
+_MAX_KEPT = 8
 _kept: dict[Path, tuple[int, MjcfTree]] = {}  # by file, with the time of its last change
 
 
@@ -163,7 +163,7 @@ def _changed(file: Path) -> int:
 
 
 def _names(model: mujoco.MjModel, joints: Ints) -> list[str]:
-    """Returns the joints' names: without a scope that all have, and with our characters."""
+    """Returns the joints' names: without a common scope, and with valid characters only."""
     found = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(j)) for j in joints]
     given = [name or f"joint{k + 1}" for k, name in enumerate(found)]
     scopes = {name.rpartition("/")[0] for name in given}
@@ -179,7 +179,7 @@ def _names(model: mujoco.MjModel, joints: Ints) -> list[str]:
 
 
 def _inertias(tree: MjcfTree) -> dict[str, Any]:
-    """Returns masses, centres and tensors of base and links, each of all bodies fixed to it."""
+    """Returns masses, centres and tensors of base and links, each with all bodies fixed to it."""
     model, n = tree.model, len(tree.poses)
     masses, firsts, tensors = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
     for body in np.flatnonzero(tree.links >= 0).tolist():
@@ -204,7 +204,7 @@ def _inertias(tree: MjcfTree) -> dict[str, Any]:
 
 
 def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, Any]:
-    """Returns couplings from constraints between joints; those that are not linear are lost."""
+    """Returns couplings from constraints between joints; non-linear ones are lost."""
     model, found = tree.model, dict[str, Any]()
     row = {int(joint): k for k, joint in enumerate(tree.joints)}
     for i in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)).tolist():
@@ -233,30 +233,30 @@ def _leads_back(couplings: dict[str, Any], names: list[str], one: int, other: in
 
 
 def _bounded(values: Array, what: str, names: list[str], lost: list[str]) -> Array:
-    """Returns values of joints, (n,), up to the largest that a robot may have."""
+    """Returns values of joints, (n,), clipped to the largest that a robot may have."""
     if (far := values > LARGEST).any():
         lost.append(f"{what} is taken for {LARGEST:g}, the most: {_some(names, far)}")
     return np.minimum(values, LARGEST)
 
 
 def _some(names: list[str], which: Bools) -> str:
-    """Names of joints, of many the first."""
+    """Names of joints; of many only the first."""
     found = [name for name, is_one in zip(names, which.tolist(), strict=True) if is_one]
     return first_of(found)
 
 
 def _plausible(tree: MjcfTree, limits: Array, lost: list[str]) -> Array:
-    """Returns torque limits without those that are so large that the file means none."""
+    """Returns torque limits without those so large that they mean no limit."""
     model = tree.model
     extent = float(np.linalg.norm(np.ptp(tree.poses[:, :3, 3], axis=0)))
     weight = float(model.body_mass[tree.links >= 0].sum() * np.linalg.norm(model.opt.gravity))
-    most = _IMPLAUSIBLE * weight * np.where(_turns(tree), extent, 1.0)
+    most = _MAX_FACTOR * weight * np.where(_turns(tree), extent, 1.0)
     far = np.isfinite(limits) & (limits > most) & (most > 0)
     if far.any():
         many = "those of all joints" if far.all() else f"{int(far.sum())} of {len(far)}"
         largest = float(limits[far].max())
         lost.append(
-            f"torque limits up to {largest:g} are over {_IMPLAUSIBLE} times what holds all of its "
+            f"torque limits up to {largest:g} are over {_MAX_FACTOR} times what holds all of its "
             f"weight at its extent; {many} are taken for none"
         )
     return np.where(far, np.inf, limits)
@@ -270,7 +270,7 @@ def _turns(tree: MjcfTree) -> Bools:
 def _flange(tree: MjcfTree) -> tuple[int, Array]:
     """Returns the last link of the longest chain, and T_link_flange.
 
-    The flange is at a site there whose name says that a tool is, else at the last body.
+    The flange is at a site there whose name is that of a tool, else at the last body.
     """
     model = tree.model
     depths = np.zeros(len(tree.poses), np.intp)
@@ -291,7 +291,7 @@ def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -
     model = tree.model
     qpos = model.qpos0
     keys = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_KEY, k) or "" for k in range(model.nkey)]
-    named = [k for k, name in enumerate(keys) if name.rpartition("/")[2].lower() in _HOME]
+    named = [k for k, name in enumerate(keys) if name.rpartition("/")[2].lower() in _INITIAL_KEYS]
     if named:
         qpos = model.key_qpos[named[0]]
     q = qpos[model.jnt_qposadr[tree.joints]].copy()
@@ -300,7 +300,7 @@ def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -
         if coupling["to"] not in couplings:
             q[i] = coupling["ratio"] * q[source] + coupling["offset"]
     pose: dict[str, Any] = {"joint_angles": q}
-    if np.abs(q).max() < _WITHIN or any(c["to"] in couplings for c in couplings.values()):
+    if np.abs(q).max() < _TOLERANCE or any(c["to"] in couplings for c in couplings.values()):
         pose = {}
     if tree.free >= 0:
         at = model.jnt_qposadr[tree.free]

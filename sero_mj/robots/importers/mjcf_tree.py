@@ -1,9 +1,9 @@
-"""Finds the robot in a compiled MJCF model: its joints, its links, and where they are.
+"""Finds the robot in a compiled MJCF model: its joints, its links, and their poses.
 
-Every hinge and slide becomes a joint of the robot with a link of its own; of a body with several
-joints the last link is the body, and those before it are empty. The base is what is fixed to the
-world, or the root body if that has a free joint. Where the model has actuators, the robot is the
-trees that they drive; what falls or lies about is no robot.
+Every hinge and slide becomes a joint of the robot with a separate link; for a body with several
+joints the last link is the body, and the preceding ones are empty. The base consists of the bodies
+fixed to the world, or is the root body if that has a free joint. If the model has actuators, the
+robot consists of the trees that they drive; loose objects are not part of it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARE
 _OF_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _OF_SITE = (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK))
 _FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
-_EARTH = 9.81  # m/s2
+_GRAVITY = 9.81  # m/s2
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 
 
@@ -34,13 +34,14 @@ class MjcfTree:
     Attributes:
         model: compiled.
         joints: ids of its hinges and slides, (n,), depth first.
-        parents: index of the link that carries each joint, (n,): 0 for the base.
-        links: link of every body, (nbody,): 0 for the base; -1 for bodies that are no part of it.
+        parents: index of each joint's parent link, (n,): 0 for the base.
+        links: link of every body, (nbody,): 0 for the base; -1 for bodies that are not part of the
+            robot.
         bodies: T_world_body of every body in the reference pose, (nbody, 4, 4), m.
         poses: T_world_link of base and links in the reference pose, (n + 1, 4, 4), m; z of a link
             is the axis of its joint.
-        free: id of the base's free joint; -1 for a base that is fixed.
-        left_out: what of the model is no part of it, a sentence for each kind.
+        free: id of the base's free joint; -1 for a fixed base.
+        left_out: elements of the model that are not part of the robot, a sentence for each kind.
     """
 
     model: mujoco.MjModel
@@ -59,7 +60,7 @@ class MjcfTree:
 
     @property
     def geoms(self) -> Ints:
-        """Ids of its geoms: not the world's planes."""
+        """Ids of its geoms, without the world's planes."""
         model = self.model
         mine = self.links[model.geom_bodyid] >= 0
         mine &= ~((model.geom_bodyid == 0) & (model.geom_type == _PLANE))
@@ -70,7 +71,7 @@ def find_tree(model: mujoco.MjModel) -> MjcfTree:
     """Returns the robot of a model.
 
     Raises:
-        NoJoints: it has no hinge or slide.
+        NoJoints: the model has no hinge or slide.
     """
     kinds = model.jnt_type
     is_axis = (kinds == _HINGE) | (kinds == _SLIDE)
@@ -118,7 +119,7 @@ def frames_at_zero(model: mujoco.MjModel, joints: Ints, parents: Ints, poses: Ar
     Args:
         model: compiled.
         joints: ids of hinges and slides, (n,).
-        parents: index of the link that carries each, (n,), 0 for the base.
+        parents: index of each joint's parent link, (n,), 0 for the base.
         poses: of base and links in the reference pose, see `link_poses`.
     """
     fixed: Array = inverse(poses[parents]) @ poses[1:]
@@ -178,7 +179,7 @@ def _links(
         if body == base_body or link < 0 or any(model.jnt_type[j] == _FREE for j in ids):
             continue
         if count and int(model.body_rootid[body]) not in chosen:
-            continue  # of a tree that is no part of the robot
+            continue  # of a tree that is not part of the robot
         if model.body_mocapid[body] >= 0:
             continue  # a marker
         for j in sorted(mine.intersection(ids)):
@@ -190,7 +191,7 @@ def _links(
 
 
 def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
-    """Returns what of a model is no part of the robot, a sentence for each kind."""
+    """Returns the elements of a model outside the robot, a sentence for each kind."""
 
     def names(kind: mujoco.mjtObj, ids: Ints) -> str:
         return first_of([mujoco.mj_id2name(model, kind, int(i)) or f"number {i}" for i in ids])
@@ -215,8 +216,8 @@ def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
                 f"the {what} is left out" if count == 1 else f"{count} {what}s left out"
             )
     gravity = float(np.linalg.norm(model.opt.gravity))
-    if gravity and abs(gravity / _EARTH - 1.0) > 0.1:
-        text = f"its gravity is {gravity:g}; expected {_EARTH:g} m/s2: is it in other units?"
+    if gravity and abs(gravity / _GRAVITY - 1.0) > 0.1:
+        text = f"its gravity is {gravity:g}; expected {_GRAVITY:g} m/s2: is it in other units?"
         sentences.append(text)
     loops = [i for i in range(model.neq) if int(model.eq_type[i]) != int(mujoco.mjtEq.mjEQ_JOINT)]
     if loops:

@@ -1,7 +1,7 @@
-"""Finds the files that descriptions of robots name: `package://`, `model://`, `file://`, relative.
+"""Finds files named in robot descriptions: `package://`, `model://`, `file://`, relative.
 
-Nothing of ROS or Gazebo need be installed: packages are searched for above the file that names
-them, then where the environment says that they are.
+ROS and Gazebo need not be installed: packages are searched for above the file that names them, then
+on the paths of the environment.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ _PACKAGE_PATHS = (
     "GAZEBO_MODEL_PATH",
 )
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
-# NAME=DIR, as several of a path: what `--package` adds to.
+# NAME=DIR, separated as in a path; extended by `--package`.
 PACKAGES_VARIABLE = "SERO_MJ_PACKAGES"
-# Arguments of xacro as an object of JSON: what `--arg` adds to.
+# Arguments of xacro as a JSON object; extended by `--arg`.
 ARGUMENTS_VARIABLE = "SERO_MJ_XACRO_ARGUMENTS"
-_MOST_ABOVE = 12  # folders above a file that are searched
+_MAX_ABOVE = 12  # folders above a file that are searched
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/*")
-# As xacro and launch files name packages, whose own programs put a path there.
+# The syntax of xacro and launch files, whose programs would insert a path.
 _FIND = re.compile(r"(?:file:/*)?\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)/*")
 _MANIFEST_NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 
 
 def find_file(name: str, beside: Path, packages: Mapping[str, Path] | None = None) -> Path | None:
-    """Returns the file that a description names; None where there is none.
+    """Returns the file that a description names; None if there is none.
 
     Args:
         name: `package://NAME/...`, `model://NAME/...`, `file:///...`, `$(find NAME)/...`, or a
             path; relative ones start at the folder of the description, or at any folder above it.
-            Capital letters count only where they tell files apart.
+            Case matters only where it distinguishes files.
         beside: the description's own file.
         packages: folders of packages by name, before any others.
     """
@@ -130,7 +130,7 @@ def package_folders(
 def _above(file: Path) -> list[Path]:
     """Returns the folders above a file, and above what it is a link to."""
     paths = dict.fromkeys((Path(os.path.abspath(file)), Path(os.path.realpath(file))))
-    return list(dict.fromkeys(above for path in paths for above in [*path.parents][:_MOST_ABOVE]))
+    return list(dict.fromkeys(above for path in paths for above in [*path.parents][:_MAX_ABOVE]))
 
 
 def _listed(variable: str) -> list[Path]:

@@ -19,7 +19,7 @@ def read_robot_file(
     """Returns a robot's tables; file names in them are relative to the file's folder.
 
     Args:
-        path: of the file: TOML, or what an importer takes.
+        path: of the file: TOML, or any format with an importer.
         packages: folders of ROS packages by name, for URDF.
         arguments: of xacro by name.
 

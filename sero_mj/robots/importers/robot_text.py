@@ -1,4 +1,4 @@
-"""A robot's tables as the text of a commented robot file, as one would write it by hand."""
+"""Writes a robot's tables as a commented robot file, as written by hand."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .toml_text import inline, toml_entry
 
 _SCHEMA = "#:schema ./robot.schema.json"
 _ZERO = 1e-15  # m, rad, kg m2: rounding
-_WIDEST = 60  # of a column of entries, before comments
+_MAX_COLUMN_WIDTH = 60  # of a column of entries, before comments
 
 
 def robot_text(
@@ -29,12 +29,12 @@ def robot_text(
     """Returns the text of a robot file; `tomllib` reads tables of the same robot from it.
 
     Args:
-        described: what was read.
-        tables: those of it, with files as they are to be.
+        described: the imported tables.
+        tables: its tables, with the final file names.
         limbs: indices of joints by limb.
         file: name of the file that it was read from.
-        bodies: names of what the base is made of, and each link.
-        flange: which frame of it is the flange.
+        bodies: names of the bodies of the base and of each link.
+        flange: the frame that is the flange.
     """
     text = _RobotText(bodies, _rounded(tables))
     lines = [
@@ -56,7 +56,7 @@ class _RobotText:
     """The lines of a robot file, section by section.
 
     Args:
-        bodies: names of the links of the base, and of those that each joint moves.
+        bodies: names of the links of the base, and of those moved by each joint.
         tables: of the robot file.
     """
 
@@ -72,10 +72,10 @@ class _RobotText:
         ]
 
     def _rows(self, key: str, values: Sequence[Any], notes: Sequence[str], about: str = "") -> None:
-        """A list with an entry in each line, and what it is of."""
+        """A list with one entry per line, and a comment for each."""
         self.lines += [*([f"# {about}"] if about else []), f"{key} = ["]
         texts = [f"  {inline(value)}," for value in values]
-        width = min(max(map(len, texts), default=0), _WIDEST)
+        width = min(max(map(len, texts), default=0), _MAX_COLUMN_WIDTH)
         self.lines += [f"{t:<{width}}  # {n}" for t, n in zip(texts, notes, strict=True)]
         self.lines.append("]")
 
@@ -91,7 +91,7 @@ class _RobotText:
             self.lines.append(f"{key} = {inline(frame_table(self._tables[key]))}{note}")
 
     def add_kinematics(self, flange: str, limbs: Mapping[str, Sequence[int]]) -> None:
-        """The table or the joint frames, and how joints hang on each other."""
+        """The DH table or the joint frames, and the parents of the joints."""
         self.lines += ["#", f"# Limbs, by which routes call them, of {len(self._names)} joints:"]
         self.lines += [f"# - {self._limb(name, joints)}" for name, joints in limbs.items()]
         self.lines += ["", f"description = {inline(self._tables['description'])}", ""]
@@ -113,7 +113,7 @@ class _RobotText:
         self._frame("base_frame")
 
     def add_limits(self) -> None:
-        """Limits of all joints, and where they begin."""
+        """Limits of all joints, and their initial values."""
         self.lines.append("")
         for key, about in (
             ("position_limits", "rad or m; inf for none"),
@@ -126,7 +126,7 @@ class _RobotText:
         self._given("fit_arrows", about="arrows are as large as the links beside them need")
 
     def add_geometry(self) -> None:
-        """What is drawn and what touches, for every link, with a line for every part of it."""
+        """Visual and collision geometry of every link, with a line for every part."""
         self.lines.append("")
         self._given("directory")
         self._given("mjcf", about="what is drawn and what touches; its joints are these")
@@ -181,7 +181,7 @@ class _RobotText:
 
 
 def _rounded(value: Any) -> Any:
-    """Tables whose numbers are without the last digit, which is rounding."""
+    """Tables with numbers rounded by one digit."""
     if isinstance(value, Mapping):
         return {key: _rounded(each) for key, each in value.items()}
     if isinstance(value, np.ndarray):
@@ -194,7 +194,7 @@ def _rounded(value: Any) -> Any:
 
 
 def frame_table(T: Any) -> dict[str, list[float]]:
-    """Returns a frame (4, 4) as files have it: `xyz` and `quat`, without what is zero."""
+    """Returns a frame (4, 4) as in files: `xyz` and `quat`, without zero parts."""
     T = np.asarray(T, np.float64)
     table = {}
     if (np.abs(T[:3, 3]) > _ZERO).any():
@@ -205,11 +205,11 @@ def frame_table(T: Any) -> dict[str, list[float]]:
 
 
 def copied_meshes(tables: Mapping[str, Any], copy: Callable[[Path, str], None]) -> dict[str, Any]:
-    """Returns tables whose mesh files are in a folder `meshes`, into which `copy` has put them.
+    """Returns tables whose mesh files `copy` has copied to a folder `meshes`.
 
     Args:
         tables: of a robot.
-        copy: gets each file and its name in that folder.
+        copy: called with each file and its name in that folder.
     """
     result = dict(tables)
     folder = Path(result.get("directory", ""))

@@ -1,9 +1,8 @@
-"""A tree of links and joints, as URDF has it, as the tables of a robot file.
+"""Converts a tree of links and joints, as in URDF, to the tables of a robot file.
 
-Links that are fixed to each other become one: their inertias are added up, and their geometry is
-carried along. What is left is a base and a link per joint that moves, whose frame has the joint's
-axis as its z. A chain gets a Denavit-Hartenberg table where it has one, anything else the frames
-of its joints.
+Links that are fixed to each other become one: their inertias are added up, and their geometries
+merged. The result is a base and a link per movable joint, whose frame has the joint's axis as its
+z. A chain gets a Denavit-Hartenberg table if it has one, anything else the frames of its joints.
 """
 
 from __future__ import annotations
@@ -26,9 +25,9 @@ _FLANGES = (
     "tool0", "flange", "tcp", "tool_center_point", "ee_link", "end_effector", "eef", "ee", "tool",
     "gripper_tcp", "hand_tcp", "grasp", "gripper", "hand",
 )  # fmt: skip
-_FARTHEST = 10.0  # a table's lengths, over the reach, before its normals are taken to be far away
+_MAX_LENGTH_RATIO = 10.0  # a table's lengths over the reach; above it, normals are too far away
 _MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative; as in `robots.assemble.dynamics`
-_NO_LIMIT = 1e3  # rad or m; limits this far away stand for none
+_NO_LIMIT = 1e3  # rad or m; limits beyond this mean no limit
 TOO_FAR = f"limits of {_NO_LIMIT:g} m or rad and more are taken for none"
 
 
@@ -42,7 +41,7 @@ class Geometry:
         scale: of the mesh, m per unit, (3,).
         shape: `box`, `sphere`, `cylinder` or `capsule`.
         size: as `robots.assemble.surroundings.SHAPE_SIZES`.
-        color: name and rgba; None where there is none.
+        color: name and rgba; None for none.
         line: of its element.
     """
 
@@ -72,7 +71,7 @@ class Link:
 class Joint:
     """A joint: `kind` is `revolute`, `prismatic` or `fixed`; `frame` T_parent_child at zero.
 
-    Limits are infinite where there are none; `mimic` is a joint's name, a ratio and an offset.
+    Missing limits are infinite; `mimic` is a joint's name, a ratio and an offset.
     """
 
     name: str
@@ -94,7 +93,7 @@ class Joint:
 
 @dataclass
 class _Body:
-    """Links that are fixed to each other: the base's, or those that a joint moves."""
+    """Links that are fixed to each other: those of the base, or those moved by a joint."""
 
     joint: Joint | None
     parent: int
@@ -104,7 +103,7 @@ class _Body:
 
 
 class TreeTables:
-    """Makes the tables of a tree of links.
+    """Builds the tables of a tree of links.
 
     Attributes:
         tables: of a robot file.
@@ -158,7 +157,7 @@ class TreeTables:
             self.lines[key] = line
 
     def _joint_names(self) -> list[str]:
-        taken = {"base"}  # what carries joints that are on no other one
+        taken = {"base"}  # the parent of joints without a parent joint
         names, changed = [], []
         for i, joint in enumerate(self.joints):
             names.append(plain_name(joint.name, taken))
@@ -176,8 +175,7 @@ class TreeTables:
         deepest = [i for i, d in enumerate(self._depths) if d == depth]
         body = deepest[0]
         if len(deepest) > 1:
-            # Behind the fingers of a gripper there is a hand; behind the arms of a humanoid nothing
-            # that is meant.
+            # The fingers of a gripper share a hand; the arms of a humanoid share no flange.
             common = set.intersection(*({*self._way(i)} for i in deepest))
             hand = max(common, key=lambda i: self._depths[i])
             if 2 * self._depths[hand] >= depth and hand > 0:
@@ -194,7 +192,7 @@ class TreeTables:
         return body, link.name, T
 
     def _way(self, body: int) -> list[int]:
-        """The bodies from one to the base."""
+        """The bodies from the given one to the base."""
         way = [body]
         while way[-1] > 0:
             way.append(self._bodies[way[-1]].parent)
@@ -209,7 +207,7 @@ class TreeTables:
             steps = np.linalg.norm([*frames[:, :3, 3], T_flange[:3, 3]], axis=1)
             slides = [max(abs(x) for x in (j.lower, j.upper, 0) if np.isfinite(x))
                       for j in self.joints if j.kind == "prismatic"]  # fmt: skip
-            far = _FARTHEST * max(float(steps.sum()) + sum(slides), 0.1)
+            far = _MAX_LENGTH_RATIO * max(float(steps.sum()) + sum(slides), 0.1)
             chain = dh_from_frames(frames, revolute, T_flange, self._convention)
             if chain is not None and np.abs(chain.rows[:, [1, 3]]).max() < far:
                 self._in_dh = chain
@@ -257,7 +255,7 @@ class TreeTables:
         self._home()
 
     def _home(self) -> None:
-        """Starts joints that cannot be at zero at the limit that is nearest to it."""
+        """Sets joints whose range excludes zero to their limit nearest to zero."""
         home = {j.name: float(np.clip(0.0, j.lower, j.upper)) for j in self.joints}
         if not any(home.values()):
             return
@@ -349,7 +347,7 @@ class TreeTables:
 
 
 class _Colors:
-    """Names of colours, each once."""
+    """Unique names of colours."""
 
     def __init__(self) -> None:
         self.by_name: dict[str, Array] = {}
@@ -366,12 +364,12 @@ class _Colors:
 
 
 def meant_limits(limits: Array) -> Array:
-    """Returns position limits (..., 2), rad or m, infinite where they stand for none."""
+    """Returns position limits (..., 2), rad or m, infinite where they mean no limit."""
     return np.where(np.abs(limits) < _NO_LIMIT, limits, [-np.inf, np.inf])
 
 
 def plain_name(name: str, taken: set[str]) -> str:
-    """Returns a name with letters, digits, _ and - alone that is not taken, and takes it."""
+    """Returns an unused name of letters, digits, _ and - only, and adds it to `taken`."""
     plain = _NO_NAME.sub("_", name)
     if not re.match(r"[A-Za-z_]", plain):
         plain = f"_{plain}"
@@ -384,9 +382,9 @@ def plain_name(name: str, taken: set[str]) -> str:
 
 
 def aligned(axis: Array) -> Array:
-    """Returns a rotation (3, 3) whose z is a direction; exact for coordinate axes."""
+    """Returns a rotation (3, 3) whose z axis is a given direction; exact for coordinate axes."""
     axis = axis / np.linalg.norm(axis)
-    # Of x and y the one that is farther from the axis becomes its x but for a small turn.
+    # Of x and y, the one farther from the axis is projected to become its x.
     helper = np.eye(3)[0 if abs(axis[0]) <= abs(axis[1]) else 1]
     if abs(axis[0]) < 1e-12 and abs(axis[1]) < 1e-12:
         z = np.sign(axis[2])
@@ -397,14 +395,14 @@ def aligned(axis: Array) -> Array:
 
 
 def _merged(links: list[Link], joints: list[Joint], root: str) -> list[_Body]:
-    """Bodies in an order in which each branch is whole before the next begins."""
+    """Bodies in depth-first order: each branch is complete before the next begins."""
     by_name = {link.name: link for link in links}
     below: dict[str, list[Joint]] = {}
     for each in joints:
         below.setdefault(each.parent, []).append(each)
     order = {id(each): k for k, each in enumerate(joints)}
     bodies = [_Body(None, 0, np.eye(4))]
-    # Branches that are still to be walked: a joint that moves, its body, T_body_parent.
+    # Branches still to be visited: a movable joint, its body, T_body_parent.
     waiting: list[tuple[Joint | None, int, Array]] = [(None, 0, np.eye(4))]
     while waiting:
         joint, parent, T = waiting.pop()
@@ -451,7 +449,7 @@ def six_of(tensor: Array) -> list[float]:
 
 
 def _common_folder(files: list[Path]) -> Path:
-    """The folder that all files are inside of; they are all on one drive."""
+    """The common parent folder of all files, which are all on one drive."""
     if not files:
         return Path()
     return Path(os.path.commonpath([file.parent for file in files]))
@@ -471,7 +469,7 @@ def _entry(
             same = (geometry.scale == geometry.scale[0]).all()
             entry["scale"] = float(geometry.scale[0]) if same else geometry.scale.tolist()
     else:
-        assert geometry.size is not None  # of a shape
+        assert geometry.size is not None  # shapes have a size
         entry |= {"shape": geometry.shape, "size": geometry.size.tolist()}
     if look is not None and geometry.color is not None:
         entry["color"] = look(geometry.color)

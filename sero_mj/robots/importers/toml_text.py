@@ -1,4 +1,4 @@
-"""Tables as the text of a TOML file, as one would write it by hand."""
+"""Writes tables as TOML, formatted as if by hand."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import Any
 
 _WIDTH = 100
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_LONG = 400  # characters of a text that is written over several lines
+_LONG_TEXT = 400  # characters of a text that is written over several lines
 
 
 def toml_text(tables: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
-    """Writes tables that `tomllib` reads again as they were.
+    """Writes tables so that `tomllib` reads them back unchanged.
 
     Args:
-        tables: of texts, numbers, true and false, lists and tables of these.
+        tables: of strings, numbers, booleans, and lists and tables of these.
         comments: lines at the beginning, without `#`.
     """
     lines = [f"# {line}".rstrip() for line in comments]
@@ -35,17 +35,17 @@ def _is_section(value: Any) -> bool:
 
 
 def _section(name: str, value: Any) -> list[str]:
-    """A table with its header, or several of one name."""
+    """A table with its header, or an array of tables."""
     if isinstance(value, list):
         return [line for each in value for line in ["", f"[[{name}]]", *_body(name, each)]]
     body = _body(name, value)
-    # The headers of tables inside of it declare it as well.
+    # The headers of tables inside it declare it implicitly.
     has_header = bool(body) and body[0] == ""
     return body if has_header else ["", f"[{name}]", *body]
 
 
 def _body(name: str, table: Mapping[str, Any]) -> list[str]:
-    # Small tables inside of those with a name stand in one line, as frames and couplings do.
+    # Small tables inside named ones are written inline, such as frames and couplings.
     depth = len(re.findall(r'"[^"]*"|[^.]+', name))
     inner = {key: value for key, value in table.items() if _is_section(value)}
     small = {
@@ -66,9 +66,9 @@ def _entries(table: Mapping[str, Any]) -> list[str]:
 
 
 def toml_entry(key: str, value: Any) -> list[str]:
-    """The lines of a key and its value, several for what is long."""
+    """The lines of a key and its value; long values take several."""
     line = f"{toml_key(key)} = {inline(value)}"
-    if isinstance(value, str) and len(value) > _LONG and "'''" not in value:
+    if isinstance(value, str) and len(value) > _LONG_TEXT and "'''" not in value:
         line = f"{toml_key(key)} = '''\n{value}'''"
     elif isinstance(value, list) and len(line) > _WIDTH:
         rows = _rows(value)
@@ -77,7 +77,7 @@ def toml_entry(key: str, value: Any) -> list[str]:
 
 
 def _rows(values: list[Any]) -> list[str]:
-    """Entries of a list, a line for each that is a list or table itself, else as many as fit."""
+    """Entries of a list: nested lists and tables on separate lines, else as many as fit."""
     texts = [inline(value) for value in values]
     if any(isinstance(value, list | Mapping) for value in values):
         return texts
@@ -91,12 +91,12 @@ def _rows(values: list[Any]) -> list[str]:
 
 
 def toml_key(key: str) -> str:
-    """A key, in quotes where it has to be."""
+    """A key, quoted if necessary."""
     return key if _BARE.fullmatch(key) else _quoted(key)
 
 
 def _quoted(text: str) -> str:
-    # JSON's escapes are TOML's, but for a character that JSON leaves as it is.
+    # JSON's escapes are TOML's, except for one character that JSON does not escape.
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

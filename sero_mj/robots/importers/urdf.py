@@ -1,9 +1,9 @@
-"""URDF as it is found in the wild -> the tables of a robot file.
+"""Reads URDF, tolerating common errors, as the tables of a robot file.
 
-Follows the specification of URDF 1.0 (wiki.ros.org/urdf/XML), and the viewers that files are
-written for where it is silent: colours of a mesh file win over the `<material>` beside it (RViz), a
-range of zero is none (MuJoCo), a joint that states no axis has x. What is wrong is told all at once
-with the line of its element. A mesh that cannot be read costs that mesh only.
+Follows the specification of URDF 1.0 (wiki.ros.org/urdf/XML), and where it is silent, the viewers
+that files are written for: colours of a mesh file override the `<material>` beside it (RViz), a
+range of zero means no limit (MuJoCo), a joint without an axis has x. All errors are reported
+together, with the lines of their elements. An unreadable mesh is left out.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from .robot_tree import (
 )
 from .xml_file import Element, XmlError, parse_loose_xml, parse_xml
 
-_MOST_BYTES = 50_000_000
-_MOST_JOINTS = 128  # that move
+_MAX_BYTES = 50_000_000
+_MAX_JOINTS = 128  # movable ones
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
            "capsule": "radius, length"}  # fmt: skip
@@ -66,14 +66,14 @@ def read_urdf(
         path: of the file.
         packages: folders of ROS packages by name, for `package://NAME/...`; others are searched
             for above the file and on the paths that the environment names.
-        arguments: of xacro by name, over its defaults.
+        arguments: of xacro by name, overriding its defaults.
 
     Returns:
-        the tables of a robot file: a DH table (Craig's) for chains that have one, `joint_frames`
-        else; `filenames`, `collisions`, `colors`, limits, couplings and `dynamics`.
+        the tables of a robot file: a DH table (Craig's) for chains that have one, else
+        `joint_frames`; `filenames`, `collisions`, `colors`, limits, couplings and `dynamics`.
 
     Raises:
-        NoJoints: nothing in it moves; `read_rigid_urdf` reads it.
+        NoJoints: it has no movable joint; `read_rigid_urdf` reads it.
         DeclarationError: everything that is wrong in it, with lines.
     """
     file = UrdfFile(Path(path), packages, arguments)
@@ -82,14 +82,13 @@ def read_urdf(
 
 
 def read_rigid_urdf(path: Path | str) -> ImportedTables:
-    """Reads a URDF file without joints that move: a table, a tool, a ball.
+    """Reads a URDF file without movable joints: a table, a tool, a ball.
 
     Returns:
-        of the tables of a robot file `filenames`, `collisions`, `colors` and `directory`, for
-        the base alone.
+        `filenames`, `collisions`, `colors` and `directory` of a robot file, for the base alone.
 
     Raises:
-        DeclarationError: everything that is wrong in it, with lines; or there are joints.
+        DeclarationError: all errors in it, with lines; or it has joints.
     """
     file = UrdfFile(Path(path))
     if file.tree.joints:
@@ -100,7 +99,7 @@ def read_rigid_urdf(path: Path | str) -> ImportedTables:
 
 
 class _Arguments(dict[str, str]):
-    """Arguments of xacro as texts, those of the environment first; remembers what is asked for."""
+    """Arguments of xacro as strings, the environment's first; records those requested."""
 
     def __init__(self, arguments: Mapping[str, Any]) -> None:
         over = json.loads(os.environ.get(ARGUMENTS_VARIABLE) or "{}")
@@ -132,8 +131,8 @@ class UrdfFile:
 
     Attributes:
         path: of the file.
-        tree: what became of it, with names that only comments need.
-        described: what `read_urdf` returns.
+        tree: its converted tree, with names that only comments need.
+        described: the result of `read_urdf`.
     """
 
     def __init__(
@@ -149,13 +148,13 @@ class UrdfFile:
         self._problems: list[Problem] = []
         self._warnings: list[str] = []
         self._has_lines = True
-        self._lost: dict[str, list[str]] = {}  # mesh files that were not found, and who has them
-        self._found: dict[str, Path | None] = {}  # the file that a name means
+        self._lost: dict[str, list[str]] = {}  # missing mesh files, and their links
+        self._found: dict[str, Path | None] = {}  # the file of each name
         self._last_found: dict[str, Path] = {}  # the folder of a package
         self._unread: dict[Path, str] = {}
-        self._colored: dict[Path, bool] = {}  # whether a mesh file has colours of its own
+        self._colored: dict[Path, bool] = {}  # whether a mesh file has colours
         self._flat: set[Path] = set()
-        self._odd: dict[str, list[str]] = {}  # what is taken for something else, and where
+        self._odd: dict[str, list[str]] = {}  # reinterpreted values, and where
         root = self._root()
         self._root_line = root.sourceline if self._has_lines else None
         self._materials = self._colors(root)
@@ -166,9 +165,9 @@ class UrdfFile:
         self._stop()
         self._check_mimics(joints)
         moving = [joint for joint in joints if joint.kind in MOVING]
-        if len(moving) > _MOST_JOINTS:
+        if len(moving) > _MAX_JOINTS:
             found = f"{len(moving)} joints that move"
-            self._problem(root, "robot", f"found {found}; expected at most {_MOST_JOINTS}")
+            self._problem(root, "robot", f"found {found}; expected at most {_MAX_JOINTS}")
         self._stop()
         self._tell_about_meshes()
         given = (root.get("name") or "").strip()
@@ -192,7 +191,7 @@ class UrdfFile:
         self.described = ImportedTables(tables, {k: v for k, v in lines.items() if v}, warnings)
 
     def check_joints(self) -> None:
-        """Raises NoJoints where nothing moves."""
+        """Raises NoJoints if no joint is movable."""
         if not self.tree.joints:
             message = (
                 "has no joint that moves; expected one or more: what is rigid is an object, "
@@ -214,7 +213,7 @@ class UrdfFile:
 
     def _root(self) -> Element:
         try:
-            root, told = parse_loose_xml(read_file(self.path, _MOST_BYTES))
+            root, told = parse_loose_xml(read_file(self.path, _MAX_BYTES))
             self._warnings += told
             if any(_XACRO.match(name) for each in root.iter() for name in _names(each)):
                 root = self._expanded()
@@ -254,7 +253,7 @@ class UrdfFile:
                     element.set(key, _FROM_ENVIRONMENT.sub(value, text))
 
     def _expanded(self) -> Element:
-        """The root of what xacro makes of the file."""
+        """The root element after expansion by xacro."""
         try:
             import xacro
             from xacro import substitution_args
@@ -276,7 +275,7 @@ class UrdfFile:
             said = io.StringIO()
             with redirect_stderr(said), redirect_stdout(said):
                 text = xacro.process_file(str(self.path), mappings=self._arguments).toxml()
-        except (Exception, SystemExit) as error:  # it evaluates expressions of the file
+        except (Exception, SystemExit) as error:  # xacro evaluates expressions of the file
             reason = " ".join(str(error).split()) or type(error).__name__
             if (lacking := _NO_ARGUMENT.search(reason)) is not None:
                 reason += f"; --arg {lacking[1]}=VALUE says what it is"
@@ -339,7 +338,7 @@ class UrdfFile:
             self._note("<inertial> without <mass value=...>, taken for none", inertial, key)
         elif (value := self._number(mass, "value", key)) is not None and value < 0:
             self._problem(mass, key, f"<mass>: found {value:g} kg; expected 0 or more")
-        elif value == 0 and _all(element, "geometry"):  # else it is a frame that has a name
+        elif value == 0 and _all(element, "geometry"):  # else it is a named frame
             self._note("links whose mass is zero", mass, f"'{link.name}'")
         tensor = np.zeros((3, 3))
         if inertia is not None:
@@ -358,7 +357,7 @@ class UrdfFile:
             link.tensor = T[:3, :3] @ tensor @ T[:3, :3].T
 
     def _geometry(self, element: Element, tag: str, link: str) -> Geometry | None:
-        """A mesh or a shape; None where there is none that can be shown."""
+        """A mesh or a shape; None if there is none to be shown."""
         key = f"link '{link}'"
         T = self._origin(element, key)
         outer = _child(element, "geometry")
@@ -418,7 +417,7 @@ class UrdfFile:
         file = self._mesh_file(mesh, name, tag, link)
         if file is None:
             return None
-        # What a mesh file says of its colours wins.
+        # Colours of the mesh file take precedence.
         color = None if self._colored[file] else color
         return Geometry(T, file, scale, color=color, line=mesh.sourceline)
 
@@ -447,7 +446,7 @@ class UrdfFile:
         return None if file in self._unread else file
 
     def _search(self, name: str) -> Path | None:
-        """Finds the file of a mesh, first where the last one of its package was."""
+        """Finds the file of a mesh, starting where the last one of its package was found."""
         file = find_file(name, self.path, {**self._last_found, **self._packages})
         package = package_of(name)
         if file is not None and package is not None:
@@ -578,11 +577,11 @@ class UrdfFile:
             if value is not None and value < 0:
                 message = f"<limit>: found {name} = {value:g}; expected 0 or more"
                 self._problem(limit, key, message)
-            elif value and value < LARGEST:  # zero stands for nothing known
+            elif value and value < LARGEST:  # zero means unknown
                 setattr(joint, name, value)
 
     def _tree(self, links: list[Link], joints: list[Joint]) -> tuple[str, Array, bool]:
-        """The base, its frame, and whether it is free; the joint of a free base is taken out."""
+        """The base, its frame, and whether it is free; the joint of a free base is removed."""
         carrying = {joint.child: joint for joint in joints}
         roots = [link for link in links if link.name not in carrying]
         below: dict[str, list[Joint]] = {}
@@ -626,7 +625,7 @@ class UrdfFile:
         self._problems.append(Problem(f"{kind} '{item.name}'", message, str(self.path), line))
 
     def _check_mimics(self, joints: list[Joint]) -> None:
-        """Lets joints move on their own whose <mimic> has no meaning."""
+        """Removes invalid <mimic> elements, so that their joints move independently."""
         by_name = {joint.name: joint for joint in joints}
         moving = [joint.name for joint in joints if joint.kind in MOVING]
         for joint in joints:
@@ -656,7 +655,7 @@ class UrdfFile:
         return name or f"{kind} of line {element.sourceline}"
 
     def _origin(self, element: Element, key: str) -> Array:
-        """The frame of its <origin> (4, 4); identity where there is none."""
+        """The frame of its <origin> (4, 4); identity without one."""
         origin = _child(element, "origin")
         if origin is None:
             return np.eye(4)
@@ -674,7 +673,7 @@ class UrdfFile:
         default: float | None = None,
         largest: float = LARGEST,
     ) -> float | None:
-        """One number of an attribute; None where there is a problem with it."""
+        """One number of an attribute; None if it is invalid."""
         fallback = None if default is None else np.array([default])
         found = self._numbers(element, name, key, (1,), fallback, largest)
         return None if found is None else float(found[0])
@@ -688,7 +687,7 @@ class UrdfFile:
         default: Array | None = None,
         largest: float = LARGEST,
     ) -> Array | None:
-        """Numbers of an attribute; None where there is a problem with them."""
+        """Numbers of an attribute; None if they are invalid."""
         text = element.get(name)
         if text is None:
             if default is None:
@@ -712,7 +711,7 @@ class UrdfFile:
         return values
 
     def _meant(self, element: Element, text: str, key: str, counts: tuple[int, ...]) -> Array:
-        """Numbers with commas between them, or a second point behind them; NaN for any other."""
+        """Numbers separated by commas, or ending in a second point; NaN for anything else."""
         words = [_SECOND_POINT.sub(r"\1", word) for word in _COMMAS.split(text.strip())]
         if len(words) == 1:
             words = [_SECOND_POINT.sub(r"\1", word) for word in text.split()]
@@ -757,7 +756,7 @@ def _text(values: Array) -> str:
 
 
 def _reached(root: str, below: Mapping[str, list[Joint]]) -> set[str]:
-    """Names of the links that joints lead to, with the first."""
+    """Names of the links reachable through joints, including the root."""
     found, waiting = {root}, [root]
     while waiting:
         for joint in below.get(waiting.pop(), []):

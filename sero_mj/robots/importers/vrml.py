@@ -1,7 +1,7 @@
-"""The classic VRML syntax, in which VRML97 and X3D's classic encoding are written: text to nodes.
+"""Parses the classic VRML syntax of VRML97 and X3D's classic encoding: text to nodes.
 
 Sources: ISO/IEC 14772-1 (VRML97), annex A; ISO/IEC 19776-2 (X3D's classic VRML encoding). Values
-are kept as they stand, since a syntax alone does not tell a field's type.
+are kept untyped, since the syntax alone does not determine a field's type.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from .vrml_nodes import (
 )
 
 MOST_BYTES = 50_000_000  # of a file, unpacked; a million triangles, say
-_MOST_TOKENS = 2_000_000  # that are no numbers in a list; some seconds
-_MOST_DEPTH = 120  # of nodes inside nodes; reading one takes a few calls
+_MAX_TOKENS = 2_000_000  # excluding numbers in lists; takes some seconds
+_MAX_DEPTH = 120  # of nested nodes; each level takes a few calls
 _GZIP = b"\x1f\x8b"
 _HEADER = re.compile(r"#(?:X3D V\d+\.\d+|VRML V2\.0)\b")
-# Parts of robots are often written without the header, to be inlined.
+# Files to be inlined are often written without the header.
 _OLDER = ("#VRML V1", "#Inventor")
 _HEADLESS = re.compile(r"(?:#[^\n]*\n\s*)*(?:(?:DEF\s+\S+\s+)?[A-Z]\w*\s*\{|(?:EXTERN)?PROTO\s)")
-# Signs by which papers and editors show that a line goes on.
+# Characters by which papers and editors mark continued lines.
 _CONTINUED = "←↩↵↲⏎⤶¬\\\\"
 _TOKEN = re.compile(
     rf"(?P<space>(?:[\s,\ufeff]|\#[^\r\n]*|[{_CONTINUED}](?=[^\S\n]*(?:\r?\n|\Z)))++)"
@@ -66,7 +66,7 @@ _WITH_VALUE = ("initializeOnly", "inputOutput")
 
 
 def read_document(path: Path) -> Document:
-    """Reads a file of VRML97, or of X3D in the classic encoding; it may be packed by gzip.
+    """Reads a file of VRML97, or of X3D in the classic encoding; it may be gzip-compressed.
 
     Raises:
         DeclarationError: all that is wrong with it, with lines.
@@ -106,7 +106,7 @@ def _read_text(path: Path) -> str:
 
 
 def _what_else(start: str) -> str:
-    """What a file is that has not the header of one of these."""
+    """The format of a file that has neither header."""
     expected = "expected a first line #X3D V3.0 utf8 or #VRML V2.0 utf8"
     if re.match(r"<\?xml|<!DOCTYPE X3D|<X3D", start):
         return f"is X3D in the XML encoding; {expected} (X3D's classic encoding)"
@@ -118,7 +118,7 @@ def _what_else(start: str) -> str:
 
 
 def parse_document(text: str, path: Path) -> Document:
-    """Parses a text; the first line need not be the header.
+    """Parses text; the header is optional.
 
     Raises:
         DeclarationError: all that is wrong with it, with lines of `path`.
@@ -137,29 +137,29 @@ class _Token(NamedTuple):
 
 
 class _TooMuch(Exception):
-    """There is more than is read of any file; it has been told."""
+    """The file exceeds a limit, which has been reported."""
 
 
 class _Scope:
-    """What names mean: in the document, or in the body of a PROTO."""
+    """A scope of names: the document, or the body of a PROTO."""
 
     def __init__(self, protos: dict[str, Proto]) -> None:
         self.names: dict[str, Node] = {}
-        self.open: list[Node] = []  # those with a name around what is being read
+        self.open: list[Node] = []  # named nodes that enclose the current one
         self.protos = protos
         self.routes: list[Route] = []
 
 
 class _Parser:
-    """Reads tokens into nodes, and goes on behind what is wrong."""
+    """Parses tokens into nodes, and continues after errors."""
 
     def __init__(self, text: str, path: Path) -> None:
         self.problems = Problems(path)
         self._tokens = self._scan(text)
         self._depth = 0
-        # After a mistake nothing more is told until something is right again.
+        # After an error nothing more is reported until something parses again.
         self._is_lost = False
-        self._mistakes = 0  # told or not
+        self._mistakes = 0  # reported or not
         self._scope = _Scope({})
         self._token = _Token("mark", "", 1)
         self._next()
@@ -188,27 +188,27 @@ class _Parser:
                     position = end + 1
                     continue
             found = _TOKEN.match(text, position)
-            assert found is not None and found.lastgroup is not None  # `other` takes all
+            assert found is not None and found.lastgroup is not None  # `other` matches everything
             word = found.group()
             if found.lastgroup != "space":
                 yield _Token(found.lastgroup, word, line)
             line += word.count("\n")
             position = found.end()
-            if count > _MOST_TOKENS:
-                message = f"has more than {_MOST_TOKENS:,} words; nothing as long is read"
+            if count > _MAX_TOKENS:
+                message = f"has more than {_MAX_TOKENS:,} words; nothing as long is read"
                 self.problems.add("", message, line)
                 raise _TooMuch
         while True:
             yield _Token("end", "the end of the file", line)
 
     def _next(self) -> _Token:
-        """Goes on, and returns the token that was there."""
+        """Advances, and returns the previous token."""
         token = self._token
         self._token = next(self._tokens)
         return token
 
     def _wrong(self, expected: str, token: _Token | None = None, key: str = "") -> None:
-        """Tells that something else was found than expected."""
+        """Reports an unexpected token."""
         token = token or self._token
         shown = token.text if token.kind == "end" else reprlib.repr(token.text)
         if token.kind == "text":
@@ -226,14 +226,14 @@ class _Parser:
         self._mistakes += 1
 
     def _takes(self, mark: str) -> bool:
-        """Whether this mark is there; if so goes on."""
+        """Whether the next token is this mark; if so, advances."""
         is_it = self._token.kind == "mark" and self._token.text == mark
         if is_it:
             self._next()
         return is_it
 
     def _name(self, what: str) -> str | None:
-        """A name; None, and told, where there is none."""
+        """A name; None, and reported, if there is none."""
         if self._token.kind == "name":
             return self._next().text
         self._wrong(what)
@@ -242,8 +242,8 @@ class _Parser:
     @contextmanager
     def _deeper(self) -> Iterator[None]:
         self._depth += 1
-        if self._depth > _MOST_DEPTH:
-            message = f"nodes inside nodes are deeper than {_MOST_DEPTH}; nothing as deep is read"
+        if self._depth > _MAX_DEPTH:
+            message = f"nodes inside nodes are deeper than {_MAX_DEPTH}; nothing as deep is read"
             self._is_lost = False
             self._tell(message, self._token.line)
             raise _TooMuch
@@ -253,7 +253,7 @@ class _Parser:
     # Statements.
 
     def _statement(self, nodes: list[Node]) -> None:
-        """Reads one statement of the top of a file or of a PROTO's body."""
+        """Reads one statement at the top level of a file or of a PROTO's body."""
         token = self._token
         if token.kind == "name" and token.text in ("PROTO", "EXTERNPROTO", "ROUTE"):
             self._declaration()
@@ -272,7 +272,7 @@ class _Parser:
             self._skip()
 
     def _skip(self) -> None:
-        """Goes past what is not understood, as a whole where it is in brackets."""
+        """Skips unknown text; in brackets, the whole group."""
         opened = 0
         while self._token.kind != "end":
             token = self._next()
@@ -369,7 +369,7 @@ class _Parser:
         return self._token.kind == "name" and (text in _ACCESS or text in _ACCESS.values())
 
     def _field(self, fields: dict[str, Field], *, has_values: bool) -> str | None:
-        """Reads the declaration of a field; its value is that of `fields` afterwards."""
+        """Reads the declaration of a field, and stores its value in `fields`."""
         token = self._next()
         access = _ACCESS.get(token.text, token.text)
         kind, line = self._token.text, self._token.line
@@ -394,7 +394,7 @@ class _Parser:
     # Nodes and values.
 
     def _node(self) -> Node | None:
-        """Reads `DEF name Type { ... }`, `USE name` or `NULL`; None for no node."""
+        """Reads `DEF name Type { ... }`, `USE name` or `NULL`; None if there is no node."""
         token = self._next()
         name = ""
         if token.text == "NULL":
@@ -428,7 +428,7 @@ class _Parser:
             near = did_you_mean(name, self._scope.names)
             self.problems.add("", f"USE {name}: no node has this name above here{near}", line)
         elif node in self._scope.open:
-            # A script may refer to a node around it; it is not drawn as a part of it.
+            # A script may refer to an enclosing node, which is not drawn as part of it.
             if all(each.kind != "Script" for each in self._scope.open):
                 self.problems.add("", f"USE {name}: the node would be inside itself", line)
             return None
@@ -464,7 +464,7 @@ class _Parser:
                     self._is_lost &= self._mistakes > before
 
     def _value(self, key: str) -> Value | None:
-        """Reads the value of a field; None, and told, where there is none."""
+        """Reads the value of a field; None, and reported, if there is none."""
         token = self._token
         if token.kind == "numbers":
             self._next()
@@ -490,13 +490,13 @@ class _Parser:
             self._wrong("its value", key=key)
             return None
         if not isinstance(items[-1] if items else None, Node):
-            # Several numbers, or texts without brackets, end where a name is.
+            # Several numbers or strings without brackets end at the next name.
             while self._token.kind in ("number", "text") and self._item(items):
                 pass
         return Value(items, token.line)
 
     def _item(self, items: list[Any]) -> bool:
-        """Reads one value; whether there was one."""
+        """Reads one value, and returns whether there was one."""
         token = self._token
         if token.kind == "number":
             self._next()
@@ -512,18 +512,18 @@ class _Parser:
             node = self._node()
             if node is not None or token.text == "NULL":
                 items.append(node)
-            # What could not be read has been told.
+            # Errors have been reported.
         else:
             return False
         return True
 
 
-# Statements of X3D that say nothing about what is drawn, and how many words follow them.
+# Statements of X3D without visible effect, and the number of words that follow them.
 _SKIPPED = {"PROFILE": 1, "COMPONENT": 1, "META": 2, "UNIT": 3, "EXPORT": 1, "IMPORT": 1}
 
 
 def _numbers(text: str, begin: int) -> tuple[int, Array | None]:
-    """Where a list ends that holds nothing but numbers, and these; None for any other."""
+    """The end of a list of numbers only, and the numbers; None for other lists."""
     found = _NUMBERS.match(text, begin)
     end = begin if found is None else found.end()
     if not text.startswith("]", end):

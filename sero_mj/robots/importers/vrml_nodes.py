@@ -1,7 +1,7 @@
-"""What a file of the classic VRML syntax holds: nodes, their fields, PROTOs, ROUTEs.
+"""The contents of a file in the classic VRML syntax: nodes, their fields, PROTOs, ROUTEs.
 
-A syntax does not tell a field's type, so values are kept as they stand; `read_field` takes one as
-of a type.
+The syntax does not determine a field's type, so values are kept untyped; `read_field` converts one
+to a type.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
 
-_MOST_PROBLEMS = 20  # told of one file
+_MAX_PROBLEMS = 20  # reported per file
 # Numbers of one value of a type.
 _WIDTHS = {
     "Float": 1, "Double": 1, "Time": 1, "Int32": 1,
@@ -27,22 +27,22 @@ _WIDTHS = {
 }  # fmt: skip
 _OTHER_TYPES = ("Bool", "String", "Node", "Image")
 TYPES = tuple(f"{many}{kind}" for kind in (*_WIDTHS, *_OTHER_TYPES) for many in ("SF", "MF"))
-_LARGEST = 1e30  # no number of a scene is larger
+_LARGEST = 1e30  # larger numbers are errors
 
 
 class Is(NamedTuple):
-    """`IS name`: the value of a field of the PROTO around it."""
+    """`IS name`: the value of a field of the enclosing PROTO."""
 
     name: str
 
 
 @dataclass(frozen=True, eq=False)
 class Value:
-    """The value of a field as it stands.
+    """The untyped value of a field.
 
     Attributes:
-        items: numbers (float, or all of them in an array), texts, true and false, nodes, None for
-            NULL, or one `Is`.
+        items: numbers (floats, or all in an array), strings, booleans, nodes, None for NULL, or one
+            `Is`.
         line: of its first token.
     """
 
@@ -72,11 +72,11 @@ class Proto:
     """A PROTO or an EXTERNPROTO.
 
     Attributes:
-        name: of the nodes that it makes.
+        name: of its instances.
         line: of its declaration.
         fields: by name.
-        body: what it makes its nodes of; empty for an EXTERNPROTO.
-        urls: where an EXTERNPROTO's PROTO stands.
+        body: the nodes of its instances; empty for an EXTERNPROTO.
+        urls: of an EXTERNPROTO's PROTO.
     """
 
     name: str
@@ -93,9 +93,9 @@ class Node:
     Attributes:
         kind: its type, `Transform`.
         line: of its type.
-        name: that DEF gives it; empty for none.
+        name: given by DEF; empty for none.
         fields: values by name.
-        proto: that declares its kind; None for X3D's own.
+        proto: that declares its kind; None for X3D's own kinds.
     """
 
     kind: str
@@ -106,11 +106,11 @@ class Node:
 
     @property
     def label(self) -> str:
-        """How messages call it."""
+        """Its name in messages."""
         return self.name or self.kind
 
     def value(self, name: str) -> Value | None:
-        """The value of a field, or its PROTO's default; None where there is neither."""
+        """The value of a field, or its PROTO's default; None without either."""
         if name in self.fields:
             return self.fields[name]
         declared = None if self.proto is None else self.proto.fields.get(name)
@@ -130,12 +130,12 @@ class Route:
 
 @dataclass(eq=False)
 class Document:
-    """What a file holds.
+    """The contents of a file.
 
     Attributes:
         path: of the file.
-        nodes: at its top.
-        routes: all but those inside PROTOs.
+        nodes: at the top level.
+        routes: all except those inside PROTOs.
         names: nodes by the names that DEF gives them.
         protos: PROTOs and EXTERNPROTOs by name.
     """
@@ -148,14 +148,14 @@ class Document:
 
 
 class Problems:
-    """Collects what is wrong in a file."""
+    """Collects the errors of a file."""
 
     def __init__(self, path: Path, found: list[Problem] | None = None) -> None:
         self.path = path
         self.found: list[Problem] = [] if found is None else found
 
     def of(self, path: Path) -> Problems:
-        """Collects those of another file among these."""
+        """Collects the errors of another file together with these."""
         return Problems(path, self.found)
 
     def add(self, key: str, message: str, line: int | None) -> None:
@@ -164,26 +164,26 @@ class Problems:
 
     @contextmanager
     def told(self, key: str, line: int) -> Iterator[None]:
-        """Adds what a ValueError inside says."""
+        """Adds the message of a ValueError raised inside."""
         try:
             yield
         except ValueError as error:
             self.add(key, str(error), line)
 
     def raise_all(self) -> None:
-        """Raises DeclarationError where there are any, of many the first ones."""
+        """Raises DeclarationError if there are any; of many only the first."""
         if not self.found:
             return
         different = dict.fromkeys(self.found)
-        left = len(different) - _MOST_PROBLEMS
-        shown = sorted(different, key=lambda each: each.line or 0)[:_MOST_PROBLEMS]
+        left = len(different) - _MAX_PROBLEMS
+        shown = sorted(different, key=lambda each: each.line or 0)[:_MAX_PROBLEMS]
         if left > 0:
             shown.append(Problem("", f"and {left} more", str(self.path)))
         raise DeclarationError(shown)
 
 
 def instance(node: Node) -> Node | None:
-    """The node that a PROTO of the same file makes of one of its own; None for one without body."""
+    """The instance of a PROTO of the same file; None for a PROTO without a body."""
     if node.proto is None or not node.proto.body:
         return None
     made: dict[int, Node] = {}
@@ -209,29 +209,29 @@ def instance(node: Node) -> Node | None:
 
 
 def first(value: Value) -> Any:
-    """The first item of a value; None where there is none."""
+    """The first item of a value; None if it is empty."""
     return value.items[0] if len(value.items) else None
 
 
 def is_text(item: Any) -> bool:
-    """Whether an item of a value is a text."""
+    """Whether an item of a value is a string."""
     return isinstance(item, str)
 
 
 def read_field(value: Value, kind: str) -> Any:
-    """Takes a value as one of a type; with and without brackets.
+    """Converts a value to a type, with or without brackets.
 
     Args:
-        value: as it stands.
+        value: untyped.
         kind: `SFFloat`, `MFVec3f`, ...
 
     Returns:
         bool, int, float, str, `Node` or None for SFBool, SFInt32, SFFloat, SFString and SFNode; an
-        array (w,) for what has w numbers; for MF a list of texts, nodes, or true and false, an
-        array (k,) or (k, w) else. Matrices as their numbers stand.
+        array (w,) for types of w numbers; for MF a list of strings, nodes or booleans, else an
+        array (k,) or (k, w). Matrices keep the order of their numbers.
 
     Raises:
-        ValueError: it is none; says what was found and expected.
+        ValueError: it does not have this type; states what was found and expected.
     """
     many, base = kind[:2] == "MF", kind[2:]
     items = value.items
@@ -297,11 +297,11 @@ def _shown(items: Sequence[Any] | Array) -> str:
 
 
 def walk(nodes: Sequence[Node], most: int = 200_000) -> Iterator[Node]:
-    """Yields every node once, those inside it behind it; not those of PROTOs' bodies.
+    """Yields every node once, before its children; without the bodies of PROTOs.
 
     Args:
-        nodes: to begin with.
-        most: how many are told at most.
+        nodes: the roots.
+        most: maximum number of nodes.
     """
     todo, seen = list(reversed(nodes)), set[int]()
     while todo and len(seen) < most:
@@ -321,14 +321,14 @@ def walk(nodes: Sequence[Node], most: int = 200_000) -> Iterator[Node]:
 
 
 def get(node: Node, name: str, kind: str, default: Any, problems: Problems) -> Any:
-    """The value of a field as `read_field` returns it.
+    """The value of a field, converted by `read_field`.
 
     Args:
         node: that may have it.
         name: of the field.
         kind: its type.
-        default: where the node does not have it, or has it wrongly.
-        problems: is told the latter.
+        default: if the field is missing or invalid.
+        problems: receives errors.
     """
     value = node.value(name)
     if value is None:

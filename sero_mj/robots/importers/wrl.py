@@ -1,7 +1,7 @@
 """Geometry of VRML97 and X3D, as triangles by colour.
 
-Source of the nodes, their defaults and their meaning: ISO/IEC 14772-1 (VRML97), clause 6; of those
-that only X3D has ISO/IEC 19775-1.
+Sources of the nodes, their defaults and their meaning: ISO/IEC 14772-1 (VRML97), clause 6; for
+X3D's own nodes ISO/IEC 19775-1.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from .wrl_geometry import GEOMETRIES, Triangles
 
 log = logging.getLogger(__name__)
 
-_MOST_NODES = 100_000  # on the way through a file; USE and PROTO may make many of few
-_MOST_TRIANGLES = 5_000_000
-_MOST_INLINES = 200
+_MAX_NODES = 100_000  # visited in a file; USE and PROTO can multiply nodes
+_MAX_TRIANGLES = 5_000_000
+_MAX_INLINES = 200
 _DEFAULT_COLOUR = (0.8, 0.8, 0.8)
 
-# What holds others, and the field in which it does.
+# Grouping nodes, and the field of their children.
 _GROUPS = {
     "Transform": "children", "MatrixTransform": "children", "Group": "children",
     "StaticGroup": "children", "Anchor": "children", "Billboard": "children",
     "Collision": "children", "CADLayer": "children", "CADAssembly": "children",
     "CADPart": "children", "Scene": "children", "Switch": "choice", "LOD": "level",
 }  # fmt: skip
-# What shows nothing of itself.
+# Nodes without visible effect.
 _UNSEEN = {
     "WorldInfo", "NavigationInfo", "Viewpoint", "OrthoViewpoint", "Background", "Fog",
     "DirectionalLight", "PointLight", "SpotLight", "Script", "TimeSensor", "TouchSensor",
@@ -43,11 +43,11 @@ _UNSEEN = {
 
 
 class VisitedNode(NamedTuple):
-    """A node that is met on the way through a scene.
+    """A node visited in a scene.
 
     Attributes:
         node: a Shape, a light, a robot, ...
-        T: from its coordinates into those where the way began, (4, 4), affine.
+        T: from its coordinates to those of the root, (4, 4), affine.
         path: of the file that it stands in.
     """
 
@@ -59,13 +59,13 @@ class VisitedNode(NamedTuple):
 def read_wrl(path: Path) -> list[Triangles]:
     """Reads the geometry of a VRML97 file, or of X3D in the classic encoding.
 
-    What is not drawn, and files of an Inline that are not in the folder, are named in a warning.
+    A warning lists nodes that are not drawn, and missing files of Inline nodes.
 
     Returns:
-        for every colour its vertices (v, 3), as the file has its lengths, its triangles (f, 3),
-        counter-clockwise seen from outside, and red, green, blue, alpha (4,), 0 to 1; None
-        for shapes without a material. Vertices stand twice where an edge is sharp by the
-        `creaseAngle` or the normals of the file. Without any triangle empty.
+        for every colour its vertices (v, 3), in the file's unit, its triangles (f, 3),
+        counter-clockwise seen from outside, and red, green, blue, alpha (4,), 0 to 1; None for
+        shapes without a material. Vertices are duplicated at edges that are sharp by the file's
+        `creaseAngle` or normals. Empty without triangles.
 
     Raises:
         DeclarationError: all that is wrong, with lines.
@@ -83,8 +83,8 @@ def read_wrl(path: Path) -> list[Triangles]:
             continue
         for piece in triangles_of(seen, problems.of(seen.path), left_out):
             count += len(piece[1])
-            if count > _MOST_TRIANGLES:
-                message = f"has more than {_MOST_TRIANGLES:,} triangles"
+            if count > _MAX_TRIANGLES:
+                message = f"has more than {_MAX_TRIANGLES:,} triangles"
                 raise DeclarationError([Problem("", message, str(path))])
             pieces.append(piece)
     problems.raise_all()
@@ -117,13 +117,13 @@ def visit(
     problems: Problems,
     is_kept: Callable[[Node], bool] = lambda _: False,
 ) -> list[VisitedNode]:
-    """Goes through groups, transforms, PROTOs and inlined files to all other nodes, in order.
+    """Traverses groups, transforms, PROTOs and inlined files, and returns all other nodes in order.
 
     Args:
         nodes: to begin with.
-        path: of their file; files that are inlined are looked for in its folder.
-        problems: gets what is wrong with the nodes on the way.
-        is_kept: whether a node is to be returned, instead of what is in it.
+        path: of their file; inlined files are searched for in its folder.
+        problems: receives errors of the visited nodes.
+        is_kept: whether to return a node instead of its children.
 
     Raises:
         DeclarationError: there are too many nodes.
@@ -137,8 +137,8 @@ def visit(
     while todo:
         seen, files = todo.pop()
         count += 1
-        if count > _MOST_NODES:
-            message = f"has more than {_MOST_NODES:,} nodes, counting those of every USE"
+        if count > _MAX_NODES:
+            message = f"has more than {_MAX_NODES:,} nodes, counting those of every USE"
             raise DeclarationError([Problem("", message, str(path))])
         node, inner = seen.node, list[Node]()
         T, here = seen.T, problems.of(seen.path)
@@ -152,7 +152,7 @@ def visit(
             with here.told(node.label, node.line):
                 T = seen.T @ transform_of(node)
             inner = _children(node, here)
-        elif node.kind == "Inline" and len(inlined) < _MOST_INLINES:
+        elif node.kind == "Inline" and len(inlined) < _MAX_INLINES:
             file = None
             with here.told(f"{node.label}.url", node.line):
                 file = inlined_file(node, seen.path)
@@ -182,14 +182,14 @@ def _children(node: Node, problems: Problems) -> list[Node]:
 
 
 def inlined_file(node: Node, path: Path) -> Path | None:
-    """The file of an Inline: the first of its addresses in the folder of the file it stands in.
+    """The file of an Inline: the first of its addresses found in the folder of its file.
 
     Args:
         node: the Inline.
         path: of the file that it stands in.
 
     Raises:
-        ValueError: its addresses are no texts.
+        ValueError: its addresses are not strings.
     """
     value = node.value("url")
     for url in [] if value is None else read_field(value, "MFString"):
@@ -221,7 +221,7 @@ def _nodes_of(file: Path, node: Node, problems: Problems) -> list[Node]:
 
 
 def transform_of(node: Node) -> Array:
-    """T_parent_node (4, 4) of a grouping node, affine; identity for those that have none.
+    """T_parent_node (4, 4) of a grouping node, affine; identity for nodes without a transform.
 
     Raises:
         ValueError: a field is wrong.
@@ -249,7 +249,7 @@ def transform_of(node: Node) -> Array:
 
 
 def matrix(numbers: Array) -> Array:
-    """The frame (4, 4) that SFMatrix4f means: its translation is its fourth row.
+    """The frame (4, 4) of an SFMatrix4f, whose translation is its fourth row.
 
     Source: ISO/IEC 19775-1, 5.3.
     """
@@ -276,12 +276,12 @@ def rotation(axis_angle: Array) -> Array:
 def triangles_of(
     seen: VisitedNode, problems: Problems, left_out: dict[str, int]
 ) -> list[Triangles]:
-    """The triangles of a Shape where the way to it began, by colour.
+    """The triangles of a Shape by colour, in the coordinates of the root.
 
     Args:
         seen: the Shape.
-        problems: gets what is wrong with it.
-        left_out: gets the kind of its geometry and the line, where that is not known.
+        problems: receives its errors.
+        left_out: receives the kind and line of an unknown geometry.
     """
     shape = seen.node
     node: Node | None = get(shape, "geometry", "SFNode", None, problems)
@@ -315,7 +315,7 @@ def triangles_of(
 
 
 def color_of(shape: Node, problems: Problems) -> Array | None:
-    """Red, green, blue, alpha (4,) of a Shape's material; None where it has none."""
+    """Red, green, blue, alpha (4,) of a Shape's material; None without one."""
     appearance: Node | None = get(shape, "appearance", "SFNode", None, problems)
     appearance = appearance and (instance(appearance) or appearance)
     material: Node | None = appearance and get(appearance, "material", "SFNode", None, problems)
@@ -324,7 +324,7 @@ def color_of(shape: Node, problems: Problems) -> Array | None:
         return None
     base = "baseColor" if material.kind == "PhysicalMaterial" else "diffuseColor"
     color = get(material, base, "SFColor", np.array(_DEFAULT_COLOUR), problems)
-    if not np.any(color):  # it shines of itself, or is black
+    if not np.any(color):  # it is emissive, or black
         color = get(material, "emissiveColor", "SFColor", color, problems)
     alpha = 1.0 - get(material, "transparency", "SFFloat", 0.0, problems)
     return np.asarray(np.clip(np.append(color, alpha), 0.0, 1.0))

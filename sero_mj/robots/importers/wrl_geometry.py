@@ -1,4 +1,4 @@
-"""The nodes of VRML97 and X3D that are geometry, as triangles.
+"""Converts geometry nodes of VRML97 and X3D to triangles.
 
 Source of their defaults and meaning: ISO/IEC 14772-1 (VRML97), clause 6.
 """
@@ -12,10 +12,10 @@ import numpy as np
 from ...base.frames import Array, Ints, rotation_about
 from .vrml_nodes import Node, Problems, get, instance
 
-_AROUND = 32  # sides of what is round
-_MOST_CORNERS = 2000  # of a polygon that is not convex; cutting it takes the square of it
-_MOST_BENT = 50_000  # polygons that are not convex
-_MOST_COLOURS = 24  # of one shape whose vertices have colours; more become their mean
+_SIDES = 32  # of round bodies
+_MAX_CORNERS = 2000  # of a concave polygon; triangulation takes quadratic time
+_MAX_CONCAVE = 50_000  # concave polygons
+_MAX_COLOURS = 24  # of one shape with vertex colours; more are replaced by their mean
 
 Triangles = tuple[Array, Ints, Array | None]  # vertices (v, 3), faces (f, 3), rgba (4,)
 
@@ -39,7 +39,7 @@ def _check_positive(name: str, values: Any) -> None:
 def _sphere(node: Node, problems: Problems) -> list[Triangles]:
     radius = get(node, "radius", "SFFloat", 1.0, problems)
     _check_positive("radius", radius)
-    down = np.linspace(0.0, np.pi, _AROUND // 2 + 1)
+    down = np.linspace(0.0, np.pi, _SIDES // 2 + 1)
     profile = np.column_stack([np.sin(down), np.cos(down)]) * radius
     profile[[0, -1], 0] = 0.0
     return [_revolved(profile)]
@@ -64,7 +64,7 @@ def _cone(node: Node, problems: Problems) -> list[Triangles]:
 
 
 def _profiles(node: Node, problems: Problems, parts: dict[str, Any]) -> list[Triangles]:
-    """The parts of a round body that its node shows."""
+    """The visible parts of a round body."""
     return [
         _revolved(np.array(profile, dtype=np.float64))
         for name, profile in parts.items()
@@ -73,20 +73,20 @@ def _profiles(node: Node, problems: Problems, parts: dict[str, Any]) -> list[Tri
 
 
 def _revolved(profile: Array) -> Triangles:
-    """Turns a line (k, 2) of radius and height, from above to below, about y."""
+    """Revolves a profile (k, 2) of radius and height, from top to bottom, about y."""
     k = len(profile)
-    turns = rotation_about(1, np.arange(_AROUND) * 2 * np.pi / _AROUND)
+    turns = rotation_about(1, np.arange(_SIDES) * 2 * np.pi / _SIDES)
     points = np.column_stack([profile[:, 0], profile[:, 1], np.zeros(k)])
     vertices = np.einsum("aij,kj->kai", turns, points).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(k - 1), np.arange(_AROUND), indexing="ij")
-    a, b = i * _AROUND + j, i * _AROUND + (j + 1) % _AROUND
-    quads = np.stack([a, a + _AROUND, b + _AROUND, a, b + _AROUND, b], axis=-1)
+    i, j = np.meshgrid(np.arange(k - 1), np.arange(_SIDES), indexing="ij")
+    a, b = i * _SIDES + j, i * _SIDES + (j + 1) % _SIDES
+    quads = np.stack([a, a + _SIDES, b + _SIDES, a, b + _SIDES, b], axis=-1)
     faces = quads.reshape(-1, 3)
-    # At a pole many vertices are one.
-    at_pole = np.repeat(np.flatnonzero(profile[:, 0] == 0.0) * _AROUND, _AROUND)
+    # At a pole vertices coincide.
+    at_pole = np.repeat(np.flatnonzero(profile[:, 0] == 0.0) * _SIDES, _SIDES)
     renamed = np.arange(len(vertices))
     for first in np.unique(at_pole):
-        renamed[first : first + _AROUND] = first
+        renamed[first : first + _SIDES] = first
     faces = renamed[faces]
     is_flat = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])
     is_flat |= faces[:, 0] == faces[:, 2]
@@ -130,17 +130,17 @@ def _check_index(name: str, index: Ints, count: int, least: int = -1) -> None:
 
 
 def _cut(points: Array, index: Ints) -> Ints:
-    """Cuts polygons into triangles.
+    """Triangulates polygons.
 
     Args:
         points: (n, 3).
-        index: of their corners, with -1 behind each polygon.
+        index: of their corners, with -1 after each polygon.
 
     Returns:
         positions in `index` of the corners of triangles, (f, 3).
 
     Raises:
-        ValueError: polygons that are not convex are too many or too long.
+        ValueError: there are too many concave polygons, or they are too long.
     """
     ends = np.flatnonzero(np.append(index, -1) < 0)
     starts = np.append(0, ends[:-1] + 1)
@@ -159,7 +159,7 @@ def _cut(points: Array, index: Ints) -> Ints:
         bends = np.cross(outlines - before, following - outlines)
         signs = np.einsum("pci,pi->pc", bends, normals)
         sizes = np.linalg.norm(normals, axis=1) ** 2
-        if count == 4:  # at the corner that bends in, if one does
+        if count == 4:  # at the concave corner, if there is one
             turns = (np.argmin(signs, axis=1)[:, None] + np.arange(4)) % 4
             polygons = np.take_along_axis(polygons, turns, axis=1)
             signs = np.ones_like(signs)
@@ -167,8 +167,8 @@ def _cut(points: Array, index: Ints) -> Ints:
         fan = np.stack([np.zeros(count - 2, int), np.arange(1, count - 1), np.arange(2, count)], 1)
         cut.append(polygons[is_convex][:, fan].reshape(-1, 3))
         bent += int((~is_convex).sum())
-        if bent > _MOST_BENT:
-            raise ValueError(f"has more than {_MOST_BENT:,} polygons that are not convex")
+        if bent > _MAX_CONCAVE:
+            raise ValueError(f"has more than {_MAX_CONCAVE:,} polygons that are not convex")
         for polygon, outline, normal in zip(
             polygons[~is_convex], outlines[~is_convex], normals[~is_convex], strict=True
         ):
@@ -177,7 +177,7 @@ def _cut(points: Array, index: Ints) -> Ints:
 
 
 def clip_ears(outline: Array, normal: Array) -> Ints:
-    """Cuts a plane polygon that need not be convex into triangles, an ear after the other.
+    """Triangulates a planar, possibly concave polygon by clipping ears.
 
     Args:
         outline: its corners (n, 3), counter-clockwise seen along -normal.
@@ -191,12 +191,12 @@ def clip_ears(outline: Array, normal: Array) -> Ints:
 
     Source: Meisters, Polygons Have Ears, 1975.
     """
-    if len(outline) > _MOST_CORNERS:
+    if len(outline) > _MAX_CORNERS:
         raise ValueError(
             f"found a polygon of {len(outline)} corners that is not convex; expected at most "
-            f"{_MOST_CORNERS}"
+            f"{_MAX_CORNERS}"
         )
-    # Onto the plane of the two axes in which it is largest, counter-clockwise.
+    # Projected to the coordinate plane of its largest projection, counter-clockwise.
     drop = int(np.abs(normal).argmax())
     flat = outline[:, [(drop + 1) % 3, (drop + 2) % 3]]
     if normal[drop] < 0:
@@ -207,10 +207,10 @@ def clip_ears(outline: Array, normal: Array) -> Ints:
         ring = flat[left]
         before, after = np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0)
         turn = _cross(ring - before, after - ring)
-        # The most pointed ears first would be prettier; the first one found is right as well.
+        # Clipping the sharpest ear first would look better; the first one found is correct, too.
         ears = np.flatnonzero(turn > 0)
         reflex = ring[turn <= 0]
-        # Where there is none it crosses itself; what is left is cut all the same.
+        # Without an ear it intersects itself; the rest is cut anyway.
         empty = (int(k) for k in ears if _is_empty(before[k], ring[k], after[k], reflex))
         ear = next(empty, int(np.argmin(np.abs(turn))))
         triangles.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
@@ -223,7 +223,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _is_empty(a: Array, b: Array, c: Array, points: Array) -> bool:
-    """Whether none of the points (k, 2), but for the corners, is in a triangle."""
+    """Whether a triangle contains none of the points (k, 2) except its corners."""
     inside = (_cross(b - a, points - a) >= 0) & (_cross(c - b, points - b) >= 0)
     inside &= _cross(a - c, points - c) >= 0
     for corner in (a, b, c):
@@ -234,7 +234,7 @@ def _is_empty(a: Array, b: Array, c: Array, points: Array) -> bool:
 def _of_corners(
     node: Node, problems: Problems, points: Array, index: Ints, corners: Ints
 ) -> list[Triangles]:
-    """Makes triangles of corners: sharp where they are, and apart by their colours."""
+    """Builds triangles from corners, with sharp edges, grouped by colour."""
     faces = index[corners]
     sides = points[faces]
     normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
@@ -259,15 +259,15 @@ def _of_corners(
 
 
 def is_open(vertices: Array, faces: Ints) -> bool:
-    """Whether a surface has an edge that only one triangle has, so that one sees into it."""
+    """Whether a surface has an edge that belongs to one triangle only, so that it is open."""
     _, names = np.unique(vertices, axis=0, return_inverse=True)
     return _has_ends(names.ravel()[faces])
 
 
 def with_hull(vertices: Array) -> Array:
-    """Vertices (v, 3), and one more that no face has, just off the plane that all are in, if any.
+    """Vertices (v, 3), plus an unused one just off their plane if they are coplanar.
 
-    MuJoCo makes a convex hull of every mesh, which those in a plane have not.
+    MuJoCo computes a convex hull of every mesh, which fails for planar ones.
     """
     centre = vertices.mean(axis=0)
     _, extents, axes = np.linalg.svd(vertices - centre, full_matrices=False)
@@ -286,7 +286,7 @@ def _has_ends(faces: Ints) -> bool:
 def _smoothing(
     node: Node, problems: Problems, normals: Array, faces: Ints, corners: Ints, polygon: Ints
 ) -> Ints:
-    """A number for every corner of triangles (f, 3), equal where the surface is smooth."""
+    """A number for every corner of triangles (f, 3), equal across smooth edges."""
     normal: Node | None = get(node, "normal", "SFNode", None, problems)
     if normal is not None:
         if not get(node, "normalPerVertex", "SFBool", True, problems):
@@ -308,12 +308,12 @@ def _smoothing(
 
 
 def smoothed(normals: Array, faces: Ints, least_cosine: float) -> Ints:
-    """Numbers corners of triangles so that those which meet at smooth edges have the same.
+    """Numbers corners of triangles so that those that meet at smooth edges share a number.
 
     Args:
-        normals: of the triangles (f, 3), of any length but zero.
+        normals: of the triangles (f, 3), of any non-zero length.
         faces: (f, 3).
-        least_cosine: of the angle between two triangles at an edge that is smooth.
+        least_cosine: of the angle between two triangles at a smooth edge.
 
     Returns:
         (f, 3).
@@ -321,7 +321,7 @@ def smoothed(normals: Array, faces: Ints, least_cosine: float) -> Ints:
     units = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     count = len(faces)
     here = np.arange(3 * count).reshape(-1, 3)
-    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)  # edges, and the corners at their ends
+    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)  # the end corners of edges
     at = here[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     turned = ends[:, 0] > ends[:, 1]
     ends[turned], at[turned] = ends[turned][:, ::-1], at[turned][:, ::-1]
@@ -346,7 +346,7 @@ def smoothed(normals: Array, faces: Ints, least_cosine: float) -> Ints:
 def _by_colour(
     node: Node, problems: Problems, index: Ints, corners: Ints, polygon: Ints
 ) -> list[tuple[Any, Array | None]]:
-    """Which triangles have which colour of their own, (3,) or (4,); None for the material's."""
+    """The triangles of each own colour, (3,) or (4,); None for the material's colour."""
     everything: list[tuple[Any, Array | None]] = [(slice(None), None)]
     color: Node | None = get(node, "color", "SFNode", None, problems)
     if color is None or not len(corners):
@@ -368,12 +368,12 @@ def _by_colour(
     _check_index("colors", chosen.ravel(), len(colors), least=0)
     means = np.clip(colors[chosen].mean(axis=1), 0.0, 1.0)
     values, which = np.unique(means.round(3), axis=0, return_inverse=True)
-    if len(values) > _MOST_COLOURS:
+    if len(values) > _MAX_COLOURS:
         return [(slice(None), means.mean(axis=0))]
     return [(which.ravel() == k, value) for k, value in enumerate(values)]
 
 
-# Triangles of a node, and colours of its own where faces have some.
+# Triangles of a node, and the colours of its faces if any.
 GEOMETRIES: dict[str, Any] = {
     "Box": _box,
     "Sphere": _sphere,

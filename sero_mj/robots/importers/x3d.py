@@ -1,8 +1,8 @@
-"""A scene in X3D's classic encoding, as the paper prints it (Fig. 7), as tables of a scene file.
+"""Reads a scene in X3D's classic encoding, as in the paper's Fig. 7, as tables of a scene file.
 
 Of the nodes `SerialRobot`, `UdpReceiver` and `ShmReader` are the paper's protos (Fig. 3 and 5):
-fields as there, rows of `dhParams` as alpha, a, theta, d by Craig's convention, in rad and m, and
-matrices with their translation in the fourth row, as X3D has them (ISO/IEC 19775-1, 5.3). Shapes,
+same fields, rows of `dhParams` as alpha, a, theta, d by Craig's convention, in rad and m, and
+matrices with their translation in the fourth row, as in X3D (ISO/IEC 19775-1, 5.3). Shapes,
 viewpoints and lights become objects, cameras and lights, ROUTEs become routes.
 """
 
@@ -38,11 +38,11 @@ from .x3d_protos import (
 )
 from .x3d_surroundings import camera_table, light_table, object_table, rounded, view_axes
 
-_MOST_DEBUG_LEVEL = 3
-_MOST_TRIANGLES = 500_000  # of the shapes of a scene; those of a robot are in files
+_MAX_DEBUG_LEVEL = 3
+_MAX_TRIANGLES = 500_000  # of the shapes of a scene; those of a robot are in files
 _MISSING = "no such file"
-Z_IS_UP = "z is up"  # in WorldInfo, of scenes that we write
-# Turns y, which is up in X3D, into z.
+Z_IS_UP = "z is up"  # in WorldInfo of scenes written by sero-mj
+# Rotates y, which is up in X3D, to z.
 _UPRIGHT = np.diag([1.0, 1.0, 1.0, 1.0])
 _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)
 
@@ -50,15 +50,15 @@ _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)
 def read_x3d(path: Path) -> ImportedTables:
     """Reads a scene of robots, sources, routes, shapes, viewpoints and lights.
 
-    Nodes that are none of these are named in one warning; so are geometry files of robots that
-    are missing, instead of which links are drawn after the DH table.
+    Other nodes are listed in one warning; so are missing geometry files of robots, whose links are
+    generated from the DH table.
 
     Args:
         path: of a file in X3D's classic encoding, or VRML97.
 
     Raises:
-        DeclarationError: all that is wrong in it as X3D, with lines. What is wrong with a robot or
-            a source is told where it is built of the tables.
+        DeclarationError: all X3D errors, with lines. Errors in a robot or a source are reported
+            when it is built from the tables.
     """
     return _Reader(read_document(path)).described()
 
@@ -73,10 +73,10 @@ class _Reader:
         self.warnings: list[str] = []
         self.not_shown: dict[str, int] = {}
         self.left_out: list[str] = []  # ROUTEs
-        self.names: dict[int, str] = {}  # ours, of nodes by their ids
-        self.placed: dict[int, Array] = {}  # where robots, sources and shapes stand
+        self.names: dict[int, str] = {}  # our names of nodes, by their ids
+        self.placed: dict[int, Array] = {}  # frames of robots, sources and shapes
         self.waiting: list[VisitedNode] = []  # groups that a ROUTE moves
-        self.fixed: set[int] = set()  # those of them that are a robot's children now
+        self.fixed: set[int] = set()  # those that became a robot's children
         self.taken: set[str] = set()
         self.robots: dict[str, dict[str, Any]] = {}
         self.sources: dict[str, dict[str, Any]] = {}
@@ -87,7 +87,7 @@ class _Reader:
         self.missing: dict[str, str] = {}  # files of robots
         self.description = ""
         self.triangles = 0
-        # Groups that a ROUTE moves are kept apart from what stands still.
+        # Groups that a ROUTE moves are kept apart from static ones.
         self.moved = {
             id(node)
             for route in document.routes
@@ -97,7 +97,7 @@ class _Reader:
 
     def described(self) -> ImportedTables:
         seen = self._visit(self.document.nodes)
-        for each in seen:  # as the names of others may be made of these
+        for each in seen:  # because other names may be derived from these
             if each.node.name:
                 self._name(each.node)
         turn = self._turn(seen)
@@ -131,7 +131,7 @@ class _Reader:
         return bool(own_kind(node)) or id(node) in self.moved
 
     def _name(self, node: Node, text: str = "") -> str:
-        """Our name of a node: that of its DEF where it can be one, and no other's."""
+        """Our unique name of a node: that of its DEF if it is valid."""
         if id(node) in self.names:
             return self.names[id(node)]
         wanted = node.name or text or node.kind.lower()
@@ -147,10 +147,10 @@ class _Reader:
         return name
 
     def _turn(self, seen: list[VisitedNode]) -> Array:
-        """What turns the scene so that z is up; identity where it is, or where none can tell.
+        """The rotation that makes z point up; identity if it does, or if undecidable.
 
-        y is up by X3D, but the paper's robots stand on z. So the first viewpoint decides, or,
-        without one, how robots stand.
+        In X3D y is up, but in the paper's scenes z is. So the first viewpoint decides, or, without
+        one, the robots' bases.
         """
         infos = [each.node for each in seen if each.node.kind == "WorldInfo"]
         if any(Z_IS_UP in get(info, "info", "MFString", [], self.problems) for info in infos):
@@ -234,7 +234,7 @@ class _Reader:
             table["children"] = table_children
 
     def _child(self, seen: VisitedNode, robot: str) -> list[dict[str, Any]]:
-        """What is fixed to a robot's flange; a robot there is mounted on it."""
+        """Objects fixed to a robot's flange; a robot there is mounted on it."""
         if own_kind(seen.node) == "SerialRobot":
             self._robot(seen, f"{robot}/flange")
         elif own_kind(seen.node) or seen.node.kind in (
@@ -251,7 +251,7 @@ class _Reader:
         return []
 
     def _with_files(self, found: dict[str, Any], node: Node, name: str) -> dict[str, Any]:
-        """Fields of a robot without files where one is missing, the folder with slashes."""
+        """Fields of a robot, without files if one is missing; the folder has slashes."""
         directory = found.get("directory", "")
         if "://" in directory:
             value = node.value("directory")
@@ -297,7 +297,7 @@ class _Reader:
         table: dict[str, Any] = {"kind": "udp" if is_udp else "shm", "structure": ""}
         table |= self._fields(node, fields, place, ("metadata",), [*SOURCE_EVENTS])
         if "debug_level" in table:
-            table["debug_level"] = min(table["debug_level"], _MOST_DEBUG_LEVEL)
+            table["debug_level"] = min(table["debug_level"], _MAX_DEBUG_LEVEL)
         self.sources[name] = table
 
     def _fields(
@@ -308,7 +308,7 @@ class _Reader:
         others: Collection[str],
         events: Collection[str],
     ) -> dict[str, Any]:
-        """The fields of a node that it or its PROTO gives a value, by our names."""
+        """The fields set by a node or its PROTO, by our names."""
         found: dict[str, Any] = {}
         declared = {} if node.proto is None else node.proto.fields
         for name, value in _values(node).items():
@@ -330,7 +330,7 @@ class _Reader:
         return found
 
     def _frame(self, node: Node, name: str) -> Array:
-        """A matrix as a frame (4, 4); identity, and told, where it is none."""
+        """A matrix as a frame (4, 4); identity, and reported, if it is invalid."""
         value = node.value(name)
         if value is None:
             return np.eye(4)
@@ -338,7 +338,7 @@ class _Reader:
             numbers = read_field(value, "SFMatrix4f")
             T, other = matrix(numbers), matrix(numbers).T
             if T[3, :3].any() and not other[3, :3].any():
-                # Written row by row, as on paper.
+                # Written row by row, as in mathematics.
                 self.warnings.append(
                     f"{node.label}.{name} (line {value.line}) has its translation in the fourth "
                     "column, and is read so; X3D has it in the fourth row"
@@ -352,20 +352,20 @@ class _Reader:
                 raise ValueError(f"found {found}; {message}") from None
         return np.eye(4)
 
-    # What stands around.
+    # Surroundings.
 
     def _shapes(self, seen: VisitedNode) -> list[tuple[str, dict[str, Any]]]:
-        """Name and table of the object that a Shape becomes; nothing where it shows nothing."""
+        """Name and table of the object of a Shape; empty for an invisible one."""
         shape = seen.node
         table, text, count = object_table(seen, self.problems.of(seen.path), self.not_shown)
         self.triangles += count
-        if self.triangles > _MOST_TRIANGLES:
-            message = f"shapes have more than {_MOST_TRIANGLES:,} triangles"
+        if self.triangles > _MAX_TRIANGLES:
+            message = f"shapes have more than {_MAX_TRIANGLES:,} triangles"
             self.problems.add(shape.label, message, shape.line)
             self.problems.raise_all()
         if table is None:
             return []
-        # A shape may be used many times, each of which is an object.
+        # A shape may be used several times; each use is an object.
         is_first = id(shape) not in self.placed
         self.placed[id(shape)] = seen.T
         name = self._name(shape if is_first else Node(shape.kind, shape.line), shape.name or text)
@@ -387,14 +387,14 @@ class _Reader:
         table = light_table(seen, self.problems)
         if table is not None:
             name = self._name(seen.node, "light")
-            # Each shadow costs a picture of its own.
+            # Each shadow needs a separate rendering pass.
             self.lights[name] = {**table, "cast_shadow": False} if self.lights else table
             self.lines[f"lights.{name}"] = seen.node.line
 
     # Routes.
 
     def _take_group(self, seen: VisitedNode) -> None:
-        """Takes what is in a group that a ROUTE moves.
+        """Reads the contents of a group that a ROUTE moves.
 
         A tool whose location is routed from a flange (section 3.1 of the paper) becomes its
         robot's child; anything else stays where it is declared.
@@ -420,7 +420,7 @@ class _Reader:
             self._take(VisitedNode(each.node, T @ each.T, each.path))
 
     def _carries(self, robot: Node, event: str, T: Array) -> bool:
-        """Whether what stands in T and gets this event is at the flange of a robot that stands."""
+        """Whether a group at T with this event is at the flange of a robot with a fixed base."""
         is_flange = event.removesuffix("_changed") == FLANGE
         table = self.robots.get(self.names.get(id(robot), ""))
         if not is_flange or own_kind(robot) != "SerialRobot" or table is None:
@@ -429,9 +429,9 @@ class _Reader:
         return "mount" not in table and np.allclose(base, T, rtol=0, atol=1e-9)
 
     def _meant(self, route: Route) -> tuple[str, str, str] | None:
-        """What a ROUTE leads from, what robot it leads to, and its text for messages.
+        """The source of a ROUTE, its target robot, and its text for messages.
 
-        None for one that is wrong, left out, or done with.
+        None for one that is invalid, left out, or already handled.
         """
         names, line = self.document.names, route.line
         text = f"{route.origin}.{route.event} TO {route.target}.{route.input}"
@@ -465,7 +465,7 @@ class _Reader:
         field, line = route.input.removeprefix("set_"), route.line
         target = self.document.names[route.target]
         if field in ("flangeFrame", "axesTransparency", "enableTouchSensor", "children"):
-            self._leave_out(text, line)  # by the paper they can change
+            self._leave_out(text, line)  # the paper allows them to change
         elif field not in ROBOT_INPUTS:
             message = f"no input '{field}'{did_you_mean(field, ROBOT_INPUTS)}"
             self.problems.add(f"ROUTE {text}", message, line)
@@ -478,7 +478,7 @@ class _Reader:
         elif field == "baseFrame" and (
             is_turned or not np.array_equal(self.placed[id(target)], np.eye(4))
         ):
-            self._leave_out(text, line)  # frames of routes are in the world
+            self._leave_out(text, line)  # frames of routes are relative to the world
         elif (key := f"{robot}.{ROBOT_INPUTS[field]}") in self.routes:
             message = f"a ROUTE leads there from {self.routes[key]} already; expected one"
             self.problems.add(f"ROUTE {text}", message, line)
@@ -513,7 +513,7 @@ def _why_not(file: Path) -> str:
 
 
 def _values(node: Node) -> dict[str, Value]:
-    """Values of a node's fields, and its PROTO's for those that it does not give."""
+    """Values of a node's fields, with its PROTO's defaults."""
     declared = {} if node.proto is None else node.proto.fields
     given = {name: each.value for name, each in declared.items() if each.value is not None}
     return {**given, **node.fields}

@@ -1,4 +1,4 @@
-"""The paper's protos in X3D (Fig. 3 and 5): their fields and events, and ours that they are."""
+"""Maps fields and events of the paper's protos in X3D (Fig. 3 and 5) to ours."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ UDP_FIELDS = {
     "scale": ("SFFloat", "scale"),
     "debuglevel": ("SFInt32", "debug_level"),
 }
-# Of `ShmReader` the paper tells no fields; it has those of `UdpReceiver`, and ours.
+# The paper gives no fields of `ShmReader`; it has those of `UdpReceiver`, and ours.
 SHM_FIELDS = {
     **{name: each for name, each in UDP_FIELDS.items() if name not in ("udpport", "bufferSize")},
     "block": ("SFString", "block"),
     "lock": ("SFString", "lock"),
     "offset": ("SFInt32", "offset"),
 }
-# What our files can say besides, under the same names as there but for the capitals.
+# Additional fields of our files, under the same names except for capitals.
 MORE_ROBOT_FIELDS = {
     "dhConvention": ("SFString", "dh_convention"),
     "jointNames": ("MFString", "joint_names"),
@@ -81,9 +81,9 @@ SOURCE_EVENTS = {"receiving": "receiving", "receiveTrigger": "receive_trigger"}
 
 
 def own_kind(node: Node) -> str:
-    """Which of the paper's protos a node is, by its name or that of its PROTO's file; else empty.
+    """The paper's proto of a node, by its name or that of its PROTO's file; empty for none.
 
-    An EXTERNPROTO may have another name than the PROTO that its address leads to.
+    An EXTERNPROTO may have a different name than the PROTO at its address.
     """
     if node.kind in OWN_NODES:
         return node.kind

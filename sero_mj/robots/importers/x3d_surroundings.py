@@ -1,4 +1,4 @@
-"""Shapes, viewpoints and lights of X3D as tables of objects, cameras and lights."""
+"""Converts shapes, viewpoints and lights of X3D to objects, cameras and lights."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from .wrl import VisitedNode, by_colour, color_of, rotation, triangles_of
 from .wrl_geometry import Triangles, is_open, with_hull
 
 LIGHT_SHARE = 0.7  # of X3D's intensity, since a headlight and ambient light are added
-_CAMERA_DISTANCE = 1.0  # m, of what a camera looks at whose centre is behind it
-_LIGHT_DISTANCE = 4.0  # m, of a light that has none
+_CAMERA_DISTANCE = 1.0  # m, of the look-at point if the centre is behind the camera
+_LIGHT_DISTANCE = 4.0  # m, of a light without a distance
 _ANY_ROLL = np.deg2rad(1.0)
 
 
@@ -24,11 +24,11 @@ def object_table(
 
     Args:
         seen: the Shape.
-        problems: gets what is wrong with it.
-        left_out: gets the kind of its geometry and the line, where that is not known.
+        problems: receives its errors.
+        left_out: receives the kind and line of an unknown geometry.
 
     Returns:
-        the table, None for a Shape that shows nothing; what it may be called; its triangles.
+        the table, None for an invisible Shape; a name for it; its triangles.
     """
     geometry: Node | None = get(seen.node, "geometry", "SFNode", None, problems)
     geometry = geometry and (instance(geometry) or geometry)
@@ -47,13 +47,13 @@ def object_table(
 
 
 def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] | None:
-    """The table of an object that is a box, a sphere, an ellipsoid or a cylinder; else None."""
+    """The table of a box, a sphere, an ellipsoid or a cylinder; None for other shapes."""
     scales = np.linalg.norm(T[:3, :3], axis=0)
     if not (scales > 0).all():
         return None
     axes = T[:3, :3] / scales
     if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1.0  # these are as their mirror images
+        axes[:, 0] *= -1.0  # these equal their mirror images
     if np.abs(axes.T @ axes - np.eye(3)).max() > 1e-9:
         return None
     shape, turned = "", np.eye(3)
@@ -87,7 +87,7 @@ def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] |
 
 
 def mesh_text(pieces: list[Triangles]) -> str:
-    """MJCF of triangles by colour, that collide with nothing; an open surface has no mass."""
+    """MJCF of triangles by colour, without collisions; an open surface has no mass."""
     meshes, geoms = [], []
     for k, (vertices, faces, rgba) in enumerate(pieces):
         points = " ".join(f"{value:.7g}" for value in with_hull(vertices).ravel())
@@ -110,7 +110,7 @@ def view_axes(viewpoint: Node, problems: Problems) -> Array:
 
 
 def camera_table(seen: VisitedNode, problems: Problems) -> tuple[dict[str, Any], float]:
-    """The table of a Viewpoint, and by how much it is rolled, degrees, which cameras are not."""
+    """The table of a Viewpoint, and its roll in degrees, which cameras do not support."""
     node = seen.node
     axes = seen.T[:3, :3] @ view_axes(node, problems)
     axes = axes / np.linalg.norm(axes, axis=0)
@@ -153,6 +153,6 @@ def light_table(seen: VisitedNode, problems: Problems) -> dict[str, Any] | None:
 
 
 def rounded(values: Array) -> list[Any]:
-    """Numbers as they are written in files, without digits that only rounding made."""
+    """Numbers as written in files, without digits due to rounding errors."""
     numbers: list[Any] = (np.asarray(values, np.float64).round(12) + 0.0).tolist()
     return numbers

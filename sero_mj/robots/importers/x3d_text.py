@@ -1,6 +1,6 @@
-"""The tables of a scene as X3D in the classic encoding, with the paper's protos.
+"""Writes the tables of a scene as X3D in the classic encoding, with the paper's protos.
 
-What X3D and the protos have no word for is left out, and named.
+Parts that X3D and the protos cannot express are left out, and listed.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ def x3d_text(tables: Mapping[str, Any]) -> tuple[str, list[str]]:
     """Writes a scene that `read_x3d` reads again.
 
     Args:
-        tables: of a scene file, with the fields of robots in them instead of `model`; those that
-            have their default need not be there.
+        tables: of a scene file, with the fields of robots in them instead of `model`; defaults may
+            be omitted.
 
     Returns:
-        the text, and dotted keys of what is left out of it, each with a reason where there is one.
+        the text, and the dotted keys left out of it, some with a reason.
     """
     writer = _Writer(tables)
     return writer.text(), writer.left_out
@@ -123,10 +123,10 @@ class _Writer:
         return key == "directory" and not value
 
     def _by_craig(self, name: str, robot: dict[str, Any]) -> dict[str, Any]:
-        """Fields with a table by Craig's convention, which the proto has, instead of standard DH.
+        """Fields with a table by Craig's convention, as in the proto, instead of standard DH.
 
-        Craig's row has the angle and offset of this joint behind alpha and a of the standard row
-        before; the last alpha and a are the flange's.
+        Craig's row has the angle and offset of this joint after alpha and a of the previous
+        standard row; the last alpha and a belong to the flange.
         """
         if robot.pop("dh_convention", PAPER_CONVENTION) == PAPER_CONVENTION:
             return robot
@@ -137,7 +137,7 @@ class _Writer:
         last = frame(rotation_about(0, rows[-1, 0]), np.array([rows[-1, 1], 0.0, 0.0]))
         robot["flange_frame"] = (last @ np.array(robot.get("flange_frame", _IDENTITY))).tolist()
         offsets = robot.get("offsets_to_center_of_joints")
-        if offsets is not None:  # they are where the joint begins, Craig's frame is where it ends
+        if offsets is not None:  # they are before the joint, Craig's frame is after it
             turned = [
                 rotation_about(2, -row[2]) @ offset - [0.0, 0.0, row[3]]
                 for row, offset in zip(rows, np.array(offsets, np.float64), strict=True)
@@ -173,7 +173,7 @@ class _Writer:
             lines.append("}")
         return lines
 
-    # What stands around.
+    # Surroundings.
 
     def _objects(self) -> list[str]:
         objects = self.tables.get("objects", {})
@@ -184,7 +184,7 @@ class _Writer:
         ]
 
     def _object(self, place: str, name: str, table: Mapping[str, Any]) -> list[str]:
-        """A Shape in a Transform; nothing, and told, for what is none."""
+        """A Shape in a Transform; empty, and reported, for other objects."""
         rest = dict(table)
         T = np.array(rest.pop("frame", _IDENTITY), np.float64)
         rgba, shape = rest.pop("rgba", None), rest.pop("shape", None)
@@ -275,7 +275,7 @@ class _Writer:
 
 
 def _unsayable(robot: Mapping[str, Any]) -> str:
-    """Why the paper's proto cannot draw a robot at all; empty where it can."""
+    """Why the paper's proto cannot draw a robot; empty if it can."""
     if "prismatic" in (robot.get("joint_types") or []):
         return "joints that slide"
     if robot.get("mirrored"):
@@ -287,14 +287,14 @@ def _unsayable(robot: Mapping[str, Any]) -> str:
 
 
 def _all_on(name: str, carried: Mapping[str, list[str]]) -> Iterator[str]:
-    """Names of the robots that a robot carries, directly or on others."""
+    """Names of the robots carried by a robot, directly or indirectly."""
     for each in carried.get(name, []):
         yield each
         yield from _all_on(each, carried)
 
 
 def _field(name: str, kind: str, value: Any) -> list[str]:
-    """A field and its value, over several lines where it is long."""
+    """A field and its value; long values take several lines."""
     if kind == "SFBool":
         return [f"{name} {'TRUE' if value else 'FALSE'}"]
     if kind == "SFString":
@@ -330,7 +330,7 @@ def _rotation(R: Array) -> str:
     angle = rotation_angle(R)
     twice = R - R.T
     axis = np.array([twice[2, 1], twice[0, 2], twice[1, 0]])
-    if np.linalg.norm(axis) < 1e-6:  # by none, or by a half turn
+    if np.linalg.norm(axis) < 1e-6:  # an angle of zero, or a half turn
         if angle < 1.0:
             return "0.0 0.0 1.0 0.0"
         square = (R + np.eye(3)) / 2
@@ -368,12 +368,12 @@ def shape_lines(
     scale: Array | None = None,
     name: str = "",
 ) -> list[str]:
-    """A Shape, in a Transform where it does not stand at the origin.
+    """A Shape, in a Transform unless it is at the origin.
 
     Args:
         geometry: its node, as text.
         rgba: of its material, 0 to 1; None for none.
-        T: where it stands, (4, 4), rigid.
+        T: its pose, (4, 4), rigid.
         scale: of it, (3,).
         name: of its DEF; empty for none.
     """
@@ -389,7 +389,7 @@ def shape_lines(
 
 
 def _face_sets(mjcf: str) -> Iterator[tuple[str, list[float] | None]]:
-    """The meshes of MJCF that `mesh_text` wrote, with their colours; nothing for any other."""
+    """The meshes of MJCF written by `mesh_text`, with their colours; else empty."""
     try:
         root = ElementTree.fromstring(mjcf)
     except ElementTree.ParseError:
@@ -414,7 +414,7 @@ def _face_sets(mjcf: str) -> Iterator[tuple[str, list[float] | None]]:
 def face_set(points: Array, faces: Any, crease: float = 3.2) -> str:
     """An IndexedFaceSet of triangles (f, 3) of points (k, 3).
 
-    Its edges are sharp where they are by `crease`, rad, and where vertices stand twice.
+    Edges are sharp by `crease`, rad, and at duplicated vertices.
     """
     coordinates = ", ".join(" ".join(f"{value:.7g}" for value in point) for point in points)
     corners = " ".join(f"{a} {b} {c} -1" for a, b, c in np.asarray(faces).tolist())

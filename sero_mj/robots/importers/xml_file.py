@@ -1,4 +1,4 @@
-"""XML of others, read without what is dangerous in it."""
+"""Reads untrusted XML safely."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 from lxml import etree
 
 Element: TypeAlias = Any  # lxml has no types
-_MOST_HEAD = 100_000  # bytes in which a file's first element begins
+_MAX_HEAD = 100_000  # bytes in which a file's first element begins
 _NO_ELEMENT = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!.*?>", re.DOTALL)
 _ELEMENT = re.compile(rb"<([A-Za-z_][\w.-]*)")
-# What may stand before a file's first element, and before its declaration although it must not.
+# Allowed before a file's first element, and tolerated before its declaration.
 _BEFORE = rb"\s|\xef\xbb\xbf|<!--(?>.*?-->)"
 _DECLARATION = re.compile(rb"((?>%b)*+)(<\?xml\s[^>]*?\?>)" % _BEFORE, re.DOTALL)
 _ROOT = re.compile(rb"(?>%b|<\?(?>.*?\?>))*+<[A-Za-z_][^\s/>]*" % _BEFORE, re.DOTALL)
@@ -23,11 +23,11 @@ _ROOT = re.compile(
     rb"(?>\s|\xef\xbb\xbf|<!--(?>.*?-->)|<\?(?>.*?\?>))*+<[A-Za-z_][^\s/>]*", re.DOTALL
 )
 _PREFIX = re.compile(rb"[<\s]([A-Za-z_][\w.-]*):[A-Za-z_][\w.-]*(?=[\s=/>])")
-_MOST_PREFIXES = 100
+_MAX_PREFIXES = 100
 
 
 class XmlError(ValueError):
-    """XML that cannot be read; `reasons` are pairs of a line, or None, and what is wrong there."""
+    """Unreadable XML; `reasons` are pairs of a line, or None, and the error there."""
 
     def __init__(self, reasons: list[tuple[int | None, str]]) -> None:
         self.reasons = reasons
@@ -35,7 +35,7 @@ class XmlError(ValueError):
 
 
 def first_element(head: bytes) -> str | None:
-    """Returns the name of a file's first element; None where its beginning has none."""
+    """Returns the name of a file's first element; None if `head` has none."""
     found = _ELEMENT.search(_NO_ELEMENT.sub(b"", head))
     return None if found is None else found[1].decode()
 
@@ -43,21 +43,21 @@ def first_element(head: bytes) -> str | None:
 def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
     """Returns the root element; its descendants know their lines (`sourceline`).
 
-    Declarations of entities are refused: of a few bytes they make gigabytes, or the contents of
-    other files. Nothing is fetched from elsewhere.
+    Declarations of entities are refused: they can expand a few bytes to gigabytes, or insert other
+    files. Nothing is fetched from the network.
 
     Args:
         contents: of the file.
-        encoding: over what the file states, by any name that Python knows.
+        encoding: overrides the file's, by any name known to Python.
 
     Raises:
-        XmlError: it is no XML, or declares entities.
+        XmlError: it is not XML, or declares entities.
     """
     stated = None
     if encoding is None and (found := _STATED.match(contents)) is not None:
         stated = found[1].decode()
     known = None if (name := encoding or stated) is None else _known(name)
-    encoding = None if known == stated else known  # what lxml knows it reads as it is stated
+    encoding = None if known == stated else known  # lxml reads a stated encoding that it knows
     try:
         parser = etree.XMLParser(
             resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
@@ -78,7 +78,7 @@ def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
 
 
 def _known(encoding: str) -> str:
-    """The name by which lxml knows an encoding, where Python knows that, too; else as it is."""
+    """Returns lxml's name of an encoding, if Python knows it, too; else the name unchanged."""
     try:
         etree.XMLParser(encoding=encoding)
     except LookupError:
@@ -90,16 +90,16 @@ def _known(encoding: str) -> str:
 
 
 def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
-    """As `parse_xml`, of what other programs read although it is not quite XML.
+    """As `parse_xml`, tolerating XML errors that other programs accept.
 
-    That is a declaration that is not at the start or of an unknown version, and prefixes that are
-    not declared. Both are corrected in the text, in their lines, so all else is guarded as ever.
+    These are a declaration that is not at the start or of an unknown version, and undeclared
+    prefixes. Both are corrected within their lines, so all other checks still apply.
 
     Returns:
-        the root element, and what was corrected, a sentence for each.
+        the root element, and the corrections, a sentence for each.
 
     Raises:
-        XmlError: it is no XML all the same, or declares entities.
+        XmlError: it is still not XML, or declares entities.
     """
     try:
         return parse_xml(contents), []
@@ -107,7 +107,7 @@ def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
         first = error
     told: list[str] = []
     encoding = None
-    found = _DECLARATION.match(contents[:_MOST_HEAD])
+    found = _DECLARATION.match(contents[:_MAX_HEAD])
     is_first = found is not None and not found[1].strip(b"\xef\xbb\xbf")
     if found is not None and not (is_first and _VERSION.search(found[2])):
         stated = _ENCODING.search(found[2])
@@ -120,7 +120,7 @@ def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
         tag = contents[root.end() : contents.find(b">", root.end())]
         known = {b"xml", b"xmlns", *re.findall(rb"xmlns:([\w.-]+)", tag)}
         unknown = sorted({*_PREFIX.findall(contents)} - known)
-        if 0 < len(unknown) <= _MOST_PREFIXES:
+        if 0 < len(unknown) <= _MAX_PREFIXES:
             added = b"".join(b' xmlns:%b="%b"' % (each, each) for each in unknown)
             contents = contents[: root.end()] + added + contents[root.end() :]
             told.append(f"prefixes of names are not declared: {_shown(b', '.join(unknown))}")
@@ -134,7 +134,7 @@ def _shown(text: bytes) -> str:
 
 
 def _plain(message: str) -> str:
-    """libxml2's message without what only its callers can do about it."""
+    """libxml2's message without advice meant for its callers."""
     if "amplification" in message:
         return "declares entities that grow without end; expected none"
     return message.partition(", use XML_PARSE_HUGE")[0].strip()

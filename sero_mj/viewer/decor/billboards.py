@@ -47,7 +47,7 @@ _UNITS = {
     "torque_share": (("%", 1), ("%", 1)),
 }
 # Of a torque as many decimals are shown as tell this share of that of a full arrow.
-_SEEN, _MOST_DECIMALS = 0.01, 4
+_SEEN, _MAX_DECIMALS = 0.01, 4
 _OWN_UNIT = (("", 2), ("", 2))  # of `billboard_values` and a robot's own inputs
 # Values and labels that a click on an arrow shows (section 2.2).
 _DETAILS = {
@@ -395,7 +395,7 @@ def _line(
     """Returns the format of line k: the joint's name is on the first, labels are on all."""
     unit, decimals = _UNITS.get(key, _OWN_UNIT)[prismatic]
     if unit in ("Nm", "N") and 0 < full < np.inf:
-        decimals = min(max(decimals, math.ceil(-math.log10(_SEEN * full))), _MOST_DECIMALS)
+        decimals = min(max(decimals, math.ceil(-math.log10(_SEEN * full))), _MAX_DECIMALS)
     scale = 1.0
     if declared is not None:
         unit = unit if declared.unit is None else declared.unit

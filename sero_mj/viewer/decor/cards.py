@@ -25,10 +25,10 @@ from .picture_view import PictureView
 _Key = tuple[Kind, int]
 
 _CLOSE = 0.03  # of the picture's width, by which a robot moves before it changes its place
-_LEAST_GAIN = 0.01  # of a line's height: less is noise, and no reason to change places
+_MIN_GAIN = 0.01  # of a line's height: less is noise, and no reason to change places
 _FEWEST = 8  # cards, also where they need several columns
 # Of a robot with more joints only the most loaded have cards, unless they were clicked on.
-_MANY, _MOST_LOADED = 24, 12
+_MANY, _MAX_LOADED = 24, 12
 _GAP = 0.3  # between cards, of a line's height
 # A hand or finger is less than this of the arm that carries it: their cards stand together.
 SMALL = 0.5
@@ -176,7 +176,7 @@ class CardLayout:
         for _ in range(_ROUNDS):
             centres = place(side, rank)
             starts = _starts(centres, sizes, anchors, side)
-            changed = uncross(starts, anchors, _LEAST_GAIN * view.font.height)
+            changed = uncross(starts, anchors, _MIN_GAIN * view.font.height)
             if (changed == np.arange(len(keys))).all():
                 break
             side, rank = side[changed], rank[changed]
@@ -348,13 +348,13 @@ def _keys(groups: list[Cards]) -> list[_Key]:
 
 
 def _most_cards(owners: Ints) -> int:
-    """Returns how many cards a picture has at most: of each owner with many `_MOST_LOADED`.
+    """Returns how many cards a picture has at most: of each owner with many `_MAX_LOADED`.
 
     Args:
         owners: of all cards, (k,), -1 for none.
     """
     counts = np.unique(owners[owners >= 0], return_counts=True)[1]
-    return int(np.where(counts > _MANY, _MOST_LOADED, counts).sum() + (owners < 0).sum())
+    return int(np.where(counts > _MANY, _MAX_LOADED, counts).sum() + (owners < 0).sum())
 
 
 def _only(groups: list[Cards], kept: Bools) -> list[Cards]:

@@ -78,7 +78,7 @@ DEFAULT_FONT = _default()
 
 
 _TEXT_OF_SCALE = 0.7  # text height over the picture's shorter side per unit of billboard_scale
-_LEAST_LINE = FONT_HEIGHTS[100]  # pixels; smaller text is hard to read
+_MIN_LINE = FONT_HEIGHTS[100]  # pixels; smaller text is hard to read
 _LARGEST_LINE = 0.0675  # of that side
 
 
@@ -89,4 +89,4 @@ def line_height(world: WorldView, width: int, height: int) -> int:
     """
     scales = [part.robot.billboard_scale for part in world.robots.values()] or [0.05]
     wanted = min(_TEXT_OF_SCALE * max(scales), _LARGEST_LINE) * min(width, height)
-    return max(round(wanted), _LEAST_LINE)
+    return max(round(wanted), _MIN_LINE)

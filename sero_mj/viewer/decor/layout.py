@@ -12,7 +12,7 @@ from ...base.frames import Array, Bools, Ints
 
 LEFT, RIGHT = 0, 1
 _RAMP = 6  # distance, in gaps, over which a column that approaches a corner gradually avoids it
-_LEAST_GAP = 0.2  # of the usual gap, before a second column is begun or a robot is covered
+_MIN_GAP = 0.2  # of the usual gap, before a second column is begun or a robot is covered
 
 
 def columns(
@@ -121,19 +121,19 @@ def with_room(
         their number, and the side of every panel (k,).
     """
     column = float(sizes[:, 0].max(initial=0.0)) + gap
-    least = float(sizes[:, 1].min(initial=height)) + _LEAST_GAP * gap
+    least = float(sizes[:, 1].min(initial=height)) + _MIN_GAP * gap
     left_over = []
     for which in (LEFT, RIGHT):
         low, high = side_limits(kept_free, which, width, height)
         is_behind = covered[:, 0] < column if which == LEFT else covered[:, 2] > width - column
         rooms = _rooms_between(covered[is_behind][:, [1, 3]], low + gap, high - gap, least)
         left_over.append(
-            sum((top - bottom + _LEAST_GAP * gap) // least * least for bottom, top in rooms)
+            sum((top - bottom + _MIN_GAP * gap) // least * least for bottom, top in rooms)
         )
     side = side.copy()
     if is_narrow(sizes, gap, width):
         side[:], may_move = RIGHT, False
-    for k, needed in enumerate(sizes[:, 1] + _LEAST_GAP * gap - 1e-9):
+    for k, needed in enumerate(sizes[:, 1] + _MIN_GAP * gap - 1e-9):
         if may_move and left_over[side[k]] < needed:
             side[k] = LEFT + RIGHT - side[k]
         if left_over[side[k]] < needed:
@@ -183,7 +183,7 @@ def _chunks(index: Ints, sizes: Array, gap: float, height: float) -> list[Ints]:
     """Splits one side's panels into as few columns of similar length as the height allows."""
     if not len(index):
         return []
-    needed = float(sizes[index, 1].sum()) + _LEAST_GAP * gap * len(index)
+    needed = float(sizes[index, 1].sum()) + _MIN_GAP * gap * len(index)
     if needed <= height - gap:
         return [index]
     count = min(int(np.ceil(needed / max(height - gap, 1.0))), len(index))
@@ -240,7 +240,7 @@ def spread_around(
         centres (k,), the first lowest.
     """
     rooms = _rooms_between(blocked, low, high, float(heights.min())) if len(blocked) else []
-    for between in (gap, _LEAST_GAP * gap) if rooms else ():
+    for between in (gap, _MIN_GAP * gap) if rooms else ():
         firsts = _assign_rooms(centres, heights, between, rooms)
         if firsts is None:
             continue

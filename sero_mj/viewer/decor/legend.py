@@ -29,7 +29,7 @@ _WORDS = {
     "singularity": ("towards the singularity", "at it"),
 }
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
-_LONGEST_NAMES = 32  # characters, of robots before a note, and of arrows before their scale
+_MAX_NAMES = 32  # characters, of robots before a note, and of arrows before their scale
 _TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
 _UNLIMITED = "width grows with the value"
 _BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
@@ -172,7 +172,7 @@ def _notes(world: WorldView) -> list[bytes]:
 def _named(names: list[str]) -> str:
     """Returns the names; nothing where they are too long together."""
     listed = ", ".join(names)
-    return listed if len(names) == 1 or len(listed) <= _LONGEST_NAMES else ""
+    return listed if len(names) == 1 or len(listed) <= _MAX_NAMES else ""
 
 
 def _bars(panels: Panels, view: PictureView) -> Array:

@@ -27,8 +27,8 @@ _MARGIN = 0.5  # of a line's height
 
 
 SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
-_MOST_MORE = 3  # lines
-_MOST_AWAITED = 3  # sources
+_MAX_MORE = 3  # lines
+_MAX_AWAITED = 3  # sources
 SHOWN_FOR = 5.0  # s for which a malformed or lost packet is shown
 
 
@@ -156,7 +156,7 @@ class Status(Feature):
                 lines.append(f"  awaited: packets of {state.size:.0f} bytes")
         if not lines:
             return None
-        lines = [*lines[: 2 * _MOST_AWAITED], f"  to try: sero-mj send {self.world.scene.argument}"]
+        lines = [*lines[: 2 * _MAX_AWAITED], f"  to try: sero-mj send {self.world.scene.argument}"]
         return _corner(lines, PANEL_RGBA, view)
 
     def panels(
@@ -170,7 +170,7 @@ class Status(Feature):
             view: of the picture.
             more: other faults, one per line; only the first few are shown.
         """
-        lines = [*more[:_MOST_MORE]]
+        lines = [*more[:_MAX_MORE]]
         for name, slot, answers in self._slots:
             state = SourceState(*data.userdata[slot])
             lines += _source_faults(name, state) + _link_faults(name, state)

@@ -26,11 +26,11 @@ from ...base.toml_file import key_lines, located, read_toml
 from ...robots.assemble.world_view import WorldView
 from .photo_camera import PhotoCamera, opencv
 
-_LEAST, _LEAST_WITH_FOCAL = 4, 6
+_LEAST, _MIN_WITH_FOCAL = 4, 6
 _FLAT = 1e-3  # of their extent; points nearer to a plane or line than this lie in it
 _AMBIGUOUS = 1.5  # times the least error; two cameras whose errors are nearer both fit
 _FEW_PIXELS = 3.0  # what a careful click is off at most
-_MOST_SUBSETS = 1000
+_MAX_SUBSETS = 1000
 _POOR = 0.05  # of the picture's width that points are off, on average, where nothing fits
 _NO_CAMERA = (
     "no camera sees the points so; expected the pose that the photo shows, and names that are not "
@@ -289,7 +289,7 @@ def calibrate(
         UsageError: there are too few points, they lie on a line, or in a plane so that two cameras
             see them in the same way, or none sees them so.
     """
-    least = _LEAST_WITH_FOCAL if find_focal else _LEAST
+    least = _MIN_WITH_FOCAL if find_focal else _LEAST
     if len(points) < least:
         what = "where the camera is and its focal length" if find_focal else "where the camera is"
         more = "; --camera-file with its intrinsics needs 4" if find_focal else ""
@@ -417,9 +417,9 @@ class _Solver:
         """
         count = len(points)
         subsets = list(itertools.combinations(range(count), least))
-        if len(subsets) > _MOST_SUBSETS:
+        if len(subsets) > _MAX_SUBSETS:
             rng = np.random.default_rng(0)
-            subsets = [subsets[k] for k in rng.choice(len(subsets), _MOST_SUBSETS, replace=False)]
+            subsets = [subsets[k] for k in rng.choice(len(subsets), _MAX_SUBSETS, replace=False)]
         if self._find_focal:  # each of these takes longer
             subsets = subsets[:: max(len(subsets) // 30, 1)]
         best, distances = np.inf, np.zeros(count)

@@ -32,9 +32,9 @@ from .photo_camera import COUNTS, MODELS, PhotoCamera
 log = logging.getLogger(__name__)
 
 ENDINGS = (".yaml", ".yml", ".toml")
-_MOST_BYTES = 1_000_000
-_MOST_SIDE = 16384  # pixels
-_LEAST_DRAWABLE = 0.75  # of the picture
+_MAX_BYTES = 1_000_000
+_MAX_SIDE = 16384  # pixels
+_MIN_DRAWABLE = 0.75  # of the picture
 # By what the others call them; keys are compared in lower case.
 _KEYS = {
     "camera_matrix": ("camera_matrix", "k"),
@@ -85,7 +85,7 @@ def _checked(path: Path, camera: PhotoCamera, place: Array) -> PhotoCamera:
         camera.width, camera.height, camera.matrix, place, camera.distortion, camera.model
     )
     share = made.drawable
-    if share < _LEAST_DRAWABLE:
+    if share < _MIN_DRAWABLE:
         message = (
             f"fold {100 * (1 - share):.0f} % of the picture, towards its edges; expected "
             "coefficients found with points up to the edges, in OpenCV's order k1, k2, p1, p2, k3"
@@ -145,7 +145,7 @@ def _yaml(path: Path) -> dict[str, Any]:
         lambda self, node: self.construct_mapping(node, deep=True),
     )
     try:
-        text = read_file(path, _MOST_BYTES).decode("utf-8-sig")
+        text = read_file(path, _MAX_BYTES).decode("utf-8-sig")
         # OpenCV's first line is none of YAML's, and is what its files begin with.
         found = yaml.load(re.sub(r"\A%YAML:[\d.]+", "", text), Loader)
     except FileNotFoundError:
@@ -192,8 +192,8 @@ def _camera(
             found = size[axis]
         if found is None:
             problems.append(Problem(key, "is required: of the pictures, pixels"))
-        elif type(found) not in (int, float) or found % 1 or not 1 <= found <= _MOST_SIDE:
-            problems.append(Problem(key, f"found {found!r}; expected pixels, 1 to {_MOST_SIDE}"))
+        elif type(found) not in (int, float) or found % 1 or not 1 <= found <= _MAX_SIDE:
+            problems.append(Problem(key, f"found {found!r}; expected pixels, 1 to {_MAX_SIDE}"))
         else:
             sides.append(int(found))
     if len(sides) == 2 and size is not None and tuple(sides) != size:

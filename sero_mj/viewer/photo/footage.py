@@ -16,7 +16,7 @@ from ...base.paths import open_file
 
 Pixels = NDArray[np.uint8]
 PHOTOS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-_MOST_PIXELS = 16384**2
+_MAX_PIXELS = 16384**2
 _SAME = 1e-4  # s
 _FPS = 30.0  # where a video does not say
 
@@ -34,7 +34,7 @@ def read_photo(path: Path) -> Pixels:
     """
     try:
         with open_file(path) as file, Image.open(file) as picture:
-            if picture.width * picture.height > _MOST_PIXELS:
+            if picture.width * picture.height > _MAX_PIXELS:
                 raise RenderError(f"{path}: {picture.width}x{picture.height} is too large a photo")
             return np.array(ImageOps.exif_transpose(picture).convert("RGB"))
     except FileNotFoundError:

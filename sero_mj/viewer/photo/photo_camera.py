@@ -32,7 +32,7 @@ COUNTS: dict[str, tuple[int, ...]] = {
 Size = tuple[int, int]
 _WIDEST = float(np.tan(np.deg2rad(75.0)))  # from the axis; a plane picture of more is mostly edge
 _FINER = 1.25  # how much finer the picture without distortion is than the photo
-_MOST_PIXELS = 12e6  # of it; larger photos have less than that in it
+_MAX_PIXELS = 12e6  # of it; larger photos have less than that in it
 _LOOKED_UP = 320  # pixels of a row that are looked up in it; those between are interpolated
 _OUTSIDE = -10.0  # a pixel that it does not have
 _THERE_AND_BACK = 0.1  # pixels that a pixel may be off after it
@@ -331,7 +331,7 @@ class PlanePicture:
         steps = steps[np.isfinite(steps) & (steps > 0)]
         finest = float(np.percentile(steps, 1.0)) if len(steps) else 1e-3
         size = extent * max(_FINER, self._scale) / finest
-        size *= min(1.0, *(np.array(largest) / size), np.sqrt(_MOST_PIXELS / size.prod()))
+        size *= min(1.0, *(np.array(largest) / size), np.sqrt(_MAX_PIXELS / size.prod()))
         width, height = (max(round(float(side)), 1) for side in size)
         self.size = (width, height)
         pixels = (rays - low) / extent * (width, height) - 0.5

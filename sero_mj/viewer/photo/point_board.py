@@ -31,7 +31,7 @@ _ORANGE, _GREEN, _RED = (255, 160, 40), (70, 230, 120), (255, 70, 60)
 _WIDTH = 17.0  # of the list, line heights
 _LINE = 1.25  # from line to line, line heights
 _STEP = 1.25  # of the zoom, for a step of the wheel
-_MOST_ZOOM = 40.0
+_MAX_ZOOM = 40.0
 _GOOD_CLICK = 5.0  # pixels that a click may be off
 _MARK = 9  # half of a cross, pixels
 _KEYS = ("click: where the photo shows it", "wheel: larger, drag: move", "up, down: another point",
@@ -130,7 +130,7 @@ class PointBoard:
             return
         fixed = self._to_photo(at)
         least = self._whole().zoom
-        zoom = float(np.clip(view.zoom * _STEP**steps, least, _MOST_ZOOM * least))
+        zoom = float(np.clip(view.zoom * _STEP**steps, least, _MAX_ZOOM * least))
         middle = np.array([(self.panel_width + self._size[0]) / 2, self._size[1] / 2])
         self._view = None if zoom <= least else _View(fixed - (at + 0.5 - middle) / zoom, zoom)
 

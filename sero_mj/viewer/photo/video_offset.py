@@ -28,8 +28,8 @@ from .photo_camera import PhotoCamera, opencv
 _WIDTH = 192  # pixels, of outlines
 _CELL = 6  # pixels
 _POINTS = 80  # of a mesh's outline
-_NOISE, _MOST_CHANGE = 4.0, 40.0  # grey levels: what is none, and what counts as one full change
-_LEAST_OVERLAP = 1.5  # s
+_NOISE, _MAX_CHANGE = 4.0, 40.0  # grey levels: what is none, and what counts as one full change
+_MIN_OVERLAP = 1.5  # s
 _APART = 0.4  # s from the best offset, from where on another one is another one
 _LEAST = 0.15  # correlation
 _CLEARLY = 1.25  # times as much as any other
@@ -123,8 +123,8 @@ def _changed(video: Video, camera: PhotoCamera, fps: float) -> Cells:
         size = (camera.width, camera.height)
         now = cv2.resize(grey, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         if last is not None:
-            change = np.clip(np.abs(now - last) - _NOISE, 0.0, _MOST_CHANGE)
-            found.append(_cells(change * (255.0 / _MOST_CHANGE)))
+            change = np.clip(np.abs(now - last) - _NOISE, 0.0, _MAX_CHANGE)
+            found.append(_cells(change * (255.0 / _MAX_CHANGE)))
         last = now
     if not found:
         raise UsageError(f"{video.path}: has one frame only; --offset auto needs motion")
@@ -207,11 +207,10 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
                 f"--offset auto: the robot does not move in the {what}, as the camera sees it; "
                 "give --offset S"
             )
-    lags, scores = correlate(swept, changed, max(round(_LEAST_OVERLAP * fps), 2))
+    lags, scores = correlate(swept, changed, max(round(_MIN_OVERLAP * fps), 2))
     if not len(lags):
         raise UsageError(
-            "--offset auto: recording and video are too short; expected "
-            f"{_LEAST_OVERLAP:g} s or more"
+            f"--offset auto: recording and video are too short; expected {_MIN_OVERLAP:g} s or more"
         )
     best = int(np.argmax(scores))
     apart = np.abs(lags - lags[best]) > max(_APART * fps, 2)

@@ -12,7 +12,7 @@ from ..headless.film import FilmWriter, Pixels, save_picture
 
 FPS = 30.0
 # Maximum number of queued frames; further ones are replaced by a longer following frame.
-_MOST_WAITING = 8
+_MAX_WAITING = 8
 
 
 def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
@@ -61,7 +61,7 @@ class Capture:
         self._folder = folder or Path()
         self._pool = ThreadPoolExecutor(1, "pictures")
         self._pending: list[tuple[Future[None], str, Path]] = []
-        self._waiting = threading.Semaphore(_MOST_WAITING)
+        self._waiting = threading.Semaphore(_MAX_WAITING)
         self._film: FilmWriter | None = None
         self._film_path = Path()
         self._size = (0, 0)

@@ -18,11 +18,11 @@ _PIECE = 0.05  # s that are simulated at once, and
 # frame takes longer, that long, which makes half as many frames at worst.
 _PATIENCE = 0.03
 _FINE = 0.004  # s between moments, so that no spike of 5 ms is missed at real time,
-_MOST_MOMENTS = 20  # of which a frame has at most so many
+_MAX_MOMENTS = 20  # of which a frame has at most so many
 _FLOWS = 0.5  # s; what goes on by more has jumped
 _PAST_MOMENTS = 120  # in which what plots show before a jump's end is gone through
 _SMOOTHING = 0.1  # of the speed that is shown, for every frame
-_LONGEST_FRAME = 0.5  # s; what stood still for longer (a laptop asleep) does not jump
+_MAX_FRAME = 0.5  # s; what stood still for longer (a laptop asleep) does not jump
 
 
 class Clock:
@@ -111,7 +111,7 @@ class Clock:
             self.real_speed = self.speed
             return self._show()
         before = self.time
-        self._passed = min(passed, _LONGEST_FRAME)
+        self._passed = min(passed, _MAX_FRAME)
         self.time += self.speed * self._passed
         if self._has_end and self.end is not None and self.time >= self.end:
             self.time, before = self.end, self.end - self.speed * passed  # no fault of its speed
@@ -138,7 +138,7 @@ class Clock:
         history.add()
         self.begin, self.end = history.begin, history.end
         if self.is_past and not self.is_paused:
-            self.time += self.speed * min(passed, _LONGEST_FRAME)
+            self.time += self.speed * min(passed, _MAX_FRAME)
             self.is_past = self.time < self.end
         elif self.is_paused and not self.is_past:
             self.is_past = True  # at the moment that was shown last
@@ -188,7 +188,7 @@ class Clock:
             return np.linspace(begin, goal, _PAST_MOMENTS).tolist() if goal else [goal]
         if not passed:
             return [goal]
-        count = min(max(round(passed / _FINE), 1), _MOST_MOMENTS)
+        count = min(max(round(passed / _FINE), 1), _MAX_MOMENTS)
         return [goal - passed * k / count for k in range(count - 1, -1, -1)]
 
     def _simulate(self, goal: float) -> float:

@@ -17,7 +17,7 @@ from .view_state import ViewState
 
 log = logging.getLogger(__name__)
 
-_MOST_BYTES = 100_000
+_MAX_BYTES = 100_000
 
 
 def file_of(scene: Scene) -> Path:
@@ -66,7 +66,7 @@ def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool]] | None:
     path = file_of(scene)
     try:
         with path.open("rb") as file:
-            text = file.read(_MOST_BYTES)
+            text = file.read(_MAX_BYTES)
     except OSError:
         return None
     try:

@@ -11,7 +11,7 @@ from ...data.drive.place import follow
 
 SPAN = 60.0  # s
 _RATE = 30.0  # states per s
-_MOST_BYTES = 64e6  # of all states; large worlds keep fewer of them per s
+_MAX_BYTES = 64e6  # of all states; large worlds keep fewer of them per s
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -29,7 +29,7 @@ class LiveHistory:
         self._model, self._data = mirror.world.model, mirror.data
         self._span = span
         size = mujoco.mj_stateSize(self._model, _STATE)
-        count = int(min(span * _RATE, _MOST_BYTES / (8 * size)))
+        count = int(min(span * _RATE, _MAX_BYTES / (8 * size)))
         self._step = span / count
         self._times: Array = np.full(count, np.nan)
         self._states: Array = np.empty((count, size))

@@ -42,7 +42,7 @@ _SLICES = 5  # cylinders that stand for the cone
 _TYPES = mujoco.mjtGeom
 # Arrays are compared with numbers a hundred times faster than with members of an enum.
 _BOX, _TRIANGLE, _ARROW = map(int, (_TYPES.mjGEOM_BOX, _TYPES.mjGEOM_TRIANGLE, _TYPES.mjGEOM_ARROW))
-_MOST_HIDDEN = 200  # maximum number of hidden geoms that a ray passes
+_MAX_HIDDEN = 200  # maximum number of hidden geoms that a ray passes
 _STEP = 1e-6  # m beyond the surface of one of them
 
 
@@ -413,7 +413,7 @@ def _ray(
     """Returns the first geom along a ray that is not hidden, -1 for none, and its distance, m."""
     geom = np.full(1, -1, np.int32)
     travelled = 0.0
-    for _ in range(_MOST_HIDDEN):
+    for _ in range(_MAX_HIDDEN):
         start = origin + travelled * direction
         distance = mujoco.mj_ray(model, data, start, direction, None, 1, -1, geom, None)
         hit = int(geom[0])

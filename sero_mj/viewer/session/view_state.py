@@ -25,7 +25,7 @@ SWITCH_NAMES = (
 # Also taken, but set by nobody: whether torques are those of the model, which the legend tells.
 MODELLED = "modelled"
 _DECIMALS = 4  # of degrees and m
-_MOST_CHARACTERS = 20_000  # of a state as text
+_MAX_CHARACTERS = 20_000  # of a state as text
 _CAMERA = ("type", "fixedcamid", "trackbodyid", "azimuth", "elevation", "distance")
 _SWITCHES = (*SWITCH_NAMES, "clicked")
 
@@ -60,7 +60,7 @@ class ViewState(NamedTuple):
             UsageError: it is no such text.
         """
         try:
-            found = json.loads(text[: _MOST_CHARACTERS + 1])
+            found = json.loads(text[: _MAX_CHARACTERS + 1])
             state = cls(**found)
             switches = {str(key): str(value) for key, value in state.switches.items()}
             time = None if state.time is None else float(state.time)

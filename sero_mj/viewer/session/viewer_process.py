@@ -39,7 +39,7 @@ _PROGRAM = (
 )
 _CLOSING = 5.0  # s that it has to close by itself
 _PICTURE = 30.0  # s to wait for a picture; software takes a second or two for the first
-_MOST_CLICKS = 1000  # that wait to be taken
+_MAX_CLICKS = 1000  # that wait to be taken
 
 
 class ViewerProcess:
@@ -70,7 +70,7 @@ class ViewerProcess:
             env=environment,
             **group,
         )
-        self.clicks: deque[tuple[Picked | None, str]] = deque(maxlen=_MOST_CLICKS)
+        self.clicks: deque[tuple[Picked | None, str]] = deque(maxlen=_MAX_CLICKS)
         self.is_open = True
         self._owner = os.getpid()
         self._is_closing = False  # or has said that its user has closed it
