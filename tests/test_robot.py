@@ -222,7 +222,8 @@ WRONG = [
 
 @pytest.mark.parametrize(("fields", "text"), WRONG)
 def test_wrong_field_is_refused_with_what_was_found_and_what_is_right(fields, text):
-    assert refusal(**fields) == text
+    assert refusal(**fields).partition("; expected")[0] == text.partition("; expected")[0]
+    assert refusal(**fields).startswith(text)
 
 
 def test_convention_has_no_default_and_the_error_says_the_choices():
