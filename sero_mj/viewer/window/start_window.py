@@ -15,7 +15,8 @@ from ...base.errors import SeroError
 from ...data.drive.mirror import Mirror
 from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World
-from ..session.live import Message
+from ..panels.imgui_widgets import MOODS
+from ..panels.message import Message
 from ..session.recent_views import RecentView
 from ..session.start_page import (
     DROP_HINT,
@@ -31,9 +32,7 @@ from ..session.start_page import (
 )
 from .gl_blend import make_texture
 from .glfw_window import GlWindow
-from .hud import DIM, MOODS
-from .hud import TITLE as TITLE_COLOUR
-from .panel_layer import ImguiLayer
+from .imgui_layer import ImguiLayer
 
 _FLAGS = (
     imgui.WindowFlags_.no_decoration
@@ -51,6 +50,7 @@ _BACKGROUND = (0.05, 0.06, 0.08)
 _RIM = (0.52, 0.76, 0.96)
 _WAIT, _IDLE = 0.05, 0.25  # s between two frames, while the pointer moves and else
 _ERROR_TIME = 12.0  # s
+DIM, TITLE_COLOUR = MOODS["dim"][1], MOODS["title"][1]
 
 
 class StartWindow:
@@ -173,7 +173,7 @@ class StartWindow:
         imgui.set_cursor_pos(ImVec2(margin, 3.4 * unit))
         if self.notice.is_shown:
             imgui.push_text_wrap_pos(self.gl.size[0] - margin)
-            _text(self.notice.text, unit, MOODS["bad" if self.notice.is_bad else "good"])
+            _text(self.notice.text, unit, MOODS["bad" if self.notice.is_bad else "good"][1])
             imgui.pop_text_wrap_pos()
         # One line has its place whether there is one or not, so that nothing moves.
         imgui.set_cursor_pos_y(max(imgui.get_cursor_pos_y(), 5.0 * unit))
@@ -313,11 +313,11 @@ class _WholeWindow(ImguiLayer):
     def begin(self) -> None:
         """Begins what is shown."""
         width, height = self._gl.size
-        self._rect = (0.0, 0.0, float(width), float(height))
         imgui.set_next_window_pos(ImVec2(0.0, 0.0))
         imgui.set_next_window_size(ImVec2(width, height))
         imgui.push_style_color(imgui.Col_.window_bg, ImVec4(*_BACKGROUND, 1.0))
         imgui.begin("start", None, _FLAGS)
+        self.take_mouse()
 
     def end(self) -> None:
         """Ends it."""
