@@ -43,7 +43,7 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
     window.tool("mousemove", SIZE[0] - 5, 5)
     window.settle()
     before = screenshot(window)
-    window.click(6, 45)  # the handle
+    window.click(*window.middle("panel"))
     window.until("w.has_panel")
     window.until("w.decor.view.inset[0] > 150")  # numbers stay beside it
     assert np.array_equal(screenshot(window), before)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 from ...data.receive.report import describe, report
@@ -46,22 +46,23 @@ class SourcesPanel:
     def __init__(self) -> None:
         self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # time and contents
 
-    def build(self, ui: Widgets, clock: Clock, sources: Iterable[Source]) -> None:
+    def build(
+        self, ui: Widgets, clock: Clock, sources: Collection[Source], *, is_open: bool
+    ) -> None:
         """Builds it.
 
         Args:
             ui: takes it.
             clock: of what is shown.
             sources: all of them.
+            is_open: whether it is unfolded at first.
         """
-        if not ui.header("Sources", is_open=True):
+        if not ui.header("Sources", is_open=is_open):
             return
         ui.text(*clock_text(clock))
-        has_any = False
         for source in sources:
-            has_any = True
             self._source(ui, source)
-        if not has_any:
+        if not sources:
             ui.text("none: as declared, or as a program sets it", "dim")
 
     def _source(self, ui: Widgets, source: Source) -> None:

@@ -18,10 +18,11 @@ _ERROR: Rgb = (0.75, 0.88, 0.45)
 _NEAR = 0.8  # fraction of the limit from which on it is in the visible range
 _MARGIN = 1.15  # of the range over that of the values
 _LEAST = 0.5  # Nm or N, minimum half range
-_NAMES = 11.0  # width of the list of joints, of the text's height
-_ROOM_FOR_TWO = 20.0  # minimum height with a plot of the error, likewise
+# Widths of the list of joints and of what is beside it, of the text's height.
+_NAMES, _BESIDE = 11.0, 8.0
+_ROOM_FOR_TWO = 20.0  # minimum height with a plot of the error
 _SHARE = 0.56  # of the height, for the torques
-_LEAST_HEIGHT = 4.0  # likewise; in less there is no plot
+_LEAST_HEIGHT = 4.0  # in less there is no plot
 
 
 class TorquePlots:
@@ -48,7 +49,7 @@ class TorquePlots:
             history: the torques.
             joint: index in the world.
         """
-        ui.width(_NAMES)
+        ui.width(max(min(_NAMES, ui.room()[0] - _BESIDE), 1.0))
         changed, chosen = ui.choose("##joint", joint, self._names)
         joint = chosen if changed else joint
         now = time.monotonic()

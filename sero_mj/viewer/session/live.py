@@ -296,9 +296,15 @@ class LiveHost(ABC):
         """Whether torques are plotted and there are joints."""
         return self.shows_plot and len(self.world.joints.names) > 0
 
-    def build_panel(self, ui: Widgets) -> None:
-        """Builds what the panels of all hosts have in common."""
-        self._sources.build(ui, self.clock, self.mirror.sources.values())
+    def build_panel(self, ui: Widgets, *, unfolds_sources: bool) -> None:
+        """Builds what the panels of all hosts have in common.
+
+        Args:
+            ui: takes it.
+            unfolds_sources: whether sources are unfolded at first: no status line tells of them.
+        """
+        sources = self.mirror.sources.values()
+        self._sources.build(ui, self.clock, sources, is_open=unfolds_sources)
         for label, make in self.offers.items():
             if ui.button(label):
                 self._go_on_with(make)

@@ -156,7 +156,7 @@ class PageWindows(plugin.ViewerPlugin):
         )
         self._cover(size.y)
         if shown:
-            host.build_panel(self.widgets)
+            host.build_panel(self.widgets, unfolds_sources=True)
             self._count()
         imgui.End()
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
 
 import mujoco
 from imgui_bundle import ImVec2, imgui
@@ -20,18 +19,12 @@ from ..session.live import LiveHost
 from ..session.status_line import Piece
 from .glfw_window import GlWindow
 from .imgui_layer import ImguiLayer
+from .places import Places, Rect, arrange
 
 _HINT = "H help"
-# Heights and widths in lines of the window's text.
-_STATUS, _TIME = 1.6, 1.3
-_MESSAGE_TOP, _FILMING_TOP, _HANDLE_TOP = 2.5, 0.5, 0.8  # below the picture's upper edge
-_PLOT_SHARE = 0.34  # fraction of the width for plots beside the picture
-_STRIP_SHARE = 0.36  # fraction of the height for plots below the picture, in a narrow window
-_NARROW = 46.0  # in a narrower window the plots are below the picture
-_LEAST_STRIP = 10.0  # minimum height
-_LEAST_PLOT = 20.0  # minimum width
-# Of the text's height.
-_PANEL = 21.5  # wide
+# Below the picture's upper edge, in lines of the window's text.
+_MESSAGE_TOP, _FILMING_TOP, _HANDLE_TOP = 2.5, 0.5, 0.8
+_PANEL = 21.5  # width, of the text's height
 _POINTS = 980  # of a line of a plot, at most
 _TALLEST = 0.97  # of the window's height
 _FLAGS = imgui.WindowFlags_
@@ -42,54 +35,6 @@ _BAR_FLAGS = (
 )
 _NOTE_FLAGS = _BAR_FLAGS | _FLAGS.no_inputs | _FLAGS.no_focus_on_appearing
 _HANDLE_FLAGS = _BAR_FLAGS | _FLAGS.no_background | _FLAGS.always_auto_resize
-
-
-class Rect(NamedTuple):
-    """A rectangle in a window, pixels from its lower left corner."""
-
-    left: int
-    bottom: int
-    width: int
-    height: int
-
-
-class Places(NamedTuple):
-    """Where the parts of a window are; None for one that is not shown."""
-
-    picture: Rect
-    plots: Rect | None
-    time: Rect | None
-    status: Rect | None
-
-
-def arrange(
-    size: tuple[int, int], text: int, *, has_status: bool, has_time: bool, has_plot: bool
-) -> Places:
-    """Returns the places of a window's parts, which do not cover each other.
-
-    Args:
-        size: of the window, pixels.
-        text: height of a line of text, pixels.
-        has_status: whether there is a status line.
-        has_time: whether there is a time line.
-        has_plot: whether plots are shown.
-    """
-    width, whole = size
-    low = round(_STATUS * text) if has_status else 0
-    high = round(_TIME * text) if has_time else 0
-    status = Rect(0, 0, width, low) if low else None
-    line = Rect(0, low, width, high) if high else None
-    bottom, height = low + high, max(whole - low - high, 1)
-    if not has_plot:
-        return Places(Rect(0, bottom, width, height), None, line, status)
-    if width < _NARROW * text:
-        strip = round(min(max(_STRIP_SHARE * height, _LEAST_STRIP * text), 0.5 * height))
-        picture = Rect(0, bottom + strip, width, max(height - strip, 1))
-        return Places(picture, Rect(0, bottom, width, strip), line, status)
-    beside = round(max(_PLOT_SHARE * width, _LEAST_PLOT * text))
-    left = width - beside
-    plots = Rect(left, bottom, beside, height)
-    return Places(Rect(0, bottom, left, height), plots, line, status)
 
 
 class Chrome(ImguiLayer):
@@ -216,7 +161,7 @@ class Chrome(ImguiLayer):
         self.take_mouse()
         self.covered = float(margin + wide)
         if shown:
-            self._host.build_panel(self.widgets)
+            self._host.build_panel(self.widgets, unfolds_sources=False)
         imgui.end()
         self.shows_panel = bool(is_open)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from ...base.errors import RenderError
 from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
@@ -30,7 +31,6 @@ from ..session.status_line import Piece, status_pieces
 from ..session.tool import tool_keys
 from ..stereo import EYE_DISTANCE, Stereo, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter
-from .chrome import Chrome
 from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
 from .glfw_window import GlWindow
 
@@ -204,7 +204,7 @@ class Window(LiveHost):
             view moves, or the user acts, and the machine is slow.
 
     Raises:
-        RenderError: there is no display, no OpenGL, or no such stereo.
+        RenderError: there is no display, no OpenGL, no Dear ImGui, or no such stereo.
         UnknownName: no camera of that name.
     """
 
@@ -223,6 +223,12 @@ class Window(LiveHost):
         make_viewport: Callable[[WorldView, Toggles, mujoco.MjrContext], Viewport] | None = None,
     ) -> None:
         check_stereo(stereo, eye_distance)
+        try:  # here, so that who renders pictures loads no user interface
+            from .chrome import Chrome
+        except ImportError as error:  # of a library of the system, say
+            raise RenderError(
+                f"no window can be opened: {error}; `sero-mj view --web` shows a page"
+            ) from error
         super().__init__(mirror, folder)
         world = self.world
         self.navigator = Navigator(world, camera)
