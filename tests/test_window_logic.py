@@ -413,7 +413,8 @@ def test_the_time_line_pauses_steps_seeks_and_shows_marks(simulated: Mirror) -> 
 @pytest.mark.parametrize(
     ("width", "shown"),
     [(60.0, ["live", "arm: 99/s", "60 frames/s", "H help"]),
-     (13.0, ["live", "arm: 99/s", "H help"]), (9.0, ["live", "arm: 99/s"]), (3.0, ["live"]), (1.0, [])],
+     (13.0, ["live", "arm: 99/s", "H help"]),
+     (9.0, ["live", "arm: 99/s"]), (3.0, ["live"]), (1.0, [])],
 )  # fmt: skip
 def test_the_status_line_leaves_out_what_does_not_fit(width: float, shown: list[str]) -> None:
     pieces: Any = [("live", "plain"), ("arm: 99/s", "good"), ("60 frames/s", "plain")]
