@@ -35,7 +35,7 @@ def noted(build):
         places[label.partition("##")[0] or label] = [low.x, low.y, high.x, high.y]
         return found
     return built
-for name in ("button", "invisible_button", "input_text_with_hint"):
+for name in ("button", "image_button", "input_text_with_hint"):
     setattr(imgui, name, noted(getattr(imgui, name)))
 opened = []
 def open_it(what):

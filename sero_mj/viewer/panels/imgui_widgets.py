@@ -34,6 +34,11 @@ class ImguiWidgets:
 
     def __init__(self, imgui: Any, implot: Any) -> None:
         self._imgui, self._implot = imgui, implot
+        # What is the same there.
+        self.scope, self.end_scope = imgui.push_id, imgui.pop_id
+        self.row, self.cell = imgui.table_next_row, imgui.table_next_column
+        self.end_table, self.end_tree = imgui.end_table, imgui.tree_pop
+        self.enable, self.check = imgui.end_disabled, imgui.checkbox
 
     @property
     def _unit(self) -> float:
@@ -86,10 +91,6 @@ class ImguiWidgets:
         """Begins a node."""
         return bool(self._imgui.tree_node(label))
 
-    def end_tree(self) -> None:
-        """Ends it."""
-        self._imgui.tree_pop()
-
     def table(self, name: str, widths: Sequence[float]) -> bool:
         """Begins a table."""
         imgui = self._imgui
@@ -100,26 +101,6 @@ class ImguiWidgets:
             how = flags.width_fixed if width else flags.width_stretch
             imgui.table_setup_column(f"{i}", how, width * self._unit)
         return True
-
-    def row(self) -> None:
-        """Begins a row."""
-        self._imgui.table_next_row()
-
-    def cell(self) -> None:
-        """Begins a cell."""
-        self._imgui.table_next_column()
-
-    def end_table(self) -> None:
-        """Ends a table."""
-        self._imgui.end_table()
-
-    def scope(self, name: str) -> None:
-        """Begins a scope."""
-        self._imgui.push_id(name)
-
-    def end_scope(self) -> None:
-        """Ends it."""
-        self._imgui.pop_id()
 
     def same_line(self, left: float = 0.0, gap: float = -1.0) -> None:
         """Goes on in the same line."""
@@ -142,10 +123,6 @@ class ImguiWidgets:
         """Begins what takes no input."""
         self._imgui.begin_disabled(is_off)
 
-    def enable(self) -> None:
-        """Ends it."""
-        self._imgui.end_disabled()
-
     def button(self, label: str, width: float = 0.0) -> bool:
         """Builds a button."""
         return bool(self._imgui.button(label, self._imgui.ImVec2(width * self._unit, 0.0)))
@@ -158,11 +135,6 @@ class ImguiWidgets:
     def search(self, label: str, text: str, hint: str) -> str:
         """Builds a field for a text."""
         return str(self._imgui.input_text_with_hint(label, hint, text)[1])
-
-    def check(self, label: str, is_on: bool) -> tuple[bool, bool]:
-        """Builds a check box."""
-        changed, now = self._imgui.checkbox(label, is_on)
-        return changed, now
 
     def choose(self, label: str, index: int, names: Sequence[str]) -> tuple[bool, int]:
         """Builds a list."""

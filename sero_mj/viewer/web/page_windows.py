@@ -38,14 +38,27 @@ _PANEL_FLAGS = _flags("AlwaysAutoResize", "NoSavedSettings")
 # Limits of points and update rate: plots would be most of the data sent to the browser.
 _POINTS, _INTERVAL = 320, 1.0 / 15.0  # s
 _NARROW = 3.2 * _WIDTH  # width below which panel and billboards would cover the robot
-# Names of actions and their labels in the menu, by key.
+# Labels of Studio's menus, which are empty, and of ours: their key and action.
 _CLOCK_MENU = {
-    ".": ("step", "Step"),
-    ",": ("step_back", "Step back"),
-    "-": ("slower", "Slower"),
-    "+": ("faster", "Faster"),
-    "Backspace": ("reset", "Back to the start"),
+    "Pause": ("Space", "pause"),
+    "Step": (".", "step"),
+    "Step back": (",", "step_back"),
+    "Slower": ("-", "slower"),
+    "Faster": ("+", "faster"),
+    "Back to the start": ("Backspace", "reset"),
 }
+_ROBOT_MENU = {
+    "Panel": ("T", "status_line"),
+    "Torques": ("P", "plot"),
+    "Undo": ("Ctrl+Z", "undo"),
+    "Redo": ("Ctrl+Y", "redo"),
+    "Copy as command": ("Ctrl+C", "copy"),
+    "Copy a link to this view": ("", "link"),
+    "Screenshot": ("F2", "screenshot"),
+    "Film": ("F3", "film"),
+    "Mouse and keys": ("H", "help"),
+}
+_NEEDS_PAST = ("step_back", "slower", "faster")  # actions
 _TALL = 0.35  # fraction of the page's height above which a window counts as covering its edge
 
 
@@ -101,41 +114,24 @@ class PageWindows(plugin.ViewerPlugin):
 
     def _menu(self) -> None:
         host = self._host
+        lit = {
+            "pause": host.clock.is_paused,
+            "status_line": host.shows_status,
+            "plot": host.shows_plot,
+            "film": host.capture.is_filming,
+            "help": host.shows_help,
+        }
         if not imgui.BeginMainMenuBar():
             return
-        if imgui.BeginMenu("Simulation"):  # Studio's, which is empty
-            self._clock_menu()
-            imgui.EndMenu()
-        if imgui.BeginMenu("Robot"):
-            if imgui.MenuItem("Panel", "T", host.shows_status):
-                host.toggle_status()
-            if imgui.MenuItem("Torques", "P", host.shows_plot):
-                host.toggle_plot()
-            if imgui.MenuItem("Undo", "Ctrl+Z", False):
-                host.perform("undo")
-            if imgui.MenuItem("Redo", "Ctrl+Y", False):
-                host.perform("redo")
-            if imgui.MenuItem("Copy as command", "Ctrl+C", False):
-                host.perform("copy")
-            if imgui.MenuItem("Copy a link to this view", "", False):
-                host.perform("link")
-            if imgui.MenuItem("Screenshot", "F2", False):
-                host.perform("screenshot")
-            if imgui.MenuItem("Film", "F3", host.capture.is_filming):
-                host.perform("film")
-            if imgui.MenuItem("Mouse and keys", "H", host.shows_help):
-                host.shows_help = not host.shows_help
+        for menu, items in (("Simulation", _CLOCK_MENU), ("Robot", _ROBOT_MENU)):
+            if not imgui.BeginMenu(menu):
+                continue
+            for label, (key, action) in items.items():
+                is_possible = host.clock.can_go_back or action not in _NEEDS_PAST
+                if is_possible and imgui.MenuItem(label, key, lit.get(action, False)):
+                    host.perform(action)
             imgui.EndMenu()
         imgui.EndMainMenuBar()
-
-    def _clock_menu(self) -> None:
-        clock = self._host.clock
-        if imgui.MenuItem("Pause", "Space", clock.is_paused):
-            clock.pause()
-        for key, (name, label) in _CLOCK_MENU.items():
-            is_for_all = name in ("step", "reset")
-            if (is_for_all or clock.can_go_back) and imgui.MenuItem(label, key, False):
-                self._host.perform(name)
 
     def _handle(self) -> None:
         """Builds the button that shows the hidden panel again."""

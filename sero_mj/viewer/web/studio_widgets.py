@@ -45,6 +45,10 @@ class _Imgui(_Spelled):
         """See imgui-bundle."""
         return self._module.Selectable(label, is_lit), is_lit
 
+    def get_window_draw_list(self) -> _Spelled:
+        """See imgui-bundle."""
+        return _Spelled(self._module.GetWindowDrawList())
+
 
 class StudioWidgets(ImguiWidgets):
     """See `Widgets`.

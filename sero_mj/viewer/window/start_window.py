@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import textwrap
 from pathlib import Path
 from typing import Self
 
 import mujoco
 import numpy as np
-from imgui_bundle import ImVec2, ImVec4, imgui
+from imgui_bundle import ImVec2, imgui
 from PIL import Image
 
 from ...data.drive.mirror import Mirror
@@ -43,9 +42,9 @@ _GAP, _SIDE, _MARGIN = 1.0, 23.0, 1.6
 _HEAD = 4.4  # height above tiles, without a message of several lines
 _ASPECT = 0.625  # height of a picture over its width
 _LARGE, _SMALL = 1.6, 0.86  # heights of the title, and of texts below pictures
-_CHARACTER = 0.45  # width of a character, of its height, on average
 _NARROW = 52.0  # width of a window with the side column below
 _BACKGROUND = (0.05, 0.06, 0.08, 1.0)
+_RIM = 3.0  # width of what is lit around a picture, pixels
 _WAIT, _IDLE = 0.05, 0.25  # s between two frames, while the pointer moves and else
 
 
@@ -164,34 +163,26 @@ class StartWindow:
         imgui.dummy(ImVec2(0.0, 0.5 * unit))
 
     def _tile(self, label: str, tile: Tile, wide: float) -> None:
-        unit, low = self._layer.text_height, imgui.get_cursor_screen_pos()
-        size = ImVec2(wide, _ASPECT * wide + 3.9 * unit)
-        if imgui.invisible_button(label, size):
-            self.page.choose(tile.view)
-        if not imgui.is_item_visible():
-            return
-        is_lit = imgui.is_item_hovered()
-        draw, end = imgui.get_window_draw_list(), ImVec2(low.x + wide, low.y + _ASPECT * wide)
-        texture, round_ = self._texture(tile.picture), 0.4 * unit
+        size = ImVec2(wide, _ASPECT * wide)
+        texture = self._texture(tile.picture) if imgui.is_rect_visible(size) else None
+        imgui.begin_group()
+        imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(_RIM, _RIM))
         if texture is None:
-            draw.add_rect_filled(low, end, _colour(imgui.Col_.button), round_)
+            is_chosen = imgui.button(f"##{label}", size)
         else:
-            corners, shade = (ImVec2(0.0, 0.0), ImVec2(1.0, 1.0)), 1.0 if is_lit else 0.9
-            packed = imgui.get_color_u32(ImVec4(1.0, 1.0, 1.0, shade))
-            reference = imgui.ImTextureRef(texture)
-            draw.add_image_rounded(reference, low, end, *corners, packed, round_)
-        if is_lit:
-            rim = _colour(imgui.Col_.check_mark)
-            draw.add_rect(low, end, rim, round_, max(0.1 * unit, 1.5))
-        font, at = imgui.get_font(), ImVec2(low.x, end.y + 0.25 * unit)
-        clip = ImVec4(low.x, low.y, end.x, low.y + size.y)
-        draw.add_text(font, unit, at, _colour(imgui.Col_.text), tile.title, 0.0, clip)
-        at, small = ImVec2(low.x, at.y + 1.2 * unit), _SMALL * unit
-        about = textwrap.shorten(
-            tile.about, max(int(2 * wide / (_CHARACTER * small)), 8), placeholder=" ..."
-        )
-        dim = _colour(imgui.Col_.text_disabled)
-        draw.add_text(font, small, at, dim, about, wide, clip)
+            inner = ImVec2(size.x - 2 * _RIM, size.y - 2 * _RIM)
+            is_chosen = imgui.image_button(label, imgui.ImTextureRef(texture), inner)
+        imgui.pop_style_var(1)
+        imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + wide)
+        imgui.text(tile.title)
+        imgui.push_font(None, _SMALL * self._layer.text_height)
+        imgui.text_disabled(tile.about)
+        imgui.pop_font()
+        imgui.pop_text_wrap_pos()
+        imgui.dummy(ImVec2(wide, 0.3 * self._layer.text_height))
+        imgui.end_group()
+        if is_chosen:
+            self.page.choose(tile.view)
 
     def _texture(self, picture: Path | None) -> int | None:
         if picture is None:
@@ -251,7 +242,3 @@ class StartWindow:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
-
-
-def _colour(what: imgui.Col_) -> int:
-    return int(imgui.get_color_u32(what))
