@@ -12,6 +12,7 @@ class ScriptedWidgets:
     Args:
         does: what its user does: a value by the label of a widget, or by its way, the labels of
             sections and nodes before it with slashes between them; `True` for a button.
+        size: width and height of the panel, of the text's height.
 
     Attributes:
         built: kind and label of every widget, in order.
@@ -19,9 +20,14 @@ class ScriptedWidgets:
         disabled: labels of what takes no input.
         lit: labels of what is selected.
         copied: what was put onto the clipboard last.
+        ticks: of the last slider.
     """
 
-    def __init__(self, does: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, does: Mapping[str, Any] | None = None, size: tuple[float, float] = (40.0, 40.0)
+    ) -> None:
+        self.size = size
+        self.ticks: list[tuple[float, str]] = []
         self._does = dict(does or {})
         self.built: list[tuple[str, str]] = []
         self.ways: list[str] = []
@@ -72,7 +78,13 @@ class ScriptedWidgets:
     def table(self, name: str, widths: Sequence[float]) -> bool:
         return True
 
-    def button(self, label: str) -> bool:
+    def room(self) -> tuple[float, float]:
+        return self.size
+
+    def wide(self, words: str) -> float:
+        return 0.5 * len(words)
+
+    def button(self, label: str, width: float = 0.0) -> bool:
         return self._done("button", label, False)[0]
 
     def select(self, label: str, *, is_lit: bool) -> bool:
@@ -90,9 +102,19 @@ class ScriptedWidgets:
         return changed, names.index(chosen) if isinstance(chosen, str) else chosen
 
     def slide(
-        self, label: str, value: float, low: float, high: float, text: str
+        self,
+        label: str,
+        value: float,
+        low: float,
+        high: float,
+        text: str,
+        ticks: Sequence[tuple[float, str]] = (),
     ) -> tuple[bool, float]:
+        self.ticks = list(ticks)
         return self._done("slide", label, value)
+
+    def plot(self, plot: Any, height: float) -> None:
+        self.built.append(("plot", plot.y_label))
 
     def number(self, label: str, value: float, text: str) -> tuple[bool, float]:
         return self._done("number", label, value)
@@ -119,7 +141,7 @@ class ScriptedWidgets:
 
     def end_scope(self) -> None: ...
 
-    def same_line(self, left: float = 0.0) -> None: ...
+    def same_line(self, left: float = 0.0, gap: float = -1.0) -> None: ...
 
     def width(self, width: float) -> None: ...
 

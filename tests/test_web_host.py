@@ -25,9 +25,8 @@ from websockets.sync.client import connect
 from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver
 from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
-from sero_mj.viewer.session.status_line import Mood
+from sero_mj.viewer.panels.imgui_widgets import MOODS
 from sero_mj.viewer.web.host import WebHost
-from sero_mj.viewer.web.studio_widgets import mood_rgb
 
 # Studio's server ends without closing the connection of its user interface.
 pytestmark = [
@@ -252,10 +251,8 @@ def test_text_of_every_mood_is_readable_on_every_theme(page: WebHost, theme: ux.
     ux.setup_theme(theme)
     ground = imgui.GetStyleColorVec4(int(imgui.Col.WindowBg))
     behind = luminance((ground.x, ground.y, ground.z))
-    moods: tuple[Mood, ...] = ("good", "quiet", "bad")
-    for mood in moods:
-        rgb = mood_rgb(mood)
-        assert rgb is not None
+    for mood, rgbs in MOODS.items():
+        rgb = rgbs[ground.y < 0.5]
         low, high = sorted((behind, luminance(rgb)))
         assert (high + 0.05) / (low + 0.05) >= 4.5, mood
 

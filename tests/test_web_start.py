@@ -83,6 +83,9 @@ def test_tiles_are_listed_with_pictures_and_open_their_scenes(opened: Opened) ->
     assert (status, headers["Content-Type"]) == (200, "application/json")
     tiles = {tile["title"]: tile for each in json.loads(text)["sections"] for tile in each["tiles"]}
     number = tiles["impedance_push"]["number"]
+    (section,) = json.loads(get(port, "/sero-mj/tiles?search=IMPEDANCE%20push")[1])["sections"]
+    assert {**tiles["impedance_push"]} in section["tiles"]
+    assert json.loads(get(port, "/sero-mj/tiles?search=no%20such")[1])["sections"] == []
     status, _, headers = get(port, f"/sero-mj/pictures/{number}")
     assert (status, headers["Content-Type"]) == (200, "image/jpeg")
     for wrong in ("/sero-mj/pictures/9999", "/sero-mj/pictures/x", "/etc/passwd", "/sero-mj/"):
@@ -112,8 +115,9 @@ def test_files_are_taken_whole_and_what_is_wrong_is_told(opened: Opened) -> None
         assert path.read_bytes() == contents
         assert (path.parent / "m" / "a.stl").read_bytes() == b"abc"
         told = notice(start)
-        told = told if "error" in told else notice(start)
-        assert told["error"] == "r.urdf: found 300000 bytes; expected a robot"
+        told = told if told["is_bad"] else notice(start)
+        assert told["notice"] == "r.urdf: found 300000 bytes; expected a robot"
+        assert 1 < told["seconds"] < 60
     with opened.line("/sero-mj/files") as line:
         line.send(json.dumps([{"path": "a.toml", "size": 2}]))
         line.send(b"abc")

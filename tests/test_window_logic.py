@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,12 +11,17 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from scripted_widgets import ScriptedWidgets
 from shown import Shown
 from source_slots import set_source
 
 from sero_mj import Mirror, Scene, SerialRobot, World
+from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
 from sero_mj.simulate.tools.bookmarks import Bookmarks
+from sero_mj.viewer.panels.help import build_help
+from sero_mj.viewer.panels.status_line import build_status_line
+from sero_mj.viewer.panels.time_line import build_time_line
 from sero_mj.viewer.session.capture import due_frames, unused_name
 from sero_mj.viewer.session.clock import SPEEDS, Clock, time_text
 from sero_mj.viewer.session.input import (
@@ -35,15 +41,14 @@ from sero_mj.viewer.session.interaction import (
     KEYS,
     MORE_KEYS,
     help_columns,
-    pages,
-)  # fmt: skip
+)
 from sero_mj.viewer.session.live import LiveHost
 from sero_mj.viewer.session.status_line import clock_text, source_text, status_pieces
 from sero_mj.viewer.session.tool import tool_keys
 from sero_mj.viewer.session.torque_history import TorqueHistory
 from sero_mj.viewer.window.glfw_window import spread_times
-from sero_mj.viewer.window.host import Pace
-from sero_mj.viewer.window.hud import TimeLine, arrange
+from sero_mj.viewer.window.host import Pace, Window
+from sero_mj.viewer.window.places import arrange
 
 # ---- clock
 
@@ -376,16 +381,46 @@ def test_what_a_monitor_finds_is_gone_to() -> None:
 # ---- time line and status line
 
 
-def test_a_time_line_is_hit_and_read() -> None:
-    line = TimeLine(left=20, bottom=40, width=600, height=8, end=12.0)
-    assert line.hits(320, 44)
-    assert line.hits(16, 36)  # a little beside it
-    assert not line.hits(320, 70)
-    assert not line.hits(5, 44)
-    assert line.time_at(320) == pytest.approx(6.0)
-    assert line.time_at(-100) == 0.0
-    assert line.time_at(900) == 12.0
-    assert line.time_at(line.x_of(7.5)) == pytest.approx(7.5)
+def test_the_time_line_pauses_steps_seeks_and_shows_marks(simulated: Mirror) -> None:
+    clock = Clock(simulated)
+
+    def does(label: str, value: Any = True) -> ScriptedWidgets:
+        ui = ScriptedWidgets({label: value})
+        build_time_line(ui, clock, [(1.0, True), (2.0, False)])
+        return ui
+
+    ui = does("##time", 2.5)
+    assert clock.time == 2.5
+    assert [mood for _, mood in ui.ticks] == ["title", "bad"]  # set by the user, and a fault
+    does("pause###pause")
+    assert clock.is_paused
+    does(">")
+    assert clock.time == pytest.approx(2.5 + clock.step_size)
+    does("<")
+    assert clock.time == pytest.approx(2.5)
+    does("##speed", "x 0.25")
+    assert clock.speed == 0.25
+    does("|<")
+    assert clock.time == 0.0
+    does("play###pause")
+    assert not clock.is_paused
+    narrow = ScriptedWidgets(size=(20.0, 2.0))
+    build_time_line(narrow, clock, [])
+    assert ("slide", "##time") in narrow.built
+    assert ("choose", "##speed") not in narrow.built
+
+
+@pytest.mark.parametrize(
+    ("width", "shown"),
+    [(60.0, ["live", "arm: 99/s", "60 frames/s", "H help"]),
+     (13.0, ["live", "arm: 99/s", "H help"]),
+     (9.0, ["live", "arm: 99/s"]), (3.0, ["live"]), (1.0, [])],
+)  # fmt: skip
+def test_the_status_line_leaves_out_what_does_not_fit(width: float, shown: list[str]) -> None:
+    pieces: Any = [("live", "plain"), ("arm: 99/s", "good"), ("60 frames/s", "plain")]
+    ui = ScriptedWidgets(size=(width, 1.0))
+    build_status_line(ui, pieces, "H help")
+    assert ui.texts() == shown
 
 
 @pytest.mark.parametrize(
@@ -575,28 +610,37 @@ def test_the_help_says_everything_that_the_tables_hold() -> None:
     assert set(HOST_MOUSE.values()) <= words
 
 
-def test_what_finds_no_room_is_on_the_next_page() -> None:
+@pytest.mark.parametrize("width", [70.0, 20.0])
+def test_the_help_has_all_rows_at_any_width(width: float) -> None:
     columns = help_columns(tool_keys())
-    assert len(pages(columns, (100, 2))) == 1
-    assert len(pages(columns, (100, 1))) == 2
-    small = pages(columns, (10, 1))
-    assert [row for page in small for column in page for row in column] == [
-        row for column in columns for row in column
-    ]
-    assert max(len(column) for page in small for column in page) == 10
+    ui = ScriptedWidgets(size=(width, 20.0))
+    build_help(ui, columns)
+    shown = [label for kind, label in ui.built if kind in ("title", "text")]
+    assert shown == [words for column in columns for row in column for words in row if words]
 
 
 @pytest.mark.parametrize("size", [(1280, 800), (640, 480), (320, 240)])
 @pytest.mark.parametrize("has_plot", [False, True])
 def test_no_part_of_a_window_covers_another(size: tuple[int, int], has_plot: bool) -> None:
-    picture, plots = arrange(size, 18, 52, has_plot=has_plot)
+    places = arrange(size, 18, has_status=True, has_time=True, has_plot=has_plot)
     covered = np.zeros(size[::-1], int)
-    for rect in (picture, *plots):
-        assert rect.width > 0 and rect.height > 0
-        covered[rect.bottom : rect.bottom + rect.height, rect.left : rect.left + rect.width] += 1
-    assert (covered[52:] == 1).all()
-    assert not covered[:52].any()
-    assert len(plots) == (0 if not has_plot else 2 if size[0] > 1000 else 1)
+    for rect in places:
+        if rect is not None:
+            assert rect.width > 0 and rect.height > 0
+            upper, right = rect.bottom + rect.height, rect.left + rect.width
+            covered[rect.bottom : upper, rect.left : right] += 1
+    assert (covered == 1).all()
+    assert places.picture.bottom == 52 or (has_plot and size[0] < 1000)
+    bare = arrange(size, 18, has_status=False, has_time=False, has_plot=False)
+    assert bare.picture == (0, 0, *size)
+
+
+def test_without_its_user_interface_a_window_says_so(
+    simulated: Mirror, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "sero_mj.viewer.window.chrome", None)
+    with pytest.raises(RenderError, match=r"window\.chrome.*--web"):
+        Window(simulated)
 
 
 def test_clicks_during_a_hitch_are_no_double_click() -> None:

@@ -43,7 +43,7 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
     window.tool("mousemove", SIZE[0] - 5, 5)
     window.settle()
     before = screenshot(window)
-    window.click(6, 45)  # the handle
+    window.click(*window.middle("panel"))
     window.until("w.has_panel")
     window.until("w.decor.view.inset[0] > 150")  # numbers stay beside it
     assert np.array_equal(screenshot(window), before)
@@ -65,7 +65,7 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
     assert right - left > 100
     window.tool("mousemove", round(left) + 20, round(y), "mousedown", 1)
     window.settle()
-    window.tool("mousemove", round(left) + 10, round(y) + 60, "mousemove", round(left) + 20, 470)
+    window.tool("mousemove", round(left) + 10, round(y) + 60, "mousemove", round(left) + 20, 445)
     window.settle()
     window.tool("mouseup", 1, "click", 4)
     window.settle()

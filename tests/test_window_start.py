@@ -25,7 +25,18 @@ from sero_mj.base.errors import UsageError
 from sero_mj.viewer.session.recent_views import RecentView
 from sero_mj.viewer.session.start_page import PortMonitor
 from sero_mj.viewer.window.start_window import StartWindow
+from imgui_bundle import imgui
 size, heard = json.loads(sys.argv[1])
+places = {}  # of what can be pressed, by its label: left, top, right, bottom
+def noted(build):
+    def built(label, *rest):
+        found = build(label, *rest)
+        low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+        places[label.partition("##")[0] or label] = [low.x, low.y, high.x, high.y]
+        return found
+    return built
+for name in ("button", "image_button", "input_text_with_hint"):
+    setattr(imgui, name, noted(getattr(imgui, name)))
 opened = []
 def open_it(what):
     opened.append(str(what) if isinstance(what, Path) else what.scene)
@@ -67,8 +78,8 @@ class Start(Driver):
         subprocess.run(command, check=True, env=self._environment, timeout=20)
 
     def click(self, label: str) -> None:
-        left, top, width, height = self.until(f"w.places.get({label!r})")
-        self.tool("mousemove", round(left + width / 2), round(top + height / 2))
+        left, top, right, bottom = self.until(f"places.get({label!r})")
+        self.tool("mousemove", round((left + right) / 2), round((top + bottom) / 2))
         frames = self.ask("frames")
         self.until(f"frames > {frames} + 2")  # the pointer is over it
         self.tool("click", 1)
@@ -76,18 +87,23 @@ class Start(Driver):
 
 def test_a_tile_opens_its_scene_and_what_is_wrong_is_told(display: str, tmp_path: Path) -> None:
     with Start(display, tmp_path) as start:
-        start.click("path")
+        start.click("##path")
         start.until("w._layer.takes_keys")
         start.tool("type", "/wrong.toml")
         start.tool("key", "Return")
         start.until("opened")
-        notice = start.until("w.notice.is_bad and w.notice.text")
+        notice = start.until("w.page.notice.is_bad and w.page.notice.text")
         assert notice == "/wrong.toml: found nothing; expected a robot"
         start.ask("w.gl._on_drop(None, ['/cell/wrong.urdf', 'b'])")
         start.until("opened[1:] == ['/cell/wrong.urdf']")
+        start.click("##search")
+        start.until("w._layer.takes_keys")
+        start.tool("type", "stand biped")
+        start.until("w._search == 'stand biped'")
+        start.ask("places.clear()")
         start.click("biped_stand")
-        start.until("w.chosen is not None")
-        assert start.ask("[opened[-1], w.chosen.name]") == ["biped_stand", "biped_stand"]
+        start.until("w.page.chosen is not None")
+        assert start.ask("[opened[-1], w.page.chosen.name]") == ["biped_stand", "biped_stand"]
 
 
 def test_data_that_comes_is_a_button(display: str, tmp_path: Path) -> None:
@@ -100,7 +116,7 @@ def test_data_that_comes_is_a_button(display: str, tmp_path: Path) -> None:
         Start(display, tmp_path, str(cell)) as start,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
     ):
-        assert start.ask("'show cell.toml' in w.places") is False
+        assert start.ask("'show cell.toml' in places") is False
         sender.connect(("127.0.0.1", port))
         done = threading.Event()
 
@@ -112,7 +128,7 @@ def test_data_that_comes_is_a_button(display: str, tmp_path: Path) -> None:
         thread.start()
         try:
             start.click("show cell.toml")
-            start.until("w.chosen is not None")
+            start.until("w.page.chosen is not None")
         finally:
             done.set()
             thread.join()

@@ -143,6 +143,12 @@ class Driven(Driver):
         left, top, right, bottom = self.until(f"places.get({label!r})")
         return (left + right) / 2, (top + bottom) / 2
 
+    def on_time_line(self, share: float) -> tuple[int, int]:
+        """Where so much of the time line's length is, from the upper left corner."""
+        left, top, right, bottom = self.until("places.get('##time')")
+        end = 6.5  # half of the knob and what is beside it
+        return round(left + end + share * (right - left - 2 * end)), round((top + bottom) / 2)
+
     def settle(self) -> None:
         """Waits until frames were shown: the first takes what the user did."""
         frames = self.ask("frames")

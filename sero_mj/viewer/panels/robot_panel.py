@@ -48,6 +48,18 @@ def tree_of_owners(world: WorldView) -> tuple[dict[str, list[str]], list[str]]:
     return members, [name for name in (*members, *world.owners) if name not in taken]
 
 
+def build_handle(ui: Widgets, key: str) -> bool:
+    """Builds the button that opens the panel; returns whether it was pressed.
+
+    Args:
+        ui: takes it.
+        key: that opens it as well.
+    """
+    is_pressed = ui.button("panel")
+    ui.tip(f"switches, sources and sizes: {key}")
+    return is_pressed
+
+
 class RobotPanel:
     """The panel with toggles and size sliders of every robot and double.
 

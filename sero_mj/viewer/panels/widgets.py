@@ -1,4 +1,4 @@
-"""`Widgets`: the dozen widgets that panels are made of, the same in windows and on pages.
+"""`Widgets`: what panels are made of, the same in windows and on pages.
 
 Both hosts draw them with Dear ImGui: a panel builds all its widgets anew in every frame, and is
 told what the user changed. Labels are what users read; `##` and what follows is not shown, and
@@ -8,13 +8,58 @@ tells widgets with the same label apart.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
+from ...base.frames import Array
 from ..session.status_line import Mood
+
+Rgb = tuple[float, float, float]
+
+
+class Line(NamedTuple):
+    """A line of a plot.
+
+    Attributes:
+        name: in the legend.
+        rgb: its colour, where the host can set it.
+        x: (k,), rising.
+        y: (k,), NaN for a gap.
+    """
+
+    name: str
+    rgb: Rgb
+    x: Array
+    y: Array
+
+
+class Plot(NamedTuple):
+    """A plot.
+
+    Attributes:
+        x_unit: of the axis below.
+        y_label: of the axis at the left.
+        lines: that are plotted.
+        x_range: ends of the axis below.
+        y_range: ends of the axis at the left.
+        limits: values of y that are marked as limits, in the range or not.
+    """
+
+    x_unit: str
+    y_label: str
+    lines: Sequence[Line]
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+    limits: Sequence[float]
 
 
 class Widgets(Protocol):
     """What panels are made of; lengths are in units of the text's height."""
+
+    def room(self) -> tuple[float, float]:
+        """Returns the width that is left in this line, and the height below its upper edge."""
+
+    def wide(self, words: str) -> float:
+        """Returns the width of a text."""
 
     def text(self, words: str, mood: Mood = "plain") -> None:
         """Writes a text, wrapped at the panel's width."""
@@ -62,8 +107,13 @@ class Widgets(Protocol):
     def end_scope(self) -> None:
         """Ends a scope."""
 
-    def same_line(self, left: float = 0.0) -> None:
-        """Puts the next widget beside the last one, at a distance from the panel's left edge."""
+    def same_line(self, left: float = 0.0, gap: float = -1.0) -> None:
+        """Puts the next widget beside the last one.
+
+        Args:
+            left: distance from the panel's left edge; 0 for after the last one.
+            gap: distance from the last one; -1 for the usual.
+        """
 
     def width(self, width: float) -> None:
         """Sets the width of the next widget; 0 for all that is left."""
@@ -77,8 +127,13 @@ class Widgets(Protocol):
     def enable(self) -> None:
         """Ends what `disable` has begun."""
 
-    def button(self, label: str) -> bool:
-        """Builds a button; returns whether it was pressed."""
+    def button(self, label: str, width: float = 0.0) -> bool:
+        """Builds a button; returns whether it was pressed.
+
+        Args:
+            label: on it.
+            width: of it; 0 for that of its label.
+        """
 
     def select(self, label: str, *, is_lit: bool) -> bool:
         """Builds a text that can be clicked on; returns whether it was.
@@ -110,7 +165,13 @@ class Widgets(Protocol):
         """
 
     def slide(
-        self, label: str, value: float, low: float, high: float, text: str
+        self,
+        label: str,
+        value: float,
+        low: float,
+        high: float,
+        text: str,
+        ticks: Sequence[tuple[float, Mood]] = (),
     ) -> tuple[bool, float]:
         """Builds a slider; returns whether it was moved, and its value.
 
@@ -120,7 +181,11 @@ class Widgets(Protocol):
             low: the value at its left end.
             high: the value at its right end.
             text: printf's format of the value, `%.1f deg`; empty to show none.
+            ticks: values that are marked, and how.
         """
+
+    def plot(self, plot: Plot, height: float) -> None:
+        """Builds a plot as wide as there is room."""
 
     def number(self, label: str, value: float, text: str) -> tuple[bool, float]:
         """Builds a field for a number; returns whether one was typed to the end, and it.

@@ -273,7 +273,7 @@ HOST_KEYS: dict[str, tuple[str, str]] = {
     "f2": ("screenshot", "screenshot of the scene"),
     "f3": ("film", "film on or off"),
     "f11": ("full_screen", "full screen"),
-    "h": ("help", "help, its next page"),
+    "h": ("help", "this help"),
 }
 # Actions that a browser provides itself.
 OF_BROWSER = ("tab", "f11")
@@ -373,7 +373,7 @@ def help_columns(
     of_host = {**HOST_KEYS, **{key: entry for key, entry in of_tools.items() if entry[1]}}
     if on_page:
         of_host = {key: action for key, action in of_host.items() if key not in OF_BROWSER}
-        of_host |= {"t": ("panel", "panel on or off"), "h": ("help", "this help")}
+        of_host |= {"t": ("panel", "panel on or off")}
     view: list[Row] = [("View", "")]
     view += [(how, words) for how, words in HOST_MOUSE.items()]
     view += [("", ""), ("Page and time" if on_page else "Window and time", "")]
@@ -391,17 +391,3 @@ def help_columns(
         ("Shift+click", "the same for the whole robot, or all smart arrows"),
     ]
     return [view, shown]
-
-
-def pages(columns: list[list[Row]], room: tuple[int, int]) -> list[list[list[Row]]]:
-    """Divides the help into pages of columns.
-
-    Args:
-        columns: of rows.
-        room: maximum number of rows of a column, and of columns of a page.
-    """
-    rows, beside = max(room[0], 4), max(room[1], 1)
-    parts = [
-        column[start : start + rows] for column in columns for start in range(0, len(column), rows)
-    ]
-    return [parts[start : start + beside] for start in range(0, len(parts), beside)]

@@ -6,7 +6,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -18,7 +18,9 @@ from ...data.drive.mirror import LiveWorld, Mirror
 from ...data.receive.mailbox import Packets
 from ..decor.toggles import Toggles
 from ..headless.film import Pixels
+from ..panels.message import Message
 from ..panels.robot_panel import RobotPanel
+from ..panels.status_line import SourcesPanel
 from ..panels.widgets import Widgets
 from . import live_history
 from .capture import Capture
@@ -49,19 +51,6 @@ _REPEATED = (
 )
 _JUMP = 1.0  # s
 _MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
-
-
-class Message(NamedTuple):
-    """A message to the user, shown for a few seconds."""
-
-    text: str = ""
-    is_bad: bool = False
-    until: float = float("-inf")  # on the clock of `time.monotonic`, s
-
-    @property
-    def is_shown(self) -> bool:
-        """Whether it is still to be shown."""
-        return time.monotonic() < self.until
 
 
 class LiveHost(ABC):
@@ -127,6 +116,7 @@ class LiveHost(ABC):
         self.on_click: OnClick | None = None
         self._advanced = time.monotonic()
         self._clicks = ClickDetector(world, self.toggles)
+        self._sources = SourcesPanel()
         self._robots = RobotPanel(world, self.toggles)
         self._robots.on_select = self.select
         self.tools = Tools(self)
@@ -146,6 +136,7 @@ class LiveHost(ABC):
             "last_joint": lambda: self._select(-1),
             "follow": self._follow_under_pointer,
             "plot": self.toggle_plot,
+            "help": self.toggle_help,
             "status_line": self.toggle_status,
             "screenshot": self._take_screenshot,
             "film": self._toggle_film,
@@ -287,17 +278,33 @@ class LiveHost(ABC):
         self.shows_plot = not self.shows_plot
         return "" if self.world.joints.names else "no joint to plot"
 
+    def toggle_help(self) -> None:
+        """Shows or hides the help."""
+        self.shows_help = not self.shows_help
+
     def toggle_status(self) -> None:
         """Shows or hides status line or panel."""
         self.shows_status = not self.shows_status
+
+    @property
+    def has_time_line(self) -> bool:
+        """Whether there is a time to go back to."""
+        return self.clock.is_playing and self.clock.can_go_back
 
     @property
     def has_plot(self) -> bool:
         """Whether torques are plotted and there are joints."""
         return self.shows_plot and len(self.world.joints.names) > 0
 
-    def build_panel(self, ui: Widgets) -> None:
-        """Builds what the panels of all hosts have in common."""
+    def build_panel(self, ui: Widgets, *, unfolds_sources: bool) -> None:
+        """Builds what the panels of all hosts have in common.
+
+        Args:
+            ui: takes it.
+            unfolds_sources: whether sources are unfolded at first: no status line tells of them.
+        """
+        sources = self.mirror.sources.values()
+        self._sources.build(ui, self.clock, sources, is_open=unfolds_sources)
         for label, make in self.offers.items():
             if ui.button(label):
                 self._go_on_with(make)

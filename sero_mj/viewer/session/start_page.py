@@ -1,11 +1,11 @@
 """What the start page shows: what was viewed lately, what is shipped, and which data is awaited.
 
-`window/start_window.py` and `web/start_host.py` show it; what their user chooses is opened by who
-has made them.
+`StartPage` is all of it but the drawing, which `window/start_window.py` and `web/start_host.py` do.
 """
 
 from __future__ import annotations
 
+import queue
 import time
 import tomllib
 from collections import Counter
@@ -17,10 +17,11 @@ from typing import NamedTuple, Self
 from ...base import paths
 from ...base.errors import SeroError
 from ...base.frames import Array, Ints
-from ...base.paths import model_name
+from ...base.paths import model_name, without_temporary
 from ...data.drive.mirror import Mirror
 from ...data.receive.source import QUIET_AFTER, Source, make_source
 from ...data.receive.structure import Rows
+from ..panels.message import Message
 from .recent_views import RecentView, recent_views
 from .status_line import Mood
 
@@ -33,12 +34,14 @@ DROP_HINT = (
     "Drop a file here: a robot (URDF, MJCF, robot.toml), a scene or scenario (TOML, X3D), "
     "or a recording (MCAP)"
 )
+SEARCH_HINT = "search"
 MORE_HINT = "`sero-mj list` names all that is shipped, `sero-mj --help` all commands."
 # Robots that are parts of others come last.
 _PARTS = ("biped_leg", "dlr_hand2_finger", "hit_finger", "justin_head", "justin_torso",
           "justin_wheel", "space_justin_torso", "ups_leg")  # fmt: skip
 # What listens without a word to whom it hears.
 _HEARD_KINDS = ("udp", "shm")
+_ERROR_TIME, _OPENING_TIME = 12.0, 60.0  # s for which an error is shown, and what is opened
 
 
 class Tile(NamedTuple):
@@ -276,3 +279,72 @@ def _sources(scene: str) -> list[Source]:
                 with suppress(SeroError):
                     found.append(make_source(name, {**table, "debug_level": 0}))
     return found
+
+
+class StartPage:
+    """What the start page offers, and does with what its user chooses.
+
+    Args:
+        opener: returns what shows what was chosen.
+        listening: hears the data that is awaited.
+
+    Attributes:
+        notice: the last message to the user.
+        chosen: the scene that was opened; None for none so far.
+        tiles: all that can be opened.
+    """
+
+    def __init__(self, opener: Opener, listening: PortMonitor) -> None:
+        self._opener, self._listening = opener, listening
+        self._sections = sections()
+        self.tiles = [tile for section in self._sections for tile in section.tiles]
+        self.notice = Message()
+        self.chosen: Mirror | None = None
+        self._wanted: queue.SimpleQueue[RecentView | Path] = queue.SimpleQueue()
+
+    def awaited(self) -> list[ExpectedPackets]:
+        """Returns what is awaited, see `PortMonitor`."""
+        return self._listening.awaited()
+
+    def found(self, words: str) -> list[Section]:
+        """Returns the sections with the tiles that have these words in title or description."""
+        each = words.lower().split()
+        found = [
+            Section(title, [tile for tile in tiles if _has(tile, each)])
+            for title, tiles in self._sections
+        ]
+        return [section for section in found if section.tiles]
+
+    def choose(self, what: RecentView | Path) -> None:
+        """Has something opened by the next `open_next`, and tells so; from any thread."""
+        name = what.name if isinstance(what, Path) else Path(what.replay or what.scene).name
+        self.notice = Message(f"opening {name} ...", until=time.monotonic() + _OPENING_TIME)
+        self._wanted.put(what)
+
+    @property
+    def is_opening(self) -> bool:
+        """Whether something was chosen that is not open yet."""
+        return not self._wanted.empty()
+
+    def open_next(self, patience: float) -> bool:
+        """Opens what was chosen, or tells why it cannot be.
+
+        Args:
+            patience: s for which something is waited for.
+
+        Returns:
+            whether something is open.
+        """
+        try:
+            self.chosen = self._opener(self._wanted.get(timeout=patience))
+        except queue.Empty:
+            pass
+        except SeroError as error:
+            until = time.monotonic() + _ERROR_TIME
+            self.notice = Message(without_temporary(str(error)), is_bad=True, until=until)
+        return self.chosen is not None
+
+
+def _has(tile: Tile, words: Sequence[str]) -> bool:
+    text = f"{tile.title} {tile.about}".lower()
+    return all(word in text for word in words)

@@ -10,7 +10,7 @@ from ...data.receive.source import Source
 from ..decor.status import SHOWN_FOR
 from .clock import Clock, time_text
 
-Mood = Literal["good", "quiet", "bad", "plain"]
+Mood = Literal["good", "quiet", "bad", "plain", "dim", "title"]
 Piece = tuple[str, Mood]
 
 _SEEN_LOSS = 0.0005  # fraction of lost packets below which their number is shown

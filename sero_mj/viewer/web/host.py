@@ -85,7 +85,6 @@ class WebHost(LiveHost):
         self._back = 1.0  # by how much farther away the camera stands, see `standing_back`
         self._app = StudioApp(self)
         self._panels = PageWindows(self, self.decor, self._app)
-        self._actions["help"] = self._toggle_help
         self._actions["link"] = self._copy_link
         is_private = is_loopback(check_address(host))
         self.token: str | None = None
@@ -220,9 +219,6 @@ class WebHost(LiveHost):
 
     def _pointer(self) -> Pixel | None:
         return self._under
-
-    def _toggle_help(self) -> None:
-        self.shows_help = not self.shows_help
 
     def centre(self, point: Array) -> None:
         """Makes a point (3,), m, the camera's look-at point."""

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import time
-from typing import Any
-
 from mujoco.studio import messages, plugin
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 
-from ...data.receive.report import describe, report
-from ...data.receive.source import Source
 from ..decor.geom_buffer import MAX_GEOMS
-from ..session.clock import SPEEDS, time_text
+from ..panels import help as help_panel
+from ..panels.message import filming_piece
+from ..panels.robot_panel import build_handle
+from ..panels.time_line import build_time_line
+from ..panels.torque_plots import TorquePlots
 from ..session.interaction import help_columns
 from ..session.live import LiveHost
-from ..session.status_line import clock_text, source_text
 from ..session.tool import tool_keys
 from .studio_controls import StudioApp
 from .studio_decor import CUT_OFF, WebDecor
-from .studio_widgets import StudioWidgets, write_line
-from .torque_plots import TorquePlots
+from .studio_widgets import StudioWidgets
 
 _ONCE = int(imgui.Cond.FirstUseEver)
 _ALWAYS = int(imgui.Cond.Always)
@@ -36,20 +33,32 @@ _BAR_FLAGS = _flags(
     "NoTitleBar", "NoResize", "NoScrollbar", "NoDocking", "NoMove", "NoSavedSettings"
 )
 _HANDLE_FLAGS = _BAR_FLAGS | _flags("AlwaysAutoResize", "NoBackground", "NoFocusOnAppearing")
-_NOTE_FLAGS = _BAR_FLAGS | _flags("AlwaysAutoResize", "NoInputs", "NoFocusOnAppearing")
+_NOTE_FLAGS = _BAR_FLAGS | _flags("NoInputs", "NoFocusOnAppearing")
 _PANEL_FLAGS = _flags("AlwaysAutoResize", "NoSavedSettings")
-_OPEN = int(imgui.TreeNodeFlags.DefaultOpen)
-_READABLE = 0.25  # minimum time for which a number is shown, s
+# Limits of points and update rate: plots would be most of the data sent to the browser.
+_POINTS, _INTERVAL = 320, 1.0 / 15.0  # s
 _NARROW = 3.2 * _WIDTH  # width below which panel and billboards would cover the robot
-_TWO_COLUMNS = 900.0  # width from which on the help has two columns
-# Names of actions and their labels in the menu, by key.
+# Labels of Studio's menus, which are empty, and of ours: their key and action.
 _CLOCK_MENU = {
-    ".": ("step", "Step"),
-    ",": ("step_back", "Step back"),
-    "-": ("slower", "Slower"),
-    "+": ("faster", "Faster"),
-    "Backspace": ("reset", "Back to the start"),
+    "Pause": ("Space", "pause"),
+    "Step": (".", "step"),
+    "Step back": (",", "step_back"),
+    "Slower": ("-", "slower"),
+    "Faster": ("+", "faster"),
+    "Back to the start": ("Backspace", "reset"),
 }
+_ROBOT_MENU = {
+    "Panel": ("T", "status_line"),
+    "Torques": ("P", "plot"),
+    "Undo": ("Ctrl+Z", "undo"),
+    "Redo": ("Ctrl+Y", "redo"),
+    "Copy as command": ("Ctrl+C", "copy"),
+    "Copy a link to this view": ("", "link"),
+    "Screenshot": ("F2", "screenshot"),
+    "Film": ("F3", "film"),
+    "Mouse and keys": ("H", "help"),
+}
+_NEEDS_PAST = ("step_back", "slower", "faster")  # actions
 _TALL = 0.35  # fraction of the page's height above which a window counts as covering its edge
 
 
@@ -68,11 +77,10 @@ class PageWindows(plugin.ViewerPlugin):
     def __init__(self, host: LiveHost, decor: WebDecor, studio: StudioApp) -> None:
         self._host, self._decor, self._studio = host, decor, studio
         self.widgets = StudioWidgets()
-        self._plots = TorquePlots(host.world)
+        self._plots = TorquePlots(host.world, _POINTS, _INTERVAL)
         self._is_narrow = False
         # Page sizes, and what is docked there, for which windows were placed.
         self._pages: dict[str, tuple[float, ...]] = {}
-        self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # time and contents
         # Margins that windows at the edges of the page cover, see `PictureView.inset`.
         self.inset = (0.0, 0.0, 0.0, 0.0)
 
@@ -106,49 +114,31 @@ class PageWindows(plugin.ViewerPlugin):
 
     def _menu(self) -> None:
         host = self._host
+        lit = {
+            "pause": host.clock.is_paused,
+            "status_line": host.shows_status,
+            "plot": host.shows_plot,
+            "film": host.capture.is_filming,
+            "help": host.shows_help,
+        }
         if not imgui.BeginMainMenuBar():
             return
-        if imgui.BeginMenu("Simulation"):  # Studio's, which is empty
-            self._clock_menu()
-            imgui.EndMenu()
-        if imgui.BeginMenu("Robot"):
-            if imgui.MenuItem("Panel", "T", host.shows_status):
-                host.toggle_status()
-            if imgui.MenuItem("Torques", "P", host.shows_plot):
-                host.toggle_plot()
-            if imgui.MenuItem("Undo", "Ctrl+Z", False):
-                host.perform("undo")
-            if imgui.MenuItem("Redo", "Ctrl+Y", False):
-                host.perform("redo")
-            if imgui.MenuItem("Copy as command", "Ctrl+C", False):
-                host.perform("copy")
-            if imgui.MenuItem("Copy a link to this view", "", False):
-                host.perform("link")
-            if imgui.MenuItem("Screenshot", "F2", False):
-                host.perform("screenshot")
-            if imgui.MenuItem("Film", "F3", host.capture.is_filming):
-                host.perform("film")
-            if imgui.MenuItem("Mouse and keys", "H", host.shows_help):
-                host.shows_help = not host.shows_help
+        for menu, items in (("Simulation", _CLOCK_MENU), ("Robot", _ROBOT_MENU)):
+            if not imgui.BeginMenu(menu):
+                continue
+            for label, (key, action) in items.items():
+                is_possible = host.clock.can_go_back or action not in _NEEDS_PAST
+                if is_possible and imgui.MenuItem(label, key, lit.get(action, False)):
+                    host.perform(action)
             imgui.EndMenu()
         imgui.EndMainMenuBar()
-
-    def _clock_menu(self) -> None:
-        clock = self._host.clock
-        if imgui.MenuItem("Pause", "Space", clock.is_paused):
-            clock.pause()
-        for key, (name, label) in _CLOCK_MENU.items():
-            is_for_all = name in ("step", "reset")
-            if (is_for_all or clock.can_go_back) and imgui.MenuItem(label, key, False):
-                self._host.perform(name)
 
     def _handle(self) -> None:
         """Builds the button that shows the hidden panel again."""
         imgui.SetNextWindowPos(imgui.Vec2(self._studio.docked[0] + _MARGIN, _TOP), _ALWAYS)
         imgui.Begin("##handle", True, _HANDLE_FLAGS)
-        if imgui.Button("panel"):
+        if build_handle(self.widgets, "t"):
             self._host.toggle_status()
-        imgui.SetItemTooltip("toggles, sources and sizes: t")
         imgui.End()
 
     def _panel(self, size: imgui.Vec2) -> None:
@@ -162,8 +152,7 @@ class PageWindows(plugin.ViewerPlugin):
         )
         self._cover(size.y)
         if shown:
-            self._sources()
-            host.build_panel(self.widgets)
+            host.build_panel(self.widgets, unfolds_sources=True)
             self._count()
         imgui.End()
 
@@ -182,51 +171,19 @@ class PageWindows(plugin.ViewerPlugin):
         if left + right < 0.7 * width:
             self.inset = (left, below, right, above)
 
-    def _sources(self) -> None:
-        host = self._host
-        if not imgui.CollapsingHeader("Sources", _OPEN):
-            return
-        write_line(*clock_text(host.clock))
-        if not host.mirror.sources:
-            write_line("none: as declared, or as a program sets it", "quiet")
-        for source in host.mirror.sources.values():
-            if source.error is not None:
-                write_line(f"{source.name}: {source.error}", "bad")
-                continue
-            found = self._report(source)
-            write_line(*source_text(found, is_live=source.is_live))
-            if found["trouble"]:
-                write_line(f"  {found['trouble']}", "bad")
-            if source.is_live and imgui.TreeNode(f"counters of {source.name}"):
-                for what, count, meaning in describe(found):
-                    imgui.TextUnformatted(f"{what}: {count}")
-                    if meaning:
-                        imgui.SetItemTooltip(meaning)
-                imgui.TreePop()
-
-    def _report(self, source: Source) -> dict[str, Any]:
-        """Returns the report of a source, updated a few times a second so that it is readable."""
-        now = time.monotonic()
-        when, found = self._reports.get(source.name, (float("-inf"), {}))
-        if now - when >= _READABLE:
-            found = report(source)
-            self._reports[source.name] = now, found
-        return found
-
     def _count(self) -> None:
-        decor = self._decor
-        write_line(f"decor: {decor.count} of {MAX_GEOMS} geoms", "quiet")
+        decor, ui = self._decor, self.widgets
+        ui.text(f"decor: {decor.count} of {MAX_GEOMS} geoms", "dim")
         if decor.dropped:
-            write_line(
+            ui.text(
                 f"{decor.dropped} more are not shown: the limit is {MAX_GEOMS}. "
                 "Switch something off.",
                 "bad",
             )
 
     def _time(self, size: imgui.Vec2) -> None:
-        """Builds the time line, if there is one; Studio's tool bar has the other controls."""
-        clock = self._host.clock
-        if not (clock.can_go_back and self._host.mirror.sources):
+        """Builds the time line, if there is one."""
+        if not self._host.has_time_line:
             return
         height = imgui.GetFrameHeight() + 2 * 8.0
         begin, end = (docked + _MARGIN for docked in self._studio.docked)
@@ -235,28 +192,7 @@ class PageWindows(plugin.ViewerPlugin):
         imgui.Begin("Time###time", True, _BAR_FLAGS)
         left, _, right, above = self.inset
         self.inset = (left, height + _MARGIN, right, above)
-        if imgui.Button("play" if clock.is_paused or clock.is_at_end else "pause"):
-            clock.pause()
-        for label, what in (("|<", clock.reset), ("<", lambda: clock.step(-1)), (">", clock.step)):
-            imgui.SameLine()
-            if imgui.Button(label):
-                what()
-        imgui.SameLine()
-        imgui.SetNextItemWidth(74.0)
-        nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - clock.speed))
-        changed, chosen = imgui.Combo("##speed", nearest, [f"x {speed:g}" for speed in SPEEDS])
-        if changed:
-            clock.faster(chosen - nearest)
-        if clock.end:
-            imgui.SameLine()
-            imgui.SetNextItemWidth(-1.0)
-            text = f"{time_text(clock.time)} / {time_text(clock.end)}"
-            if clock.is_live:
-                ago = f"{time_text(clock.end - clock.time)} ago"
-                text = f"{ago}; End is live" if clock.is_past else "live"
-            moved, wanted = imgui.SliderFloat("##time", clock.time, clock.begin, clock.end, text)
-            if moved:
-                clock.seek(wanted)
+        build_time_line(self.widgets, self._host.clock, self._host.ticks)
         imgui.End()
 
     def _torques(self, size: imgui.Vec2) -> None:
@@ -269,46 +205,38 @@ class PageWindows(plugin.ViewerPlugin):
         shown, host.shows_plot = imgui.Begin("Torques###torques", host.shows_plot)
         self._cover(size.y)
         if shown:
-            joint = self._plots.build(host.history, host.joint)
+            joint = self._plots.build(self.widgets, host.history, host.joint)
             if joint != host.joint:
                 host.select(joint)
         imgui.End()
 
     def _help(self, size: imgui.Vec2) -> None:
         """Builds the help in the middle of the page, to be scrolled where it finds no room."""
-        middle = imgui.Vec2(size.x / 2, (_TOP + size.y) / 2)
-        room = imgui.Vec2(size.x - 2 * _MARGIN, size.y - _TOP - 2 * _MARGIN)
-        imgui.SetNextWindowPos(middle, _ALWAYS, imgui.Vec2(0.5, 0.5))
-        imgui.SetNextWindowSizeConstraints(imgui.Vec2(0.0, 0.0), room)
         host = self._host
-        _, host.shows_help = imgui.Begin("Mouse and keys###help", host.shows_help, _PANEL_FLAGS)
-        columns = help_columns(tool_keys(), on_page=True)
-        if size.x < _TWO_COLUMNS:
-            columns = [[row for column in columns for row in (*column, ("", ""))]]
-            imgui.PushTextWrapPos(room.x - 3 * _MARGIN)
-        if imgui.BeginTable("##help", len(columns)):
-            imgui.TableNextRow()
-            for column in columns:
-                imgui.TableNextColumn()
-                for how, words in column:
-                    if how and not words:
-                        imgui.SeparatorText(how)
-                    elif how:
-                        imgui.TextUnformatted(f"{how}:  {words}")
-            imgui.EndTable()
-        if len(columns) == 1:
-            imgui.PopTextWrapPos()
+        room = size.y - _TOP - 2 * _MARGIN
+        wide = min(help_panel.WIDTH * imgui.GetFontSize(), size.x - 2 * _MARGIN)
+        middle = imgui.Vec2(size.x / 2, (_TOP + size.y) / 2)
+        imgui.SetNextWindowPos(middle, _ALWAYS, imgui.Vec2(0.5, 0.5))
+        imgui.SetNextWindowSizeConstraints(imgui.Vec2(wide, 0.0), imgui.Vec2(wide, room))
+        title = f"{help_panel.TITLE}###help"
+        _, host.shows_help = imgui.Begin(title, host.shows_help, _PANEL_FLAGS)
+        help_panel.build_help(self.widgets, help_columns(tool_keys(), on_page=True))
         imgui.End()
 
     def _message(self, size: imgui.Vec2) -> None:
-        notice = self._host.notice
-        if not notice.is_shown:
+        host = self._host
+        if host.notice.is_shown:
+            piece = host.notice.piece
+        elif host.capture.is_filming:
+            piece = filming_piece(host.capture)
+        else:
             return
         # Above the picture: the legend and what is said of a robot are below.
         left, _, right, above = self.inset
-        middle = imgui.Vec2((left + size.x - right) / 2, above)
-        imgui.SetNextWindowPos(middle, _ALWAYS, imgui.Vec2(0.5, 0.0))
+        room = size.x - left - right
+        wide = min(imgui.CalcTextSize(piece[0]).x + 2 * _MARGIN, room)
+        imgui.SetNextWindowPos(imgui.Vec2(left + (room - wide) / 2, above), _ALWAYS)
+        imgui.SetNextWindowSize(imgui.Vec2(wide, 0.0), _ALWAYS)
         imgui.Begin("##message", True, _NOTE_FLAGS)
-        # Not wrapped: the window fits its text and has no width of its own.
-        write_line(notice.text, "bad" if notice.is_bad else "plain", is_wrapped=False)
+        self.widgets.text(*piece)
         imgui.End()

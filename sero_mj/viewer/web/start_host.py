@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
-import queue
 import threading
 import time
+import urllib.parse
 from pathlib import Path
 from typing import Any, Self
 
@@ -16,19 +16,19 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from ...base.errors import RenderError, SeroError
-from ...base.paths import without_temporary
+from ...base.errors import RenderError
 from ...data.drive.mirror import Mirror
-from ..session.recent_views import RecentView
+from ..panels.message import Message
 from ..session.start_page import (
     DROP_HINT,
     MORE_HINT,
+    SEARCH_HINT,
     TAGLINE,
     TITLE,
     ExpectedPackets,
     Opener,
     PortMonitor,
-    sections,
+    StartPage,
 )
 from .guard import Guard, is_loopback, make_token
 from .host import check_address, page_urls
@@ -68,7 +68,7 @@ class StartHost:
         *,
         token: bool | str = False,
     ) -> None:
-        self._opener = opener
+        self._page = StartPage(opener, listening)
         self._is_private = is_loopback(check_address(host))
         self.token: str | None = None
         if token or not self._is_private:
@@ -83,11 +83,6 @@ class StartHost:
         bound, self.port = self._socket.getsockname()[:2]
         page = _PAGE.replace("<!-- uploads -->", SCRIPT)
         self._guard = Guard(page.encode(), bound, host, self.token)
-        self._sections = sections()
-        self._tiles = [tile for section in self._sections for tile in section.tiles]
-        self._listening = listening
-        self._wanted: queue.SimpleQueue[RecentView | Path] = queue.SimpleQueue()
-        self._notice: dict[str, Any] = {}  # the last message to the browsers
         self._stop: asyncio.Event | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._thread = threading.Thread(target=self._serve, name="start page", daemon=True)
@@ -106,20 +101,9 @@ class StartHost:
     def run(self) -> Mirror | None:
         """Returns what shows the scene that was chosen; None when the server has ended."""
         while self._thread.is_alive():
-            try:
-                what = self._wanted.get(timeout=_LOOKS)
-            except queue.Empty:
-                continue
-            self._tell(opening=what.name if isinstance(what, Path) else what.replay or what.scene)
-            try:
-                return self._opener(what)
-            except SeroError as error:
-                self._tell(error=without_temporary(str(error)))
+            if self._page.open_next(_LOOKS):
+                return self._page.chosen
         return None
-
-    def _tell(self, **notice: str) -> None:
-        """Has a message sent to all browsers, once."""
-        self._notice = {**notice, "at": time.monotonic()}
 
     def _serve(self) -> None:
         asyncio.run(self._answer())
@@ -137,14 +121,15 @@ class StartHost:
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
         answer = self._guard.answer(request)
-        path = request.path.partition("?")[0]
+        path, _, query = request.path.partition("?")
         if answer is not None or path == _LIVE or is_for_files(request):
             return answer
         if path == _TILES:
-            return _found("application/json", json.dumps(self._described()).encode())
-        number = path.removeprefix(_PICTURES)
-        if path.startswith(_PICTURES) and number.isdecimal() and int(number) < len(self._tiles):
-            picture = self._tiles[int(number)].picture
+            words = urllib.parse.parse_qs(query).get("search", [""])[0]
+            return _found("application/json", json.dumps(self._described(words)).encode())
+        tiles, number = self._page.tiles, path.removeprefix(_PICTURES)
+        if path.startswith(_PICTURES) and number.isdecimal() and int(number) < len(tiles):
+            picture = tiles[int(number)].picture
             try:
                 return _found("image/jpeg", picture.read_bytes() if picture else b"")
             except OSError:
@@ -157,19 +142,21 @@ class StartHost:
         self._guard.set_security_headers(request, response)
         return None
 
-    def _described(self) -> dict[str, Any]:
-        numbers = iter(range(len(self._tiles)))
+    def _described(self, words: str) -> dict[str, Any]:
+        """Returns the texts of the page, and its tiles that have these words in them."""
+        numbers = {id(tile): number for number, tile in enumerate(self._page.tiles)}
         return {
             "title": TITLE,
             "tagline": TAGLINE,
             "drop": DROP_HINT,
             "more": MORE_HINT,
+            "search": SEARCH_HINT,
             "sections": [
                 {
                     "title": section.title,
                     "tiles": [
                         {
-                            "number": next(numbers),
+                            "number": numbers[id(tile)],
                             "title": tile.title,
                             "about": tile.about,
                             "has_picture": tile.picture is not None,
@@ -177,14 +164,14 @@ class StartHost:
                         for tile in section.tiles
                     ],
                 }
-                for section in self._sections
+                for section in self._page.found(words)
             ],
         }
 
     async def _talk(self, connection: ServerConnection) -> None:
         """Tells a browser what is awaited, and hears what it chooses."""
         if connection.request is not None and is_for_files(connection.request):
-            await take_files(connection, self._wanted.put)
+            await take_files(connection, self._page.choose)
             return
         report = asyncio.create_task(self._report(connection))
         try:
@@ -200,22 +187,23 @@ class StartHost:
         try:
             found = json.loads(message)
             if "tile" in found:
-                by_number = dict(enumerate(self._tiles))
-                self._wanted.put(by_number[found["tile"]].view)
+                by_number = dict(enumerate(self._page.tiles))
+                self._page.choose(by_number[found["tile"]].view)
             else:
-                shown = {view.scene: view for each in self._listening.awaited()
-                         for view in each.shown}  # fmt: skip
-                self._wanted.put(shown[found["shown"]])
+                shown = {view.scene: view for each in self._page.awaited() for view in each.shown}
+                self._page.choose(shown[found["shown"]])
         except (ValueError, KeyError, TypeError):
             return
 
     async def _report(self, connection: ServerConnection) -> None:
-        told: dict[str, Any] = self._notice
+        told = Message()
         while True:
-            if self._notice is not told:
-                told = self._notice
-                await connection.send(json.dumps(told))
-            awaited = [_as_json(each) for each in self._listening.awaited()]
+            if self._page.notice != told:
+                told = self._page.notice
+                seconds = told.until - time.monotonic()
+                notice = {"notice": told.text, "is_bad": told.is_bad, "seconds": seconds}
+                await connection.send(json.dumps(notice))
+            awaited = [_as_json(each) for each in self._page.awaited()]
             await connection.send(json.dumps({"awaited": awaited}))
             await asyncio.sleep(_EVERY)
 

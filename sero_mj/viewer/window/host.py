@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
+from ...base.errors import RenderError
 from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
@@ -22,9 +22,8 @@ from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..headless.film import Pixels
 from ..headless.picture_options import DEFAULT_SIZE, EYE_DISTANCE, Stereo
-from ..session.clock import time_text
 from ..session.input import Clicked, Event, Mouse, Moved
-from ..session.interaction import Row, help_columns, pages
+from ..session.interaction import help_columns
 from ..session.live import LiveHost
 from ..session.picking import Pixel
 from ..session.scene_decor import SceneDecor
@@ -34,13 +33,7 @@ from ..stereo import check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter
 from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
 from .glfw_window import GlWindow
-from .hud import Hud, TimeLine, arrange
-from .plots import Plot, TorquePlot
 
-if TYPE_CHECKING:
-    from .panel_layer import PanelLayer
-
-_HINT = "H help"
 _RESTS = 0.3  # s after which a view that does not move rests, where its user does nothing
 _SAME_VIEW = 1e-6  # m, and of the unit vector of its direction
 _MORE = 1000  # additional capacity for geoms that MuJoCo adds to those of the model
@@ -211,7 +204,7 @@ class Window(LiveHost):
             view moves, or the user acts, and the machine is slow.
 
     Raises:
-        RenderError: there is no display, no OpenGL, or no such stereo.
+        RenderError: there is no display, no OpenGL, no Dear ImGui, or no such stereo.
         UnknownName: no camera of that name.
     """
 
@@ -230,10 +223,15 @@ class Window(LiveHost):
         make_viewport: Callable[[WorldView, Toggles, mujoco.MjrContext], Viewport] | None = None,
     ) -> None:
         check_stereo(stereo, eye_distance)
+        try:  # here, so that who renders pictures loads no user interface
+            from .chrome import Chrome
+        except ImportError as error:  # of a library of the system, say
+            raise RenderError(
+                f"no window can be opened: {error}; `sero-mj view --web` shows a page"
+            ) from error
         super().__init__(mirror, folder)
         world = self.world
         self.navigator = Navigator(world, camera)
-        self.help_page = 0
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
         made = (world, self.toggles, self.gl.context)
@@ -241,21 +239,16 @@ class Window(LiveHost):
         self.decor = make(*made)
         self._use(self.decor)
         self.decor.needed = self.navigator.needed
-        self._hud = Hud(self.gl)
-        self._panel: PanelLayer | None = None  # until it is opened for the first time
         self._mouse = Mouse()
         self._actions |= {
             "full_screen": self.gl.toggle_full_screen,
-            "help": self.next_help_page,
             "panel": self.toggle_panel,
         }
-        self._plot = TorquePlot(world)
         self.gamepad = Gamepad(self, self._turn)
-        self._help = help_columns(tool_keys())
-        self._help.append([("Gamepad", ""), *PAD_STICKS.items(),
-                           *((name, words) for name, (_, words) in PAD_KEYS.items())])  # fmt: skip
-        self._line: TimeLine | None = None
-        self._is_scrubbing = False
+        columns = help_columns(tool_keys())
+        columns.append([("Gamepad", ""), *PAD_STICKS.items(),
+                        *((name, words) for name, (_, words) in PAD_KEYS.items())])  # fmt: skip
+        self._chrome = Chrome(self.gl, self, columns)
         self._pace, self.is_quick = Pace(), False
         self._last = self._end = time.monotonic()  # start and end of the last frame
         self._interval = 1.0 / self.gl.refresh_rate  # s, averaged over the last frames
@@ -296,36 +289,30 @@ class Window(LiveHost):
             self.clock.on_moment = self._sample if self.has_plot else None
         self._advance(lambda: self.clock.advance(passed))
         self.navigator.advance(self.data)
-        hud = self._hud
-        bottom = hud.bar_height if self.shows_status else 0
-        bottom += hud.line_height if self._has_line else 0
-        size = (width, height)
-        rect, plots = arrange(size, hud.font.height, bottom, has_plot=self.has_plot)
+        chrome = self._chrome
+        places = chrome.places()
+        rect = mujoco.MjrRect(*places.picture)
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
-        panel = self._panel if self.has_panel else None
-        # Pictures and films are as without it.
+        # Pictures and films are as without chrome.
         is_kept = self.wants_picture or self.capture.is_filming
-        covered = 0.0 if is_kept else self._covered
+        covered = 0.0 if is_kept else chrome.covered
         self.decor.update(self.data, self.navigator.camera, rect, typesetter, covered)
-        is_pointing = not (self._mouse.is_down or self.shows_help or self._is_over_panel)
+        at = self._mouse.position
+        is_over_chrome = at is not None and chrome.is_over(*at)
+        is_pointing = not (self._mouse.is_down or self.shows_help or is_over_chrome)
         self.point(self._pointer() if is_pointing else None)
         self.hover_handle(self._pointer() if is_pointing else None)
-        if panel is not None:
-            panel.build(bottom, self.build_panel)
-        filled = self._plot.fill(self.history, self.joint, plots[0].width) if self.has_plot else []
         frame_rate = 1.0 / max(self._interval, 1e-6)
         pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
         pieces[1:1] = self.decor.pieces
-        ends = self.clock.begin, float(self.clock.end or 0.0)
-        self._line = hud.time_line(width, *ends) if self._has_line else None
+        chrome.build(places, self.decor.rect, pieces)
         drawn = time.monotonic()
         self.work = drawn - begin
         view = self.decor.view
         assert view is not None  # it has just been updated
         is_quick = self._pace.is_quick((*view.position, *view.forward), drawn)
         self.is_quick = is_quick and not is_kept
-        # A narrow window has only one.
-        self._draw(list(zip(plots, filled, strict=False)), pieces, size)
+        self._draw()
         self.gl.swap()
         self._end = time.monotonic()
         if not self.is_quick:
@@ -335,45 +322,10 @@ class Window(LiveHost):
             self.gl.wait(1.0 / self.gl.refresh_rate - 1e-3 - (self._end - begin))
         return not self.gl.is_closing
 
-    @property
-    def _covered(self) -> float:
-        """Width of what the panel, or its handle, covers at the left edge, pixels."""
-        left, _, handle, _ = self._hud.panel_handle(self.gl.size[1])
-        panel = self._panel if self.has_panel else None
-        return max(left + handle, panel.covered if panel is not None else 0.0)
-
-    @property
-    def _has_line(self) -> bool:
-        return self.shows_status and bool(self.clock.end)
-
-    def _draw(
-        self,
-        plots: list[tuple[mujoco.MjrRect, Plot]],
-        pieces: list[Piece],
-        size: tuple[int, int],
-    ) -> None:
-        width, height = size
-        hud, picture, now = self._hud, self.decor.rect, time.monotonic()
+    def _draw(self) -> None:
         self.decor.render(self.gl, quickly=self.is_quick)
-        for rect, plot in plots:
-            plot.draw(hud, rect, self.gl.context)
-        self._take_pictures(now, lambda: self.gl.read(self.decor.rect))
-        if self.capture.is_filming:
-            hud.filming(f"filming {time_text(self.capture.seconds)}", picture.width, height)
-        if self._line is not None:
-            hud.draw_time_line(self._line, self.clock.time, width, self.ticks)
-        if self.shows_status:
-            hud.status(pieces, _HINT, width)
-        if self.notice.is_shown:
-            covered = self._panel.covered if self._panel is not None else 0.0
-            hud.message(self.notice.text, picture, covered=covered, is_bad=self.notice.is_bad)
-        if self.has_panel and self._panel is not None:
-            self._panel.draw()
-        else:
-            hud.draw_panel_handle(height, is_lit=self._is_on_handle(self._mouse.position))
-        if self.shows_help:
-            found = self.help_pages(size)
-            hud.help(found[min(self.help_page, len(found) - 1)], width, height)
+        self._take_pictures(time.monotonic(), lambda: self.gl.read(self.decor.rect))
+        self._chrome.draw()
 
     @property
     def picture_size(self) -> tuple[int, int]:
@@ -388,43 +340,14 @@ class Window(LiveHost):
         self.decor.render(self.gl)
         return self.gl.read(rect)
 
-    def help_pages(self, size: tuple[int, int]) -> list[list[list[Row]]]:
-        """Returns the help in pages of columns that fit a window of that size."""
-        return pages(self._help, self._hud.help_room(size))
-
     @property
     def has_panel(self) -> bool:
         """Whether the panel is shown."""
-        return self._panel is not None and self._panel.is_open
+        return self._chrome.shows_panel
 
     def toggle_panel(self) -> None:
         """Shows or hides the panel."""
-        if self._panel is None:
-            # What draws it is only loaded where it is wanted.
-            try:
-                from .panel_layer import PanelLayer
-            except ImportError as error:  # of a library of the system, say
-                self.say(f"no panel: {error}", is_bad=True)
-                return
-            self._panel = PanelLayer(self.gl, self.world.scene.name)
-        else:
-            self._panel.is_open = not self._panel.is_open
-
-    @property
-    def _is_over_panel(self) -> bool:
-        at = self._mouse.position
-        return self._panel is not None and at is not None and self._panel.is_over(*at)
-
-    def _is_on_handle(self, at: Pixel | None) -> bool:
-        left, bottom, width, height = self._hud.panel_handle(self.gl.size[1])
-        return at is not None and (
-            left <= at[0] < left + width and bottom <= at[1] < bottom + height
-        )
-
-    def next_help_page(self) -> None:
-        """Shows the help, shows its next page, or hides it after the last page."""
-        self.help_page = self.help_page + 1 if self.shows_help else 0
-        self.shows_help = self.help_page < len(self.help_pages(self.gl.size))
+        self._chrome.shows_panel = not self._chrome.shows_panel
 
     def _pointer(self) -> Pixel | None:
         at = self._mouse.position
@@ -435,23 +358,12 @@ class Window(LiveHost):
         if event.kind == "drop":
             self.open_file(Path(event.key))
             return
-        if self._panel is not None and self._panel.take(event):
+        if self._chrome.take(event):
             if event.kind == "move":
                 self._mouse.position = (event.x, event.y)
             return
         if event.kind == "key":
             self._press(event)
-            return
-        if event.kind == "press" and not self.has_panel and self._is_on_handle((event.x, event.y)):
-            self.toggle_panel()
-            return
-        line = self._line
-        if event.kind == "press" and line is not None and line.hits(event.x, event.y):
-            self._is_scrubbing = True
-        if self._is_scrubbing and line is not None:
-            self._is_scrubbing = event.kind != "release"
-            self.clock.seek(line.time_at(event.x))
-            self._mouse.position = (event.x, event.y)
             return
         found = self._mouse.take(event)
         if not self._mouse.is_down:
@@ -554,6 +466,5 @@ class Window(LiveHost):
     def close(self) -> None:
         """Closes the window after pictures and films are written."""
         super().close()
-        if self._panel is not None:
-            self._panel.close()
+        self._chrome.close()
         self.gl.close()

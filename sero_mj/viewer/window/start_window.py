@@ -2,38 +2,33 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Self
 
 import mujoco
 import numpy as np
-from imgui_bundle import ImVec2, ImVec4, imgui
+from imgui_bundle import ImVec2, imgui
 from PIL import Image
 
-from ...base.errors import SeroError
 from ...data.drive.mirror import Mirror
 from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World
-from ..session.live import Message
-from ..session.recent_views import RecentView
 from ..session.start_page import (
     DROP_HINT,
     MORE_HINT,
+    SEARCH_HINT,
     TAGLINE,
     TITLE,
     ExpectedPackets,
     Opener,
     PortMonitor,
     Section,
+    StartPage,
     Tile,
-    sections,
 )
 from .gl_blend import make_texture
 from .glfw_window import GlWindow
-from .hud import DIM, MOODS
-from .hud import TITLE as TITLE_COLOUR
-from .panel_layer import ImguiLayer
+from .imgui_layer import ImguiLayer
 
 _FLAGS = (
     imgui.WindowFlags_.no_decoration
@@ -44,13 +39,13 @@ _FLAGS = (
 # Lengths in units of the text's height.
 _TILE, _WIDEST = 13.5, 22.0  # widths of tiles
 _GAP, _SIDE, _MARGIN = 1.0, 23.0, 1.6
+_HEAD = 4.4  # height above tiles, without a message of several lines
 _ASPECT = 0.625  # height of a picture over its width
-_LARGE, _SMALL = 2.0, 0.86  # heights of texts
+_LARGE, _SMALL = 1.6, 0.86  # heights of the title, and of texts below pictures
 _NARROW = 52.0  # width of a window with the side column below
-_BACKGROUND = (0.05, 0.06, 0.08)
-_RIM = (0.52, 0.76, 0.96)
+_BACKGROUND = (0.05, 0.06, 0.08, 1.0)
+_RIM = 3.0  # width of what is lit around a picture, pixels
 _WAIT, _IDLE = 0.05, 0.25  # s between two frames, while the pointer moves and else
-_ERROR_TIME = 12.0  # s
 
 
 class StartWindow:
@@ -63,9 +58,7 @@ class StartWindow:
         full_screen: whether it covers the screen.
 
     Attributes:
-        notice: the last message to the user.
-        chosen: the scene that was opened; None for none so far.
-        places: of what can be pressed, by its label: left, top, width, height, pixels.
+        page: what is offered, and opened.
     """
 
     def __init__(
@@ -76,80 +69,58 @@ class StartWindow:
         *,
         full_screen: bool = False,
     ) -> None:
-        self._opener = opener
-        self.notice = Message()
-        self.chosen: Mirror | None = None
-        self.places: dict[str, tuple[float, float, float, float]] = {}
+        self.page = StartPage(opener, listening)
         self.gl = GlWindow(World(Scene(floor=False)), size, TITLE, full_screen=full_screen)
-        self._layer = _WholeWindow(self.gl)
-        self._sections = sections()
+        self._layer = ImguiLayer(self.gl)
         self._textures: dict[Path, int | None] = {}
-        self._wanted: RecentView | Path | None = None  # to be opened after this frame
-        self._typed = ""
-        self._listening = listening
+        self._typed = self._search = ""
 
     def run(self) -> Mirror | None:
         """Shows frames until something is opened; returns None when the window was closed."""
         while self.frame():
             pass
-        return self.chosen
+        return self.page.chosen
 
     def frame(self) -> bool:
         """Shows one frame; returns whether it goes on."""
-        gl = self.gl
-        if gl.is_closing or self.chosen is not None:
+        gl, page = self.gl, self.page
+        if gl.is_closing or page.chosen is not None:
             return False
-        wanted = self._wanted  # its name was shown by the last frame
-        if wanted is not None:
-            self._wanted = None
-            self._open(wanted)
-            return self.chosen is None
+        is_opening = page.is_opening
         events = gl.events()
         for event in events:
             if event.kind == "drop":
-                self._choose(Path(event.key))
+                page.choose(Path(event.key))
             else:
                 self._layer.take(event)
         if all(gl.size):
-            self._draw()
-        if self._wanted is None:
+            self._layer.frame(self._build)
+            mujoco.mjr_rectangle(mujoco.MjrRect(0, 0, *gl.size), *_BACKGROUND)
+            self._layer.draw()
+            gl.swap()
+        if is_opening:  # and its name is shown now
+            return not page.open_next(0.0)
+        if not page.is_opening:
             gl.wait(_WAIT if events else _IDLE)
         return True
 
-    def _draw(self) -> None:
-        width, height = self.gl.size
-        self._layer.frame(self._build)
-        whole = mujoco.MjrRect(0, 0, width, height)
-        mujoco.mjr_rectangle(whole, *_BACKGROUND, 1.0)
-        self._layer.draw()
-        self.gl.swap()
-
-    def _choose(self, what: RecentView | Path) -> None:
-        name = what.name if isinstance(what, Path) else what.replay or what.scene
-        self.notice = Message(f"opening {Path(name).name} ...", until=float("inf"))
-        self._wanted = what
-
-    def _open(self, what: RecentView | Path) -> None:
-        try:
-            self.chosen = self._opener(what)
-        except SeroError as error:
-            until = time.monotonic() + _ERROR_TIME
-            self.notice = Message(str(error), is_bad=True, until=until)
-
     def _build(self) -> None:
         unit, (width, height) = self._layer.text_height, self.gl.size
-        self._layer.begin()
-        margin = _MARGIN * unit
-        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(margin, unit))
+        imgui.set_next_window_pos(ImVec2(0.0, 0.0))
+        imgui.set_next_window_size(ImVec2(width, height))
+        imgui.set_next_window_bg_alpha(0.0)
+        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(_MARGIN * unit, unit))
+        imgui.begin("start", None, _FLAGS)
+        self._layer.take_mouse()
         side = 0.0 if width < _NARROW * unit else _SIDE * unit
-        self._title(margin)
+        self._head()
         top = imgui.get_cursor_pos_y()
         child = imgui.ChildFlags_.always_use_window_padding
         imgui.set_cursor_pos(ImVec2(0.0, top))
         if imgui.begin_child("tiles", ImVec2(width - side, height - top), child):
             if not side:
                 self._files()
-            for section in self._sections:
+            for section in self.page.found(self._search):
                 self._section(section)
             if not side:
                 self._data()
@@ -160,65 +131,58 @@ class StartWindow:
                 self._files()
                 self._data()
             imgui.end_child()
-        imgui.pop_style_var()
-        self._layer.end()
+        imgui.end()
+        imgui.pop_style_var(1)
 
-    def _title(self, margin: float) -> None:
-        unit = self._layer.text_height
-        imgui.set_cursor_pos(ImVec2(margin, 0.9 * unit))
-        _text(TITLE, _LARGE * unit, TITLE_COLOUR)
-        imgui.same_line(0.0, unit)
-        imgui.set_cursor_pos_y(0.9 * unit + (_LARGE - 1.0) * 0.78 * unit)
-        _text(TAGLINE, 1.0 * unit, DIM)
-        imgui.set_cursor_pos(ImVec2(margin, 3.4 * unit))
-        if self.notice.is_shown:
-            imgui.push_text_wrap_pos(self.gl.size[0] - margin)
-            _text(self.notice.text, unit, MOODS["bad" if self.notice.is_bad else "good"])
-            imgui.pop_text_wrap_pos()
+    def _head(self) -> None:
+        ui, notice = self._layer.widgets, self.page.notice
+        imgui.push_font(None, _LARGE * self._layer.text_height)
+        ui.text(TITLE, "title")
+        imgui.pop_font()
+        ui.same_line()
+        ui.text(TAGLINE, "dim")
+        ui.width(min(_SIDE, ui.room()[0]))
+        self._search = ui.search("##search", self._search, SEARCH_HINT)
+        if notice.is_shown:
+            ui.same_line()
+            ui.text(notice.text, "bad" if notice.is_bad else "good")
         # One line has its place whether there is one or not, so that nothing moves.
-        imgui.set_cursor_pos_y(max(imgui.get_cursor_pos_y(), 5.0 * unit))
+        low = _HEAD * self._layer.text_height
+        imgui.set_cursor_pos_y(max(imgui.get_cursor_pos_y(), low))
 
     def _section(self, section: Section) -> None:
         unit = self._layer.text_height
-        _text(section.title, 1.25 * unit, TITLE_COLOUR)
+        self._layer.widgets.title(section.title)
         room, gap = imgui.get_content_region_avail().x, _GAP * unit
         columns = max(int((room + gap) / (_TILE * unit + gap)), 1)
-        wide = (room + gap) / columns - gap
+        wide = min((room + gap) / columns - gap, _WIDEST * unit)
         for k, tile in enumerate(section.tiles):
             if k % columns:
                 imgui.same_line(0.0, gap)
-            self._tile(section, tile, min(wide, _WIDEST * unit))
+            self._tile(f"{tile.title}##{section.title}{k}", tile, wide)
         imgui.dummy(ImVec2(0.0, 0.5 * unit))
 
-    def _tile(self, section: Section, tile: Tile, wide: float) -> None:
-        unit, high = self._layer.text_height, _ASPECT * wide
+    def _tile(self, label: str, tile: Tile, wide: float) -> None:
+        size = ImVec2(wide, _ASPECT * wide)
+        texture = self._texture(tile.picture) if imgui.is_rect_visible(size) else None
         imgui.begin_group()
-        corner = imgui.get_cursor_screen_pos()
-        size = ImVec2(wide, high + 3.9 * unit)
-        pressed = imgui.invisible_button(f"{section.title} {tile.view}", size)
-        is_lit = imgui.is_item_hovered()
-        self._note(tile.title, corner, size)
-        if imgui.is_item_visible():
-            draw, round_ = imgui.get_window_draw_list(), 0.4 * unit
-            low, end = corner, ImVec2(corner.x + wide, corner.y + high)
-            texture = self._texture(tile.picture)
-            if texture is not None:
-                whole = ImVec2(0.0, 0.0), ImVec2(1.0, 1.0)
-                shade = _packed((1.0, 1.0, 1.0), 1.0 if is_lit else 0.9)
-                draw.add_image_rounded(imgui.ImTextureRef(texture), low, end, *whole, shade, round_)
-            else:
-                draw.add_rect_filled(low, end, _packed((0.16, 0.20, 0.25)), round_)
-            if is_lit:
-                draw.add_rect(low, end, _packed(_RIM), round_, max(0.1 * unit, 1.5))
-            font, at = imgui.get_font(), ImVec2(low.x, end.y + 0.25 * unit)
-            clip = ImVec4(low.x, low.y, end.x, corner.y + size.y)
-            draw.add_text(font, unit, at, _packed((0.95, 0.96, 0.97)), tile.title, 0.0, clip)
-            at = ImVec2(low.x, at.y + 1.2 * unit)
-            small = _SMALL * unit
-            draw.add_text(font, small, at, _packed(DIM), _two_lines(tile.about, wide, small), 0.0)
+        imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(_RIM, _RIM))
+        if texture is None:
+            is_chosen = imgui.button(f"##{label}", size)
+        else:
+            inner = ImVec2(size.x - 2 * _RIM, size.y - 2 * _RIM)
+            is_chosen = imgui.image_button(label, imgui.ImTextureRef(texture), inner)
+        imgui.pop_style_var(1)
+        imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + wide)
+        imgui.text(tile.title)
+        imgui.push_font(None, _SMALL * self._layer.text_height)
+        imgui.text_disabled(tile.about)
+        imgui.pop_font()
+        imgui.pop_text_wrap_pos()
+        imgui.dummy(ImVec2(wide, 0.3 * self._layer.text_height))
         imgui.end_group()
-        if pressed:
-            self._choose(tile.view)
+        if is_chosen:
+            self.page.choose(tile.view)
 
     def _texture(self, picture: Path | None) -> int | None:
         if picture is None:
@@ -233,67 +197,40 @@ class StartWindow:
         return self._textures[picture]
 
     def _files(self) -> None:
-        unit = self._layer.text_height
-        _text("Open a file", 1.25 * unit, TITLE_COLOUR)
-        corner, wide = imgui.get_cursor_screen_pos(), imgui.get_content_region_avail().x
-        imgui.begin_group()
-        pad = 0.7 * unit
-        imgui.dummy(ImVec2(wide, 0.4 * pad))
-        imgui.indent(pad)
-        imgui.push_text_wrap_pos(imgui.get_cursor_pos_x() + wide - 2.0 * pad)
-        _text(DROP_HINT, unit, DIM)
-        imgui.pop_text_wrap_pos()
-        imgui.set_next_item_width(wide - 2.0 * pad)
+        ui = self._layer.widgets
+        ui.title("Open a file")
+        ui.text(DROP_HINT, "dim")
+        ui.width(0.0)
         entered = imgui.InputTextFlags_.enter_returns_true
-        typed, text = imgui.input_text_with_hint(
-            "##path", "or type its path, Enter", self._typed, entered
-        )
-        self._note("path", imgui.get_item_rect_min(), imgui.get_item_rect_size())
-        self._typed = text
-        if typed and text.strip():
-            self._choose(Path(text.strip()).expanduser())
-        imgui.unindent(pad)
-        imgui.dummy(ImVec2(wide, 0.4 * pad))
-        imgui.end_group()
-        end = ImVec2(corner.x + wide, imgui.get_item_rect_max().y)
-        draw = imgui.get_window_draw_list()
-        draw.add_rect(corner, end, _packed((0.30, 0.36, 0.43)), 0.4 * unit, 1.0)
-        imgui.dummy(ImVec2(0.0, 0.5 * unit))
+        hint = "or type its path, Enter"
+        typed, self._typed = imgui.input_text_with_hint("##path", hint, self._typed, entered)
+        if typed and self._typed.strip():
+            self.page.choose(Path(self._typed.strip()).expanduser())
+        imgui.dummy(ImVec2(0.0, 0.5 * self._layer.text_height))
 
     def _data(self) -> None:
-        unit = self._layer.text_height
-        _text("Data", 1.25 * unit, TITLE_COLOUR)
-        for awaited in self._listening.awaited():
+        ui = self._layer.widgets
+        ui.title("Data")
+        for awaited in self.page.awaited():
             self._awaited(awaited)
-        imgui.dummy(ImVec2(0.0, 0.5 * unit))
-        imgui.push_text_wrap_pos(0.0)
-        _text(MORE_HINT, unit, DIM)
-        imgui.pop_text_wrap_pos()
+        ui.text(MORE_HINT, "dim")
 
     def _awaited(self, awaited: ExpectedPackets) -> None:
         ui, unit = self._layer.widgets, self._layer.text_height
         ui.text(awaited.text, awaited.mood)
         ui.scope(awaited.where)
         imgui.indent(unit)
-        imgui.push_text_wrap_pos(0.0)
-        _text(awaited.expected, _SMALL * unit, DIM)
-        imgui.pop_text_wrap_pos()
+        ui.text(awaited.expected, "dim")
         for view in awaited.shown:
-            name = Path(view.scene).name
-            if ui.button(f"show {name}"):
-                self._choose(view)
-            self._note(f"show {name}", imgui.get_item_rect_min(), imgui.get_item_rect_size())
+            if ui.button(f"show {Path(view.scene).name}"):
+                self.page.choose(view)
         if awaited.command:
-            _text(f"try {awaited.command}", _SMALL * unit, DIM)
-            imgui.same_line()
+            ui.text(f"try {awaited.command}", "dim")
+            ui.same_line()
             if imgui.small_button("copy"):
-                self.gl.set_clipboard(awaited.command)
+                ui.copy(awaited.command)
         imgui.unindent(unit)
         ui.end_scope()
-        imgui.dummy(ImVec2(0.0, 0.1 * unit))
-
-    def _note(self, label: str, corner: ImVec2, size: ImVec2) -> None:
-        self.places[label] = (corner.x, corner.y, size.x, size.y)
 
     def close(self) -> None:
         """Closes the window."""
@@ -305,54 +242,3 @@ class StartWindow:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
-
-
-class _WholeWindow(ImguiLayer):
-    """Widgets that cover the whole window."""
-
-    def begin(self) -> None:
-        """Begins what is shown."""
-        width, height = self._gl.size
-        self._rect = (0.0, 0.0, float(width), float(height))
-        imgui.set_next_window_pos(ImVec2(0.0, 0.0))
-        imgui.set_next_window_size(ImVec2(width, height))
-        imgui.push_style_color(imgui.Col_.window_bg, ImVec4(*_BACKGROUND, 1.0))
-        imgui.begin("start", None, _FLAGS)
-
-    def end(self) -> None:
-        """Ends it."""
-        imgui.end()
-        imgui.pop_style_color()
-
-
-def _text(words: str, height: float, rgb: tuple[float, float, float]) -> None:
-    """Writes a text of that height, pixels."""
-    imgui.push_font(None, height)
-    imgui.push_style_color(imgui.Col_.text, ImVec4(*rgb, 1.0))
-    imgui.text_unformatted(words)
-    imgui.pop_style_color()
-    imgui.pop_font()
-
-
-def _packed(rgb: tuple[float, float, float], alpha: float = 1.0) -> int:
-    return int(imgui.get_color_u32(ImVec4(*rgb, alpha)))
-
-
-def _two_lines(text: str, width: float, height: float) -> str:
-    """Breaks a text into at most two lines of a width, pixels."""
-    imgui.push_font(None, height)
-    lines, words = [""], text.split()
-    while words:
-        longer = f"{lines[-1]} {words[0]}".strip()
-        if imgui.calc_text_size(longer).x <= width or not lines[-1]:
-            lines[-1] = longer
-        elif len(lines) < 2:
-            lines.append(words[0])
-        else:
-            while imgui.calc_text_size(f"{lines[-1]} ...").x > width and " " in lines[-1]:
-                lines[-1] = lines[-1].rpartition(" ")[0]
-            lines[-1] += " ..."
-            break
-        words.pop(0)
-    imgui.pop_font()
-    return "\n".join(lines)

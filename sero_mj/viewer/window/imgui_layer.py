@@ -1,4 +1,4 @@
-"""Widgets in a window, with their share of mouse and keys; `PanelLayer` is a panel of them."""
+"""`ImguiLayer`: widgets in a window, with their share of mouse and keys."""
 
 from __future__ import annotations
 
@@ -6,25 +6,17 @@ import time
 from collections.abc import Callable
 
 import glfw
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import ImVec2, imgui, implot
 
+from ..panels.imgui_widgets import ImguiWidgets
 from ..panels.widgets import Widgets
 from ..session.input import Event
-from .bundle_widgets import BundleWidgets, set_style
 from .glfw_window import GlWindow
+from .style import set_style
 
 # Fits the OpenGL 2.1 that MuJoCo needs, and all later ones.
 _GLSL = "#version 120"
 _TEXT = 0.84  # height of its text, of that of the window's own
-_WIDTH = 21.5  # of the text's height
-_TALLEST = 0.97  # of the window's height
-_FLAGS = (
-    imgui.WindowFlags_.no_move
-    | imgui.WindowFlags_.no_resize
-    | imgui.WindowFlags_.no_collapse
-    | imgui.WindowFlags_.no_saved_settings
-    | imgui.WindowFlags_.no_nav
-)
 _KEYS = {
     glfw.KEY_TAB: imgui.Key.tab,
     glfw.KEY_BACKSPACE: imgui.Key.backspace,
@@ -56,16 +48,14 @@ class ImguiLayer:
         gl: the window.
 
     Attributes:
-        is_open: whether it is shown.
         text_height: of its widgets, pixels.
         widgets: that it is made of.
     """
 
     def __init__(self, gl: GlWindow) -> None:
         self._gl = gl
-        self.is_open = True
         self.text_height = round(_TEXT * gl.typesetter.font.height)
-        self._context = imgui.create_context()
+        self._context, self._plots = imgui.create_context(), implot.create_context()
         io = imgui.get_io()
         io.set_ini_filename("")
         io.config_flags |= imgui.ConfigFlags_.no_mouse_cursor_change
@@ -75,8 +65,9 @@ class ImguiLayer:
         platform.platform_get_clipboard_text_fn = lambda _: gl.clipboard
         platform.platform_set_clipboard_text_fn = lambda _, text: gl.set_clipboard(text)
         gl.on_key, gl.on_character = self._key, io.add_input_character
-        self.widgets: Widgets = BundleWidgets()
-        self._rect = (0.0, 0.0, 0.0, 0.0)  # left, top, width, height
+        self.widgets: Widgets = ImguiWidgets(imgui, implot)
+        # Left, top, width and height of what takes the mouse.
+        self._rects: list[tuple[float, float, float, float]] = []
         self._at = (-1.0, -1.0)  # of the pointer, pixels from the upper left corner
         self._is_held = False  # whether the button was pressed over it
         self._is_open_above = False  # a list to choose from, say
@@ -85,12 +76,10 @@ class ImguiLayer:
     @property
     def takes_keys(self) -> bool:
         """Whether a text is being typed, so that keys are no actions."""
-        return self.is_open and bool(imgui.get_io().want_text_input)
+        return bool(imgui.get_io().want_text_input)
 
     def take(self, event: Event) -> bool:
         """Takes an event; returns whether it is its own, and nobody else's."""
-        if not self.is_open:
-            return False
         if event.kind == "key":
             return self.takes_keys
         io = imgui.get_io()
@@ -114,15 +103,15 @@ class ImguiLayer:
 
     def is_over(self, x: float, y: float) -> bool:
         """Whether a pixel of the window, y up, is its own."""
-        return self.is_open and self._is_over(x, self._gl.size[1] - y)
+        return self._is_over(x, self._gl.size[1] - y)
 
     def _is_over(self, x: float, y: float) -> bool:
-        left, top, width, height = self._rect
-        return self._is_open_above or (left <= x < left + width and top <= y < top + height)
+        return self._is_open_above or any(
+            left <= x < left + width and top <= y < top + height
+            for left, top, width, height in self._rects
+        )
 
     def _key(self, key: int, action: int, mods: int) -> None:
-        if not self.is_open:
-            return
         io = imgui.get_io()
         for modifier, name in _MODIFIERS.items():
             io.add_key_event(name, bool(mods & modifier))
@@ -133,7 +122,8 @@ class ImguiLayer:
         """Builds the widgets of a frame, which `draw` draws.
 
         Args:
-            build: builds a window of Dear ImGui, the last one that it ends.
+            build: builds windows of Dear ImGui, and says of those that take the mouse, by
+                `take_mouse`, where they are.
         """
         width, height = self._gl.size
         now = time.monotonic()
@@ -142,9 +132,15 @@ class ImguiLayer:
         io.delta_time, self._last = max(now - self._last, 1e-4), now
         imgui.backends.opengl3_new_frame()
         imgui.new_frame()
+        self._rects.clear()
         build()
         self._is_open_above = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
         imgui.render()
+
+    def take_mouse(self) -> None:
+        """Lets the current window of Dear ImGui take the mouse over it."""
+        place, size = imgui.get_window_pos(), imgui.get_window_size()
+        self._rects.append((place.x, place.y, size.x, size.y))
 
     def draw(self) -> None:
         """Draws what was built over what is in the window."""
@@ -154,47 +150,5 @@ class ImguiLayer:
         """Frees it, while the window's context is current."""
         self._gl.on_key = self._gl.on_character = None
         imgui.backends.opengl3_shutdown()
+        implot.destroy_context(self._plots)
         imgui.destroy_context(self._context)
-
-
-class PanelLayer(ImguiLayer):
-    """A panel of widgets at the left edge of a window's picture.
-
-    Args:
-        gl: the window.
-        title: of the panel.
-    """
-
-    def __init__(self, gl: GlWindow, title: str) -> None:
-        super().__init__(gl)
-        self._title = title
-
-    @property
-    def covered(self) -> float:
-        """Width of the window that the panel covers at the left edge, pixels."""
-        return self._rect[0] + self._rect[2] if self.is_open else 0.0
-
-    def build(self, bottom: float, panel: Callable[[Widgets], None]) -> None:
-        """Builds the panel of a frame.
-
-        Args:
-            bottom: height of what is below the picture, pixels.
-            panel: builds its widgets.
-        """
-        self.frame(lambda: self._build(bottom, panel))
-
-    def _build(self, bottom: float, panel: Callable[[Widgets], None]) -> None:
-        width, height = self._gl.size
-        margin = round(0.4 * self.text_height)
-        room = _TALLEST * (height - bottom) - margin
-        wide = round(min(_WIDTH * self.text_height, 0.6 * width))
-        imgui.set_next_window_pos(ImVec2(margin, margin))
-        imgui.set_next_window_size(ImVec2(wide, 0.0))  # as high as what is in it, up to
-        imgui.set_next_window_size_constraints(ImVec2(wide, 0.0), ImVec2(wide, max(room, 100.0)))
-        shown, is_open = imgui.begin(f"{self._title}###panel", True, _FLAGS)
-        if shown:
-            panel(self.widgets)
-        place, size = imgui.get_window_pos(), imgui.get_window_size()
-        self._rect = (place.x, place.y, size.x, size.y)
-        imgui.end()
-        self.is_open = bool(is_open)

@@ -1,0 +1,52 @@
+"""The help: mouse and keys, and what they do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..session.interaction import Row
+from .widgets import Widgets
+
+TITLE = "Mouse and keys"
+WIDTH = 56.0  # of the text's height; in less, columns are one below the other
+_HOW = 9.6  # width of what the user does, likewise
+
+
+def build_help(ui: Widgets, columns: Sequence[Sequence[Row]]) -> None:
+    """Builds the help; see `interaction.help_columns`.
+
+    Args:
+        ui: takes it.
+        columns: of rows; one without an effect is a title.
+    """
+    is_wide = ui.room()[0] >= 0.9 * WIDTH
+    if not ui.table("##help", (0.0,) * (len(columns) if is_wide else 1)):
+        return
+    ui.row()
+    for number, rows in enumerate(columns):
+        if is_wide or not number:
+            ui.cell()
+        ui.scope(f"{number}")
+        _sections(ui, rows)
+        ui.end_scope()
+    ui.end_table()
+
+
+def _sections(ui: Widgets, rows: Sequence[Row]) -> None:
+    is_in_table = False
+    for how, words in rows:
+        if words and not is_in_table:
+            is_in_table = ui.table(f"##{how}", (_HOW, 0.0))
+        elif not words and is_in_table:
+            ui.end_table()
+            is_in_table = False
+        if not words and how:
+            ui.title(how)
+        elif words and is_in_table:
+            ui.row()
+            ui.cell()
+            ui.text(how, "good")
+            ui.cell()
+            ui.text(words)
+    if is_in_table:
+        ui.end_table()

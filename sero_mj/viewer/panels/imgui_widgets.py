@@ -1,0 +1,209 @@
+"""`ImguiWidgets`: the widgets of panels by Dear ImGui and ImPlot, for windows and pages alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..session.status_line import Mood
+from .widgets import Line, Plot, Rgb
+
+# On light themes and on dark ones. Contrast with the window is at least 4.5 (WCAG).
+MOODS: dict[Mood, tuple[Rgb, Rgb]] = {
+    "good": ((0.04, 0.41, 0.16), (0.55, 0.85, 0.62)),
+    "quiet": ((0.47, 0.33, 0.00), (0.95, 0.80, 0.40)),
+    "bad": ((0.70, 0.17, 0.02), (1.00, 0.58, 0.44)),
+    "dim": ((0.37, 0.39, 0.43), (0.67, 0.71, 0.76)),
+    "title": ((0.55, 0.30, 0.00), (1.00, 0.72, 0.30)),
+}
+_LIMIT: Rgb = (0.85, 0.30, 0.30)
+_GRAB = 0.6  # width of a slider's knob, of the text's height
+_EDGE = 2.0  # pixels between the knob and the slider's ends
+_TICK = 0.28  # height of marks at its edges, of its height; text is between them
+_LINE = 1.75  # width of lines, pixels
+_TIP = 22.0  # width from which on a tip is wrapped, of the text's height
+
+
+class ImguiWidgets:
+    """See `Widgets`.
+
+    Args:
+        imgui: Dear ImGui by the names of imgui-bundle.
+        implot: ImPlot likewise.
+    """
+
+    def __init__(self, imgui: Any, implot: Any) -> None:
+        self._imgui, self._implot = imgui, implot
+        # What is the same there.
+        self.scope, self.end_scope = imgui.push_id, imgui.pop_id
+        self.row, self.cell = imgui.table_next_row, imgui.table_next_column
+        self.end_table, self.end_tree = imgui.end_table, imgui.tree_pop
+        self.enable, self.check = imgui.end_disabled, imgui.checkbox
+
+    @property
+    def _unit(self) -> float:
+        return float(self._imgui.get_font_size())
+
+    def _rgba(self, mood: Mood) -> Any:
+        """The colour of a mood on the current theme."""
+        imgui = self._imgui
+        is_dark = imgui.get_style_color_vec4(imgui.Col_.window_bg).y < 0.5
+        return imgui.ImVec4(*MOODS[mood][is_dark], 1.0)
+
+    def room(self) -> tuple[float, float]:
+        """Returns what is left."""
+        room = self._imgui.get_content_region_avail()
+        return room.x / self._unit, room.y / self._unit
+
+    def wide(self, words: str) -> float:
+        """Returns the width of a text."""
+        return float(self._imgui.calc_text_size(words).x) / self._unit
+
+    def text(self, words: str, mood: Mood = "plain") -> None:
+        """Writes a text."""
+        imgui = self._imgui
+        if mood != "plain":
+            imgui.push_style_color(imgui.Col_.text, self._rgba(mood))
+        imgui.push_text_wrap_pos(0.0)
+        imgui.text_unformatted(words)
+        imgui.pop_text_wrap_pos()
+        if mood != "plain":
+            imgui.pop_style_color(1)
+
+    def label(self, words: str) -> None:
+        """Writes a text beside a field."""
+        self._imgui.align_text_to_frame_padding()
+        self._imgui.text_unformatted(words)
+
+    def title(self, words: str) -> None:
+        """Writes a heading."""
+        imgui = self._imgui
+        imgui.push_style_color(imgui.Col_.text, self._rgba("title"))
+        imgui.separator_text(words)
+        imgui.pop_style_color(1)
+
+    def header(self, label: str, *, is_open: bool = False) -> bool:
+        """Begins a section."""
+        is_unfolded = self._imgui.TreeNodeFlags_.default_open if is_open else 0
+        return bool(self._imgui.collapsing_header(label, is_unfolded))
+
+    def tree(self, label: str) -> bool:
+        """Begins a node."""
+        return bool(self._imgui.tree_node(label))
+
+    def table(self, name: str, widths: Sequence[float]) -> bool:
+        """Begins a table."""
+        imgui = self._imgui
+        if not imgui.begin_table(name, len(widths)):
+            return False
+        flags = imgui.TableColumnFlags_
+        for i, width in enumerate(widths):
+            how = flags.width_fixed if width else flags.width_stretch
+            imgui.table_setup_column(f"{i}", how, width * self._unit)
+        return True
+
+    def same_line(self, left: float = 0.0, gap: float = -1.0) -> None:
+        """Goes on in the same line."""
+        self._imgui.same_line(left * self._unit, gap * self._unit)
+
+    def width(self, width: float) -> None:
+        """Sets the next width."""
+        self._imgui.set_next_item_width(width * self._unit or -1.0)
+
+    def tip(self, words: str) -> None:
+        """Explains the last widget."""
+        imgui = self._imgui
+        if imgui.begin_item_tooltip():
+            imgui.push_text_wrap_pos(_TIP * self._unit)
+            imgui.text_unformatted(words)
+            imgui.pop_text_wrap_pos()
+            imgui.end_tooltip()
+
+    def disable(self, *, is_off: bool) -> None:
+        """Begins what takes no input."""
+        self._imgui.begin_disabled(is_off)
+
+    def button(self, label: str, width: float = 0.0) -> bool:
+        """Builds a button."""
+        return bool(self._imgui.button(label, self._imgui.ImVec2(width * self._unit, 0.0)))
+
+    def select(self, label: str, *, is_lit: bool) -> bool:
+        """Builds a text that can be clicked on."""
+        self._imgui.align_text_to_frame_padding()
+        return bool(self._imgui.selectable(label, is_lit)[0])
+
+    def search(self, label: str, text: str, hint: str) -> str:
+        """Builds a field for a text."""
+        return str(self._imgui.input_text_with_hint(label, hint, text)[1])
+
+    def choose(self, label: str, index: int, names: Sequence[str]) -> tuple[bool, int]:
+        """Builds a list."""
+        changed, now = self._imgui.combo(label, index, list(names))
+        return changed, now
+
+    def slide(
+        self,
+        label: str,
+        value: float,
+        low: float,
+        high: float,
+        text: str,
+        ticks: Sequence[tuple[float, Mood]] = (),
+    ) -> tuple[bool, float]:
+        """Builds a slider."""
+        imgui = self._imgui
+        grab = _GRAB * self._unit
+        imgui.push_style_var(imgui.StyleVar_.grab_min_size, grab)
+        changed, now = imgui.slider_float(label, value, low, high, text)
+        imgui.pop_style_var(1)
+        begin, end = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+        left, right = begin.x + _EDGE + grab / 2, end.x - _EDGE - grab / 2
+        tall, draw = _TICK * (end.y - begin.y), imgui.get_window_draw_list()
+        for at, mood in ticks if high > low else ():
+            x = left + min(max((at - low) / (high - low), 0.0), 1.0) * (right - left)
+            colour = imgui.get_color_u32(self._rgba(mood))
+            for y in (begin.y, end.y - tall):
+                draw.add_line(imgui.ImVec2(x, y), imgui.ImVec2(x, y + tall), colour, _EDGE)
+        return changed, now
+
+    def number(self, label: str, value: float, text: str) -> tuple[bool, float]:
+        """Builds a field for a number."""
+        typed = self._imgui.InputTextFlags_.enter_returns_true
+        changed, now = self._imgui.input_double(label, value, 0.0, 0.0, text, typed)
+        return changed, now
+
+    def lines(self, label: str, text: str, count: int) -> None:
+        """Shows text to copy from."""
+        imgui = self._imgui
+        size = imgui.ImVec2(-1.0, (count + 0.6) * imgui.get_text_line_height())
+        imgui.input_text_multiline(label, text, size, imgui.InputTextFlags_.read_only)
+
+    def plot(self, plot: Plot, height: float) -> None:
+        """Builds a plot."""
+        implot, imgui = self._implot, self._imgui
+        if not implot.begin_plot(f"##{plot.y_label}", imgui.ImVec2(-1.0, height * self._unit)):
+            return
+        implot.setup_axes("", plot.y_label)
+        implot.setup_axis_format(implot.ImAxis_.x1, f"%g {plot.x_unit}")
+        legend = implot.LegendFlags_
+        implot.setup_legend(implot.Location_.north, legend.outside | legend.horizontal)
+        implot.setup_axis_limits(implot.ImAxis_.x1, *plot.x_range, implot.Cond_.always)
+        implot.setup_axis_limits(implot.ImAxis_.y1, *plot.y_range, implot.Cond_.always)
+        for line in plot.lines:
+            self._plot_line(line)
+        low, high = plot.y_range
+        red, flags = imgui.ImVec4(*_LIMIT, 1.0), implot.DragToolFlags_
+        for number, limit in enumerate(plot.limits):
+            if low <= limit <= high:
+                implot.drag_line_y(number, limit, red, 1.5, flags.no_inputs | flags.no_fit)
+                implot.tag_y(limit, red, "limit")
+        implot.end_plot()
+
+    def _plot_line(self, line: Line) -> None:
+        spec = self._implot.Spec()
+        spec.line_color, spec.line_weight = self._imgui.ImVec4(*line.rgb, 1.0), _LINE
+        self._implot.plot_line(line.name, line.x, line.y, spec)
+
+    def copy(self, text: str) -> None:
+        """Puts a text onto the clipboard."""
+        self._imgui.set_clipboard_text(text)

@@ -1,0 +1,33 @@
+"""What hosts tell their user over the picture: messages, and that a film is recorded."""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+from ..session.capture import Capture
+from ..session.clock import time_text
+from ..session.status_line import Piece
+
+
+class Message(NamedTuple):
+    """A message to the user, shown for a few seconds."""
+
+    text: str = ""
+    is_bad: bool = False
+    until: float = float("-inf")  # on the clock of `time.monotonic`, s
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether it is still to be shown."""
+        return time.monotonic() < self.until
+
+    @property
+    def piece(self) -> Piece:
+        """Its words and mood: red for an error."""
+        return self.text, "bad" if self.is_bad else "plain"
+
+
+def filming_piece(capture: Capture) -> Piece:
+    """Returns what is said while a film is recorded: for how long."""
+    return f"filming {time_text(capture.seconds)}", "bad"

@@ -1,0 +1,90 @@
+"""The status line: time, sources, frame rate; and the sources in a panel, with their counters."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Sequence
+from typing import Any
+
+from ...data.receive.report import describe, report
+from ...data.receive.source import Source
+from ..session.clock import Clock
+from ..session.status_line import Piece, clock_text, source_text
+from .widgets import Widgets
+
+_GAP = 1.4  # between parts, of the text's height
+_READABLE = 0.25  # minimum time for which a number is shown, s
+
+
+def build_status_line(ui: Widgets, pieces: Sequence[Piece], hint: str) -> None:
+    """Builds the status line, without the parts that do not fit.
+
+    Args:
+        ui: takes it.
+        pieces: parts, the most important first.
+        hint: text at the right end, if it fits.
+    """
+    width, _ = ui.room()
+    end = 0.0  # of what is written
+    for words, mood in pieces:
+        start, wide = end + (_GAP if end else 0.0), ui.wide(words)
+        if start + wide > width:
+            break
+        if end:
+            ui.same_line(gap=_GAP)
+        ui.text(words, mood)
+        end = start + wide
+    left = width - ui.wide(hint)
+    if end and end + _GAP <= left:
+        ui.same_line(gap=left - end)
+        ui.text(hint, "dim")
+
+
+class SourcesPanel:
+    """The section of a panel with the clock and all sources."""
+
+    def __init__(self) -> None:
+        self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # time and contents
+
+    def build(
+        self, ui: Widgets, clock: Clock, sources: Collection[Source], *, is_open: bool
+    ) -> None:
+        """Builds it.
+
+        Args:
+            ui: takes it.
+            clock: of what is shown.
+            sources: all of them.
+            is_open: whether it is unfolded at first.
+        """
+        if not ui.header("Sources", is_open=is_open):
+            return
+        ui.text(*clock_text(clock))
+        for source in sources:
+            self._source(ui, source)
+        if not sources:
+            ui.text("none: as declared, or as a program sets it", "dim")
+
+    def _source(self, ui: Widgets, source: Source) -> None:
+        if source.error is not None:
+            ui.text(f"{source.name}: {source.error}", "bad")
+            return
+        found = self._report(source)
+        ui.text(*source_text(found, is_live=source.is_live))
+        if found["trouble"]:
+            ui.text(f"  {found['trouble']}", "bad")
+        if source.is_live and ui.tree(f"counters of {source.name}"):
+            for what, count, meaning in describe(found):
+                ui.text(f"{what}: {count}")
+                if meaning:
+                    ui.tip(meaning)
+            ui.end_tree()
+
+    def _report(self, source: Source) -> dict[str, Any]:
+        """Returns the report of a source, updated a few times a second so that it is readable."""
+        now = time.monotonic()
+        when, found = self._reports.get(source.name, (float("-inf"), {}))
+        if now - when >= _READABLE:
+            found = report(source)
+            self._reports[source.name] = now, found
+        return found

@@ -1,0 +1,59 @@
+"""The time line: pause, start, steps, speed, and where in time what is shown is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..session.clock import SPEEDS, Clock, time_text
+from ..session.status_line import Mood
+from .widgets import Widgets
+
+# Widths, of the text's height.
+_PAUSE, _SPEED = 3.4, 4.6
+_NARROW = 30.0  # in what is narrower there is no choice of the speed
+
+
+def build_time_line(ui: Widgets, clock: Clock, ticks: Sequence[tuple[float, bool]]) -> None:
+    """Builds the time line in one line.
+
+    Args:
+        ui: takes it.
+        clock: is paused, stepped and set.
+        ticks: times, s, that are marked, and whether the user did; else they are faults.
+    """
+    is_wide = ui.room()[0] >= _NARROW
+    stands = clock.is_paused or clock.is_at_end
+    if ui.button(f"{'play' if stands else 'pause'}###pause", _PAUSE):
+        clock.pause()
+    for label, tip, act in (
+        ("|<", "to the start", clock.reset),
+        ("<", "a step back", lambda: clock.step(-1)),
+        (">", "a step on", clock.step),
+    ):
+        ui.same_line()
+        if ui.button(label):
+            act()
+        ui.tip(tip)
+    if is_wide:
+        ui.same_line()
+        ui.width(_SPEED)
+        nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - clock.speed))
+        changed, chosen = ui.choose("##speed", nearest, [f"x {speed:g}" for speed in SPEEDS])
+        if changed:
+            clock.faster(chosen - nearest)
+    if clock.end:
+        ui.same_line()
+        ui.width(0.0)
+        moods: list[tuple[float, Mood]] = [
+            (when, "title" if is_mark else "bad") for when, is_mark in ticks
+        ]
+        text = _text(clock, clock.end)
+        moved, wanted = ui.slide("##time", clock.time, clock.begin, clock.end, text, moods)
+        if moved:
+            clock.seek(wanted)
+
+
+def _text(clock: Clock, end: float) -> str:
+    if not clock.is_live:
+        return f"{time_text(clock.time)} / {time_text(end)}"
+    return f"{time_text(end - clock.time)} ago; End is live" if clock.is_past else "live"

@@ -1,0 +1,131 @@
+"""`TorquePlots`: measured and commanded torques of a joint over time, and their error."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from ...base.frames import Array
+from ...robots.assemble.world_view import WorldView
+from ..session.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
+from .widgets import Line, Plot, Rgb, Widgets
+
+# Light blue and orange: distinct for the colour-blind and on a dark background.
+_MEASURED: Rgb = (0.45, 0.78, 1.0)
+_COMMANDED: Rgb = (1.0, 0.62, 0.18)
+_ERROR: Rgb = (0.75, 0.88, 0.45)
+_NEAR = 0.8  # fraction of the limit from which on it is in the visible range
+_MARGIN = 1.15  # of the range over that of the values
+_LEAST = 0.5  # Nm or N, minimum half range
+# Widths of the list of joints and of what is beside it, of the text's height.
+_NAMES, _BESIDE = 11.0, 8.0
+_ROOM_FOR_TWO = 20.0  # minimum height with a plot of the error
+_SHARE = 0.56  # of the height, for the torques
+_LEAST_HEIGHT = 4.0  # in less there is no plot
+
+
+class TorquePlots:
+    """Plots the history of one joint, with its limits.
+
+    Args:
+        world: the compiled scene.
+        points: of a line, at most, about.
+        interval: between two updates, s.
+    """
+
+    def __init__(self, world: WorldView, points: int, interval: float = 0.0) -> None:
+        self._world, self._points, self._interval = world, points, interval
+        self._names = [joint_name(world, i) for i in range(len(world.joints.names))]
+        self._plots: list[Plot] = []
+        self._when = float("-inf")
+        self._joint = -1
+
+    def build(self, ui: Widgets, history: TorqueHistory, joint: int) -> int:
+        """Builds the plots of a joint and returns the joint that the user has selected.
+
+        Args:
+            ui: takes them.
+            history: the torques.
+            joint: index in the world.
+        """
+        ui.width(max(min(_NAMES, ui.room()[0] - _BESIDE), 1.0))
+        changed, chosen = ui.choose("##joint", joint, self._names)
+        joint = chosen if changed else joint
+        now = time.monotonic()
+        if joint != self._joint or now - self._when >= self._interval:
+            self._joint, self._when = joint, now
+            self._plots = self.plots(history, joint)
+        limit, unit = float(self._world.joints.torque_limit[joint]), self._unit(joint)
+        ui.same_line()
+        ui.label(f"limit {limit:g} {unit}" if np.isfinite(limit) else "no limit")
+        torques, error = self._plots
+        _, room = ui.room()
+        is_for_two = room >= _ROOM_FOR_TWO
+        if room >= _LEAST_HEIGHT:
+            ui.plot(torques, _SHARE * room if is_for_two else room)
+        if is_for_two:
+            ui.plot(error, ui.room()[1])
+        return joint
+
+    def _unit(self, joint: int) -> str:
+        return "Nm" if self._world.joints.revolute[joint] else "N"
+
+    def plots(self, history: TorqueHistory, joint: int) -> list[Plot]:
+        """Returns the plots of a joint: its torques, and their error."""
+        times, (measured, commanded, error) = history.of(joint, self._points)
+        limit, unit = float(self._world.joints.torque_limit[joint]), self._unit(joint)
+        what = "torque" if unit == "Nm" else "force"
+        torques = [
+            Line("measured", _MEASURED, *_with_gaps(times, measured)),
+            Line("commanded", _COMMANDED, *_with_gaps(times, commanded)),
+        ]
+        errors = [Line("commanded - measured", _ERROR, *_with_gaps(times, error))]
+        return [
+            _plot(f"{what} [{unit}]", torques, limit),
+            _plot(f"error [{unit}]", errors, np.inf),
+        ]
+
+
+def _plot(label: str, lines: list[Line], limit: float) -> Plot:
+    values = np.concatenate([line.y for line in lines])
+    ends = y_range(values, limit)
+    return Plot("s", label, lines, (-SPAN, 0.0), ends, (limit, -limit))
+
+
+def _with_gaps(times: Array, values: Array) -> tuple[Array, Array]:
+    """Returns the samples of a line, with one NaN in every gap.
+
+    Args:
+        times: (k,), s, rising.
+        values: (k,), NaN for no data.
+    """
+    values = values.astype(float)
+    x, y = [times[:0]], [values[:0]]
+    for piece in split_at_gaps(times, values):
+        if len(x) > 1:
+            x.append(times[piece[:1]])
+            y.append(np.array([np.nan]))
+        x.append(times[piece])
+        y.append(values[piece])
+    return np.concatenate(x), np.concatenate(y)
+
+
+def y_range(values: Array, limit: float) -> tuple[float, float]:
+    """Returns lower and upper end of a plot, Nm or N, rounded so that they rarely change.
+
+    Args:
+        values: all values of the plot, Nm or N, NaN for no data.
+        limit: of the torque, inf for none; it is in the range when torques come close to it.
+    """
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    if np.isfinite(limit):
+        high = max(high, limit) if high > _NEAR * limit else high
+        low = min(low, -limit) if low < -_NEAR * limit else low
+    middle, half = (low + high) / 2, max((high - low) / 2 * _MARGIN, _LEAST)
+    step = 10.0 ** np.floor(np.log10(half)) / 2
+    return (
+        float(np.floor((middle - half) / step) * step),
+        float(np.ceil((middle + half) / step) * step),
+    )

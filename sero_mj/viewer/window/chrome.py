@@ -1,0 +1,183 @@
+"""`Chrome`: where what the panels declare is in a window, beside its picture and over it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import mujoco
+from imgui_bundle import ImVec2, imgui
+
+from ..panels import help as help_panel
+from ..panels.message import filming_piece
+from ..panels.robot_panel import build_handle
+from ..panels.status_line import build_status_line
+from ..panels.time_line import build_time_line
+from ..panels.torque_plots import TorquePlots
+from ..session.interaction import Row
+from ..session.live import LiveHost
+from ..session.status_line import Piece
+from .glfw_window import GlWindow
+from .imgui_layer import ImguiLayer
+from .places import Places, Rect, arrange
+
+_HINT = "H help"
+# Below the picture's upper edge, in lines of the window's text.
+_MESSAGE_TOP, _FILMING_TOP, _HANDLE_TOP = 2.5, 0.5, 0.8
+_PANEL = 21.5  # width, of the text's height
+_POINTS = 980  # of a line of a plot, at most
+_TALLEST = 0.97  # of the window's height
+_FLAGS = imgui.WindowFlags_
+_STILL = _FLAGS.no_move | _FLAGS.no_resize | _FLAGS.no_collapse | _FLAGS.no_saved_settings
+_PANEL_FLAGS = _STILL | _FLAGS.no_nav
+_BAR_FLAGS = (
+    _PANEL_FLAGS | _FLAGS.no_title_bar | _FLAGS.no_scrollbar | _FLAGS.no_bring_to_front_on_focus
+)
+_NOTE_FLAGS = _BAR_FLAGS | _FLAGS.no_inputs | _FLAGS.no_focus_on_appearing
+_HANDLE_FLAGS = _BAR_FLAGS | _FLAGS.no_background | _FLAGS.always_auto_resize
+
+
+class Chrome(ImguiLayer):
+    """What a window shows besides its picture.
+
+    Args:
+        gl: the window.
+        host: what is shown of it.
+        columns: of the help.
+
+    Attributes:
+        shows_panel: whether the panel is shown.
+        covered: width of what covers the left edge of the picture, pixels.
+    """
+
+    def __init__(self, gl: GlWindow, host: LiveHost, columns: Sequence[Sequence[Row]]) -> None:
+        super().__init__(gl)
+        self._host, self._columns = host, columns
+        self._torques = TorquePlots(host.world, _POINTS)
+        self.shows_panel = False
+        self.covered = 0.0
+
+    def places(self) -> Places:
+        """Returns where the parts of the window are."""
+        host = self._host
+        return arrange(
+            self._gl.size,
+            self._line,
+            has_status=host.shows_status,
+            has_time=host.shows_status and host.has_time_line,
+            has_plot=host.has_plot,
+        )
+
+    @property
+    def _line(self) -> int:
+        return self._gl.typesetter.font.height
+
+    def build(self, places: Places, picture: mujoco.MjrRect, pieces: Sequence[Piece]) -> None:
+        """Builds everything for a frame.
+
+        Args:
+            places: of the window's parts.
+            picture: where it is, which may be smaller than its place.
+            pieces: of the status line.
+        """
+        self.frame(lambda: self._build(places, picture, pieces))
+
+    def _build(self, places: Places, picture: mujoco.MjrRect, pieces: Sequence[Piece]) -> None:
+        host, ui = self._host, self.widgets
+        if places.plots is not None:
+            with self._part("plots", places.plots, 0.5, 0.4):
+                joint = self._torques.build(ui, host.history, host.joint)
+            if joint != host.joint:
+                host.select(joint)
+        if places.time is not None:
+            with self._part("time", places.time, 0.45, 0.1):
+                build_time_line(ui, host.clock, host.ticks)
+        if places.status is not None:
+            over = (places.status.height - self.text_height) / 2 / self.text_height
+            with self._part("status", places.status, 0.55, over):
+                build_status_line(ui, pieces, _HINT)
+        top = self._gl.size[1] - picture.bottom - picture.height
+        if host.notice.is_shown:
+            self._note("message", host.notice.piece, picture, top + _MESSAGE_TOP * self._line)
+        if host.capture.is_filming:
+            piece = filming_piece(host.capture)
+            self._note("filming", piece, picture, top + _FILMING_TOP * self._line)
+        if self.shows_panel:
+            self._panel(places.picture.bottom if places.plots is None else places.plots.bottom)
+        else:
+            self._handle()
+        if host.shows_help:
+            self._help()
+
+    @contextmanager
+    def _part(self, name: str, rect: Rect, beside: float, above: float) -> Iterator[None]:
+        """A part of the window, with so much of the text's height between it and its contents."""
+        unit = self.text_height
+        padding = ImVec2(round(beside * unit), round(above * unit))
+        imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
+        imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
+        imgui.set_next_window_pos(ImVec2(rect.left, self._gl.size[1] - rect.bottom - rect.height))
+        imgui.set_next_window_size(ImVec2(rect.width, rect.height))
+        imgui.set_next_window_bg_alpha(1.0)
+        imgui.begin(name, None, _BAR_FLAGS)
+        imgui.pop_style_var(2)
+        self.take_mouse()
+        yield
+        imgui.end()
+
+    def _note(self, name: str, piece: Piece, picture: mujoco.MjrRect, top: float) -> None:
+        """Builds words in the middle of the picture's free width, in several lines if need be."""
+        room = picture.width - self.covered - self._line
+        padding = 2 * imgui.get_style().window_padding.x
+        wide = min(imgui.calc_text_size(piece[0]).x + padding + 1, max(room, 1.0))
+        middle = picture.left + (self.covered + picture.width) / 2
+        imgui.set_next_window_pos(ImVec2(round(middle - wide / 2), round(top)))
+        imgui.set_next_window_size(ImVec2(wide, 0.0))  # as high as it has to be
+        imgui.begin(name, None, _NOTE_FLAGS)
+        self.widgets.text(*piece)
+        imgui.end()
+
+    def _handle(self) -> None:
+        imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(0.0, 0.0))
+        imgui.set_next_window_pos(ImVec2(0.0, round(_HANDLE_TOP * self._line)))
+        imgui.begin("handle", None, _HANDLE_FLAGS)
+        imgui.pop_style_var(1)
+        self.take_mouse()
+        if build_handle(self.widgets, "Tab"):
+            self.shows_panel = True
+        self.covered = float(imgui.get_window_width())
+        imgui.end()
+
+    def _panel(self, bottom: float) -> None:
+        width, height = self._gl.size
+        margin = round(0.4 * self.text_height)
+        room = max(_TALLEST * (height - bottom) - margin, 100.0)
+        wide = round(min(_PANEL * self.text_height, 0.6 * width))
+        imgui.set_next_window_pos(ImVec2(margin, margin))
+        imgui.set_next_window_size(ImVec2(wide, 0.0))  # as high as what is in it, up to
+        imgui.set_next_window_size_constraints(ImVec2(wide, 0.0), ImVec2(wide, room))
+        title = self._host.world.scene.name
+        shown, is_open = imgui.begin(f"{title}###panel", True, _PANEL_FLAGS)
+        self.take_mouse()
+        self.covered = float(margin + wide)
+        if shown:
+            self._host.build_panel(self.widgets, unfolds_sources=False)
+        imgui.end()
+        self.shows_panel = bool(is_open)
+
+    def _help(self) -> None:
+        """Builds the help in the middle of the window, to be scrolled where it finds no room."""
+        width, height = self._gl.size
+        host, margin = self._host, round(0.4 * self.text_height)
+        wide = min(help_panel.WIDTH * self.text_height, width - 2 * margin)
+        imgui.set_next_window_pos(ImVec2(width / 2, height / 2), 0, ImVec2(0.5, 0.5))
+        imgui.set_next_window_size(ImVec2(wide, 0.0))
+        largest = ImVec2(wide, max(height - 2 * margin, 1.0))
+        imgui.set_next_window_size_constraints(ImVec2(wide, 0.0), largest)
+        shown, is_open = imgui.begin(f"{help_panel.TITLE}###help", True, _PANEL_FLAGS)
+        self.take_mouse()
+        if shown:
+            help_panel.build_help(self.widgets, self._columns)
+        is_pressed = imgui.is_window_hovered() and imgui.is_mouse_clicked(0)
+        host.shows_help = bool(is_open) and not (is_pressed and not imgui.is_any_item_hovered())
+        imgui.end()
