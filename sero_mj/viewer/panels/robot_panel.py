@@ -110,8 +110,8 @@ class RobotPanel:
                     setattr(toggles, field, on)
             if len(toggles.vectors):
                 self._check(ui, "smart arrows", toggles.vectors, slice(None))
-                self._check(ui, "their values", toggles.cards, slice(None))
-            if ui.button("as declared"):
+                self._check(ui, "arrow values", toggles.cards, slice(None))
+            if ui.button("reset to the scene"):
                 self._reset()
             ui.tip("resets toggles and sizes to those that the scene declares")
 
@@ -164,8 +164,8 @@ class RobotPanel:
         self._check(ui, "arrows", toggles.arrows, joints)
         ui.same_line(_SECOND)
         self._check(ui, "billboards", toggles.billboards, joints)
-        self._check(ui, "precise", toggles.details, joints)
-        ui.tip("precise values of every arrow on its billboard")
+        self._check(ui, "exact values", toggles.details, joints)
+        ui.tip("exact values of every arrow on its billboard")
         if len(frames):
             ui.same_line(_SECOND)
             self._check(ui, "axes", toggles.axes, frames)
