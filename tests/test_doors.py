@@ -61,7 +61,22 @@ def test_it_is_opened_by_its_ending_and_stands_in_scenes(sdf: Path) -> None:
     assert "robot is right" in run(sdf, "", "check", SDF.name)
     (sdf / "wrong.sdf").write_text("<robot name='x'/>")
     said = run(sdf, "", "check", "wrong.sdf", code=2)
-    assert said.endswith("/wrong.sdf: is a URDF file; expected Sdf\n")
+    assert said.endswith("/wrong.sdf: is a URDF file; expected a file of the importer 'sdf'\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("", "is empty; expected a file of the importer 'sdf'"),
+        ("<sdf><model>", "cannot be read by Sdf: ParseError: "),
+        ("<sdf><model><joint type='revolute'><child>a</child></joint></model></sdf>", "KeyError"),
+    ],
+)
+def test_what_an_importer_cannot_read_names_the_file(sdf: Path, text: str, what: str) -> None:
+    (sdf / "broken.sdf").write_text(text)
+    said = run(sdf, "", "check", "broken.sdf", code=2)
+    assert "broken.sdf: " in said and "Traceback" not in said
+    assert what in said or "cannot be read by Sdf" in said
 
 
 def test_without_the_package_it_is_named_as_what_it_is(tmp_path: Path) -> None:
@@ -191,6 +206,100 @@ with Mirror(Scene(robots=[SerialRobot.from_model("lwr")])) as mirror:
         "True",
         "('no longer measures', False) False",
     ]
+
+
+@pytest.mark.parametrize("part", ["state", "drag", "draw", "actions"])
+def test_whatever_part_of_a_tool_fails_the_rest_goes_on(tmp_path: Path, part: str) -> None:
+    body = "{'fail': lambda: 1 / 0}" if part == "actions" else "1 / 0"
+    (tmp_path / "partly.py").write_text(
+        "from sero_mj.viewer.session.tool import Grab, Tool\n"
+        "class Partly(Tool):\n"
+        "    keys = {'g': ('fail', 'fails'), 'a': ('fail', 'taken')}\n"
+        "    def grab(self, at):\n"
+        "        return Grab('grabs')\n"
+        f"    {'@property' if part == 'state' else ''}\n"
+        f"    def {part}(self, *rest):\n"
+        f"        return {body}\n"
+    )
+    about = tmp_path / "partly-0.1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: partly\nVersion: 0.1\n")
+    (about / "entry_points.txt").write_text(f"[{TOOLS}]\npartly = partly:Partly\n")
+    printed = run(tmp_path, f"""
+from decor_tools import view_at
+from sero_mj import Mirror, load_scene
+from sero_mj.viewer.session.dragging import Dragging
+from sero_mj.viewer.session.input import Moved
+from sero_mj.viewer.session.tool import DrawnTool, Tools
+from shown import Shown
+with Mirror(load_scene("lwr")) as mirror:
+    shown = Shown(mirror)
+    shown.tools = tools = Tools(shown)
+    tool = tools["partly"]
+    if {part!r} == "state":
+        tools["undo"].advance(0.1)
+    elif {part!r} == "drag":
+        dragging = Dragging(tools, lambda text, is_bad: None)
+        dragging.take(Moved("orbit", 0.0, 0.0, pulls_from=(1.0, 1.0)), (1.0, 1.0), (1.0, 1.0), None)
+        dragging.advance()
+        dragging.release()
+    elif {part!r} == "draw":
+        shown.decor.add(DrawnTool(tool, tools))
+        shown.decor.lay_out(mirror.data, view_at())
+        shown.decor.lay_out(mirror.data, view_at())
+    else:
+        act = tools.call(tool, lambda tool: tool.actions())["fail"]
+        tools.call(tool, lambda _: act())
+    print("partly" in tools, "jogging" in tools, shown.said)
+""")  # fmt: skip
+    assert "False True [('partly fails and is taken out: division by zero', True)]" in printed
+
+
+def test_a_controller_takes_over_what_another_has_built_up(tmp_path: Path) -> None:
+    (tmp_path / "pi.py").write_text(
+        "from typing import Literal\n"
+        "import numpy as np\n"
+        "from sero_mj.simulate.control.controller import ControllerDeclaration\n"
+        "class PI(ControllerDeclaration):\n"
+        "    kind: Literal['pi'] = 'pi'\n"
+        "    gain: float = 1.0\n"
+        "    def make(self, model, timestep):\n"
+        "        return Law(model)\n"
+        "class Law:\n"
+        "    def __init__(self, model):\n"
+        "        self.model, self.steps = model, 0\n"
+        "    def take_over(self, before):\n"
+        "        self.steps = before.steps\n"
+        "    def torques(self, sensed, target, out):\n"
+        "        self.steps += 1\n"
+        "        self.model.update(sensed.motor_angles, sensed.motor_velocities)\n"
+        "        self.model.gravity(out)\n"
+        "class NoKind:\n"
+        "    pass\n"
+    )
+    about = tmp_path / "pi-0.1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: pi\nVersion: 0.1\n")
+    (about / "entry_points.txt").write_text(
+        f"[{CONTROLLERS}]\npi = pi:PI\nother = pi:PI\nnone = pi:NoKind\n"
+    )
+    printed = run(tmp_path, """
+import sero_mj
+from sero_mj import Mirror
+from sero_mj.simulate.endless_run import endless_scene
+with Mirror(endless_scene(sero_mj.load_scene("lwr"), "pi")) as mirror:
+    mirror.advance(0.0)
+    mirror.advance(0.1)
+    run = mirror.sources["simulation"].run
+    robot = run.live.robots["lwr"]
+    (controlled,) = run.controlled
+    before = controlled.controller.controller.steps
+    robot.change({"gain": 2.0}, str)
+    print([*robot.controllers][-1], before, controlled.controller.controller.steps)
+""")  # fmt: skip
+    assert "\npi 100 100\n" in f"\n{printed}"
+    assert "'other' of pi 0.1" in printed and "expected the entry point's name" in printed
+    assert "'none' of pi 0.1" in printed and "subclass of ControllerDeclaration" in printed
 
 
 def test_a_tool_that_fails_is_told_and_taken_out(tmp_path: Path) -> None:

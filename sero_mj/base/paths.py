@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from .errors import DeclarationError, Problem, UnknownName, nearest
-from .plugins import IMPORTERS, load_plugin, plugins
+from .plugins import IMPORTERS, load_all
 
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
 # Of robot files in other formats than TOML.
@@ -73,8 +73,9 @@ def scene_endings() -> tuple[str, ...]:
 
 @cache
 def _endings(*, of_scenes: bool) -> tuple[str, ...]:
-    kinds = [load_plugin(IMPORTERS, name) for name in plugins(IMPORTERS)]
-    kinds = sorted((kind for kind in kinds if kind.is_scene == of_scenes), key=lambda k: k.order)
+    found = [kind for kind in load_all(IMPORTERS, object).values() if hasattr(kind, "is_scene")]
+    kinds = [kind for kind in found if kind.is_scene == of_scenes]
+    kinds.sort(key=lambda kind: kind.order)
     return tuple(dict.fromkeys(ending for kind in kinds for ending in kind.endings))
 
 

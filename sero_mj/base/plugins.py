@@ -16,6 +16,7 @@ A package adds a kind in its pyproject.toml, and no line of sero-mj changes:
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
@@ -25,6 +26,8 @@ from .errors import PluginError, UnknownName
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint, EntryPoints
+
+log = logging.getLogger(__name__)
 
 IMPORTERS, SOURCES = "sero_mj.importers", "sero_mj.sources"
 CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
@@ -66,21 +69,43 @@ def is_own_class(kind: type) -> bool:
     return kind.__module__.partition(".")[0] == _OWN
 
 
-def load_plugin(group: str, name: str) -> Any:
+def load_plugin(group: str, name: str, base: type | None = None) -> Any:
     """Imports what an entry point names.
+
+    Args:
+        group: of entry points.
+        name: of the entry point.
+        base: of the class that it has to name.
 
     Raises:
         UnknownName: no such name; names the nearest.
-        PluginError: its package cannot be imported.
+        PluginError: its package cannot be imported, or it names something else.
     """
     known = plugins(group)
     if name not in known:
         what = group.rpartition(".")[2].removesuffix("s").replace("_", " ")
         raise UnknownName(what, name, known)
     try:
-        return known[name].load()
+        found = known[name].load()
+        if base is not None and not (isinstance(found, type) and issubclass(found, base)):
+            raise TypeError(f"found {found!r}; expected a subclass of {base.__name__}")
+        kind = getattr(found, "model_fields", {}).get("kind")
+        if kind is not None and kind.default != name:
+            raise ValueError(f"found kind = {kind.default!r}; expected the entry point's name")
+        return found
     except Exception as error:  # whatever another package raises when it is imported
         raise PluginError(group, known[name], error) from error
+
+
+def load_all(group: str, base: type) -> dict[str, Any]:
+    """All classes of a group by name; logs those that cannot be loaded, and leaves them out."""
+    found: dict[str, Any] = {}
+    for name in plugins(group):
+        try:
+            found[name] = load_plugin(group, name, base)
+        except PluginError as error:
+            log.warning("%s; left out", error)
+    return found
 
 
 def plugin_name(group: str, item: type) -> str:

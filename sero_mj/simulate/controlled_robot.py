@@ -166,6 +166,11 @@ class ControlledRobot(RobotControl):
         hanging, stiffness = None, self._joint_stiffness
         if stiffness is not None:
             hanging = _hanging(stiffness, controller, make_model(robot), robot.home)
+        before: LimitedController | None = getattr(self, "controller", None)
+        if before is not None and type(before.controller) is type(controller.controller):
+            take_over = getattr(controller.controller, "take_over", None)
+            if take_over is not None:  # see `Successor`
+                take_over(before.controller)
         self.declared, self.hanging = declared, hanging
         self.use_limited(controller)
 

@@ -15,7 +15,7 @@ from ...base.dotted_keys import lacking, parts_of, with_value
 from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean, nearest
 from ...base.toml_file import key_lines, located, read_toml
 from ..importers.imported_tables import ImportedTables
-from ..importers.importer import find_importer
+from ..importers.importer import read_imported
 from ..importers.robot_file import read_robot_file
 from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
@@ -83,10 +83,9 @@ def _refuse_excess(problems: Sequence[Problem], path: Path, described: ImportedT
 
 def _described(path: Path) -> ImportedTables:
     """The tables of a file in any format; losses are logged."""
-    importer = find_importer(path)
-    if importer is None:
+    described = read_imported(path)
+    if described is None:
         return ImportedTables(read_toml(path))
-    described = importer.read(path)
     for warning in described.warnings:
         log.warning("%s: %s", path, warning)
     return described

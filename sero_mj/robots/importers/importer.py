@@ -14,9 +14,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import DeclarationError, Problem, SeroError
 from ...base.paths import format_of_file, read_head
-from ...base.plugins import IMPORTERS, load_plugin, plugins
+from ...base.plugins import IMPORTERS, is_own_class, load_all
 from .imported_tables import ImportedTables
 
 
@@ -67,14 +67,10 @@ class Importer(ABC):
 
 
 @cache
-def importers() -> tuple[Importer, ...]:
-    """All installed importers, sorted by `order`.
-
-    Raises:
-        PluginError: the package of an importer cannot be imported.
-    """
-    kinds: list[type[Importer]] = [load_plugin(IMPORTERS, name) for name in plugins(IMPORTERS)]
-    return tuple(kind() for kind in sorted(kinds, key=lambda kind: kind.order))
+def importers() -> dict[str, Importer]:
+    """All installed importers by name, in their order."""
+    kinds = load_all(IMPORTERS, Importer)
+    return {name: kinds[name]() for name in sorted(kinds, key=lambda name: kinds[name].order)}
 
 
 def find_importer(path: Path) -> Importer | None:
@@ -83,13 +79,43 @@ def find_importer(path: Path) -> Importer | None:
     Raises:
         DeclarationError: the contents of the file do not match its extension.
     """
-    named = [each for each in importers() if path.suffix.lower() in each.endings]
+    named = {
+        name: each for name, each in importers().items() if path.suffix.lower() in each.endings
+    }
     if not named:
         return None
     head = read_head(path)
-    for each in named:
+    for each in named.values():
         if each.takes(path, head):
             return each
-    found = format_of_file(path) or "in no format that is known"
-    expected = " or ".join(type(each).__name__ for each in named)
+    found = format_of_file(path) or ("in no format that is known" if head else "empty")
+    expected = " or ".join(f"a file of the importer '{name}'" for name in named)
     raise DeclarationError([Problem("", f"is {found}; expected {expected}", str(path))])
+
+
+def read_imported(
+    path: Path,
+    packages: Mapping[str, Path | str] | None = None,
+    arguments: Mapping[str, Any] | None = None,
+) -> ImportedTables | None:
+    """Reads a file by its importer; None where its ending is no one's.
+
+    Args:
+        path: of the file.
+        packages: see `Importer.read`.
+        arguments: likewise.
+
+    Raises:
+        DeclarationError: the file cannot be read.
+    """
+    importer = find_importer(path)
+    if importer is None:
+        return None
+    try:
+        return importer.read(path, packages, arguments)
+    except Exception as error:
+        if isinstance(error, SeroError) or is_own_class(type(importer)):
+            raise
+        name = type(importer).__name__
+        reason = f"cannot be read by {name}: {type(error).__name__}: {error}"
+        raise DeclarationError([Problem("", reason, str(path))]) from error

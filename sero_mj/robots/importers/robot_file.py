@@ -8,7 +8,7 @@ from typing import Any
 
 from ...base.toml_file import read_toml
 from .imported_tables import ImportedTables
-from .importer import find_importer
+from .importer import read_imported
 
 
 def read_robot_file(
@@ -26,7 +26,5 @@ def read_robot_file(
     Raises:
         DeclarationError: the file cannot be read.
     """
-    importer = find_importer(path)
-    if importer is None:
-        return ImportedTables(read_toml(path), None)
-    return importer.read(path, packages, arguments)
+    imported = read_imported(path, packages, arguments)
+    return ImportedTables(read_toml(path), None) if imported is None else imported

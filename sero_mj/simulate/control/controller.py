@@ -264,6 +264,17 @@ def range_text(key: str, unit: str = "") -> Callable[[Mapping[str, Any]], str]:
     return text
 
 
+class Successor(Controller, Protocol):
+    """A controller that goes on from another one, as when a gain is changed while it runs."""
+
+    def take_over(self, before: Any) -> None:
+        """Takes over what the controller before has built up: an integral, say.
+
+        Args:
+            before: of the same class, with other gains.
+        """
+
+
 class ControllerDeclaration(Declaration, ABC):
     """Base of the declarations of controllers, one class for each kind.
 

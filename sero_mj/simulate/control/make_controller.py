@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from ...base.declaration import by_kind
-from ...base.errors import DeclarationError, Problem, SimulationError
+from ...base.errors import DeclarationError, Problem, SeroError, SimulationError
 from ...base.frames import Array, Bools, RowIndex
-from ...base.plugins import CONTROLLERS, load_plugin, plugins
+from ...base.plugins import CONTROLLERS, load_all
 from .controller import Controller, ControllerDeclaration, Sensed, Target
 from .model_rows import ModelRows
 from .robot_model import RobotModel
@@ -117,6 +117,11 @@ class LimitedController:
                 raise
             requested[:] = math.nan
             returned = None
+        except SeroError:
+            raise
+        except Exception as error:  # whatever somebody's own controller raises
+            what = f"{type(self.controller).__name__}.torques: {type(error).__name__}: {error}"
+            raise SimulationError(sensed.time, self._robot, what) from error
         if returned is not None:
             reason = "torques() has returned something; expected it to write into `out`"
             raise SimulationError(sensed.time, self._robot, reason)
@@ -186,12 +191,8 @@ def _limit_problems(key: str, limits: Array, unit: str, names: Sequence[str]) ->
 
 @cache
 def controller_kinds() -> dict[str, type[ControllerDeclaration]]:
-    """All installed kinds of controllers by name.
-
-    Raises:
-        PluginError: the package of one cannot be imported.
-    """
-    kinds = {name: load_plugin(CONTROLLERS, name) for name in plugins(CONTROLLERS)}
+    """All installed kinds of controllers by name."""
+    kinds = load_all(CONTROLLERS, ControllerDeclaration)
     return dict(sorted(kinds.items(), key=lambda each: (each[1].order, each[0])))
 
 
@@ -231,6 +232,10 @@ def make_controller(
     if isinstance(controller, ControllerDeclaration):
         own = controller
         controller = own.make(model, timestep)  # type: ignore[arg-type]  # those of joints take rows
+        if not callable(getattr(controller, "torques", None)):
+            found = f"{type(own).__name__}.make returned {controller!r}"
+            message = f"{found}; expected an object with a method torques(sensed, target, out)"
+            raise DeclarationError([Problem("", message)])
         if own.torque_limits is not None:
             limits = _lower(own.per_joint("torque_limits", n), limits, model.joint_names)
         if own.torque_rate_limits is not None:

@@ -14,7 +14,7 @@ import numpy as np
 from ...base.declaration import by_kind
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
-from ...base.plugins import TARGET_MOTIONS, load_plugin, plugins
+from ...base.plugins import TARGET_MOTIONS, load_all
 from ...robots.assemble.inverse_kinematics import Reached, reach
 from ...robots.assemble.robot import SerialRobot
 from .compiler import Compiler
@@ -33,12 +33,8 @@ _EVERY = 0.02  # s between two poses that are tried
 
 @cache
 def target_motion_kinds() -> dict[str, type[TargetMotion]]:
-    """All installed kinds of target motions by name.
-
-    Raises:
-        PluginError: the package of one cannot be imported.
-    """
-    return {name: load_plugin(TARGET_MOTIONS, name) for name in plugins(TARGET_MOTIONS)}
+    """All installed kinds of target motions by name."""
+    return load_all(TARGET_MOTIONS, TargetMotion)
 
 
 def target_motion_from(table: Any) -> TargetMotion:

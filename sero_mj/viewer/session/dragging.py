@@ -29,7 +29,7 @@ class Dragging:
     ) -> bool:
         """Takes a drag or a turn of the wheel, if a tool does; see `LiveHost.drag`."""
         if self._tool is not None and moved.how == "zoom":
-            said = self._tool.wheel(moved.down)
+            said = self._tools.call(self._tool, lambda tool: tool.wheel(moved.down))
             if said is not None:
                 self._say(said, False)
                 return True
@@ -41,7 +41,7 @@ class Dragging:
         if self._tool is None and not self._is_refused and begin is not None:
             self._begin(self._tools.first(lambda tool: tool.grab(begin)))
         if self._tool is not None and at is not None:
-            self._tool.move(at)
+            self._tools.call(self._tool, lambda tool: tool.move(at))
         return self._tool is not None or self._is_refused
 
     def _begin(self, found: tuple[Tool, Grab] | None) -> None:
@@ -63,9 +63,10 @@ class Dragging:
 
     def advance(self) -> None:
         """Lets the drag act, once for each frame."""
-        if self._tool is None:
+        if self._tool is None or self._tool not in self._tools.values():
+            self._tool = None  # it has failed, and was taken out
             return
-        trouble = self._tool.drag()
+        trouble = self._tools.call(self._tool, lambda tool: tool.drag()) or ""
         if trouble or self._trouble:
             self._say(trouble, True)
         self._trouble = trouble
@@ -73,5 +74,5 @@ class Dragging:
     def release(self) -> None:
         """Ends the drag."""
         if self._tool is not None:
-            self._tool.release()
+            self._tools.call(self._tool, lambda tool: tool.release())
         self._tool, self._trouble, self._is_refused, self._tried = None, "", False, None

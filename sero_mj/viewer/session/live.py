@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -30,9 +32,11 @@ from .input import Clicked, Moved
 from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
 from .picking import Picked, Pixel
 from .scene_decor import SceneDecor
-from .tool import Action, Tools
+from .tool import Action, DrawnTool, Tool, Tools
 from .torque_history import SPAN, TorqueHistory, joint_name
 from .view_state import ViewState, view_state_of
+
+log = logging.getLogger(__name__)
 
 OnClick = Callable[[Picked | None, str], None]
 
@@ -141,11 +145,24 @@ class LiveHost(ABC):
             "screenshot": self._take_screenshot,
             "film": self._toggle_film,
         }
-        for actions in self.tools.ask(lambda tool: tool.actions()):
-            self._actions = {**actions, **self._actions}
         self._keys = {key: name for key, (name, _) in HOST_KEYS.items()} | MORE_KEYS
-        for tool in self.tools.values():
-            self._keys = {key: name for key, (name, _) in tool.keys.items()} | self._keys
+        self._keys |= dict.fromkeys(KEYS, "")
+        for name, tool in self.tools.items():
+            self._take_keys(name, tool)
+
+    def _take_keys(self, name: str, tool: Tool) -> None:
+        """Lets keys do what a tool does; says which of them are taken already."""
+        for action, act in (self.tools.call(tool, lambda tool: tool.actions()) or {}).items():
+            self._actions.setdefault(action, partial(self._act, tool, act))
+        for key, (action, _) in tool.keys.items():
+            if key in self._keys:
+                log.warning("the key %s of the tool %s is taken; it does nothing", key, name)
+            elif action not in self._actions:
+                log.warning("the tool %s has the key %s, but no action %s", name, key, action)
+            self._keys.setdefault(key, action)
+
+    def _act(self, tool: Tool, act: Action) -> str | None:
+        return self.tools.call(tool, lambda _: act())
 
     @property
     @abstractmethod
@@ -231,7 +248,7 @@ class LiveHost(ABC):
     def _use(self, decor: SceneDecor) -> None:
         """Draws tools with a decor; to be called when it is made."""
         for tool in self.tools.values():
-            decor.add(tool)
+            decor.add(DrawnTool(tool, self.tools))
 
     def _advance(self, advance: Callable[[], object]) -> None:
         """Brings the mirror to the current time; an error pauses and is shown."""

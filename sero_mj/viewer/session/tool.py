@@ -17,9 +17,9 @@ from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
 
 import mujoco
 
-from ...base.errors import PluginError
+from ...base.errors import SeroError
 from ...base.frames import Array
-from ...base.plugins import TOOLS, is_own_class, load_plugin, plugins
+from ...base.plugins import TOOLS, is_own_class, load_all
 from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
 from ..decor.feature import Frame
@@ -75,7 +75,7 @@ class Shown(Protocol):
     @property
     def picture_size(self) -> tuple[int, int]: ...  # noqa: D102
     @property
-    def tools(self) -> Mapping[str, Tool]: ...  # noqa: D102
+    def tools(self) -> Tools: ...  # noqa: D102
 
     def say(self, text: str, *, is_bad: bool = False) -> None:
         """Shows a message for a few seconds."""
@@ -252,11 +252,19 @@ class Tools(Mapping[str, Tool]):
         try:
             yield
         except Exception as error:
-            if is_own_class(kind):
+            if is_own_class(kind) or isinstance(error, SeroError):
                 raise
             log.exception("tool %s fails and is taken out", name)
             self._tools.pop(name, None)
             self._shown.say(f"{name} fails and is taken out: {error}", is_bad=True)
+
+    def call(self, tool: Tool, act: Callable[[Tool], Found]) -> Found | None:
+        """What one of them answers; None where it fails, and is taken out."""
+        name = next((name for name, each in self._tools.items() if each is tool), "tool")
+        answer: Found | None = None
+        with self._guarding(name, type(tool)):
+            answer = act(tool)
+        return answer
 
     def ask(self, act: Callable[[Tool], Found]) -> list[Found]:
         """What all of them answer, in their order."""
@@ -276,15 +284,31 @@ class Tools(Mapping[str, Tool]):
         return None
 
 
+class DrawnTool:
+    """A tool as something that is drawn: one that fails is told and taken out.
+
+    Args:
+        tool: of these.
+        tools: all of them.
+    """
+
+    def __init__(self, tool: Tool, tools: Tools) -> None:
+        self._tool, self._tools = tool, tools
+
+    def lay_out(self, frame: Frame) -> None:
+        """See `Tool`."""
+        if self._tool in self._tools.values():
+            self._tools.call(self._tool, lambda tool: tool.lay_out(frame))
+
+    def draw(self, frame: Frame) -> None:
+        """See `Tool`."""
+        if self._tool in self._tools.values():
+            self._tools.call(self._tool, lambda tool: tool.draw(frame))
+
+
 def tool_kinds() -> dict[str, type[Tool]]:
     """All installed tools by name; logs those that cannot be loaded."""
-    found: dict[str, type[Tool]] = {}
-    for name in plugins(TOOLS):
-        try:
-            found[name] = load_plugin(TOOLS, name)
-        except PluginError as error:
-            log.warning("%s; left out", error)
-    return found
+    return load_all(TOOLS, Tool)
 
 
 def tool_keys() -> dict[str, tuple[str, str]]:

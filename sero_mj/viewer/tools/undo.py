@@ -117,13 +117,18 @@ class UndoTool(Tool):
     def _read(self) -> tuple[ViewSnapshot, dict[str, Any]]:
         shown = self.shown
         view = ViewSnapshot.of(shown.view_camera, shown.toggles, follows=shown.is_following)
-        return view, {name: tool.state for name, tool in shown.tools.items() if tool is not self}
+        others = [(name, tool) for name, tool in shown.tools.items() if tool is not self]
+        return view, {
+            name: shown.tools.call(tool, lambda tool: tool.state) for name, tool in others
+        }
 
-    def _write(self, state: tuple[ViewSnapshot, dict[str, Any]]) -> None:
-        view, of_tools = state
+    def _write(self, kept: tuple[ViewSnapshot, dict[str, Any]]) -> None:
+        view, of_tools = kept
         view.show(self.shown.view_camera, self.shown.toggles)
-        for name, tool in self.shown.tools.items():
-            if name in of_tools and tool.state != of_tools[name]:
-                tool.restore(of_tools[name])
+        tools = self.shown.tools
+        for name, state in of_tools.items():
+            tool = tools.get(name)
+            if tool is not None and tools.call(tool, lambda tool: tool.state) != state:
+                tools.call(tool, lambda tool, state=state: tool.restore(state))  # type: ignore[misc]
         if view.selected is not None:
             self.shown.select(view.selected)
