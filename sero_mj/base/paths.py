@@ -42,7 +42,7 @@ _ROOTS = {
     "COLLADA": "a mesh (COLLADA)",
     "X3D": "X3D in the XML encoding",
 }
-_HEAD = 100_000  # bytes by which a file's format is found
+_HEAD_BYTES = 100_000  # bytes by which a file's format is found
 
 
 def _shipped(folder: str) -> Path:
@@ -201,7 +201,7 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     if not is_read and os.path.exists(path) and not os.path.isdir(path):
         try:
             with open_file(path) as file:
-                found = format_of(file.read(_HEAD)) or "no file of a robot or a scene"
+                found = format_of(file.read(_HEAD_BYTES)) or "no file of a robot or a scene"
         except OSError as error:
             what = f"cannot be read: {error.strerror}"
         else:
@@ -244,7 +244,7 @@ def read_head(path: Path) -> bytes:
     """The first 100 kB of a file; nothing of one that cannot be read."""
     try:
         with open_file(path) as file:
-            return file.read(_HEAD)
+            return file.read(_HEAD_BYTES)
     except (OSError, ValueError):
         return b""
 

@@ -18,7 +18,7 @@ _MIN_SPEED = 1e-4  # rad/s or m/s, root mean square
 _MAX_ROWS = 2**21
 # By how much two shifts must differ in correlation so that the one with the longer overlap loses:
 # of a motion that repeats itself every period would do, and the nearest is meant.
-_FOR_OVERLAP = 0.1
+_OVERLAP_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def _correlate(a: Array, b: Array) -> tuple[Array, Array, int]:
     enough = (overlap >= _MIN_OVERLAP) & (energies > 1e-9 * energy_a[-1] * energy_b[-1])
     correlation = np.full(len(lags), -np.inf)
     correlation[enough] = raw[enough] / np.sqrt(energies[enough])
-    return correlation + _FOR_OVERLAP * np.minimum(overlap, 1.0), correlation, first
+    return correlation + _OVERLAP_WEIGHT * np.minimum(overlap, 1.0), correlation, first
 
 
 def _summed(velocities: Array) -> Array:

@@ -37,9 +37,11 @@ from .torque_residuals import TorqueResiduals, torque_residuals
 
 _STANDS, _RUNS_OFF, _RUNS_OFF_FAST = 0.4, 0.2, 0.03  # s
 _ENDING, _FAST = 0.6, 0.004  # s, the last of a run, and the low pass there
-_BEFORE = 0.1  # s, by which something may seem to begin earlier through the slower low pass
-_MUCH = 0.05  # of the torque limit, which a drive that runs off does other than it should
-_ROUGHER = 2.0  # times what was before, above which noise is told
+_ONSET_TOLERANCE = (
+    0.1  # s, by which something may seem to begin earlier through the slower low pass
+)
+_MIN_ERROR = 0.05  # of the torque limit, which a drive that runs off does other than it should
+_NOISE_RATIO = 2.0  # times what was before, above which noise is told
 _FINE, _MIN_NOISE = 2e-4, 1.5e-3  # of the torque limit
 
 
@@ -182,12 +184,12 @@ def _with_drives_that_run_off(
     """
     names = found.robot.names
     left = np.nanmax(np.abs(ending.motor), axis=0, initial=0.0)
-    runs_off = {names[k] for k in np.flatnonzero(left > _MUCH * found.scale)}
+    runs_off = {names[k] for k in np.flatnonzero(left > _MIN_ERROR * found.scale)}
     begins: dict[str, float] = {}
     for each in told:
         begins[each.joint] = min(each.begin, begins.get(each.joint, np.inf))
     unknown = {each.joint for each in told if each.kind == "unexplained"}
-    first = float(ending.times[0]) - _BEFORE
+    first = float(ending.times[0]) - _ONSET_TOLERANCE
     starts = first <= found.times[0]
     runs_off -= {joint for joint in begins if joint not in unknown or begins[joint] < first}
     clear = [
@@ -304,7 +306,7 @@ def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
         elif b is not None:
             other = max(float(np.median(b.roughness[:, joint])), _FINE * scale)
             size = float(np.median(values))
-            begin = 0 if size > max(_ROUGHER * other, least) else None
+            begin = 0 if size > max(_NOISE_RATIO * other, least) else None
         elif a.robot.n > 2:
             others = np.delete(np.median(rough, axis=0), joint)
             of_others = np.median(others), scale * np.median(others / np.delete(a.scale, joint))
@@ -321,7 +323,7 @@ def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
 
 
 def _rougher(levels: Array) -> int | None:
-    """The window from which on logarithms of roughness are higher, by log `_ROUGHER` at least."""
+    """The window at which log roughness rises by log `_NOISE_RATIO` at least; None for none."""
     count, least = len(levels), 3
     if count < 2 * least or not np.isfinite(levels).all():
         return None
@@ -333,7 +335,7 @@ def _rougher(levels: Array) -> int | None:
     spread = np.sqrt(min(errors) / max(count - 2, 1)) + 0.05
     jump = after.mean() - before.mean()
     sure = jump > 5.0 * spread * np.sqrt(1.0 / k + 1.0 / (count - k))
-    return k if jump > np.log(_ROUGHER) and jump > 2.0 * spread and sure else None
+    return k if jump > np.log(_NOISE_RATIO) and jump > 2.0 * spread and sure else None
 
 
 def _longest(rows: Bools) -> tuple[int, int]:

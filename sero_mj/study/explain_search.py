@@ -42,9 +42,9 @@ _MIN_SIGN = 1.3  # likewise, from which on it is the sign that is wrong
 _PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
 _MASSES = np.array([0.5])
 _MIN_MASS, _MIN_SHARE_OF_MASS = 0.03, 0.005  # kg; of the links' masses
-_FAR_BETTER = 0.1  # share of the squares that something else leaves
+_RESIDUAL_RATIO = 0.1  # share of the squares that something else leaves
 _UNEXPLAINED = 0.002  # of the torque limit
-_PUSHED = 2  # joints that something unknown acts on, from which on it may act on others as well
+_MIN_PUSHED = 2  # joints that something unknown acts on, from which on it may act on others as well
 
 
 @dataclass(eq=False)
@@ -543,7 +543,7 @@ class Search:
         asked = 2.0 * found.commanded[rows, joint] / self.sigma[1, rows, joint]
         by_sign = ((self.y[1, rows, joint] - asked) ** 2).sum()
         # Joint torque control commands no motors.
-        is_far_better = not found.torque_control and after < _FAR_BETTER * by_sign
+        is_far_better = not found.torque_control and after < _RESIDUAL_RATIO * by_sign
         for fit in self.fits:
             is_sign = fit.kind == "gain" and abs(fit.parameters[0]) > _MIN_SIGN
             if fit.joint != joint or fit.kind == "unexplained" or is_sign:
@@ -555,7 +555,7 @@ class Search:
             if not rows.any():  # too near the end for the low pass
                 if lasts and fit.edges[1] >= self.edges.end:
                     return True
-            elif count and after < _FAR_BETTER * before and (lasts or is_far_better):
+            elif count and after < _RESIDUAL_RATIO * before and (lasts or is_far_better):
                 return True
         return False
 
@@ -579,7 +579,7 @@ class Search:
             and min(other.edges[1], last) - max(other.edges[0], first) > 0.5 * (last - first)
             and (self._effects(other) / self.found.scale)[other.joint] > size
         }  # fmt: skip
-        return len(pushed) >= _PUSHED
+        return len(pushed) >= _MIN_PUSHED
 
     def _explanation(self, fit: _Fit) -> Explanation:
         found, names = self.found, self.found.robot.names

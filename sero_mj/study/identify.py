@@ -49,7 +49,7 @@ _MAX_INFLATED = 3000.0
 _INERTIA = 0.3
 # Of the torque limit: what friction at low speed and the low pass leave of a perfect run is less.
 _FLOOR = 2e-5
-_MIN_SURE = 3.0  # standard errors, below which a payload is none
+_MIN_SIGNIFICANCE = 3.0  # standard errors, below which a payload is none
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class Identified:
     def has_payload(self) -> bool:
         """Whether there is one beyond doubt."""
         mass = self.mass
-        return mass.value is not None and mass.value > _MIN_SURE * (mass.error or 0.0)
+        return mass.value is not None and mass.value > _MIN_SIGNIFICANCE * (mass.error or 0.0)
 
 
 def identify(log: RunLog, name: str) -> Identified:
@@ -227,7 +227,7 @@ def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], 
     ]  # fmt: skip
     mass = estimates[0]
     fit = np.where(known, X @ values, np.nan)
-    if mass.value is None or mass.error is None or mass.value < _MIN_SURE * mass.error:
+    if mass.value is None or mass.error is None or mass.value < _MIN_SIGNIFICANCE * mass.error:
         reason = mass.reason or "there is no payload beyond doubt"
         return [mass, *[Estimate(None, None, reason)] * 3], offsets, condition, fit
     # c = h / m, and its error by the slopes of that.

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from ..simulate.scenario import Scenario
 
 
-_IN_VIEW = 0.6  # share of its limit from which on a torque is shown together with it
+_LIMIT_SHARE = 0.6  # share of its limit from which on a torque is shown together with it
 _MIN_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit
 _MIN_ANGLE = 0.02  # deg or mm
 _MARKERS = {
@@ -52,7 +52,7 @@ _MARKERS = {
 _MAX_ROWS = 12  # of a page, unless joints or a size are given
 _CLOSE, _LEVELS = 0.1, 5  # share of the time within which marks stand beneath each other
 _Joint = tuple[str, int]  # robot, and index of the joint
-_OF_ERROR = ("torque_error", "frozen_torque")  # findings that stand beside the error
+_ERROR_FINDINGS = ("torque_error", "frozen_torque")  # findings that stand beside the error
 
 
 def plot_run(
@@ -242,7 +242,7 @@ def _draw_torques(figure: Figure, panel: Axes, log: RunLog, robot: str, k: int) 
     known = known[np.isfinite(known)]
     if np.isfinite(limit):  # a limit is shown where it is near, on its side
         shown = [side * limit for side in (-1.0, 1.0) if len(known)
-                 and (side * known).max() >= _IN_VIEW * limit]  # fmt: skip
+                 and (side * known).max() >= _LIMIT_SHARE * limit]  # fmt: skip
         for bound in shown:
             panel.axhline(bound, color=INK, linewidth=0.8, linestyle=(0, (4, 2)), label="limit")
     figure.fit(panel, curves, least=MIN_SHARE * limit, floor=_MIN_TORQUE, also=shown)
@@ -279,7 +279,7 @@ def _mark(
         if row is None:
             continue
         panels = figure.axes[row]
-        panel = panels[-1] if finding.kind in _OF_ERROR else panels[0]
+        panel = panels[-1] if finding.kind in _ERROR_FINDINGS else panels[0]
         times = marked.setdefault(panel, [])
         level = sum(abs(finding.time - time) < close for time in times) % _LEVELS
         times.append(finding.time)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..simulate.runs.monitor import Finding
 
 
-_NOTHING = 5e-4  # Nm, N, deg or mm, in the table
+_ZERO = 5e-4  # Nm, N, deg or mm, in the table
 _USED = ("torques", "commanded_torques", "target_angles", "saturated", "actual_angles")
 
 
@@ -155,7 +155,7 @@ def _with_unit(value: float | None, unit: str, form: str) -> str:
         return ""
     factor, shown = shown_as(unit)
     number = factor * value
-    if abs(number) < _NOTHING:
+    if abs(number) < _ZERO:
         return f"0 {shown}"
     return f"{number:{'+.0f' if abs(number) >= 1000.0 else form}} {shown}"
 

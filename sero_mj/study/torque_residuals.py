@@ -36,18 +36,18 @@ from ..simulate.runs.run_log import RunLog, compared_signal
 from .align import Pair, at_times
 
 WINDOW = 0.016  # s, standard deviation of the low pass: 10 Hz
-_REACH = 4.0  # of these, to which the low pass reaches
-_EVERY = 2.0  # of these, between two rows that are kept
+_SUPPORT = 4.0  # of these, to which the low pass reaches
+_ROW_SPACING = 2.0  # of these, between two rows that are kept
 MOST_ROWS = 600  # that are kept
 _MAX_READ = 120_000  # rows of a run; of longer ones every second, third, ... is used
 _MIN_ROWS = 12  # that are kept
 _SLOW = 0.01  # rad/s or m/s, up to which Coulomb friction may hold the joint
 _TURNING = 0.999  # mean of the sign of the velocity, below which it turns
-_FULL = 0.95  # of a torque limit, from which on a drive may give no more
-_NOISE = -0.35  # correlation of second differences, below which they are noise
+_SATURATED = 0.95  # of a torque limit, from which on a drive may give no more
+_NOISE_CORRELATION = -0.35  # correlation of second differences, below which they are noise
 _STOP = 0.005  # of a joint's range, from which on it is at an end of it
 _MIN_SCALE = 1e-3  # Nm or N, of joints that have no limit and feel nothing
-_MOVE = 1e-4  # s, by which the Jacobian is moved to find its derivative
+_DIFFERENCE_STEP = 1e-4  # s, by which the Jacobian is moved to find its derivative
 
 # s, which sensors and drives may be late by; between two of them what they do is interpolated.
 DELAYS = 0.002 * np.arange(1, 51)
@@ -162,7 +162,7 @@ def torque_residuals(
     if len(low_pass.times) < _MIN_ROWS:
         raise UsageError(
             f"{log.name} has {log.times[-1] - log.times[0]:.3g} s of '{name}'; expected at least "
-            f"{_MIN_ROWS * low_pass.step + 2 * _REACH * low_pass.width:.2g} s"
+            f"{_MIN_ROWS * low_pass.step + 2 * _SUPPORT * low_pass.width:.2g} s"
         )
     model = _link_torques(robot, q, v, a)
     dynamics = robot_dynamics(robot)
@@ -189,7 +189,7 @@ def torque_residuals(
         ratio = dynamics.motor_inertias / felt
     # What the loop asks of the drive, which saturates.
     asked, most = measured + ratio * lag, _scale(robot, np.full_like(measured, np.inf))
-    saturated = np.abs(asked) > _FULL * most
+    saturated = np.abs(asked) > _SATURATED * most
     looped = low_pass(np.where(saturated, np.nan, lag)) - felt * acceleration
     for each in (plain, looped):
         each[turns] = np.nan
@@ -298,8 +298,8 @@ class _LowPass:
         self, at: Array, step: float, wanted: Array | None, most: int, window: float
     ) -> None:
         self.width = max(window, step)
-        reach = int(np.ceil(_REACH * self.width / step))
-        every = max(int(_EVERY * self.width / step), -(-len(at) // most), 1)
+        reach = int(np.ceil(_SUPPORT * self.width / step))
+        every = max(int(_ROW_SPACING * self.width / step), -(-len(at) // most), 1)
         self.step = every * step
         rows = np.arange(reach, len(at) - reach, every)
         if wanted is not None:
@@ -368,7 +368,9 @@ def _payload_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
         return table.jacobian(angles, base, flange, robot.flange_link)
 
     J = jacobian(q)
-    change = (jacobian(q + _MOVE * v) - jacobian(q - _MOVE * v)) / (2.0 * _MOVE)
+    change = (jacobian(q + _DIFFERENCE_STEP * v) - jacobian(q - _DIFFERENCE_STEP * v)) / (
+        2.0 * _DIFFERENCE_STEP
+    )
     velocity = np.einsum("tij,tj->ti", J, v)
     acceleration = np.einsum("tij,tj->ti", J, a) + np.einsum("tij,tj->ti", change, v)
     acceleration[:, 2] += GRAVITY
@@ -424,7 +426,7 @@ def _roughness(measured: Array, commanded: Array, step: float) -> tuple[Array, A
     rough = np.median(np.abs(stretches), axis=1) / 0.6745 / np.sqrt(6.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         alike = (stretches[:, 1:] * stretches[:, :-1]).sum(axis=1) / (stretches**2).sum(axis=1)
-    rough = np.where(alike < _NOISE, rough, 0.0)
+    rough = np.where(alike < _NOISE_CORRELATION, rough, 0.0)
     begins = np.asarray(np.arange(count) * (size * step), np.float64)
     return np.asarray(rough, np.float64), begins
 
