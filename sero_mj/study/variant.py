@@ -16,7 +16,7 @@ from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
 from ..simulate.simulation import Simulation
 
-# Of every robot, all in Nm but the share: of its worst joint, over the whole run.
+# Of every robot, all in Nm except the share: of its worst joint, over the whole run.
 PER_ROBOT = ("peak_torque_error", "rms_torque_error", "peak_torque_share", "findings")
 UNITS = {"peak_torque_error": "Nm", "rms_torque_error": "Nm", "peak_torque_share": "of the limit"}
 
@@ -37,11 +37,11 @@ def outcome_columns(scenario: Scenario) -> list[str]:
 
 
 class VariantRunner:
-    """Runs variants of one scenario, one after the other, and keeps no logs.
+    """Runs variants of one scenario sequentially, without keeping logs.
 
     Args:
         file: the scenario's.
-        fixed: dotted keys that are set in all of them.
+        fixed: dotted keys set in all of them.
     """
 
     def __init__(self, file: Path, fixed: Mapping[str, Any]) -> None:
@@ -49,9 +49,9 @@ class VariantRunner:
         self._compiler = Compiler()
 
     def run(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Runs the variant with these values, and returns what is known of it.
+        """Runs the variant with these values, and returns its results.
 
-        Nothing that goes wrong in it is raised: it is the variant's `error`.
+        Errors are not raised, but returned as the variant's `error`.
         """
         found: dict[str, Any] = {"held": False, "error": "", "ended": 0.0}
         try:
@@ -73,14 +73,14 @@ class VariantRunner:
             held = all(found[f"expect.{name}"] for name in scenario.expect)
             found["held"] = held and not found["error"]
         except DeclarationError as error:
-            # The file is the same in all of them, and so is where it stands.
+            # File and line are the same in all of them.
             found["error"] = "; ".join(
                 ": ".join(filter(None, (problem.key, problem.message)))
                 for problem in error.problems
             )
         except SeroError as error:
             found["error"] = str(error)
-        except Exception as error:  # a fault in this program shall not end ten thousand runs
+        except Exception as error:  # a bug must not end ten thousand runs
             found["error"] = f"{type(error).__name__}: {error}"
         found["error"] = " ".join(found["error"].split())  # a row is one line
         return found
