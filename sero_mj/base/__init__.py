@@ -1,6 +1,6 @@
-"""What all wings stand on.
+"""Foundations shared by all wings.
 
-In: nothing of ours. Out: errors that keep what they are about, frames, declarations checked by
-pydantic, TOML files with lines and nearest names, where shipped files are, and entry points.
+In: nothing of ours. Out: errors with their data as attributes, frames, declarations checked by
+pydantic, TOML files with lines and nearest names, paths of shipped files, and entry points.
 Open first: `errors.py`; then `declaration.py` and `plugins.py`.
 """

@@ -1,7 +1,7 @@
-"""What all that is declared in files shares: fields that are checked all at once.
+"""The base of all declarations in files: fields that are checked together.
 
-A `Declaration` is a pydantic model that refuses unknown keys and turns everything that is wrong
-with its fields into `Problem`s that say what was found and what would be right.
+A `Declaration` is a pydantic model that refuses unknown keys and converts all errors of its fields
+to `Problem`s that state what was found and what would be right.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ if TYPE_CHECKING:
     class _Model:
         """`BaseModel` for type checkers.
 
-        They would ask for the types that fields have, where lists are taken for arrays, and for
-        fields whose default is a positional argument; so all keywords are free to them. What is
-        wrong is told when a declaration is made.
+        They would require the types of fields, although lists are accepted for arrays, and fields
+        whose default is a positional argument; so all keywords are allowed. Errors are reported
+        when a declaration is created.
         """
 
         model_config: ClassVar[ConfigDict]
@@ -69,10 +69,10 @@ class Declaration(_Model):
     """Base of everything that can be declared in a file or built in Python.
 
     Attributes:
-        renamed: names that fields had in earlier versions, and still may have in files.
+        renamed: names of fields in earlier versions, still accepted in files.
 
     Raises:
-        DeclarationError: with one `Problem` for everything that is wrong.
+        DeclarationError: with a `Problem` for each error.
     """
 
     renamed: ClassVar[Mapping[str, str]] = {}
@@ -99,18 +99,18 @@ class Declaration(_Model):
             raise DeclarationError([p for p in problems if p.message]) from None
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Sets a field, if the declaration is still right with it; else changes nothing."""
+        """Sets a field if the declaration remains valid; else changes nothing."""
         if name.startswith("_"):
             super().__setattr__(name, value)
             return
         fields = type(self).model_fields
         kept = {key: held for key, held in self.__dict__.items() if key in fields}
-        # What is set in degrees replaces the same in radians, and has become that itself before.
+        # A field set in degrees replaces the one in radians, to which the old one was converted.
         kept = {
             key: held for key, held in kept.items() if f"{key}_deg" != name and key[-4:] != "_deg"
         }
         checked = type(self)(**{**kept, name: value})
-        self.__dict__.clear()  # computed properties go as well
+        self.__dict__.clear()  # also removes cached properties
         self.__dict__.update(checked.__dict__)
         self.__pydantic_fields_set__.add(name)
 
@@ -159,7 +159,7 @@ def numbers(value: Any) -> Array:
 def of_shape(*shape: int | None) -> BeforeValidator:
     """Returns a validator for arrays of that shape; None is any length.
 
-    A flat list is taken for rows when it fills whole rows, as the paper writes `dhParams`.
+    A flat list is split into rows if it fills whole rows, like `dhParams` in the paper.
     """
     names = iter("nm") if len(shape) > 1 and None in shape[1:] else iter("nn")
     wanted = " x ".join(next(names) if length is None else str(length) for length in shape)
@@ -188,10 +188,10 @@ def _in_range(rgba: Array) -> Array:
 
 
 def is_name(text: str) -> str:
-    """Returns the text, if it can name a robot, a source or an object in routes and models.
+    """Returns the text if it is a valid name of a robot, a source or an object.
 
     Raises:
-        ValueError: it has other characters.
+        ValueError: it has invalid characters.
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", text):
         raise ValueError(
@@ -273,24 +273,24 @@ _MESSAGES: dict[str, Callable[[ErrorDetails, type[Declaration]], str]] = {
 
 
 def by_kind(table: Any, kinds: Mapping[str, type[T]], base: type[T]) -> T:
-    """Builds the declaration that a table's `kind` names; returns an instance of `base` as it is.
+    """Builds the declaration of a table's `kind`; returns an instance of `base` unchanged.
 
     Args:
-        table: as a file has it.
+        table: as in a file.
         kinds: name to class; each has a field `kind`.
         base: of all of these classes.
 
     Raises:
-        DeclarationError: there is no such kind, or fields are wrong.
+        DeclarationError: there is no such kind, or fields are invalid.
     """
     return table if isinstance(table, base) else kinds[kind_of(table, kinds)](**table)
 
 
 def kind_of(table: Any, kinds: Collection[str]) -> str:
-    """The `kind` that a table names.
+    """The `kind` of a table.
 
     Raises:
-        DeclarationError: it is no table, or there is no such kind.
+        DeclarationError: it is not a table, or there is no such kind.
     """
     if not isinstance(table, Mapping):
         raise DeclarationError([Problem("", f"found {table!r}; expected a table with `kind`")])

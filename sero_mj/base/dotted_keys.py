@@ -1,4 +1,4 @@
-"""Dotted keys, `dynamics.coulomb_friction[1]`, by which options set values over those of files."""
+"""Dotted keys, `dynamics.coulomb_friction[1]`, with which options override values of files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def parts_of(key: str) -> list[str | int]:
     """Returns names and indices of a dotted key, outermost first.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is not a dotted key.
     """
     parts: list[str | int] = []
     for text in key.split("."):
@@ -37,26 +37,25 @@ def with_value(
     n: int = 0,
     lists: Mapping[str, int] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Returns a table in which a dotted key has a value; nothing that was handed in is changed.
+    """Returns a copy of a table in which a dotted key has a value.
 
     Args:
-        table: with other tables and lists in it.
-        parts: of the key, a name first; tables on the way are made where there are none.
-        value: a number becomes one for each element where a list of numbers stands, or belongs.
-        built: what was made of the table; lists that the table does not have are its arrays.
-        below: another table, over which this one is laid; lists and frames that this one does not
-            have are as they stand there.
-        n: number of elements that one number in the table stands for; 0 where it is only that.
-        lists: how many elements lists have that may not be there yet, by their names.
+        table: with nested tables and lists.
+        parts: of the key, a name first; missing tables are created.
+        value: a number replaces every element of a list of numbers.
+        built: the object built from the table; missing lists are taken from its arrays.
+        below: another table that this one overrides; missing lists and frames are taken from it.
+        n: number of elements that a single number in the table stands for; 0 for a scalar.
+        lists: lengths of lists that may be missing, by their names.
 
     Raises:
-        ValueError: a part is in no table or list.
+        ValueError: a part does not exist.
     """
     changed = dict(table)
     name, *rest = parts
     own = built.get(name) if isinstance(built, Mapping) else getattr(built, str(name), None)
     under = below.get(name) if isinstance(below, Mapping) else None
-    # A frame is replaced as a whole; of other tables what is set here is laid over the rest.
+    # A frame is replaced as a whole; other tables are merged.
     found: Any = table.get(str(name))
     if found is None and (isinstance(under, list) or hasattr(own, "tolist")):
         found = own if under is None else under
@@ -92,14 +91,14 @@ def with_value(
 def lacking(
     section: str, name: str, problems: Iterable[Problem], keys: Collection[str], others: list[str]
 ) -> str | None:
-    """Says what a table lacks that is in no file; None where only what is set in it is wrong.
+    """Describes what a table that is not in a file lacks; None if only its values are wrong.
 
     Args:
-        section: that it is in.
-        name: of it in there.
-        problems: why nothing could be built of it, by keys inside it.
-        keys: dotted keys by which it was made.
-        others: names of the tables that are in the file.
+        section: of the table.
+        name: of the table.
+        problems: why it could not be built, by its keys.
+        keys: dotted keys that created it.
+        others: names of the tables in the file.
     """
     for problem in problems:
         place = f"{section}.{name}.{problem.key}."
@@ -111,7 +110,7 @@ def lacking(
 
 
 def no_table(section: str, name: str, others: Iterable[str]) -> str:
-    """Says that a table is not there, with the nearest name."""
+    """Reports a missing table, with the nearest name."""
     return f"there is no [{section}.{name}]{did_you_mean(name, others)}"
 
 

@@ -1,4 +1,4 @@
-"""Every exception of sero-mj.
+"""All exceptions of sero-mj.
 
     SeroError
     ├── DeclarationError      a robot, scene or source is declared wrongly (lists every problem)
@@ -13,8 +13,8 @@
     ├── RenderError           no picture can be made (no GL, no room for the file)
     └── UsageError            a command line that asks for something impossible
 
-Errors take the objects at fault, keep them as attributes and build the text themselves, so
-that every place that meets the same fault says the same sentence.
+Errors take the objects at fault, store them as attributes and build the text themselves, so that
+the same fault has the same message everywhere.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-_MAX_SHOWN = 60  # characters of a long text on either side of what is wrong
+_MAX_SHOWN = 60  # characters of a long text on either side of the error
 
 
 def nearest(name: str, available: Iterable[str]) -> str | None:
-    """Returns the available name that `name` most likely was meant to be, or None."""
+    """Returns the available name most similar to `name`, or None."""
     by_lower = {candidate.lower(): candidate for candidate in available}
     close = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
     return by_lower[close[0]] if close else None
 
 
 def reason_of(error: Exception) -> str:
-    """What an error says; of one of the operating system without its number and file."""
+    """The message of an error; for operating system errors without number and file."""
     return getattr(error, "strerror", None) or str(error)
 
 
@@ -60,7 +60,7 @@ class SeroError(Exception):
     """Base of every error that sero-mj raises on purpose; it can be pickled."""
 
     def __reduce__(self) -> tuple[Callable[..., SeroError], tuple[object, ...]]:
-        """Returns what makes it anew from its text: each kind takes other arguments."""
+        """Returns how to recreate it from its text, because arguments differ by class."""
         return _made_again, (type(self), self.args, self.__dict__)
 
 
@@ -75,13 +75,13 @@ def _made_again(
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong in a declaration.
+    """An error in a declaration.
 
     Attributes:
         key: dotted key, e.g. `robots.lwr.dh_params`; empty for the file as a whole.
         message: what was found and what would be right.
-        file: the file the key stands in, or None when declared in Python.
-        line: its line in that file, where known.
+        file: the file of the key, or None when declared in Python.
+        line: its line in that file, if known.
     """
 
     key: str
@@ -104,12 +104,13 @@ class Problem:
 class DeclarationError(SeroError, ValueError):
     """A robot, source or scene is declared wrongly; `problems` lists all of it at once.
 
-    Those of one file stand in the order of its lines.
+    Those of one file are sorted by line.
     """
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         files = list(dict.fromkeys(problem.file for problem in problems))
-        # Of one file by their lines; those without one, and those of Python, as they were found.
+        # Sorted by line within a file; those without a line, and those of Python, in order of
+        # detection.
         self.problems = sorted(
             problems, key=lambda each: (files.index(each.file), each.line or sys.maxsize)
         )
@@ -129,9 +130,9 @@ class UnknownName(SeroError, KeyError):
     """A name that does not exist among those available.
 
     Attributes:
-        kind: what was looked for, e.g. `camera`.
-        name: the name that was given.
-        available: the names that exist; `hint` stands instead of them where one is known.
+        kind: of the name, e.g. `camera`.
+        name: the unknown name.
+        available: existing names; replaced by `hint` if there is one.
     """
 
     def __init__(self, kind: str, name: str, available: Iterable[str], hint: str = "") -> None:
@@ -177,7 +178,7 @@ class RouteError(SeroError, ValueError):
 
 
 def _pointing(text: str, position: int, length: int) -> str:
-    """Names the characters of a text at which something is wrong."""
+    """Quotes the characters of a text at an error."""
     end = min(position + length, position + _MAX_SHOWN)
     found = f"'{text[position:end]}'" if position < len(text) else "the end"
     first, last = max(position - _MAX_SHOWN, 0), end + _MAX_SHOWN
@@ -220,8 +221,8 @@ class CsvError(SeroError, ValueError):
     Attributes:
         path: the file.
         reason: what was found and what would be right.
-        line: its line, from 1, where one is at fault.
-        column: the name of its column, where one is at fault.
+        line: its line, from 1, if one is at fault.
+        column: the name of its column, if one is at fault.
     """
 
     def __init__(
@@ -236,11 +237,11 @@ class CsvError(SeroError, ValueError):
 
 
 class SimulationError(SeroError, RuntimeError):
-    """A simulation that cannot go on; what was recorded until then is kept.
+    """A simulation that cannot continue; data recorded so far is kept.
 
     Attributes:
-        time: when, s.
-        joint: where, e.g. `lwr/A3`, or the name of what else is at fault.
+        time: of the error, s.
+        joint: e.g. `lwr/A3`, or the name of another element at fault.
         reason: what was found and what would be right.
     """
 

@@ -22,7 +22,7 @@ RowIndex = int | EllipsisType
 
 _NICE = (1.0, 2.0, 5.0)
 _ROTATION_KEYS = ("rpy", "rpy_deg", "quat")
-# A frame typed with four digits (0.7071) is meant to be a rotation; one off by more is a mistake.
+# A frame typed with four digits (0.7071) is accepted as a rotation; larger errors are mistakes.
 _TYPED_ROTATION_TOLERANCE = 1e-3
 
 
@@ -50,7 +50,7 @@ def rotation_about(axis: int, angle: float | Array) -> Array:
 
 
 def rotation_to_z(rotation: Array, axis: Array) -> Array:
-    """Returns the rotation (3, 3) nearest to another one whose z axis is this one.
+    """Returns the rotation (3, 3) with a given z axis nearest to another rotation.
 
     Args:
         rotation: (3, 3).
@@ -148,7 +148,7 @@ def rotation_angles(rotations: Array) -> Array:
 
 
 def frame_from(value: Any, numbers: Callable[[Any], Array]) -> Array:
-    """Reads a frame as a file or a user writes it.
+    """Parses a frame as written in a file or by a user.
 
     Args:
         value: 4x4 rows, 16 numbers row by row, or a mapping with `xyz` (m) and one of
@@ -176,7 +176,7 @@ def nearest_rotation(matrix: Array) -> Array:
     """Returns the rotation nearest to a matrix typed with few digits; an exact one unchanged.
 
     Raises:
-        ValueError: it is no rotation, not even roughly, or it is a mirror image.
+        ValueError: it is not even approximately a rotation, or it is a reflection.
     """
     # Entries far above 1 are refused before their squares overflow.
     far = np.abs(matrix).max() > 2.0
@@ -221,6 +221,6 @@ def _frame_from_table(table: Mapping[str, Any], numbers: Callable[[Any], Array])
 
 
 def round_down_1_2_5(value: float) -> float:
-    """Returns the largest of 1, 2, 5 times a power of ten that is not above a positive value."""
+    """Returns the largest 1, 2 or 5 times a power of ten that does not exceed a positive value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(step for step in _NICE if step * power <= value * (1 + 1e-9)) * power)

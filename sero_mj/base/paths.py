@@ -1,4 +1,4 @@
-"""Finds shipped and named files, and opens them without waiting or reading without end.
+"""Finds shipped and named files, and opens them without blocking or unbounded reading.
 
 `models/` and `scenes/` are in the wheel, or beside the package in a checkout.
 """
@@ -21,7 +21,7 @@ from .plugins import IMPORTERS, load_all
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
 # Of robot files in other formats than TOML.
 _TELLS_NOTHING = ("robot", "model", "scene", "main")
-# In folders of others: what shows a robot on a floor, and where models are if not in the folder.
+# In third-party folders: the scene with a floor, and subfolders that may contain models.
 _SCENE_FILE, _INNER = "scene.xml", ("mjcf", "urdf", "robots")
 _MODELS = ("a URDF file", "an MJCF file")
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -42,7 +42,7 @@ _ROOTS = {
     "COLLADA": "a mesh (COLLADA)",
     "X3D": "X3D in the XML encoding",
 }
-_HEAD = 100_000  # bytes by which a file's format is found
+_HEAD_BYTES = 100_000  # bytes used to detect a file's format
 
 
 def _shipped(folder: str) -> Path:
@@ -62,12 +62,12 @@ def scenes_dir() -> Path:
 
 
 def robot_endings() -> tuple[str, ...]:
-    """Endings of robot files in formats of others, see `robots.importers.importer`."""
+    """Extensions of robot files in other formats, see `robots.importers.importer`."""
     return _endings(of_scenes=False)
 
 
 def scene_endings() -> tuple[str, ...]:
-    """Endings of scene files in formats of others."""
+    """Extensions of scene files in other formats."""
     return _endings(of_scenes=True)
 
 
@@ -95,14 +95,14 @@ def list_scenes() -> list[str]:
 
 
 def list_all() -> list[str]:
-    """Names of all that is shipped: robots, groups of robots, scenes and scenarios."""
+    """All shipped names: robots, groups of robots, scenes and scenarios."""
     return [*list_models(), *list_group_models(), *list_scenes(), *list_scenarios()]
 
 
 def shipped_file(name: str) -> Path | None:
-    """Returns the file of a shipped scene, scenario, robot or group; None where there is none.
+    """Returns the file of a shipped scene, scenario, robot or group; None for other names.
 
-    Of several of that name it is the one that `load_scene` takes.
+    If ambiguous, it is the one used by `load_scene`.
     """
     candidates = (
         scenes_dir() / f"{name}.toml",
@@ -114,11 +114,11 @@ def shipped_file(name: str) -> Path | None:
 
 
 def find_model(name: str, beside: Path | None = None) -> Path:
-    """Returns the robot file that `name` means.
+    """Returns the robot file of a name.
 
     Args:
         name: a shipped robot's name, a folder with a `robot.toml`, or a file: TOML, or one of
-            `robot_endings()`. Of another folder it is the file `scene.xml`, else its one URDF or
+            `robot_endings()`. In other folders it is the file `scene.xml`, else the only URDF or
             MJCF.
         beside: folder that relative paths start from; the working directory when None.
 
@@ -130,7 +130,7 @@ def find_model(name: str, beside: Path | None = None) -> Path:
 
 
 def find_group_model(name: str, beside: Path | None = None) -> Path:
-    """Returns the file of the group of robots that `name` means; as `find_model` does.
+    """Returns the file of a group of robots by its name, like `find_model`.
 
     Args:
         name: a shipped group's name, a folder with a `group.toml`, or a TOML file.
@@ -161,7 +161,7 @@ def _plain(path: Path) -> Path:
 
 
 def _model_in(folder: Path) -> Path | None:
-    """The model of a folder of others: its scene, or else the only one; None for none.
+    """The model of a third-party folder: its scene, or else the only one; None for none.
 
     Raises:
         DeclarationError: there are several.
@@ -181,7 +181,7 @@ def _model_in(folder: Path) -> Path | None:
 
 
 def _models_in(folder: Path, file: str) -> list[str]:
-    """Names of the folders in a folder that hold such a file; none where it cannot be read."""
+    """Names of subfolders that contain such a file; none if the folder is unreadable."""
     try:
         return sorted(path.parent.name for path in folder.glob(f"*/{file}"))
     except OSError:
@@ -189,10 +189,10 @@ def _models_in(folder: Path, file: str) -> list[str]:
 
 
 def _refuse_path(name: str, beside: Path | None = None) -> None:
-    """Says what is wrong with a name that is meant as a path, where a list would not help.
+    """Reports the error of a name that is meant as a path, where a list would not help.
 
     Raises:
-        DeclarationError: it ends as a file does, and there is no such file.
+        DeclarationError: it has a file's extension, but there is no such file.
     """
     path = (beside or Path()) / name
     ending = path.suffix.lower()
@@ -202,7 +202,7 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     if not is_read and os.path.exists(path) and not os.path.isdir(path):
         try:
             with open_file(path) as file:
-                found = format_of(file.read(_HEAD)) or "no file of a robot or a scene"
+                found = format_of(file.read(_HEAD_BYTES)) or "no file of a robot or a scene"
         except OSError as error:
             what = f"cannot be read: {error.strerror}"
         else:
@@ -226,12 +226,12 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
 
 
 def _toml_files(folder: Path) -> list[str]:
-    """Names of the TOML files of a folder, without their ending; none where it cannot be read."""
+    """Names of the TOML files of a folder, without extension; none if it is unreadable."""
     return [Path(name).stem for name in _files(folder, ".toml")]
 
 
 def format_of(contents: bytes) -> str | None:
-    """Says in which format of others a robot or a scene is, `an SDF file`; None for none known."""
+    """The third-party format of a robot or a scene, `an SDF file`; None if unknown."""
     contents = contents.removeprefix(b"\xef\xbb\xbf")
     if _USD.match(contents):
         return "a USD file"
@@ -242,21 +242,21 @@ def format_of(contents: bytes) -> str | None:
 
 
 def read_head(path: Path) -> bytes:
-    """The first 100 kB of a file; nothing of one that cannot be read."""
+    """The first 100 kB of a file; empty if it is unreadable."""
     try:
         with open_file(path) as file:
-            return file.read(_HEAD)
+            return file.read(_HEAD_BYTES)
     except (OSError, ValueError):
         return b""
 
 
 def format_of_file(path: Path) -> str | None:
-    """As `format_of`; None for a file that cannot be read, too."""
+    """As `format_of`; also None for an unreadable file."""
     return format_of(read_head(path))
 
 
 def _files(folder: Path, ending: str) -> list[str]:
-    """Names of the files of a folder with this ending; none where it cannot be read."""
+    """Names of the files of a folder with this extension; none if it is unreadable."""
     try:
         return sorted(path.name for path in folder.glob(f"*{ending}"))
     except (OSError, ValueError):
@@ -266,7 +266,7 @@ def _files(folder: Path, ending: str) -> list[str]:
 def model_name(path: Path) -> str:
     """The name of the robot or group of a file: of its folder, or else of the file itself.
 
-    Of the folder as well for an MJCF whose name tells nothing, as `panda/robot.xml`.
+    Also the folder's for an MJCF with a generic name, such as `panda/robot.xml`.
     """
     if path.suffix == ".toml":
         return path.parent.name
@@ -277,7 +277,7 @@ def model_name(path: Path) -> str:
 
 
 def file_hint(name: str) -> str:
-    """Points to NAME.toml in the working directory, where only NAME was given; else empty."""
+    """Suggests NAME.toml in the working directory if only NAME was given; else empty."""
     if "\0" in name or not os.path.isfile(Path(f"{name}.toml")):
         return ""
     return f"; a file is named with its ending: {name}.toml"
@@ -294,7 +294,7 @@ def list_scenarios() -> list[str]:
 
 
 def find_scenario(name: str) -> Path:
-    """Returns the scenario file that `name` means: a TOML file, or a shipped scenario's name.
+    """Returns the scenario file of a name: a TOML file, or a shipped scenario's name.
 
     Raises:
         UnknownName: nothing of that name exists; lists the shipped scenarios.
@@ -303,7 +303,7 @@ def find_scenario(name: str) -> Path:
 
 
 def find_scene(name: str) -> Path:
-    """Returns the scene file that `name` means: a TOML file, or a shipped scene's name.
+    """Returns the scene file of a name: a TOML file, or a shipped scene's name.
 
     Raises:
         UnknownName: nothing of that name exists; lists the shipped scenes.
@@ -326,19 +326,19 @@ def _temporary() -> tempfile.TemporaryDirectory[str]:
 
 
 def make_temporary_folder() -> Path:
-    """Makes a folder that ends with this process."""
+    """Creates a folder that is removed when this process ends."""
     return Path(tempfile.mkdtemp(dir=_temporary().name)).resolve()
 
 
 def is_temporary(path: Path | str) -> bool:
-    """Whether a file is in a folder that ends with this process."""
+    """Whether a file is in a temporary folder of this process."""
     if not _temporary.cache_info().currsize:  # nobody has made one
         return False
     return Path(path).is_relative_to(Path(_temporary().name).resolve())
 
 
 def without_temporary(text: str) -> str:
-    """Returns a message with files of such folders, which say nothing, by their paths in there."""
+    """Returns a message with files of temporary folders by their relative paths."""
     if not _temporary.cache_info().currsize:
         return text
     folder = re.escape(str(Path(_temporary().name).resolve()))
@@ -346,18 +346,18 @@ def without_temporary(text: str) -> str:
 
 
 def open_file(path: Path | str, most: int | None = None) -> BinaryIO:
-    """Opens a file to be read.
+    """Opens a file for reading.
 
     Args:
         path: of the file.
-        most: bytes that it may have.
+        most: maximum size, bytes.
 
     Raises:
-        OSError: it cannot be opened, is no regular file (a pipe would keep its reader waiting, a
-            device may have no end), or is longer; `strerror` says so.
-        ValueError: no file can have this name.
+        OSError: it cannot be opened, is not a regular file (a pipe would block, a device may be
+            endless), or is longer; `strerror` says so.
+        ValueError: the name is invalid.
     """
-    # Without O_NONBLOCK a pipe keeps even its opener waiting.
+    # Without O_NONBLOCK even opening a pipe would block.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     file = os.open(path, flags)
     try:
@@ -377,13 +377,13 @@ def open_file(path: Path | str, most: int | None = None) -> BinaryIO:
 
 
 def read_file(path: Path | str, most: int) -> bytes:
-    """Returns what is in a file of at most so many bytes; raises as `open_file` does."""
+    """Returns the contents of a file of at most `most` bytes; raises as `open_file` does."""
     with open_file(path, most) as file:
         return file.read(most)
 
 
 def argument_of(file: Path) -> str:
-    """Returns what commands call a file: its name where it is shipped, else its path from here."""
+    """Returns a file's argument for commands: its name if shipped, else its relative path."""
     name = model_name(file) if file.name == ROBOT_FILE else file.stem
     for find in (find_scene, find_scenario, find_model, find_group_model):
         try:

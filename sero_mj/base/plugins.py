@@ -1,4 +1,4 @@
-"""What other packages add: entry points, by which sero-mj's own parts are found as well.
+"""Extensions by other packages: entry points, also used for sero-mj's own parts.
 
     sero_mj.importers       files of robots, see `robots.importers.importer.Importer`
     sero_mj.sources         kinds of sources in scenes, see `data.receive.source.Source`
@@ -112,14 +112,14 @@ def plugin_name(group: str, item: type) -> str:
     """The name under which a class is an entry point of a group.
 
     Raises:
-        UnknownName: it is none.
+        UnknownName: it is not an entry point.
     """
     value = f"{item.__module__}:{item.__qualname__}"
     found = plugins(group)
     for name, point in found.items():
         if point.value == value:
             return name
-    for name, point in found.items():  # its package may export it from another module
+    for name, point in found.items():  # its package may re-export it from another module
         with suppress(Exception):
             if not is_own(point) and point.load() is item:
                 return name

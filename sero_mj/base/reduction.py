@@ -1,4 +1,4 @@
-"""Fewer numbers out of many: peak, root mean square, and the envelope of a curve."""
+"""Data reduction: peak, root mean square, and the envelope of a curve."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from .frames import Array
 
 
 def envelope(times: Array, values: Array, bins: int) -> tuple[Array, Array]:
-    """Keeps the smallest and the largest value of every stretch, at their own times.
+    """Keeps the smallest and the largest value of every interval, at their own times.
 
-    Every point that is returned is one that was given, so that no peak is lost or lowered. Where
-    there are few rows, all of them are returned. A stretch without any number is a gap.
+    Every returned point is an input point, so that no peak is lost or lowered. If there are few
+    rows, all of them are returned. An interval without any number is a gap.
 
     Args:
         times: (T,), rising.
-        values: (T,), NaN where nothing is known.
-        bins: stretches of equally many rows; up to twice as many points are kept.
+        values: (T,), NaN where unknown.
+        bins: intervals with equal numbers of rows; up to twice as many points are kept.
 
     Returns:
         times and values of the points, (k,) each.
@@ -32,19 +32,19 @@ def envelope(times: Array, values: Array, bins: int) -> tuple[Array, Array]:
     first = np.arange(len(stretches)) * size
     low = first + np.argmin(np.where(known, stretches, np.inf), axis=1)
     high = first + np.argmax(np.where(known, stretches, -np.inf), axis=1)
-    # The first and the last row as well, so that lines begin and end where they do.
+    # Also the first and the last row, so that lines have the same begin and end.
     kept = np.unique(np.concatenate([low, high, [0, count - 1]]))
     return times[kept], values[kept]
 
 
 def peak(values: Array) -> int | None:
-    """Row of the value (T,) of the greatest size; None where nothing is known."""
+    """Row of the value (T,) of largest magnitude; None if all are unknown."""
     if not np.isfinite(values).any():
         return None
     return int(np.argmax(np.where(np.isfinite(values), np.abs(values), -1.0)))
 
 
 def rms(values: Array) -> float:
-    """Root mean square of the known ones among values (T,); NaN where nothing is known."""
+    """Root mean square of the known values (T,); NaN if all are unknown."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan

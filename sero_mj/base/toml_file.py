@@ -1,4 +1,4 @@
-"""A TOML file with the line of every key, for errors that say where."""
+"""Reads TOML files with the line of every key, for error messages."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from .paths import format_of, read_file
 _MCAP = b"\x89MCAP"
 _MAX_BYTES = 20_000_000
 _MAX_PARTS = 100  # of a dotted key; reading one takes the square of it
-# Of keys and tables, each of which is a table of 1 kB while it is read, and of texts and numbers.
+# Of keys and tables, each of which takes 1 kB while parsing, and of strings and numbers.
 _MAX_NAMES, _MAX_VALUES = 100_000, 2_000_000
-# Quotes and comments go whole; one that is not closed ends with its line.
+# Quotes and comments match as a whole; an unclosed one ends with its line.
 _LONG_TEXT = (
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\Z)'
     r"|'''(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"
@@ -33,7 +33,7 @@ _TOKENS = re.compile(
 )
 _PART = r"""(?>[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _PARTS = re.compile(_PART, re.DOTALL)
-# Whatever may be a key goes whole. One has a sign of equality behind it, or is a header by itself.
+# Possible keys match as a whole. A key is followed by an equals sign, or is a header.
 _NAMES_AND_VALUES = re.compile(
     rf"{_LONG_TEXT}|\#[^\n]*+"
     r"|(?P<numbers>(?:[-+]?[0-9][-+0-9.eE_]*+\s*+,\s*+)++)"
@@ -76,8 +76,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     """Parses TOML.
 
     Raises:
-        ValueError: it is none, or has so much in it, or so deep, that it would take all memory;
-            says where.
+        ValueError: it is invalid, or too large or deeply nested for the memory; says where.
     """
     _check_counts(text)
     try:
@@ -114,7 +113,7 @@ def _as_text(contents: bytes) -> str:
 
 
 def _other_format(contents: bytes) -> str | None:
-    """What a file is that somebody took for a scene or a robot, and what to do with it."""
+    """The format of a file mistaken for a scene or a robot, and what to do with it."""
     if contents.startswith(_MCAP):
         return "is a recording; expected a TOML file, and the recording behind --replay"
     if (found := format_of(contents)) is None:
@@ -126,9 +125,9 @@ def _other_format(contents: bytes) -> str | None:
 def key_lines(path: Path) -> dict[str, int]:
     """Returns the line number of each dotted key and table header.
 
-    The file is cut into its statements, and each is parsed by itself, so that quotes, dots,
-    inline tables and values over several lines mean what they mean in TOML. An entry of an array
-    has the line where it begins; any other key inside a value has that of its statement.
+    The file is split into statements, each parsed separately, so that quotes, dots, inline tables
+    and multi-line values are handled as in TOML. An entry of an array has the line of its begin;
+    any other key inside a value has that of its statement.
     """
     lines: dict[str, int] = {}
     try:
@@ -183,12 +182,12 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str, int]]:
-    """How many lines below its statement's first one each entry of an array begins.
+    """Line offsets of an array's entries from the first line of their statement.
 
-    What stands up to the end of a line is an array as well, once it is closed there.
+    The text up to the end of a line is parsed as an array after closing it there.
 
     Returns:
-        how many parts the dotted key of an entry has, and the lines by that key.
+        the number of parts of an entry's dotted key, and the lines by that key.
     """
     key = _array_in(parsed)
     rows = statement.rstrip("\n").split("\n")
@@ -210,7 +209,7 @@ def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str,
 
 
 def _array_in(parsed: dict[str, Any]) -> str:
-    """The dotted key of the array that a statement declares; empty where it declares none."""
+    """The dotted key of the array declared by a statement; empty for none."""
     keys: list[str] = []
     value: Any = parsed
     while isinstance(value, dict) and len(value) == 1:

@@ -1,4 +1,4 @@
-"""Two runs of a robot on one clock."""
+"""Aligns two runs of a robot in time."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ..simulate.runs.run_log import RunLog, compared_signal
 _MIN_OVERLAP = 0.3  # of the shorter one
 _MIN_SPEED = 1e-4  # rad/s or m/s, root mean square
 _MAX_ROWS = 2**21
-# By how much two shifts must differ in correlation so that the one with the longer overlap loses:
-# of a motion that repeats itself every period would do, and the nearest is meant.
-_FOR_OVERLAP = 0.1
+# The difference in correlation needed to beat a shift with a longer overlap: a periodic motion
+# matches at every period, and the nearest one is meant.
+_OVERLAP_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class Shift:
 
 
 def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array) -> Shift | None:
-    """Finds the shift of times of `b`, by the velocities of all joints together.
+    """Finds the shift of the times of `b` from the velocities of all joints together.
 
-    The normalised cross-correlation over every overlap of at least 30 % of the shorter motion, and
-    a parabola through its highest three values.
+    It maximizes the normalised cross-correlation over overlaps of at least 30 % of the shorter
+    motion, refined by a parabola through the highest three values.
 
     Args:
         times_a: (T,), s.
@@ -47,7 +47,7 @@ def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array)
         angles_b: (T', n).
 
     Returns:
-        None where one of them hardly moves.
+        the shift; None if one of them hardly moves.
     """
     spans = times_a[-1] - times_a[0], times_b[-1] - times_b[0]
     if min(spans) <= 0.0:
@@ -61,7 +61,7 @@ def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array)
         return None
     scores, correlation, first = _correlate(a, b)
     best = int(np.argmax(scores))
-    # The overlap chooses among hills; how high they are is the correlation alone.
+    # The overlap selects among peaks; their height is the correlation alone.
     while best + 1 < len(correlation) and correlation[best + 1] > correlation[best]:
         best += 1
     while best > 0 and correlation[best - 1] > correlation[best]:
@@ -78,7 +78,7 @@ def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array)
 def _correlate(a: Array, b: Array) -> tuple[Array, Array, int]:
     """Score and correlation for every lag of b in rows, and the first of these lags.
 
-    At lag k row i of `b` stands at row i + k of `a`.
+    At lag k row i of `b` is at row i + k of `a`.
     """
     length = len(a) + len(b) - 1
     size = 1 << (length - 1).bit_length()
@@ -94,16 +94,16 @@ def _correlate(a: Array, b: Array) -> tuple[Array, Array, int]:
     enough = (overlap >= _MIN_OVERLAP) & (energies > 1e-9 * energy_a[-1] * energy_b[-1])
     correlation = np.full(len(lags), -np.inf)
     correlation[enough] = raw[enough] / np.sqrt(energies[enough])
-    return correlation + _FOR_OVERLAP * np.minimum(overlap, 1.0), correlation, first
+    return correlation + _OVERLAP_WEIGHT * np.minimum(overlap, 1.0), correlation, first
 
 
 def _summed(velocities: Array) -> Array:
-    """Energy of all rows before each, (T + 1,)."""
+    """Cumulative energy of the rows before each row, (T + 1,)."""
     return np.concatenate([[0.0], np.cumsum(np.sum(velocities**2, axis=1))])
 
 
 def _velocities(times: Array, angles: Array, step: float) -> Array:
-    """By differences of angles at even times, (T, n)."""
+    """Differences of angles at equidistant times, (T, n)."""
     even = np.arange(times[0], times[-1] + 0.5 * step, step)
     sampled = np.stack([np.interp(even, times, column) for column in angles.T], axis=1)
     return np.asarray(np.gradient(sampled, step, axis=0)) if len(even) > 1 else sampled * 0.0
@@ -113,11 +113,11 @@ def _rms(velocities: Array) -> float:
     return float(np.sqrt(np.mean(velocities**2)))
 
 
-# What is compared, where both runs have it.
+# The compared signals, if both runs have them.
 COMPARED = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
-# Longer without a packet than this, and than so many packets, nothing is known in between.
+# A gap longer than this time and than this many packets is not interpolated.
 _GAP, _GAP_ROWS = 0.1, 5
-_MIN_CORRELATION = 0.5  # below, an offset that was found means nothing
+_MIN_CORRELATION = 0.5  # below, the offset is meaningless
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +128,9 @@ class Pair:
         robot: as the first run declares it.
         times: (T,), s, on the clock of the first run.
         a: signal to the first run's values, (T, n).
-        b: likewise of the second; NaN where it says nothing.
-        offset: what was added to the times of the second run, s.
-        correlation: of the motions where the offset was found, 1 for the same motion; else None.
+        b: likewise of the second; NaN where unknown.
+        offset: added to the times of the second run, s.
+        correlation: of the motions if the offset was estimated, 1 for the same motion; else None.
         names: of the two runs.
     """
 
@@ -146,36 +146,36 @@ class Pair:
         """First run less second, (T, n).
 
         Raises:
-            KeyError: one of them has no such signal.
+            KeyError: one of them lacks this signal.
         """
         return np.asarray(self.a[signal] - self.b[signal])
 
     @property
     def signals(self) -> list[str]:
-        """What both have."""
+        """The common signals."""
         return [signal for signal in COMPARED if signal in self.a and signal in self.b]
 
     @property
     def has_one_motion(self) -> bool:
-        """Whether both move alike by definition, as a robot and its own model."""
+        """Whether both have the same motion by definition, such as a robot and its model."""
         return self.a.get("joint_angles") is self.b.get("joint_angles")
 
 
 def align(
     a: RunLog, b: RunLog, robot: str | None = None, offset: float | Literal["auto"] = 0.0
 ) -> Pair:
-    """Puts two runs on one clock, at the times of the one with more rows per second.
+    """Resamples two runs at common times, those of the run with more rows per second.
 
-    In between values are interpolated linearly; not across gaps, though.
+    Values are interpolated linearly, except across gaps.
 
     Args:
         a: a run.
         b: another one.
         robot: its name in both; `NAME,NAME` where they differ. The only common one when None.
-        offset: s, added to the times of `b`; `auto` finds it by the velocities of the joints.
+        offset: s, added to the times of `b`; `auto` estimates it from the velocities of the joints.
 
     Raises:
-        UsageError: there is no such robot, or no time that both have; names what there is.
+        UsageError: there is no such robot, or no common time; names the existing ones.
     """
     of_a, of_b = choose_robots(a, b, robot)
     shift: Shift | None = None
@@ -214,15 +214,15 @@ def align(
 
 
 def pair_with_commands(log: RunLog, robot: str | None = None) -> Pair:
-    """The torques that a robot was commanded, and those that were measured, as if of two runs.
+    """The commanded and the measured torques of a robot as a pair of runs.
 
     Args:
         log: a run.
         robot: its name; the only one when None.
 
     Raises:
-        UsageError: there is no such robot, several of which one has to be chosen, or no torques of
-            one of both kinds.
+        UsageError: there is no such robot, there are several to choose from, or commanded or
+            measured torques are missing.
     """
     name = choose_robot(log, robot)
     for signal in ("torques", "commanded_torques"):
@@ -242,10 +242,10 @@ def pair_with_commands(log: RunLog, robot: str | None = None) -> Pair:
 
 
 def choose_robot(log: RunLog, name: str | None) -> str:
-    """The name of a robot in a run; of the only one when None.
+    """The name of a robot in a run; that of the only one when None.
 
     Raises:
-        UsageError: there is no such robot, or one has to be chosen.
+        UsageError: there is no such robot, or there are several.
     """
     if name is not None and name not in log.robots:
         near = did_you_mean(name, log.robots)
@@ -265,7 +265,7 @@ def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, s
         name: in both, or `NAME,NAME`; the only common one, or the only one in each, when None.
 
     Raises:
-        UsageError: there is none, there are several, or they have another number of joints.
+        UsageError: there is none, there are several, or their numbers of joints differ.
     """
     if name is not None:
         in_a, _, in_b = name.partition(",")
@@ -294,7 +294,7 @@ def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, s
 
 
 def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, Array]:
-    """What a run has of what is compared, at other times."""
+    """The compared signals of a run at other times."""
     return {
         signal: at_times(times, compared_signal(log, robot, signal), wanted)
         for signal in COMPARED
@@ -321,7 +321,7 @@ def at_times(times: Array, values: Array, wanted: Array) -> Array:
     with np.errstate(invalid="ignore"):
         share = np.clip((wanted - times[left]) / widths, 0.0, 1.0)
         result = values[left] + share[:, None] * (values[right] - values[left])
-    # NaN beside a row that is met exactly says nothing about that row.
+    # NaN in a neighbouring row does not affect an exactly matched row.
     for exact, rows in ((share == 0.0, left), (share == 1.0, right)):
         result[exact] = values[rows[exact]]
     steps = np.diff(times)

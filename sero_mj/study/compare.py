@@ -26,23 +26,23 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-_MAX_RATE = 240.0  # rows per second; more than any film shows
+_MAX_RATE = 240.0  # rows per second; above the frame rate of films
 _GREEN = np.array([0.10, 0.62, 0.30, 0.42])
-# Of robots with more joints tables show those that differ most; files have all.
+# For robots with more joints tables show those that differ most; files have all.
 MANY_JOINTS, MOST_SHOWN = 24, 12
-_IN_TABLE = ("joint_angles", "torques")  # where there are such; the rest is in the JSON
+_IN_TABLE = ("joint_angles", "torques")  # if present; the rest is in the JSON
 
 
 @dataclass(frozen=True)
 class Difference:
-    """How much a signal of a joint differs; first run less second.
+    """The difference of a joint's signal; first run minus second.
 
     Attributes:
         joint: its name.
         signal: `joint_angles`, `joint_velocities`, `torques` or `commanded_torques`.
         unit: rad, m, rad/s, m/s, Nm or N.
-        peak: the difference of the greatest size, with its sign; NaN where nothing is known.
-        at: when, s.
+        peak: the signed difference of largest magnitude; NaN if unknown.
+        at: its time, s.
         rms: root mean square over time.
     """
 
@@ -56,7 +56,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Exceeded:
-    """A difference above what is allowed."""
+    """A difference above its tolerance."""
 
     difference: Difference
     tolerance: float
@@ -90,7 +90,7 @@ def unit_of(signal: str, joint_type: str) -> str:
 
 
 def one_unit(units: Iterable[str]) -> str:
-    """The unit that several things have; empty where they have several."""
+    """The common unit; empty if units differ."""
     first, *others = dict.fromkeys(units)
     return "" if others else first
 
@@ -103,7 +103,7 @@ def _difference(joint: str, signal: str, unit: str, times: Array, values: Array)
 
 
 def differ_most(pair: Pair) -> list[str]:
-    """Names of the joints to be shown: of many those that differ most, in their order.
+    """Names of the joints to show: of many those that differ most, in their order.
 
     They differ by the peak of their torques as a share of the limit, else of their angles.
     """
@@ -125,7 +125,7 @@ def exceeded(
     """Differences of measured torques or angles above a tolerance; NaN is above any.
 
     Args:
-        differences: what `compare` found.
+        differences: result of `compare`.
         torque: Nm (N for sliding joints); any when None.
         angle: rad (m for sliding joints); any when None.
     """
@@ -196,7 +196,7 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
 
 
 def explanations_table(pair: Pair, explanations: Sequence[Explanation]) -> Table:
-    """A table for the terminal: a row for every joint, and for what is found at it."""
+    """A table for the terminal: a row for every joint and explanation."""
     from rich import box
     from rich.table import Table
 
@@ -223,7 +223,7 @@ def explanations_table(pair: Pair, explanations: Sequence[Explanation]) -> Table
 
 
 def shown_as(unit: str) -> tuple[float, str]:
-    """Factor and unit in which people read it: degrees, mm."""
+    """Factor and unit for display: degrees, mm."""
     if unit.startswith("rad"):
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
     if unit.startswith("m"):

@@ -1,7 +1,7 @@
-"""What is wrong with a joint, by its torques: which kind of difference, how large, since when.
+"""Diagnoses faults of joints from their torques: kind of difference, size, onset.
 
-Every kind leaves its own trace in the residuals of both sides of a joint (`TorqueResiduals`), with
-the links' torques x that the model asks for and the commanded ones u:
+Every kind has a distinct signature in the residuals of both sides of a joint (`TorqueResiduals`),
+with the links' torques x required by the model and the commanded ones u:
 
     torque sensor   sign, gain g     link (g - 1) x      motor -(g - 1) x
                     bias b           link b              motor -b
@@ -15,10 +15,10 @@ the links' torques x that the model asks for and the commanded ones u:
     flange          payload          link: linear in ten parameters, of all joints together
     links           masses s         link s x, of all joints together, all along
 
-Each is fitted from every time on, and then up to every time. The kind, and the time, is that with
-the lowest Bayesian information criterion (Schwarz 1978); its odds against the others are the
-confidence. What is found is taken away, and what is left is looked at again. Below 0.05 % of a
-joint's torque limit nothing is told.
+Each is fitted with every begin, and then with every end. The kind and the times with the lowest
+Bayesian information criterion (Schwarz 1978) are selected; the odds against the others are the
+confidence. The explanation is subtracted, and the rest is searched again. Differences below 0.05 %
+of a joint's torque limit are not reported.
 """
 
 from __future__ import annotations
@@ -36,47 +36,48 @@ from .explanation import FLANGE, LINKS, MOST_SURE, Explanation
 from .torque_residuals import TorqueResiduals, torque_residuals
 
 _STANDS, _RUNS_OFF, _RUNS_OFF_FAST = 0.4, 0.2, 0.03  # s
-_ENDING, _FAST = 0.6, 0.004  # s, the last of a run, and the low pass there
-_BEFORE = 0.1  # s, by which something may seem to begin earlier through the slower low pass
-_MUCH = 0.05  # of the torque limit, which a drive that runs off does other than it should
-_ROUGHER = 2.0  # times what was before, above which noise is told
+_ENDING, _FAST = 0.6, 0.004  # s, the end of a run, and the low-pass width there
+_ONSET_TOLERANCE = 0.1  # s, apparent lead of an onset due to the slower low-pass filter
+_MIN_ERROR = 0.05  # of the torque limit; minimum error of a runaway drive
+_NOISE_RATIO = 2.0  # noise over that before; above, it is reported
 _FINE, _MIN_NOISE = 2e-4, 1.5e-3  # of the torque limit
 
 
 def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -> list[Explanation]:
-    """Says what is wrong with a robot in a run, see `explain`.
+    """Diagnoses a robot in a run, see `explain`.
 
     Args:
         log: a run.
         robot: its name.
-        found: of the run; found here when None.
+        found: residuals of the run; computed when None.
 
     Raises:
-        UsageError: there is too little for it, or no torques.
+        UsageError: there is too little data, or no torques.
     """
     found = found or torque_residuals(log, robot)
-    # A run that ends because a joint runs off ends too soon for what is seen through the low pass.
+    # A run aborted by a runaway joint ends too early for the low-pass filter.
     end = log.between(float(log.times[-1]) - _ENDING, None)
     looped = found.torque_control
     try:
         ending = torque_residuals(end, robot, torque_control=looped, window=_FAST)
-    except UsageError:  # of so few rows nothing can be told
+    except UsageError:  # too few rows
         return explain(found)
     return explain(found, ending)
 
 
 def explain(found: TorqueResiduals, ending: TorqueResiduals | None = None) -> list[Explanation]:
-    """Says what is wrong with a robot, by its commanded and measured torques and its model.
+    """Diagnoses a robot from its commanded and measured torques and its model.
 
-    Without a model of the links (see `TorqueResiduals.has_model`) by the first two alone: then
-    payloads do not show, nor whether a bias is one of the sensor or of the drive.
+    Without a model of the links (see `TorqueResiduals.has_model`) only the first two are used: then
+    payloads are not detected, and biases of sensor and drive are indistinguishable.
 
     Args:
-        found: of a run.
-        ending: of its last moments, through a faster low pass; for drives that run off.
+        found: residuals of a run.
+        ending: of its last moments, with a faster low-pass filter; for runaway drives.
 
     Returns:
-        in the order of the joints, the most certain of a joint first; empty for no difference.
+        explanations in the order of the joints, the most certain of a joint first; empty for no
+        difference.
     """
     found = _by_known_links(found)
     noise = _noise(found, None)
@@ -95,10 +96,10 @@ def explain(found: TorqueResiduals, ending: TorqueResiduals | None = None) -> li
 
 
 def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
-    """Says in what a run differs from another one; sizes are those of the first less the second.
+    """Explains the difference of two runs; sizes are those of the first minus the second.
 
-    Of two gains only the difference shows: 0.2 where one sensor is right and the other reads 0.8 of
-    what it should.
+    For gains only the difference is observable: 0.2 if one sensor is correct and the other has a
+    gain of 0.8.
 
     Args:
         a: of a run.
@@ -119,7 +120,7 @@ def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
 def explain_runs(
     a: RunLog, b: RunLog, robots: tuple[str, str], offset: float = 0.0
 ) -> list[Explanation]:
-    """Says in what a run differs from another one, see `explain_pair`.
+    """Explains the difference of two runs, see `explain_pair`.
 
     Args:
         a: a run.
@@ -128,7 +129,7 @@ def explain_runs(
         offset: s, added to the times of `b`.
 
     Raises:
-        UsageError: one of them has too little for it, or no torques.
+        UsageError: one of them has too little data, or no torques.
     """
     first = torque_residuals(a, robots[0])
     second = torque_residuals(b, robots[1], times=first.times - offset)
@@ -138,12 +139,12 @@ def explain_runs(
 
 
 def _by_known_links(found: TorqueResiduals) -> TorqueResiduals:
-    """The same without residuals of links whose masses are not known."""
+    """The same without residuals of links with unknown masses."""
     return found if found.has_model else replace(found, link=np.full_like(found.link, np.nan))
 
 
 def _outside_of_fits(found: TorqueResiduals, noise: Sequence[Explanation]) -> list[Explanation]:
-    """What shows by other signs than by how residuals run; one for each joint at most."""
+    """Explanations by other signs than fits of residuals; at most one per joint."""
     sensors = _still_sensors(found)
     signs = _unlike_fits(_wrong_drives(found, _RUNS_OFF), found, noise, sensors)
     told = sensors + signs + _still_joints(found)
@@ -156,9 +157,9 @@ def _unlike_fits(
     noise: Sequence[Explanation],
     without: Sequence[Explanation] = (),
 ) -> list[Explanation]:
-    """Drives of the wrong sign, without those that something explains which lasts longer.
+    """Drives with a wrong sign, except those explained by something that lasts longer.
 
-    For a moment a bias, friction or a delay may look like twice the commanded torque.
+    For a short time a bias, friction or a delay may resemble twice the commanded torque.
     """
     if not signs:
         return []
@@ -172,7 +173,7 @@ def _with_drives_that_run_off(
     found: TorqueResiduals,
     ending: TorqueResiduals,
 ) -> list[Explanation]:
-    """What was told, and of joints that run off, of which little is known, what their end tells.
+    """Explanations, with those of runaway joints, which have little data, from the run's end.
 
     Args:
         told: of a run.
@@ -182,12 +183,12 @@ def _with_drives_that_run_off(
     """
     names = found.robot.names
     left = np.nanmax(np.abs(ending.motor), axis=0, initial=0.0)
-    runs_off = {names[k] for k in np.flatnonzero(left > _MUCH * found.scale)}
+    runs_off = {names[k] for k in np.flatnonzero(left > _MIN_ERROR * found.scale)}
     begins: dict[str, float] = {}
     for each in told:
         begins[each.joint] = min(each.begin, begins.get(each.joint, np.inf))
     unknown = {each.joint for each in told if each.kind == "unexplained"}
-    first = float(ending.times[0]) - _BEFORE
+    first = float(ending.times[0]) - _ONSET_TOLERANCE
     starts = first <= found.times[0]
     runs_off -= {joint for joint in begins if joint not in unknown or begins[joint] < first}
     clear = [
@@ -206,17 +207,17 @@ def _with_drives_that_run_off(
 
 
 def _wrong_drives(found: TorqueResiduals, least: float) -> list[Explanation]:
-    """Drives of the wrong sign, by which a joint may have run to its stop before a fit has rows.
+    """Drives with a wrong sign, whose joint may reach its stop before a fit has enough rows.
 
-    What is left of the torque is twice what is commanded, also where the joint stands and friction
-    may hold a part, while the torque at the links is as their motion asks for. Where a loop's drive
-    saturates, what it gives is the opposite of what it is asked for.
+    The residual torque is twice the commanded one, also at rest, where friction may hold a part,
+    while the torque at the links matches their motion. If the drive of a torque loop saturates, its
+    torque is opposite to the requested one.
     """
     told = []
     link = found.link
     left = np.where(np.isfinite(found.motor), found.motor, found.lag)
-    # Where a joint turns, its inertia is not taken off, and where it stands, only its stop, where
-    # no link is known, may hold it.
+    # While a joint reverses, its inertia is not subtracted, and at rest only its stop may hold it,
+    # unless its links are known.
     has_links = np.isfinite(link).any()
     is_judged = np.isfinite(found.motor) | np.isnan(link) & (found.slow | has_links)
     for joint, name in enumerate(found.robot.names):
@@ -232,7 +233,7 @@ def _wrong_drives(found: TorqueResiduals, least: float) -> list[Explanation]:
             is_wrong = np.abs(error - asked) < 0.15 * np.abs(asked) + held
             is_right = np.abs(link[:, joint]) < 0.15 * np.abs(asked)
         first, last = _longest(is_wrong & is_much & known)
-        way = slice(max(first - LEAST_ROWS, 0), last)  # before its stop held it
+        way = slice(max(first - LEAST_ROWS, 0), last)  # before it reached its stop
         judged = np.isfinite(link[way, joint])
         if (last - first) * found.step < least or not judged.any():
             continue
@@ -249,7 +250,7 @@ def _wrong_drives(found: TorqueResiduals, least: float) -> list[Explanation]:
 
 
 def _still_joints(found: TorqueResiduals) -> list[Explanation]:
-    """Joints that stand although more acts on them than their friction can hold."""
+    """Joints at rest under more torque than their friction can hold."""
     told = []
     for joint, name in enumerate(found.robot.names):
         least = max(0.025 * float(found.scale[joint]), 3.0 * float(found.coulomb[joint]))
@@ -262,7 +263,7 @@ def _still_joints(found: TorqueResiduals) -> list[Explanation]:
         is_sensor = len(sensed) > 0 and np.sqrt(np.mean(sensed**2)) > 0.3 * np.sqrt(np.mean(lag**2))
         if np.ptp(lag) < least or excess.mean() < 0.3 or is_sensor:
             continue
-        # It may have stood before without being held: as long as its friction explains that.
+        # Before, it may have been at rest without being stuck, as far as friction explains it.
         begin = first if first > 0 else int(np.argmax(excess))
         told.append(Explanation(
             name, "stuck", "joint", float(lag[np.argmax(np.abs(lag))]), _unit(found, joint),
@@ -274,7 +275,7 @@ def _still_joints(found: TorqueResiduals) -> list[Explanation]:
 
 
 def _still_sensors(found: TorqueResiduals) -> list[Explanation]:
-    """Torque sensors that show one value although more or less of it is to be expected."""
+    """Torque sensors with a constant value although changes are expected."""
     told = []
     for joint, (name, (begin, end, value)) in enumerate(
         zip(found.robot.names, found.held, strict=True)
@@ -291,7 +292,7 @@ def _still_sensors(found: TorqueResiduals) -> list[Explanation]:
 
 
 def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
-    """Joints whose measured torque is rough: from some time on, or more than others'."""
+    """Joints with noisy measured torque: from some time on, or compared with others."""
     told = []
     rough = np.maximum(a.roughness, _FINE * a.scale)
     for joint, name in enumerate(a.robot.names):
@@ -304,7 +305,7 @@ def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
         elif b is not None:
             other = max(float(np.median(b.roughness[:, joint])), _FINE * scale)
             size = float(np.median(values))
-            begin = 0 if size > max(_ROUGHER * other, least) else None
+            begin = 0 if size > max(_NOISE_RATIO * other, least) else None
         elif a.robot.n > 2:
             others = np.delete(np.median(rough, axis=0), joint)
             of_others = np.median(others), scale * np.median(others / np.delete(a.scale, joint))
@@ -321,7 +322,7 @@ def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
 
 
 def _rougher(levels: Array) -> int | None:
-    """The window from which on logarithms of roughness are higher, by log `_ROUGHER` at least."""
+    """The window at which log roughness rises by log `_NOISE_RATIO` at least; None for none."""
     count, least = len(levels), 3
     if count < 2 * least or not np.isfinite(levels).all():
         return None
@@ -333,11 +334,11 @@ def _rougher(levels: Array) -> int | None:
     spread = np.sqrt(min(errors) / max(count - 2, 1)) + 0.05
     jump = after.mean() - before.mean()
     sure = jump > 5.0 * spread * np.sqrt(1.0 / k + 1.0 / (count - k))
-    return k if jump > np.log(_ROUGHER) and jump > 2.0 * spread and sure else None
+    return k if jump > np.log(_NOISE_RATIO) and jump > 2.0 * spread and sure else None
 
 
 def _longest(rows: Bools) -> tuple[int, int]:
-    """First row of the longest stretch in which all hold, and the row behind it."""
+    """First row of the longest run of true values, and the row after it."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]])))
     if not len(edges):
         return 0, 0

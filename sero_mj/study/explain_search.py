@@ -1,7 +1,7 @@
-"""`Search`: which kinds of differences explain a robot's residuals, from when to when.
+"""`Search`: finds the kinds and times of differences that explain a robot's residuals.
 
-See `explain` for what each kind does. All of one kind is a linear regression between two edges in
-time; sums over all rows before an edge make every pair of edges as cheap as one.
+See `explain` for the effects of each kind. Each kind is a linear regression between two edges in
+time; with cumulative sums over rows, every pair of edges is evaluated at constant cost.
 """
 
 from __future__ import annotations
@@ -21,35 +21,36 @@ from .torque_residuals import DELAYS, TorqueResiduals
 _erf = np.vectorize(erf)
 LEAST_EFFECT = 5e-4  # of the torque limit, root mean square while it acts
 LEAST_ROWS = 8  # of a stretch
-# Finer differences mean nothing: of the torque limit, of the torque, and of its change (by s).
+# Noise floor: of the torque limit, of the torque, and of its rate (times s).
 _FLOOR, _FLOOR_SHARE, _FLOOR_TIME = 1e-4, 1e-3, 2e-3
-_MIN_SHARE = 0.08  # of the largest effect at a joint, below which others are not told
-_MIN_SCORE = 12.0  # by which an explanation must beat none
-_ROWS_PER_FACT = 2.0  # neighbours among the rows of a low pass tell nearly the same
+_MIN_SHARE = 0.08  # of the largest effect at a joint; smaller ones are not reported
+_MIN_SCORE = 12.0  # minimum improvement over no explanation
+_ROWS_PER_FACT = 2.0  # low-pass filtered rows are correlated
 _MAX_PER_JOINT = 3
 _ROUNDS = 40
 _MIN_VARIANCE = 1e-3  # of residuals in units of their standard deviations
-# Joints that differ, from which on a payload is looked for by all but one; and how many are tried.
+# Number of differing joints above which a payload is fitted without one of them; and how many of
+# these are tried.
 _MIN_JOINTS, _MAX_TRIED = 3, 2
 _GRID, _ROUNDS_OF_EDGES = 18, 3
-# Standard deviations of what is expected: gain, share of the torque limit, payload (SI), masses.
+# Prior standard deviations: gain, share of the torque limit, payload (SI), masses.
 _GAIN, _SHARE = 1.0, 0.1
 _LATE, _NEAR = 1.3, (0.4, 2.0)  # of the factor by which a delay is fitted
 _TRIED_DELAYS = (0.002, 0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, before they are refined
 _ROUNDS_OF_DELAYS, _EXACT = 4, 0.02
 _MAX_GAIN = 2.6  # away from 1
-_MIN_SIGN = 1.3  # likewise, from which on it is the sign that is wrong
+_MIN_SIGN = 1.3  # likewise, above which the sign is wrong
 _PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
 _MASSES = np.array([0.5])
 _MIN_MASS, _MIN_SHARE_OF_MASS = 0.03, 0.005  # kg; of the links' masses
-_FAR_BETTER = 0.1  # share of the squares that something else leaves
+_RESIDUAL_RATIO = 0.1  # of the squared residuals of another explanation
 _UNEXPLAINED = 0.002  # of the torque limit
-_PUSHED = 2  # joints that something unknown acts on, from which on it may act on others as well
+_MIN_PUSHED = 2  # minimum number of joints with an unknown torque for it to act on others as well
 
 
 @dataclass(eq=False)
 class _Fit:
-    """What explains a joint's residuals best, or all joints' (`joint` is -1)."""
+    """The best explanation of a joint's residuals, or of all joints' (`joint` is -1)."""
 
     joint: int
     kind: Kind
@@ -57,28 +58,28 @@ class _Fit:
     columns: Array  # (2, K, n, p), in units of the residuals' standard deviations
     priors: Array  # (p,)
     edges: tuple[int, int]  # in half rows, see `_Edges`
-    gain: float  # by which the score is better than none's
+    gain: float  # improvement of the score over no explanation
     parameters: Array
     errors: Array
     delay: float = 0.0
     confidence: float = 0.0
-    used: Bools | None = None  # joints by which it is fitted; all when None
+    used: Bools | None = None  # joints used for the fit; all when None
 
     @property
     def is_on_link(self) -> bool:
-        """Whether what is unexplained acts on the links."""
+        """Whether the unexplained torque acts on the links."""
         return self.part == "joint"
 
 
 class _Edges:
-    """Times between which something may act, in half rows, seen through the low pass.
+    """Begin and end times of an effect, in half rows, after the low-pass filter.
 
-    Edge 0 is the start, edge 2 K - 1 the end; edge e between is at e / 2 rows. Through the low pass
-    a step is the integral of a Gaussian.
+    Edge 0 is the start, edge 2 K - 1 the end; edge e between is at e / 2 rows. After the filter a
+    step is the integral of a Gaussian.
 
     Args:
         rows: K.
-        sharpness: rows per standard deviation of the low pass.
+        sharpness: rows per standard deviation of the low-pass filter.
     """
 
     def __init__(self, rows: int, sharpness: float) -> None:
@@ -88,7 +89,7 @@ class _Edges:
         self._on[0], self._on[-1] = 1.0, 0.0
 
     def share(self, first: int, last: int) -> Array:
-        """How much of what acts between two edges is seen, (K,)."""
+        """The filtered share of an effect between two edges, (K,)."""
         return np.asarray(self._on[first] - self._on[last])
 
     def sums(self, X: Array, y: Array) -> _Sums:
@@ -102,19 +103,19 @@ class _Edges:
         squares = np.einsum("ckp,ckq->kpq", X, X).reshape(K, p * p)
         products = np.einsum("ckp,ck->kp", X, y)
         known = (X != 0.0).any(axis=(0, 2)).astype(np.float64)
-        # Before the last edge all is there but what is seen of what comes behind it.
+        # Before the last edge the share is 1 minus that of the effect after it.
         begun, ended = self._on**2 @ squares, (1.0 - (1.0 - self._on) ** 2) @ squares
         return _Sums(
             begun.reshape(-1, p, p), ended.reshape(-1, p, p), self._on @ products, self._on @ known
         )
 
     def best(self, scores: Any) -> tuple[int, int, float]:
-        """The edges between which something is best explained, and the score.
+        """The edges with the best score, and the score.
 
         Args:
             scores: of arrays of first and last edges.
         """
-        # What ends again explains nothing by its beginning alone, so pairs are tried first.
+        # A temporary effect is not explained by its begin alone, so pairs are tried first.
         grid = np.unique(np.linspace(0, self.end, _GRID).astype(int))
         pairs = np.array([(i, j) for i in grid for j in grid if i < j]).T
         found = scores(*pairs)
@@ -143,7 +144,7 @@ class _Sums:
     known: Array
 
     def between(self, first: Any, last: Any) -> tuple[Array, Array, Array]:
-        """Normal equations, and how many rows there are."""
+        """Normal equations, and the number of rows."""
         return (
             self.begun[first] - self.ended[last],
             self.products[first] - self.products[last],
@@ -153,7 +154,7 @@ class _Sums:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A kind, and what it does to the residuals of link and motor per unit of each parameter."""
+    """A kind, with its effects on the residuals of link and motor per unit of each parameter."""
 
     kind: Kind
     part: Part
@@ -166,12 +167,12 @@ class _Candidate:
 def _delayed(
     part: Part, late: Array, sides: tuple[float, float], priors: Array, delay: float
 ) -> _Candidate:
-    """What a delay does.
+    """The candidate of a delay.
 
     Args:
         part: that is late.
-        late: (D, K, n), what changes by each of `DELAYS`.
-        sides: what is seen of it in the residuals of link and motor.
+        late: (D, K, n), change of the torque by each of `DELAYS`.
+        sides: its factors in the residuals of link and motor.
         priors: (n, 1).
         delay: s.
     """
@@ -185,7 +186,7 @@ def _delayed(
 
 
 class Search:
-    """Looks for explanations, the best one first."""
+    """Searches for explanations, best first."""
 
     def __init__(
         self,
@@ -196,7 +197,7 @@ class Search:
         self.found = found
         self.n = found.robot.n
         residuals = np.stack([found.link, found.motor])
-        for each in without:  # of what is explained already nothing more is to be learnt
+        for each in without:  # already explained rows carry no further information
             joint = found.robot.names.index(each.joint)
             rows = found.times > each.begin - 0.15
             if each.end is not None:
@@ -206,7 +207,7 @@ class Search:
         still = np.maximum(_spread(residuals), _FLOOR * found.scale)
         moving = np.hypot(_FLOOR_SHARE * found.model, _FLOOR_TIME * found.rates)
         self.sigma = np.hypot(still[:, None], np.nan_to_num(moving))  # (2, K, n)
-        for each in noisy:  # what noise does to residuals is no trace of anything else
+        for each in noisy:  # the effect of noise on residuals is not evidence of anything else
             joint, rows = found.robot.names.index(each.joint), found.times >= each.begin
             if rows.sum() > LEAST_ROWS:
                 rough = _spread(residuals[:, rows])[:, joint]
@@ -230,7 +231,7 @@ class Search:
         one = np.ones_like(zero)
         has_link = bool(self.known[0].any())
         true, late = found.model, found.late_model
-        for fit in self.fits:  # a payload, or other masses, are felt by sensors as well
+        for fit in self.fits:  # sensors also measure a payload or other masses
             if fit.joint < 0:
                 seen = self.edges.share(*fit.edges)[:, None]
                 extra = seen * np.nan_to_num(self._of_bodies(fit.kind) @ fit.parameters)
@@ -238,7 +239,7 @@ class Search:
                 true, late = true + extra, late - DELAYS[:, None, None] * slope
         if not has_link:
             true = found.commanded - found.lag + np.nan_to_num(found.motor)
-        # Joint torque control lets the measured torque follow, whatever the sensor shows.
+        # Joint torque control regulates the measured torque, whatever the sensor's error.
         seen_by_drive = 0.0 if found.torque_control else 1.0
         sensor: Part = "torque sensor" if has_link else "sensor or drive"
         torque = _SHARE * found.scale[:, None]
@@ -267,12 +268,12 @@ class Search:
         return told
 
     def _best(self) -> _Fit | None:
-        """The next explanation: of all joints together, or of the joint that it helps most."""
+        """The next explanation: of all joints together, or of the joint with the largest gain."""
         fits = self._singles()
         first = max(fits, key=lambda fit: fit.gain, default=None)
         if first is None or not self.known[0].any():
             return first
-        # Where a joint has a fault of its own, what is of all joints is found by the others.
+        # If a joint has its own fault, common effects are fitted by the others.
         without = [None, *range(self.n)] if len(fits) >= _MIN_JOINTS else [None]
         kinds: list[tuple[Kind, Part, Array]] = [
             ("payload", "flange", _PAYLOAD), ("masses", "links", _MASSES)
@@ -300,19 +301,19 @@ class Search:
         return best
 
     def _total_with(self, common: _Fit) -> float | None:
-        """The score of a fit of all joints, and of those of what it leaves; None for none."""
+        """The score of a fit of all joints, and of fits of its residuals; None for none."""
         self.fits.append(common)
         self.left -= common.columns @ common.parameters
         others = self._singles()
         self.left += common.columns @ common.parameters
         self.fits.pop()
-        # A joint may be left out for a fault of its own, not because it does not fit.
+        # A joint may be left out for its own fault, not because it does not fit.
         unfit = [fit for fit in others if fit.kind == "unexplained" and fit.is_on_link
                  and common.used is not None and not common.used[fit.joint]]  # fmt: skip
         return None if unfit else common.gain + sum(fit.gain for fit in others)
 
     def _singles(self) -> list[_Fit]:
-        """The best explanation of every joint by itself, where there is one."""
+        """The best separate explanation of every joint, if there is one."""
         candidates = self._candidates()
         found = [self._best_of(joint, candidates) for joint in range(self.n)]
         return [fit for fit in found if fit is not None]
@@ -336,9 +337,9 @@ class Search:
         return best
 
     def _refined(self, joint: int, candidate: _Candidate) -> _Fit | None:
-        """The stretch of time in which a kind explains most, and of a delay which one does.
+        """The interval in which a kind explains most, and the best delay.
 
-        A delay is no multiple of another one: what changes fast shows it.
+        Effects of delays are not proportional to each other: fast changes distinguish them.
         """
         fit = self._fitted(joint, candidate)
         for _ in range(_ROUNDS_OF_DELAYS):
@@ -354,7 +355,7 @@ class Search:
     def _fitted(
         self, joint: int, candidate: _Candidate, edges: tuple[int, int] | None = None
     ) -> _Fit | None:
-        """A kind in the stretch of time in which it explains most, or in a given one."""
+        """A kind in the interval in which it explains most, or in a given one."""
         columns = np.stack([np.stack([side[:, joint] for side in column])
                             for column in candidate.columns], axis=-1)  # fmt: skip
         scaled = columns / self.sigma[:, :, joint, None]
@@ -391,9 +392,9 @@ class Search:
                     parameters, errors, candidate.delay)  # fmt: skip
 
     def _unknown(self, joint: int, side: int) -> _Fit | None:
-        """What is far more than noise on one side of a joint, whatever its course.
+        """An arbitrary torque far above noise on one side of a joint.
 
-        It takes as many numbers as there are facts, so anything simpler that does is preferred.
+        It has as many parameters as there are data, so any simpler explanation is preferred.
         """
         y = self.left[side, :, joint]
         least = _UNEXPLAINED * self.found.scale[joint] / self.sigma[side, :, joint]
@@ -450,7 +451,7 @@ class Search:
             enough = np.asarray(last) - np.asarray(first) >= 2 * LEAST_ROWS
             return np.where(enough, better.sum(axis=1) - (count + ends) * np.log(facts), -np.inf)
 
-        if kind == "masses":  # which do not change in a run
+        if kind == "masses":  # constant during a run
             first, last = 0, self.edges.end
             gain = float(scores(np.array([first]), np.array([last]))[0])
         else:
@@ -482,7 +483,7 @@ class Search:
         return np.asarray(np.sqrt((effect[:, seen] ** 2).sum(axis=1) / known).max(axis=0))
 
     def _matters(self, fit: _Fit) -> bool:
-        """Whether it is more than nothing, and no small part of what else was found."""
+        """Whether it is above zero, and not a small part of the other explanations."""
         effects = self._effects(fit)
         if fit.joint < 0:
             return bool((effects > LEAST_EFFECT * self.found.scale).any())
@@ -491,7 +492,7 @@ class Search:
         return bool(effects[fit.joint] > max([least, *(_MIN_SHARE * each for each in others)]))
 
     def _refit(self) -> None:
-        """Fits all that was found once more, each to what the others leave, and takes it away."""
+        """Refits all explanations, each to the residuals of the others, and subtracts them."""
         for _ in range(4 if len(self.fits) > 1 else 1):
             for fit in self.fits:
                 if fit.kind == "unexplained":
@@ -508,7 +509,7 @@ class Search:
         self.left = self.y.copy()
         for fit in self.fits:
             self.left -= fit.columns @ fit.parameters
-        for fit in self.fits:  # errors go by what all together leave
+        for fit in self.fits:  # errors are based on the final residuals
             used = (np.arange(self.n) == fit.joint) | (fit.joint < 0)
             variance = float((self.left[:, :, used] ** 2).sum()) / int(self.count[used].sum())
             X = fit.columns.reshape(-1, fit.columns.shape[-1])
@@ -518,21 +519,21 @@ class Search:
                 fit.errors = np.asarray(np.sqrt(np.diag(covariance) * scale), np.float64)
 
     def explanations(self, more: Sequence[Explanation]) -> list[Explanation]:
-        """All that was found, with what was found otherwise; joint by joint, the largest first."""
+        """All explanations, with those found otherwise; joint by joint, the largest first."""
         order = {name: k for k, name in enumerate([*self.found.robot.names, FLANGE, LINKS])}
         fits = [fit for fit in self.fits if self._is_large(fit) and not self._is_of_contact(fit)]
         fits.sort(key=lambda fit: -float(self._effects(fit).max()))
         made = [*more, *(self._explanation(fit) for fit in fits)]
-        made.sort(key=lambda each: each.kind == "noise")  # what shakes a joint makes noise as well
+        made.sort(key=lambda each: each.kind == "noise")  # vibrations cause noise as well
         return sorted(made, key=lambda each: order[each.joint])
 
     def explains(self, sign: Explanation) -> bool:
-        """Whether what seems a drive of the wrong sign is rather something else.
+        """Whether an apparent wrong sign of a drive is better explained otherwise.
 
         That is so where it fits far better, or acts before or after as well.
 
         Args:
-            sign: of a drive, from when to when it seems wrong.
+            sign: the apparent wrong sign, with its interval.
         """
         found, joint = self.found, self.found.robot.names.index(sign.joint)
         end = np.inf if sign.end is None else sign.end
@@ -543,7 +544,7 @@ class Search:
         asked = 2.0 * found.commanded[rows, joint] / self.sigma[1, rows, joint]
         by_sign = ((self.y[1, rows, joint] - asked) ** 2).sum()
         # Joint torque control commands no motors.
-        is_far_better = not found.torque_control and after < _FAR_BETTER * by_sign
+        is_far_better = not found.torque_control and after < _RESIDUAL_RATIO * by_sign
         for fit in self.fits:
             is_sign = fit.kind == "gain" and abs(fit.parameters[0]) > _MIN_SIGN
             if fit.joint != joint or fit.kind == "unexplained" or is_sign:
@@ -552,22 +553,22 @@ class Search:
             acts &= np.abs(fit.columns[1, :, joint]).sum(axis=-1) > 0.0
             count = int((acts & during).sum())
             lasts = (acts & ~during).sum() >= max(LEAST_ROWS, count)
-            if not rows.any():  # too near the end for the low pass
+            if not rows.any():  # too near the end for the low-pass filter
                 if lasts and fit.edges[1] >= self.edges.end:
                     return True
-            elif count and after < _FAR_BETTER * before and (lasts or is_far_better):
+            elif count and after < _RESIDUAL_RATIO * before and (lasts or is_far_better):
                 return True
         return False
 
     def _is_large(self, fit: _Fit) -> bool:
-        """Whether it is no small part of what was found later on."""
+        """Whether it is not a small part of later explanations."""
         if fit.joint < 0:
             return True
         effects = [float(self._effects(each)[fit.joint]) for each in self.fits]
         return float(self._effects(fit)[fit.joint]) > _MIN_SHARE * max(effects)
 
     def _is_of_contact(self, fit: _Fit) -> bool:
-        """Whether a sensor seems wrong while something pushes other joints more."""
+        """Whether a sensor appears wrong while other joints are pushed more."""
         if fit.kind == "unexplained" or fit.joint < 0 or fit.part != "torque sensor":
             return False
         first, last = fit.edges
@@ -579,7 +580,7 @@ class Search:
             and min(other.edges[1], last) - max(other.edges[0], first) > 0.5 * (last - first)
             and (self._effects(other) / self.found.scale)[other.joint] > size
         }  # fmt: skip
-        return len(pushed) >= _PUSHED
+        return len(pushed) >= _MIN_PUSHED
 
     def _explanation(self, fit: _Fit) -> Explanation:
         found, names = self.found, self.found.robot.names
@@ -590,7 +591,7 @@ class Search:
         felt = self._effects(fit) > LEAST_EFFECT * found.scale
         joints = np.array(names)[felt].tolist() if fit.joint < 0 else [names[fit.joint]]
         if kind == "gain":
-            # Of two runs the second may be the one with the wrong sign.
+            # With two runs the second may have the wrong sign.
             kind = "sign" if abs(size) > _MIN_SIGN else "gain"
             size, unit = 1.0 + (size if size < _MIN_SIGN else -size), ""
         elif kind == "delay":
@@ -616,7 +617,7 @@ class Search:
 
 
 def _spread(residuals: Array) -> Array:
-    """Standard deviation of what differs from row to row, (2, n), whatever changes slowly."""
+    """Standard deviation of row-to-row changes, (2, n), independent of slow changes."""
     steps = np.abs(np.diff(residuals, axis=1))
     result = np.zeros((2, residuals.shape[2]))
     for side, joint in np.ndindex(result.shape):

@@ -1,4 +1,4 @@
-"""`Explanation`: a difference between torques that was found, in words."""
+"""`Explanation`: an explained difference between torques, and its description."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ MOST_SURE = 0.99
 
 @dataclass(frozen=True)
 class Explanation:
-    """A difference that was found.
+    """An explained difference.
 
     Attributes:
         joint: its name; `flange` for a payload, `links` for the masses of all of them.
-        kind: what it is.
-        part: where it is.
+        kind: of the fault.
+        part: its location.
         size: the gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm),
-            noise's standard deviation (Nm), mass (kg), difference of the links' masses (%), torque
-            that is held (Nm), or peak (Nm).
+            noise's standard deviation (Nm), mass (kg), difference of the links' masses (%), held
+            torque (Nm), or peak (Nm).
         unit: of it; empty for a gain.
-        error: standard error of the size; NaN where there is none.
+        error: standard error of the size; NaN if unknown.
         confidence: 0 to 1.
-        begin: since when, s.
-        end: until when, s; None for to the end.
-        from_start: whether it has been there from the start.
+        begin: s.
+        end: s; None for the end of the run.
+        from_start: whether it is present from the start.
         values: further figures by name: `viscous`, `x`, `y`, `z` of a payload's centre, m.
-        joints: which it can be seen at.
-        is_difference: whether the size, a gain, is that of one run less that of another.
+        joints: at which it is visible.
+        is_difference: whether the size, a gain, is the difference of two runs.
     """
 
     joint: str
@@ -66,7 +66,7 @@ class Explanation:
 
     @property
     def text(self) -> str:
-        """What it is and how large."""
+        """Kind and size."""
         size, error, unit, part = self.size, self.error, self.unit, self.part
         rate = f"{unit} s/{'rad' if unit == 'Nm' else 'm'}"
         center = ", ".join(
@@ -105,7 +105,7 @@ class Explanation:
 
     @property
     def when(self) -> str:
-        """Since when, and until when."""
+        """Begin and end."""
         begin = "from the start" if self.from_start else f"from {self.begin:.2f} s"
         return begin if self.end is None else f"{begin} to {self.end:.2f} s"
 

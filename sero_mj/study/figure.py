@@ -1,6 +1,6 @@
 """Figures for reports: rows of small panels over one time axis, in the colours of the viewer.
 
-matplotlib is imported only when a figure is made, and nothing of it is left changed.
+matplotlib is imported only when a figure is created, and its settings are restored.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 SUFFIXES = (".png", ".pdf", ".svg")
-# The two that the round arrows have: told apart by any eye, and in grey as well.
+# The colours of the round arrows: distinguishable by colour-blind people, and in grey.
 ORANGE, BLUE = "#E8720C", "#0B5CC2"
 INK, GREY, FAINT = "#23282E", "#6B737C", "#D9DDE1"
 FAULT = "#8E3B8A"
@@ -33,13 +33,13 @@ _ROW, _MIN_ROW = 27.0, 14.0  # mm
 _HEAD, _FOOT = 12.0, 20.0  # mm, of the title and the legend; of headings and the time axis
 _NAMES = 27.0  # mm, left of the panels
 _MAX_NAME = 9  # characters; longer ones are smaller
-_TITLE_PAD, _LINE = 10.5, 6.5  # points; names of spans stand beneath the title
+_TITLE_PAD, _LINE = 10.5, 6.5  # points; names of spans are below the title
 _MM = 1.0 / 25.4  # inch
 _MIN_MM = 60.0, 40.0
 _MAX_MM = 2000.0, 20000.0
 _DPI = 300
-_POINTS = 1500  # bins of an envelope, more than a panel has printed dots
-# A panel shows this share of the joint's limit at least, so that noise does not look like torque.
+_POINTS = 1500  # bins of an envelope, above a panel's printed resolution
+# A panel's minimum range as a share of the joint's limit, so that noise does not look like torque.
 MIN_SHARE = 0.01
 
 _STYLE: Any = {
@@ -81,7 +81,7 @@ class Span:
         name: what.
         begin: s.
         end: s; None for the end of the run.
-        is_fault: whether something is broken meanwhile.
+        is_fault: whether it is a fault.
     """
 
     name: str
@@ -91,7 +91,7 @@ class Span:
 
 
 def check_suffix(path: Path | str) -> Path:
-    """Raises UsageError where a name does not end as a figure's does."""
+    """Raises UsageError for a suffix that is not a figure's."""
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         found = f"found '{path.suffix}'" if path.suffix else "found none"
@@ -102,7 +102,7 @@ def check_suffix(path: Path | str) -> Path:
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Sets the style of figures while they are made and written."""
+    """Sets the style of figures while they are created and written."""
     import matplotlib as mpl
 
     with mpl.rc_context(_STYLE):
@@ -112,10 +112,10 @@ def styled() -> Iterator[None]:
 class Figure:
     """A figure of rows and columns of panels that share their time. Use it within `styled`.
 
-    matplotlib's constrained layout gives every label its room.
+    matplotlib's constrained layout makes room for every label.
 
     Args:
-        rows: what stands left of each row, its name and a line beneath.
+        rows: text left of each row, its name and a line below.
         columns: title of each column, and its share of the width.
         title: of the whole.
         subtitle: beneath, in grey.
@@ -127,7 +127,7 @@ class Figure:
         axes: by row and column.
 
     Raises:
-        UsageError: a size that is no figure's.
+        UsageError: an invalid size.
     """
 
     def __init__(
@@ -182,7 +182,7 @@ class Figure:
                        color=GREY, linespacing=1.25)  # fmt: skip
 
     def line(self, panel: Axes, times: Array, values: Array, label: str, **look: Any) -> None:
-        """Draws values over time; of many rows their smallest and largest.
+        """Draws values over time; of many rows only their envelope.
 
         Args:
             panel: which one.
@@ -194,7 +194,7 @@ class Figure:
         panel.plot(*envelope(times, values, _POINTS), label=label, **look)
 
     def signed_area(self, panel: Axes, times: Array, values: Array) -> None:
-        """Draws a difference: orange above zero, blue below, as the arrows are.
+        """Draws a difference: orange above zero, blue below, like the arrows.
 
         Args:
             panel: which one.
@@ -216,14 +216,14 @@ class Figure:
         floor: float,
         also: Sequence[float] = (),
     ) -> bool:
-        """Sets the range of a panel to what it shows, `least` at least; says whether anything is.
+        """Sets the range of a panel to its curves, at least `least`; returns whether it has any.
 
         Args:
             panel: which one.
             curves: what is drawn in it.
-            least: how much of the axis must be seen.
-            floor: the same where `least` is not finite.
-            also: what must be seen besides.
+            least: minimum range of the axis.
+            floor: the same if `least` is not finite.
+            also: further values to include.
         """
         known = [curve[np.isfinite(curve)] for curve in curves]
         known = [curve for curve in known if len(curve)]
@@ -251,7 +251,7 @@ class Figure:
                  and (span.end is None or span.end > begin)]  # fmt: skip
         if not shown:
             return
-        self.lay_out()  # now it is known where the panels are
+        self.lay_out()  # determines the positions of the panels
         taken: list[Any] = []
         for span in sorted(shown, key=lambda span: span.begin):
             left, right = max(span.begin, begin), end if span.end is None else min(span.end, end)
@@ -265,7 +265,7 @@ class Figure:
                 textcoords="offset points", fontsize=5.5, color=FAULT if span.is_fault else GREY,
                 annotation_clip=False, clip_on=False, in_layout=False,
             )  # fmt: skip
-            # Names that would run into each other go down into the panel.
+            # Overlapping names are moved down into the panel.
             for level in range(1, 4):
                 box = name.get_window_extent()
                 if not any(box.overlaps(other) for other in taken):
@@ -274,7 +274,7 @@ class Figure:
             taken.append(name.get_window_extent())
 
     def lay_out(self) -> None:
-        """Gives every label its room, once for all; matplotlib would do so in every drawing."""
+        """Computes the layout once; matplotlib would repeat it in every drawing."""
         engine = self.figure.get_layout_engine()
         if engine is not None:
             engine.execute(self.figure)
@@ -293,7 +293,7 @@ def save_figures(figures: Sequence[Figure], path: Path) -> None:
 
     Raises:
         RenderError: the file cannot be written.
-        UsageError: several figures, and no .pdf.
+        UsageError: several figures, but not a .pdf.
     """
     from matplotlib.backends.backend_pdf import PdfPages
 
@@ -303,7 +303,7 @@ def save_figures(figures: Sequence[Figure], path: Path) -> None:
     if len(figures) > 1 and suffix != ".pdf":
         raise UsageError(f"{path}: {len(figures)} pages; expected a name that ends in .pdf")
     try:
-        if suffix == ".pdf":  # dates would make two files of one run differ
+        if suffix == ".pdf":  # with dates, files of the same run would differ
             with PdfPages(path, metadata={"CreationDate": None}) as pages:
                 for each in figures:
                     pages.savefig(each.figure, dpi=_DPI)

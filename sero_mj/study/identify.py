@@ -1,19 +1,18 @@
-"""Friction, payload and torque sensors' offsets of a robot, by linear regression on a recording.
+"""Identifies friction, payload and torque offsets of a robot by linear regression.
 
-Both sides of every joint are linear in what is looked for (see `TorqueResiduals`):
+Both sides of every joint are linear in the parameters (see `TorqueResiduals`):
 
     motor side, joint by joint:  commanded - measured = B ddtheta + v dq + f sign(dq) + c
     link side, all together:     measured - model = Y(q, dq, ddq) p + o
 
-with motor inertia B, viscous and Coulomb friction v and f (and c, by which friction differs between
-the two directions, or the drive's own offset), the ten parameters p of a body at the flange, and
-the sensors' offsets o. Joints are weighted by what is left of each (Aitken's generalised least
-squares, as in Gautier). What is left is no white noise, so that standard errors are those of Newey
-and West, which hold for residuals that resemble their neighbours, of all joints together.
+with motor inertia B, viscous and Coulomb friction v and f (and c, the asymmetry of friction or the
+drive's own offset), the ten parameters p of a body at the flange, and the sensors' offsets o.
+Joints are weighted by their residuals (Aitken's generalised least squares, as in Gautier). The
+residuals are not white noise, so standard errors are those of Newey and West for autocorrelated
+residuals, of all joints together.
 
-What a motion does not move is not told: where the variance of an estimate is more than
-`_MAX_INFLATED` times that of one which nothing else could be taken for, or where too few rows
-say anything about it.
+Parameters the motion does not excite are not reported: if the variance of an estimate is more than
+`_MAX_INFLATED` times that of an uncorrelated one, or if too few rows contribute to it.
 
 Source: Newey, West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
 consistent covariance matrix, Econometrica 55(3), 1987; Swevers, Verdonck, De Schutter, Dynamic
@@ -45,21 +44,22 @@ if TYPE_CHECKING:
 _MAX_ROWS = 4000
 _MIN_MOVING = 20  # rows in which a joint moves
 _MAX_INFLATED = 3000.0
-# Standard deviation of the payload's inertia that is expected before anything is known, kg m2.
+# Prior standard deviation of the payload's inertia, kg m2.
 _INERTIA = 0.3
-# Of the torque limit: what friction at low speed and the low pass leave of a perfect run is less.
+# Of the torque limit: above the residuals of a perfect run due to friction at low speed and
+# filtering.
 _FLOOR = 2e-5
-_MIN_SURE = 3.0  # standard errors, below which a payload is none
+_MIN_SIGNIFICANCE = 3.0  # standard errors; minimum significance of a payload
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure with its standard error, or why the run does not tell it.
+    """An estimate with its standard error, or why it is not identifiable.
 
     Attributes:
-        value: in SI units; None where it is not told.
+        value: in SI units; None if not identifiable.
         error: its standard error.
-        reason: why it is not told.
+        reason: why it is not identifiable.
     """
 
     value: float | None
@@ -75,16 +75,16 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class JointFigures:
-    """What was found of a joint.
+    """The estimates of a joint.
 
     Attributes:
         joint: its name.
         coulomb_friction: Nm or N.
         viscous_friction: Nm s/rad or N s/m.
-        motor_inertia: kg m2 or kg, as seen at the joint.
+        motor_inertia: kg m2 or kg, reflected to the joint.
         torque_offset: of the torque sensor, Nm or N.
         condition: condition number of the motor side's columns, each scaled to length 1; infinite
-            where the joint does not move.
+            if the joint does not move.
     """
 
     joint: str
@@ -97,18 +97,18 @@ class JointFigures:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """What was found of a robot.
+    """The estimates of a robot.
 
     Attributes:
         run: name of the recording.
         robot: as declared.
         joints: base to flange.
         mass: of the payload, kg.
-        center: of its mass, in the flange's frame, m; not told where there is no payload.
+        center: of its mass, in the flange's frame, m; not reported without a payload.
         condition: condition number of the link side's columns, each scaled to length 1.
         times: (K,), s.
-        motor: commanded less measured torque, (K, n), Nm or N, and `motor_fit` of it.
-        link: measured torque less the model's, (K, n), and `link_fit` of it.
+        motor: commanded minus measured torque, (K, n), Nm or N, and its fit `motor_fit`.
+        link: measured torque minus the model's, (K, n), and its fit `link_fit`.
         begin: s, of the run, and `end`.
     """
 
@@ -128,9 +128,9 @@ class Identified:
 
     @property
     def has_payload(self) -> bool:
-        """Whether there is one beyond doubt."""
+        """Whether a payload is significant."""
         mass = self.mass
-        return mass.value is not None and mass.value > _MIN_SURE * (mass.error or 0.0)
+        return mass.value is not None and mass.value > _MIN_SIGNIFICANCE * (mass.error or 0.0)
 
 
 def identify(log: RunLog, name: str) -> Identified:
@@ -141,8 +141,7 @@ def identify(log: RunLog, name: str) -> Identified:
         name: of the robot in it.
 
     Raises:
-        UsageError: no such robot, no measured torques, too short a run, or one in which no joint
-            moves.
+        UsageError: no such robot, no measured torques, the run is too short, or no joint moves.
     """
     found = torque_residuals(log, name, most_rows=_MAX_ROWS)
     n = found.robot.n
@@ -213,7 +212,7 @@ def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], 
         left = np.where(known, y - X @ values, np.nan)
         spread = np.sqrt(np.nanmean(left**2, axis=0))
         weights = 1.0 / np.hypot(spread, _FLOOR * found.scale)
-    # Of the scores' sizes only what is more than the floor is in what is left.
+    # Only the part of the scores above the floor is in the residuals.
     covariance = covariance * float(1.0 / np.mean((weights * spread) ** 2))
     tells = np.r_[0:4, 10 : 10 + n]
     condition = _condition((X * weights[:, None]).reshape(-1, 10 + n)[:, tells])
@@ -227,7 +226,7 @@ def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], 
     ]  # fmt: skip
     mass = estimates[0]
     fit = np.where(known, X @ values, np.nan)
-    if mass.value is None or mass.error is None or mass.value < _MIN_SURE * mass.error:
+    if mass.value is None or mass.error is None or mass.value < _MIN_SIGNIFICANCE * mass.error:
         reason = mass.reason or "there is no payload beyond doubt"
         return [mass, *[Estimate(None, None, reason)] * 3], offsets, condition, fit
     # c = h / m, and its error by the slopes of that.
@@ -245,22 +244,20 @@ def _regression(X: Array, y: Array, priors: Array) -> tuple[Array, Array, Array]
     """Least squares of several series at the same times.
 
     Args:
-        X: columns, (K, s, p), zero where nothing is known.
+        X: columns, (K, s, p), zero where unknown.
         y: (K, s), likewise.
-        priors: (p,), inverse variance of each parameter before anything is known, in units of the
-            residuals'.
+        priors: (p,), inverse prior variance of each parameter, in units of the residuals'.
 
     Returns:
-        parameters (p,), their covariance (p, p) by Newey and West, and by how much each variance is
-        inflated by the others, (p,).
+        parameters (p,), their covariance (p, p) by Newey and West, and their variance inflation
+        factors, (p,).
     """
     H = np.einsum("ksp,ksq->pq", X, X) + np.diag(priors)
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     inverse = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-13, hermitian=True)
     inflation = np.diag(inverse).copy()
     inverse = inverse / np.outer(scale, scale)
-    # What the others can do as well to the last digit comes out as zero, and is inflated without
-    # bounds.
+    # An exactly dependent column becomes zero, and its inflation infinite.
     resolved = np.diag(inverse @ H)
     inflation[(resolved < 0.999) | (scale < 1e-9)] = np.inf
     values = inverse @ np.einsum("ksp,ks->p", X, y)
@@ -290,7 +287,7 @@ def _estimates(
 
 
 def _condition(X: Array) -> float:
-    """Of columns that are scaled to length 1; infinite where one is zero."""
+    """Condition number of columns scaled to length 1; infinite if one is zero."""
     lengths = np.linalg.norm(X, axis=0)
     if not len(X) or not (lengths > 0).all():
         return np.inf
@@ -298,7 +295,7 @@ def _condition(X: Array) -> float:
 
 
 def as_json(found: Identified) -> dict[str, Any]:
-    """What was found as JSON types; what is not told is None, with the reason."""
+    """The estimates as JSON types; unidentifiable ones are None, with the reason."""
     return {
         "run": found.run,
         "robot": found.robot.name,
@@ -333,7 +330,7 @@ def as_table(found: Identified) -> Table:
 
 
 def remarks(found: Identified) -> list[str]:
-    """The payload, and what the run does not tell, a line for each."""
+    """The payload, and unidentifiable parameters, a line for each."""
     if found.has_payload:
         center = ", ".join(map(str, found.center))
         lines = [f"payload: {found.mass} kg at ({center}) m of the flange"]
@@ -354,9 +351,9 @@ def remarks(found: Identified) -> list[str]:
 
 
 def as_toml(found: Identified) -> str:
-    """Lines of a robot's file, and beneath, as comments, those of a scenario.
+    """Lines of a robot's file, followed by those of a scenario as comments.
 
-    What the run does not tell is left as it was declared.
+    Unidentifiable parameters keep their declared values.
     """
     from ..robots.assemble.robot_dynamics import robot_dynamics
 
@@ -405,10 +402,10 @@ def _brief(estimate: Estimate) -> str:
 
 
 def plot_identified(found: Identified, path: Path | str) -> None:
-    """Draws what was measured and the fit of it: a row for each joint, motor and link side.
+    """Draws measurements and fits: a row for each joint, motor and link side.
 
     Args:
-        found: what was found.
+        found: the estimates.
         path: where to: .png (300 dpi), .pdf or .svg.
 
     Raises:

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from ..simulate.scenario import Scenario
 
 
-_IN_VIEW = 0.6  # share of its limit from which on a torque is shown together with it
-_MIN_TORQUE = 0.2  # Nm that a panel shows at least, where there is no limit
+_LIMIT_SHARE = 0.6  # share of its limit above which a torque is shown together with it
+_MIN_TORQUE = 0.2  # Nm; minimum range of a panel without a limit
 _MIN_ANGLE = 0.02  # deg or mm
 _MARKERS = {
     "torque_error": "v",
@@ -50,9 +50,9 @@ _MARKERS = {
     "position_limit": "<",
 }
 _MAX_ROWS = 12  # of a page, unless joints or a size are given
-_CLOSE, _LEVELS = 0.1, 5  # share of the time within which marks stand beneath each other
+_CLOSE, _LEVELS = 0.1, 5  # share of the time within which marks are stacked
 _Joint = tuple[str, int]  # robot, and index of the joint
-_OF_ERROR = ("torque_error", "frozen_torque")  # findings that stand beside the error
+_ERROR_FINDINGS = ("torque_error", "frozen_torque")  # findings marked beside the error
 
 
 def plot_run(
@@ -65,24 +65,25 @@ def plot_run(
     spans: Sequence[Span] = (),
     size_mm: tuple[float, float] | None = None,
 ) -> None:
-    """Draws runs: a row for each joint, torques on the left, commanded less measured beside them.
+    """Draws runs: a row for each joint, torques on the left, commanded minus measured beside them.
 
-    Lines are envelopes: of a million rows every peak is still there, and only what was logged.
+    Lines are envelopes: even of a million rows every peak is preserved, without interpolation.
 
     Args:
         logs: a run with `torques`, `commanded_torques`, or both; of several each is a page of a
             .pdf. More than 12 joints are several pages of a .pdf; other files then have the 12 with
             the largest share of their limits.
         path: where to: .png (300 dpi), .pdf or .svg.
-        robots: which; all when None.
+        robots: their names; all when None.
         joints: their names, of any of the robots; all when None.
-        findings: what the monitor found; marked at the joints.
-        spans: what happened; `spans_of` makes them of a scenario.
+        findings: of the monitor; marked at the joints.
+        spans: events; `spans_of` derives them from a scenario.
         size_mm: width and height; the width of A4 when None.
 
     Raises:
         RenderError: the file cannot be written.
-        UsageError: no such robot or joint, no torque, another suffix, several runs and no .pdf.
+        UsageError: no such robot or joint, no torque, another suffix, or several runs without a
+            .pdf.
     """
     path = check_suffix(path)
     with styled():
@@ -100,7 +101,7 @@ def plot_run(
 
 
 def _by_robots(chosen: Sequence[_Joint]) -> list[list[_Joint]]:
-    """Shares joints out over pages; those of a robot stay together where they fit on one."""
+    """Distributes joints over pages; those of a robot are kept together if they fit on one."""
     pages: list[list[_Joint]] = [[]]
     for _, group in groupby(chosen, key=lambda each: each[0]):
         joints = list(group)
@@ -183,7 +184,7 @@ def _choose(
     for name in robots or ():
         if name not in log.robots:
             raise UsageError(f"no robot '{name}' in {log.name}{did_you_mean(name, log.robots)}")
-    if robots is None:  # those that have any torque
+    if robots is None:  # those with torques
         signals = ("torques", "commanded_torques")
         robots = [robot for robot in log.robots if any(log.has(robot, each) for each in signals)]
     wanted = list(robots) or list(log.robots)
@@ -203,7 +204,7 @@ def _choose(
 
 
 def _beneath(log: RunLog, robot: str, k: int, *, named: bool) -> str:
-    """What stands beneath a joint's name: its robot, its limit, and how close it came."""
+    """The text below a joint's name: its robot, its limit, and its peak share."""
     limit = float(log.torque_limits(robot)[k])
     lines = [robot] if named else []
     if np.isfinite(limit):
@@ -240,9 +241,9 @@ def _draw_torques(figure: Figure, panel: Axes, log: RunLog, robot: str, k: int) 
     shown: list[float] = []
     known = np.concatenate(curves)
     known = known[np.isfinite(known)]
-    if np.isfinite(limit):  # a limit is shown where it is near, on its side
+    if np.isfinite(limit):  # a limit is shown if it is near, on its side
         shown = [side * limit for side in (-1.0, 1.0) if len(known)
-                 and (side * known).max() >= _IN_VIEW * limit]  # fmt: skip
+                 and (side * known).max() >= _LIMIT_SHARE * limit]  # fmt: skip
         for bound in shown:
             panel.axhline(bound, color=INK, linewidth=0.8, linestyle=(0, (4, 2)), label="limit")
     figure.fit(panel, curves, least=MIN_SHARE * limit, floor=_MIN_TORQUE, also=shown)
@@ -256,7 +257,7 @@ def _draw_difference(
     least: float,
     floor: float = _MIN_TORQUE,
 ) -> int | None:
-    """Draws a difference; returns the row of its peak, None where nothing is known."""
+    """Draws a difference; returns the row of its peak, None if unknown."""
     figure.signed_area(panel, times, values)
     is_known = figure.fit(panel, [values], least=least, floor=floor, also=[0.0])
     return peak(values) if is_known else None
@@ -279,7 +280,7 @@ def _mark(
         if row is None:
             continue
         panels = figure.axes[row]
-        panel = panels[-1] if finding.kind in _OF_ERROR else panels[0]
+        panel = panels[-1] if finding.kind in _ERROR_FINDINGS else panels[0]
         times = marked.setdefault(panel, [])
         level = sum(abs(finding.time - time) < close for time in times) % _LEVELS
         times.append(finding.time)
@@ -334,15 +335,15 @@ def plot_pair(
     explanations: Sequence[Explanation] = (),
     size_mm: tuple[float, float] | None = None,
 ) -> None:
-    """Draws two runs: a row for each joint, with both torques and the differences, A less B.
+    """Draws two runs: a row for each joint, with both torques and the differences, A minus B.
 
-    Without torques in both, angles stand in their place.
+    Without torques in both, angles are shown instead.
 
     Args:
         pair: the runs on one clock.
         path: where to: .png (300 dpi), .pdf or .svg.
         joints: their names; when None all, or of many those that differ most.
-        explanations: of the differences; marked where they begin.
+        explanations: of the differences; marked at their begin.
         size_mm: width and height; the width of A4 when None.
 
     Raises:
@@ -388,7 +389,7 @@ def plot_pair(
 
 
 def _explain(figure: Figure, panel: Axes, explanations: Sequence[Explanation]) -> None:
-    """Marks where differences begin, and names them in small print at the panel's lower edge."""
+    """Marks the begin of differences, and names them in small print at the panel's lower edge."""
     begin, end = panel.get_xlim()
     for level, each in enumerate(explanations[:3]):
         left = begin if each.from_start else each.begin
@@ -423,7 +424,7 @@ def _about_pair(pair: Pair) -> str:
 
 
 def _least(pair: Pair, signal: str, k: int) -> tuple[float, float]:
-    """How much a panel shows at least, and that without limits."""
+    """The minimum range of a panel, and that without limits."""
     if signal == "joint_angles":
         return np.inf, _MIN_ANGLE
     limits = pair.robot.torque_limits

@@ -1,4 +1,4 @@
-"""A run in a few numbers for each joint: torques, errors, saturation, faults found."""
+"""Summarises a run in a few numbers per joint: torques, errors, saturation, findings."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ if TYPE_CHECKING:
     from ..simulate.runs.monitor import Finding
 
 
-_NOTHING = 5e-4  # Nm, N, deg or mm, in the table
+_ZERO = 5e-4  # Nm, N, deg or mm, in the table
 _USED = ("torques", "commanded_torques", "target_angles", "saturated", "actual_angles")
 
 
 @dataclass(frozen=True)
 class JointSummary:
-    """A joint in a run; None where the run does not say.
+    """The summary of a joint in a run; None if unknown.
 
     Attributes:
-        robot: whose.
+        robot: name of its robot.
         joint: its name.
         torque_unit: `Nm` or `N`.
         angle_unit: `rad` or `m`.
-        peak_torque_error: commanded less measured of the greatest size, with its sign.
-        peak_torque_error_at: when, s.
+        peak_torque_error: commanded minus measured torque of largest magnitude, signed.
+        peak_torque_error_at: its time, s.
         rms_torque_error: root mean square over time.
-        peak_torque: measured, of the greatest size, with its sign.
-        peak_share: its size as a share of the joint's limit.
-        peak_position_error: target less angle of the greatest size, with its sign; of what is
-            true where that is known, else of what was measured.
-        saturated_share: of the time in which the command was cut.
-        findings: how many the monitor made.
-        first_finding: the kind of the first.
-        first_finding_at: when it was made, s.
+        peak_torque: measured, of largest magnitude, signed.
+        peak_share: its magnitude as a share of the joint's limit.
+        peak_position_error: target minus angle of largest magnitude, signed; of the true angle if
+            known, else of the measured one.
+        saturated_share: of the time in which the command was saturated.
+        findings: number of the monitor's findings.
+        first_finding: kind of the first.
+        first_finding_at: its time, s.
     """
 
     robot: str
@@ -62,11 +62,11 @@ class JointSummary:
 
 
 def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummary]:
-    """Sums up a run, a row for each joint of every robot.
+    """Summarises a run, a row for each joint of every robot.
 
     Args:
         log: the run; signals may be missing.
-        findings: what the monitor found in it.
+        findings: of the monitor.
     """
     found = sorted(findings, key=lambda finding: finding.time)
     rows = []
@@ -109,7 +109,7 @@ def as_json(rows: Sequence[JointSummary]) -> list[dict[str, Any]]:
 def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
     """A table for the terminal; angles in degrees. Empty columns are left out.
 
-    Of a robot with many joints those with the largest shares of their limits are shown.
+    For a robot with many joints, those with the largest shares of their limits are shown.
     """
     from rich import box
     from rich.table import Table
@@ -134,7 +134,7 @@ def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
 
 
 def _most_loaded(rows: Sequence[JointSummary]) -> list[JointSummary]:
-    """Returns the rows without the less loaded joints of robots that have many."""
+    """Returns the rows without the less loaded joints of robots with many."""
     kept: set[int] = set()
     for robot in {row.robot for row in rows}:
         mine = [i for i, row in enumerate(rows) if row.robot == robot]
@@ -145,7 +145,7 @@ def _most_loaded(rows: Sequence[JointSummary]) -> list[JointSummary]:
 
 
 def _signed_peak(values: Array) -> float | None:
-    """The value of the greatest size."""
+    """The value of largest magnitude."""
     row = peak(values)
     return None if row is None else float(values[row])
 
@@ -155,13 +155,13 @@ def _with_unit(value: float | None, unit: str, form: str) -> str:
         return ""
     factor, shown = shown_as(unit)
     number = factor * value
-    if abs(number) < _NOTHING:
+    if abs(number) < _ZERO:
         return f"0 {shown}"
     return f"{number:{'+.0f' if abs(number) >= 1000.0 else form}} {shown}"
 
 
 def _with_unit_above(heading: str, cells: list[str]) -> tuple[str, list[str]]:
-    """A unit that all cells share stands in the heading instead."""
+    """Moves a unit shared by all cells to the heading."""
     units = {cell.rpartition(" ")[2] for cell in cells if cell}
     if len(units) > 1 or "s" in units:
         return heading, cells

@@ -1,19 +1,19 @@
-"""`TorqueResiduals`: what a robot's motion does not account for in its torques, on both sides.
+"""`TorqueResiduals`: the parts of a robot's torques not explained by its motion, on both sides.
 
-The torque sensor of a joint is between its motor and its links, so that with link inertia M, motor
-inertia B (as seen at the joint) and friction tau_f of motor and gear there are two equations:
+The torque sensor of a joint is between its motor and its links, so with link inertia M, motor
+inertia B (reflected to the joint) and friction tau_f of motor and gear there are two equations:
 
     link side:   measured = M(q) ddq + C(q, dq) dq + g(q) + what the model does not know
     motor side:  commanded - measured = B ddtheta + tau_f + what the drive does not do
 
-What is left of both without the unknown is linear in what may be wrong: payload, offset and gain of
-a sensor, friction, gain of a drive. All of it goes through one low pass (a Gaussian, which shifts
-nothing in time) and is thinned out to what that leaves: the estimates of a regression stay the
-same, and noise of differentiated angles goes.
+The residuals of both are linear in possible faults: payload, offset and gain of a sensor, friction,
+gain of a drive. All signals pass the same low-pass filter (a Gaussian, without time shift) and are
+decimated accordingly: the estimates of a regression stay the same, and the noise of differentiated
+angles is removed.
 
-With joint torque control (see `TorqueLoop`) the commanded torque is not that of the motor: then
-B is what the motor feels like, friction is made up for, and an error of the torque sensor is felt
-on the link's side only.
+With joint torque control (see `TorqueLoop`) the commanded torque is not that of the motor: then B
+is the apparent motor inertia, friction is compensated, and an error of the torque sensor affects
+the link side only.
 
 Source: Gautier, Dynamic identification of robots with power model, ICRA 1997 (filtering of torques
 and regressors alike); Khalil and Dombre, Modeling, Identification and Control of Robots, 2002,
@@ -35,45 +35,44 @@ from ..simulate.control.robot_model import RobotModel
 from ..simulate.runs.run_log import RunLog, compared_signal
 from .align import Pair, at_times
 
-WINDOW = 0.016  # s, standard deviation of the low pass: 10 Hz
-_REACH = 4.0  # of these, to which the low pass reaches
-_EVERY = 2.0  # of these, between two rows that are kept
-MOST_ROWS = 600  # that are kept
+WINDOW = 0.016  # s, standard deviation of the low-pass filter: 10 Hz
+_SUPPORT = 4.0  # of these, half width of the filter kernel
+_ROW_SPACING = 2.0  # of these, between kept rows
+MOST_ROWS = 600  # kept
 _MAX_READ = 120_000  # rows of a run; of longer ones every second, third, ... is used
-_MIN_ROWS = 12  # that are kept
-_SLOW = 0.01  # rad/s or m/s, up to which Coulomb friction may hold the joint
-_TURNING = 0.999  # mean of the sign of the velocity, below which it turns
-_FULL = 0.95  # of a torque limit, from which on a drive may give no more
-_NOISE = -0.35  # correlation of second differences, below which they are noise
-_STOP = 0.005  # of a joint's range, from which on it is at an end of it
-_MIN_SCALE = 1e-3  # Nm or N, of joints that have no limit and feel nothing
-_MOVE = 1e-4  # s, by which the Jacobian is moved to find its derivative
+_MIN_ROWS = 12  # kept
+_SLOW = 0.01  # rad/s or m/s, below which Coulomb friction may hold the joint
+_TURNING = 0.999  # mean of the sign of the velocity, below which it reverses
+_SATURATED = 0.95  # of a torque limit, above which a drive may be saturated
+_NOISE_CORRELATION = -0.35  # correlation of second differences, below which they are noise
+_STOP = 0.005  # of a joint's range, within which it is at an end stop
+_MIN_SCALE = 1e-3  # Nm or N, of joints without limit and torque
+_DIFFERENCE_STEP = 1e-4  # s, step of the numerical derivative of the Jacobian
 
-# s, which sensors and drives may be late by; between two of them what they do is interpolated.
+# s, tried delays of sensors and drives; effects are interpolated in between.
 DELAYS = 0.002 * np.arange(1, 51)
 PARAMETERS = ("mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueResiduals:
-    """Residuals of a robot's torques, and what they may consist of; NaN where nothing is known.
+    """Residuals of a robot's torques, and their possible components; NaN where unknown.
 
     Attributes:
-        robot: whose.
-        times: (K,), s, at even steps.
-        link: measured less the model's torques at the links, (K, n), Nm or N.
-        motor: commanded less measured torque, less what the motor's inertia and the declared
-            friction take, (K, n); NaN as well where the joint is slow or turns.
-        lag: commanded less measured torque as they are, (K, n).
-        asked: what joint torque control asks of the drives, within their limits, without what it
-            adds for friction, (K, n).
-        given: what the drives give, by what is measured and the motors' motion, (K, n).
+        robot: its declaration.
+        times: (K,), s, equidistant.
+        link: measured minus the model's torques at the links, (K, n), Nm or N.
+        motor: commanded minus measured torque, minus motor inertia and declared friction torques,
+            (K, n); also NaN where the joint is slow or reverses.
+        lag: commanded minus measured torque, uncorrected, (K, n).
+        asked: torque requested by joint torque control, within the limits of the drives, without
+            friction compensation, (K, n).
+        given: torque of the drives, from measured torque and the motors' motion, (K, n).
         measured: (K, n).
         rates: of the torque that changes faster, measured or commanded, (K, n), Nm/s.
         model: the model's torques at the links, (K, n).
         commanded: (K, n).
-        late_model: what changes of the model's torques when they come later, by each of `DELAYS`,
-            (D, K, n).
+        late_model: change of the model's torques by each of `DELAYS`, (D, K, n).
         late_commanded: likewise of the commanded ones.
         velocities: (K, n), rad/s or m/s.
         signs: of the velocities, (K, n).
@@ -81,18 +80,18 @@ class TorqueResiduals:
         slow: (K, n), where joints hardly move.
         payload: (K, n, 10), torques by mass, first moments and inertia (about the flange, in its
             axes) of a body that is fixed to the flange: `PARAMETERS`, SI units.
-        roughness: (W, n), of the measured torque in windows, Nm: the standard deviation of white
-            noise that would do it.
-        rough_times: (W,), s, where these windows begin.
-        held: of every joint begin (s), end (s) and value of the longest stretch in which the
-            measured torque does not change at all.
-        width: standard deviation of the low pass, s.
-        scale: (n,), torque limits, or the largest torque where there are none.
+        roughness: (W, n), of the measured torque in windows, Nm: the standard deviation of
+            equivalent white noise.
+        rough_times: (W,), s, begin of these windows.
+        held: of every joint begin (s), end (s) and value of the longest interval with constant
+            measured torque.
+        width: standard deviation of the low-pass filter, s.
+        scale: (n,), torque limits, or the largest torque without a limit.
         coulomb: (n,), declared friction, Nm.
         viscous: (n,), Nm s/rad.
-        torque_control: whether commands go to joint torque control.
-        has_model: whether `link` means anything: the links' masses are declared, the robot stands
-            in the world and carries no other.
+        torque_control: whether joint torque control is on.
+        has_model: whether `link` is valid: the links' masses are declared, the robot is fixed in
+            the world and carries no other.
     """
 
     robot: SerialRobot
@@ -138,23 +137,23 @@ def torque_residuals(
     most_rows: int = MOST_ROWS,
     window: float = WINDOW,
 ) -> TorqueResiduals:
-    """Finds what a robot's motion does not account for in its torques.
+    """Computes the parts of a robot's torques not explained by its motion.
 
     Args:
         log: a run.
         name: of the robot in it.
-        torque_control: whether its commands went to joint torque control; found out by which
-            accounts for more when None.
-        times: (K,), s, at which residuals are wanted, on the clock of the run; its own when None.
-        most_rows: how many are kept at most; of longer runs they are further apart.
-        window: standard deviation of the low pass, s.
+        torque_control: whether joint torque control was on; detected from the smaller residuals
+            when None.
+        times: (K,), s, of the residuals, on the clock of the run; its own when None.
+        most_rows: maximum number kept; longer runs are sampled more coarsely.
+        window: standard deviation of the low-pass filter, s.
 
     Raises:
-        UsageError: there is no such robot, no torque that was measured, or too little of them.
+        UsageError: there is no such robot, or too little or no measured torque.
     """
     robot = _checked(log, name)
     rows, step = _even(log, name)
-    # Torques of a row act in the step that leads to it: the state is that of the row before.
+    # Torques of a row act in the step that leads to it: the state is that of the previous row.
     q, v = rows["q"][1:-1], np.diff(rows["q"], axis=0)[:-1] / step
     a = np.diff(rows["q"], n=2, axis=0) / step**2
     at, measured, commanded = rows["t"][2:, 0], rows["measured"][2:], rows["commanded"][2:]
@@ -162,7 +161,7 @@ def torque_residuals(
     if len(low_pass.times) < _MIN_ROWS:
         raise UsageError(
             f"{log.name} has {log.times[-1] - log.times[0]:.3g} s of '{name}'; expected at least "
-            f"{_MIN_ROWS * low_pass.step + 2 * _REACH * low_pass.width:.2g} s"
+            f"{_MIN_ROWS * low_pass.step + 2 * _SUPPORT * low_pass.width:.2g} s"
         )
     model = _link_torques(robot, q, v, a)
     dynamics = robot_dynamics(robot)
@@ -187,9 +186,9 @@ def torque_residuals(
     plain = low_pass(lag) - inertial
     with np.errstate(divide="ignore"):
         ratio = dynamics.motor_inertias / felt
-    # What the loop asks of the drive, which saturates.
+    # The loop's request to the drive, which saturates.
     asked, most = measured + ratio * lag, _scale(robot, np.full_like(measured, np.inf))
-    saturated = np.abs(asked) > _FULL * most
+    saturated = np.abs(asked) > _SATURATED * most
     looped = low_pass(np.where(saturated, np.nan, lag)) - felt * acceleration
     for each in (plain, looped):
         each[turns] = np.nan
@@ -229,15 +228,14 @@ def torque_residuals(
 
 
 def pair_with_model(log: RunLog, found: TorqueResiduals) -> Pair:
-    """A robot's run and what its model would have felt, and asked for, in the same motion.
+    """A robot's run, paired with the torques of its model in the same motion.
 
-    The model moves as the robot did, and its torques follow by inverse dynamics: driven by the
-    commanded torques it would leave the robot's way within a second, whatever is wrong. Both went
-    through the low pass.
+    The model follows the robot's motion, and its torques result from inverse dynamics: driven by
+    the commanded torques it would diverge within a second in any case. Both are low-pass filtered.
 
     Args:
         log: a run.
-        found: of it.
+        found: its residuals.
     """
     name = found.robot.name
     angles = at_times(log.times, log.of(name, "joint_angles"), found.times)
@@ -279,13 +277,13 @@ def _even(log: RunLog, name: str) -> tuple[dict[str, Array], float]:
 
 
 class _LowPass:
-    """A Gaussian low pass with its derivatives, evaluated at few times only.
+    """A Gaussian low-pass filter with its derivatives, evaluated at few times only.
 
     Args:
         at: (T,), s, times of the rows.
         step: between them, s.
-        wanted: (K,), s, where it is evaluated; at even times when None.
-        most: of these.
+        wanted: (K,), s, evaluation times; equidistant when None.
+        most: maximum number of these.
         window: its standard deviation, s, one row at least.
 
     Attributes:
@@ -298,8 +296,8 @@ class _LowPass:
         self, at: Array, step: float, wanted: Array | None, most: int, window: float
     ) -> None:
         self.width = max(window, step)
-        reach = int(np.ceil(_REACH * self.width / step))
-        every = max(int(_EVERY * self.width / step), -(-len(at) // most), 1)
+        reach = int(np.ceil(_SUPPORT * self.width / step))
+        every = max(int(_ROW_SPACING * self.width / step), -(-len(at) // most), 1)
         self.step = every * step
         rows = np.arange(reach, len(at) - reach, every)
         if wanted is not None:
@@ -312,7 +310,7 @@ class _LowPass:
         self._kernel = kernel / kernel.sum()
         first = z * kernel
         self._first = first / (first @ (z * self.width))
-        # Of the second derivative: nothing of a constant, 2 of the square of the time.
+        # Second derivative: 0 for a constant, 2 for the square of the time.
         second = (z**2 - 1.0) * kernel
         second -= kernel * (second.sum() / kernel.sum())
         self._second = second * 2.0 / (second @ (z * self.width) ** 2)
@@ -337,7 +335,7 @@ class _LowPass:
         return result.reshape(len(self._rows), *values.shape[1:])
 
     def fully(self, values: Array) -> Array:
-        """The same at every row, (T, n); at both ends what is nearest."""
+        """The same at every row, (T, n); the nearest value at both ends."""
         padded = np.pad(values, ((self._reach, self._reach), (0, 0)), mode="edge")
         windows = np.lib.stride_tricks.sliding_window_view(padded, len(self._kernel), axis=0)
         return np.asarray(windows @ self._kernel)
@@ -368,7 +366,9 @@ def _payload_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
         return table.jacobian(angles, base, flange, robot.flange_link)
 
     J = jacobian(q)
-    change = (jacobian(q + _MOVE * v) - jacobian(q - _MOVE * v)) / (2.0 * _MOVE)
+    change = (jacobian(q + _DIFFERENCE_STEP * v) - jacobian(q - _DIFFERENCE_STEP * v)) / (
+        2.0 * _DIFFERENCE_STEP
+    )
     velocity = np.einsum("tij,tj->ti", J, v)
     acceleration = np.einsum("tij,tj->ti", J, a) + np.einsum("tij,tj->ti", change, v)
     acceleration[:, 2] += GRAVITY
@@ -407,11 +407,11 @@ def _tensor_times(x: Array) -> Array:
 
 
 def _roughness(measured: Array, commanded: Array, step: float) -> tuple[Array, Array]:
-    """How rough measured torques are that commands do not make so; windows of about 0.1 s.
+    """Roughness of measured torques not caused by commands; windows of about 0.1 s.
 
-    White noise of standard deviation s has second differences of sqrt(6) s; the median of sizes is
-    0.6745 of it, and no single step counts. Neighbours among them have a correlation of -2/3; where
-    it is far from that, something swings, and is no noise.
+    White noise of standard deviation s has second differences of sqrt(6) s; the median of
+    magnitudes is 0.6745 of it, robust to single steps. Neighbours have a correlation of -2/3; far
+    from that, it is an oscillation, not noise.
     """
     bends = np.diff(measured, n=2, axis=0)
     asked = np.diff(commanded, n=2, axis=0)
@@ -424,13 +424,13 @@ def _roughness(measured: Array, commanded: Array, step: float) -> tuple[Array, A
     rough = np.median(np.abs(stretches), axis=1) / 0.6745 / np.sqrt(6.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         alike = (stretches[:, 1:] * stretches[:, :-1]).sum(axis=1) / (stretches**2).sum(axis=1)
-    rough = np.where(alike < _NOISE, rough, 0.0)
+    rough = np.where(alike < _NOISE_CORRELATION, rough, 0.0)
     begins = np.asarray(np.arange(count) * (size * step), np.float64)
     return np.asarray(rough, np.float64), begins
 
 
 def _later(values: Array, step: float, delay: float) -> Array:
-    """What changes of values (T, n) when they come later by a time, s."""
+    """The change of values (T, n) by a delay, s."""
     rows = delay / step
     whole = int(rows)
     padded = np.concatenate([np.repeat(values[:1], whole + 1, axis=0), values])
@@ -439,7 +439,7 @@ def _later(values: Array, step: float, delay: float) -> Array:
 
 
 def _held(at: Array, measured: Array) -> tuple[float, float, float]:
-    """Begin, end and value of the longest stretch in which a torque (T,) does not change."""
+    """Begin, end and value of the longest interval with constant torque (T,)."""
     changes = np.flatnonzero(np.concatenate([[True], np.diff(measured) != 0.0, [True]]))
     longest = int(np.argmax(np.diff(changes)))
     begin, end = changes[longest], changes[longest + 1] - 1
@@ -453,7 +453,7 @@ def _scale(robot: SerialRobot, measured: Array) -> Array:
 
 
 def _stands_alone(robot: SerialRobot, log: RunLog) -> bool:
-    """Whether its links feel nothing but themselves, and its base stands still."""
+    """Whether its links carry no other robot, and its base is fixed."""
     carried = any(
         (each.mount or "").partition("/")[0] == robot.name for each in log.robots.values()
     )
@@ -461,7 +461,7 @@ def _stands_alone(robot: SerialRobot, log: RunLog) -> bool:
 
 
 def _at_stops(robot: SerialRobot, angles: Array) -> Bools:
-    """Where joints are at the ends of their ranges, (K, n), at which something else holds them."""
+    """Where joints are at their end stops, (K, n), which hold them."""
     if robot.position_limits is None:
         return np.zeros(angles.shape, bool)
     low, high = robot.position_limits.T
@@ -471,7 +471,7 @@ def _at_stops(robot: SerialRobot, angles: Array) -> Bools:
 
 
 def _is_smaller(a: Array, b: Array) -> bool:
-    """Whether residuals (K, n) are smaller than others at most joints, by how they differ there."""
+    """Whether residuals (K, n) are smaller than others at most joints."""
     known = np.isfinite(a) & np.isfinite(b)
     joints = known.sum(axis=0) > _MIN_ROWS
     if not joints.any():

@@ -18,7 +18,7 @@ from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
 from ..simulate.simulation import Simulation
 
-# Of every robot, all in Nm but the share: of its worst joint, over the whole run.
+# Of every robot, all in Nm except the share: of its worst joint, over the whole run.
 PER_ROBOT = ("peak_torque_error", "rms_torque_error", "peak_torque_share", "findings")
 UNITS = {"peak_torque_error": "Nm", "rms_torque_error": "Nm", "peak_torque_share": "of the limit"}
 
@@ -43,7 +43,7 @@ class VariantRunner:
 
     Args:
         file: the scenario's.
-        fixed: dotted keys that are set in all of them.
+        fixed: dotted keys set in all of them.
     """
 
     def __init__(self, file: Path, fixed: Mapping[str, Any]) -> None:

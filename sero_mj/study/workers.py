@@ -1,10 +1,10 @@
 """Batches of variants of a sweep side by side in processes.
 
-Why processes: controllers, sensors, the observer and what happens in a run are Python between any
-two steps of MuJoCo, which threads would take turns at. `mujoco.rollout` runs steps in threads but
-takes all torques beforehand; no feedback could go into them.
+Why processes: controllers, sensors, the observer and events of a run are Python code between steps
+of MuJoCo, which threads would serialize. `mujoco.rollout` runs steps in threads but takes all
+torques beforehand; no feedback could go into them.
 
-This file imports little: a new process reads it before it chooses what else to load.
+This file imports little: a new process reads it before it decides what else to load.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _runner: VariantRunner  # of a worker process
 
 
 def available_cpus() -> int:
-    """How many processors this process may use."""
+    """Number of processors available to this process."""
     if hasattr(os, "process_cpu_count"):  # since Python 3.13
         return os.process_cpu_count() or 1
     if hasattr(os, "sched_getaffinity"):  # neither on macOS nor on Windows
@@ -42,16 +42,16 @@ def available_cpus() -> int:
 
 
 def start_worker(parent: Connection, file: Path, fixed: Mapping[str, Any]) -> None:
-    """Prepares a worker process, which ends with the process that started it.
+    """Prepares a worker process, which ends with its parent process.
 
     Args:
-        parent: nothing comes from there; it ends with that process, or before.
+        parent: carries no data; it is closed when that process ends, or before.
         file: the scenario's.
         fixed: dotted keys that are set in all variants.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the process that started it ends it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # its parent process ends it
     threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
-    os.environ["MUJOCO_GL"] = "disable"  # nothing is drawn here
+    os.environ["MUJOCO_GL"] = "disable"  # no rendering here
     from .variant import VariantRunner
 
     global _runner  # noqa: PLW0603
@@ -83,7 +83,7 @@ def run_in_processes(
         file: the scenario's.
         fixed: dotted keys that are set in all of them.
     """
-    context = get_context("spawn")  # a fork would take over threads and OpenGL half alive
+    context = get_context("spawn")  # a fork would inherit broken threads and OpenGL
     child_end, own_end = context.Pipe(duplex=False)
 
     def new_pool() -> ProcessPoolExecutor:

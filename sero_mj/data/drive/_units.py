@@ -1,7 +1,7 @@
-"""Units in routes: their size in SI, and which of them an input takes.
+"""Units in routes: their SI factors, and the units accepted by inputs.
 
-A dimension is four exponents: of m, kg, s and rad. Angles have one of their own, so that degrees
-are never taken for millimetres. All zero means a plain number, which fits anything.
+A dimension is four exponents: of m, kg, s and rad. Angles have a separate one, so that degrees are
+never confused with millimetres. All zero means a plain number, which fits anything.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ _ARROWS: dict[str, Dimension] = {
     "velocity": _SPEED,
     "angular_velocity": _TURN,
 }
-# Of a per-joint input, where the joint turns and where it slides.
+# Of a per-joint input, for revolute and prismatic joints.
 _JOINTS: dict[str, tuple[Dimension, Dimension]] = {
     "joint_angles": (_ANGLE, LENGTH),
     "torques": (_TORQUE, _FORCE),
@@ -77,17 +77,17 @@ _JOINTS: dict[str, tuple[Dimension, Dimension]] = {
 
 
 def describe(dimension: Dimension) -> str:
-    """Says in words what four exponents mean: `an angle (rad)`, `m2 kg s-3`."""
+    """Describes a dimension: `an angle (rad)`, `m2 kg s-3`."""
     units = zip(("m", "kg", "s", "rad"), dimension, strict=True)
     plain = " ".join(f"{unit}{'' if e == 1 else e}" for unit, e in units if e)
     return _NAMES.get(dimension, plain)
 
 
 def units_of(scene: Scene, item: Input) -> list[Dimension]:
-    """The units of the numbers of an input; `NONE` for what takes any.
+    """The units of the numbers of an input; `NONE` if it accepts any.
 
-    A robot's output has the unit of the input of that name. An arrow with a `unit` of its own
-    shows what it gets, so it takes any.
+    A robot's output has the unit of the input of that name. An arrow with its own `unit` accepts
+    any.
     """
     if item.kind == "vector":
         arrow = scene.arrows[item.name]
@@ -100,7 +100,7 @@ def units_of(scene: Scene, item: Input) -> list[Dimension]:
 
 
 def wrong_unit(units: Sequence[Dimension], taken: Sequence[Dimension], target: str) -> str:
-    """Says which number has another unit than the input takes; empty where all fit."""
+    """Describes the first number with a wrong unit; empty if all fit."""
     for i, want in enumerate(taken):
         have = units[i if len(units) > 1 else 0]
         if any(have) and any(want) and have != want:

@@ -1,8 +1,8 @@
-"""What conditions of routes and triggers mean: comparisons of numbers, row by row over time.
+"""Evaluates conditions of routes and triggers: comparisons of numbers, row by row over time.
 
-Arrays are (T, ...): a row for every packet, or one row of what does not change meanwhile. Several
-numbers are compared one by one, and a condition holds where it holds for any of them. Missing data
-satisfies no comparison.
+Arrays are (T, ...): a row for every packet, or a single row for constants. Several numbers are
+compared one by one, and a condition holds if it holds for any of them. Missing data satisfies no
+comparison.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from .values import Value, amount, finite, joined
 _ARITHMETIC: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
 }  # fmt: skip
-_OF_CONDITIONS = ("any", "all")  # functions
+_QUANTIFIERS = ("any", "all")  # functions
 
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """Numbers or truths over time.
+    """Numbers or truth values over time.
 
     Attributes:
         values: (T, ...).
-        labels: of the numbers beside each other, where there are several.
+        labels: of the numbers in a row, if there are several.
     """
 
     values: Any
@@ -43,7 +43,7 @@ class Signal:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A comparison that was made, for reports.
+    """An evaluated comparison, for reports.
 
     Attributes:
         text: of its left side.
@@ -51,7 +51,7 @@ class Compared:
         left: (T, ...).
         right: likewise.
         holds: likewise.
-        labels: of the numbers beside each other.
+        labels: of the numbers in a row.
     """
 
     text: str
@@ -62,7 +62,7 @@ class Compared:
     labels: Sequence[str]
 
 
-# The numbers of a part of an expression, where these are known as a whole; else None.
+# The numbers of a part of an expression, if known as a whole; else None.
 Leaf = Callable[[ast.expr], Signal | None]
 
 
@@ -70,11 +70,11 @@ class Conditions:
     """Computes where a condition holds.
 
     Args:
-        expression: what `parse` returned.
-        leaf: gives the numbers of names, constants, and whatever else it knows.
+        expression: result of `parse`.
+        leaf: gives the numbers of names, constants, and other known parts.
 
     Attributes:
-        compared: the comparisons that were made.
+        compared: the evaluated comparisons.
     """
 
     def __init__(self, expression: Expression, leaf: Leaf) -> None:
@@ -82,7 +82,7 @@ class Conditions:
         self.compared: list[Compared] = []
 
     def truth(self, node: ast.expr) -> Signal:
-        """Returns where a part of the condition holds; refuses one that has numbers."""
+        """Returns the truth values of a part of the condition; refuses numbers."""
         match node:
             case ast.Compare():
                 return self._compare(node)
@@ -95,14 +95,14 @@ class Conditions:
                 return result
             case ast.UnaryOp(op=ast.Not(), operand=inner):
                 return Signal(~self.truth(inner).values)
-            case ast.Call(args=[inner]) if self._word(node) in _OF_CONDITIONS:
+            case ast.Call(args=[inner]) if self._word(node) in _QUANTIFIERS:
                 values = self.truth(inner).values
                 return Signal(getattr(np, self._word(node))(_flat(values), axis=1))
         self._refuse(node, "expected a comparison such as lwr.torques > 20")
 
     def numbers(self, node: ast.expr) -> Signal:
-        """Returns the numbers of a part; refuses one that holds or not."""
-        chain: list[ast.BinOp] = []  # a sum of 1,000 terms is as deep a tree
+        """Returns the numbers of a part; refuses truth values."""
+        chain: list[ast.BinOp] = []  # a sum of 1,000 terms is a tree of that depth
         while (found := self._leaf(node)) is None and isinstance(node, ast.BinOp):
             chain.append(node)
             node = node.left
@@ -118,7 +118,7 @@ class Conditions:
             case ast.UnaryOp(op=ast.UAdd() | ast.USub() as sign, operand=inner):
                 found = self.numbers(inner)
                 return found if isinstance(sign, ast.UAdd) else Signal(-found.values, found.labels)
-            case ast.Call(args=[inner]) if self._word(node) not in _OF_CONDITIONS:
+            case ast.Call(args=[inner]) if self._word(node) not in _QUANTIFIERS:
                 return self._call(self._word(node), self.numbers(inner))
             case ast.Call(args=[_, other, *_]):
                 self._refuse(other, "expected one value in brackets behind a function")
@@ -138,7 +138,7 @@ class Conditions:
         return Signal(getattr(np, name)(_flat(found.values), axis=1))
 
     def _joined(self, at: int, function: Callable[[Any, Any], Any], a: Signal, b: Signal) -> Signal:
-        """Applies a function to numbers beside each other of the operands of the sign `at`."""
+        """Applies a function to the broadcast numbers of the operands of the operator `at`."""
         left, right = _same_rank(a.values, b.values)
         try:
             values = function(left, right)
@@ -208,20 +208,20 @@ class Conditions:
 
 
 def condition_of(expression: Expression, names: Mapping[str, Value]) -> tuple[Value, Condition]:
-    """Returns the numbers that a route's condition compares, and where it holds of these.
+    """Returns the numbers compared by a route's condition, and the condition on them.
 
     Args:
         expression: what `parse` returned, a condition.
-        names: what every name in it stands for.
+        names: values by name.
 
     Raises:
-        RouteError: points at what has no meaning, and says why.
+        RouteError: points at the invalid part, with the reason.
     """
     of_values = ValueEvaluator(expression, names)
-    parts: dict[int, tuple[Value, slice]] = {}  # of the tree, which keeps them alive
+    parts: dict[int, tuple[Value, slice]] = {}  # by id in the tree, which keeps them alive
 
     def find(node: ast.expr) -> Signal | None:
-        """Notes the largest parts that are multiples of what is received: these have units."""
+        """Collects the largest parts that are linear in received numbers: these have units."""
         if not isinstance(node, ast.Name | ast.Constant) and not _is_linear(
             node, expression, names
         ):
@@ -259,7 +259,7 @@ def condition_of(expression: Expression, names: Mapping[str, Value]) -> tuple[Va
 
 
 def _is_linear(node: ast.expr, expression: Expression, names: Mapping[str, Value]) -> bool:
-    """Whether a part has no functions and no products of what is received."""
+    """Whether a part has no functions and no products of received numbers."""
 
     def is_constant(part: ast.expr) -> bool:
         words = (expression.words[first_word(n)] for n in ast.walk(part) if isinstance(n, ast.Name))
@@ -282,7 +282,7 @@ def _flat(values: Array) -> Array:
 
 
 def _same_rank(a: Array, b: Array) -> tuple[Array, Array]:
-    """Adds axes behind the fewer, so that numpy's rules for shapes take a number for each."""
+    """Appends axes to the array with fewer, so that numbers are broadcast per row."""
     while a.ndim < b.ndim:
         a = a[..., None]
     while b.ndim < a.ndim:

@@ -1,6 +1,6 @@
 """Routes to some joints of a robot, by the names of joints and limbs.
 
-Each such origin is a `JointPart`; all that lead to one input become one route, `whole_route`.
+Each such origin is a `JointPart`; those to one input are merged to one route, `whole_route`.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JointPart:
-    """What leads to some of the joints of an input.
+    """An origin for some of the joints of an input.
 
     Attributes:
         to: the input.
-        joints: which of its numbers, k.
-        value: what they get, (k,).
-        text: where that leads from, as declared.
-        numbers: which of the numbers that the text stands for each of them is, k.
+        joints: indices of its numbers, k.
+        value: their values, (k,).
+        text: of the origin, as declared.
+        numbers: index of each in the numbers of the text, k.
     """
 
     to: Input
@@ -57,7 +57,7 @@ class JointPart:
 def places_by_name(
     scene: Scene, inputs: Sequence[Input], *, in_group: bool
 ) -> dict[str, list[Place]]:
-    """Returns the joints that the names of joints and limbs mean.
+    """Returns the joints by the names of joints and limbs.
 
     In a group these are `ROBOT_JOINT` and `ROBOT_LIMB`, and a robot's own name means all of it.
     """
@@ -80,7 +80,7 @@ def named_joints(
     names: Sequence[str] | None,
     problems: list[Problem],
 ) -> list[Place]:
-    """Returns the joints that are named, in that order; what is wrong is added to the problems."""
+    """Returns the named joints, in that order; errors are added to the problems."""
     if names is None:
         message = "expected each of several origins 'for' the names of joints or limbs"
         problems.append(Problem("", message))
@@ -92,7 +92,7 @@ def named_joints(
 
 
 def named_twice(scene: Scene, places: Sequence[Place]) -> list[Problem]:
-    """Returns a problem for each joint that is there more than once."""
+    """Returns a problem for each joint that occurs more than once."""
     twice = [place for place, count in Counter(places).items() if count > 1]
     names = [robot_of(scene, to).names[joint] for to, joint in twice]
     return [Problem("", f"{name} is named twice; expected each joint once") for name in names]
@@ -101,18 +101,18 @@ def named_twice(scene: Scene, places: Sequence[Place]) -> list[Problem]:
 def joint_parts(
     scene: Scene, value: Value, text: str, places: Sequence[Place], target: str
 ) -> list[JointPart]:
-    """Returns what an origin gives to joints, a part for each robot.
+    """Returns the values of an origin for joints, a part for each robot.
 
     Args:
         scene: the declaration.
-        value: what the origin means.
+        value: of the origin.
         text: of the origin.
-        places: the joints, in the order of the values; those that are coupled to others of them
-            may be left out in the values.
+        places: the joints, in the order of the values; values of joints coupled to others of them
+            may be left out.
         target: the input that is declared, for messages.
 
     Raises:
-        DeclarationError: a wrong number of values, or of another unit.
+        DeclarationError: a wrong number of values, or a wrong unit.
     """
     named = set(places)
     free = [place for place in places if not _follows(place, named)]
@@ -150,7 +150,7 @@ def _follows(place: Place, places: Set[Place]) -> bool:
 
 
 def whole_route(scene: Scene, parts: Sequence[JointPart]) -> Route:
-    """One route to an input, from those to some of its joints.
+    """Merges the parts for some joints of an input to one route.
 
     Joints that are coupled to these follow; the others keep their declared values.
     """
@@ -178,7 +178,7 @@ def whole_route(scene: Scene, parts: Sequence[JointPart]) -> Route:
 
 
 def _declared_values(scene: Scene, item: Input) -> Array:
-    """What the joints of an input have while nothing leads to them, (n,)."""
+    """Values of the joints of an input without a route, (n,)."""
     robot, double = robot_of(scene, item), scene.doubles.get(item.name)
     declared = getattr(robot if double is None else double, item.key, None)
     if declared is None:

@@ -6,8 +6,8 @@ condition  = comparisons of expressions with `<`, `<=`, `>`, `>=`, `==`, `!=`, a
 expression = numbers, names, `+ - * /`, parentheses, lists `[a, b]`, indices `a[0]`, `a[0,3,5]`,
              `a[1:4]`, as in Python, and in conditions `abs(a)`, `min(a)`, `max(a)`, `norm(a)`
 
-Names hold `-`, `.` and `/`, so these two have spaces about them where they are operators. Python
-parses a text in which cells of one width stand for the words.
+Names may contain `-`, `.` and `/`, so as operators `-` and `/` need spaces around them. Python
+parses a text in which each token is replaced by a cell of fixed width.
 
 `values` computes expressions of routes, and `conditions` conditions, of routes and triggers alike.
 """
@@ -25,8 +25,8 @@ from typing import Any, NoReturn
 from ...base.errors import RouteError, did_you_mean
 from ...robots.assemble.scene import FUNCTIONS, JOINING, NOT, Token, tokens_of
 
-_MAX_DEPTH = 40  # brackets within each other
-_MAX_WORDS = 2000  # their sum takes the square of it
+_MAX_DEPTH = 40  # of nested brackets
+_MAX_WORDS = 2000  # parsing a sum takes quadratic time
 _ALLOWED = (
     ast.Name, ast.Constant, ast.Load, ast.List, ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div,
     ast.UnaryOp, ast.UAdd, ast.USub, ast.Not, ast.BoolOp, ast.And, ast.Or, ast.Compare,
@@ -36,7 +36,7 @@ COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq,
     "!=": operator.ne,
 }  # fmt: skip
-_CELL = 6  # characters that stand for each word
+_CELL = 6  # characters per token
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class Expression:
 
     Attributes:
         text: as it is written.
-        negated: whether it is no condition and begins with `not`.
+        negated: whether it begins with `not` and is not a condition.
         tree: of the rest.
         words: the words of the rest.
-        is_condition: whether there are comparisons, or what joins them.
+        is_condition: whether it has comparisons or logical operators.
     """
 
     text: str
@@ -59,7 +59,7 @@ class Expression:
 
     @property
     def name(self) -> str | None:
-        """The name that is all there is, else None."""
+        """The name if it consists of a single name, else None."""
         word = self.words[first_word(self.tree)]
         return word.text if isinstance(self.tree, ast.Name) and word.kind == "name" else None
 
@@ -69,7 +69,7 @@ class Expression:
         return self.text[self.words[first_word(node)].at : last.at + len(last.text)]
 
     def behind(self, node: ast.expr) -> int:
-        """Index of the sign behind an operand and its brackets."""
+        """Index of the operator after an operand and its brackets."""
         at = word_after(node)
         while self.words[at].text == ")":
             at += 1
@@ -81,7 +81,7 @@ class Expression:
         Args:
             word: its index.
             reason: what was expected there.
-            length: how many characters are wrong.
+            length: number of marked words.
         """
         raise RouteError(self.text, self.words[word].at, reason, length)
 
@@ -90,7 +90,7 @@ def parse(text: str) -> Expression:
     """Parses an origin.
 
     Raises:
-        RouteError: points at the first word that is wrong.
+        RouteError: points at the first invalid word.
     """
     words = list(tokens_of(text))
     if len(words) > _MAX_WORDS:
@@ -128,7 +128,7 @@ def parse(text: str) -> Expression:
 
 
 def _sign_of(word: Token, is_condition: bool) -> str:
-    """What stands for a word in the text that Python parses, fewer characters than `_CELL`."""
+    """The replacement of a word in the text that Python parses, shorter than `_CELL`."""
     if word.kind == "sign" or (is_condition and word.text in JOINING):
         return word.text
     if word.kind == "other" or word.text == NOT:
@@ -138,7 +138,7 @@ def _sign_of(word: Token, is_condition: bool) -> str:
 
 
 def _tree_of(signs: Sequence[str]) -> ast.expr | None:
-    """The tree of an expression; None of anything else."""
+    """The tree of an expression; None for anything else."""
     try:
         cells = "".join(sign.ljust(_CELL) for sign in signs)
         tree = ast.parse(f"({cells})", mode="eval").body
@@ -177,7 +177,7 @@ def _is_whole(node: ast.AST) -> bool:
 
 
 def _is_beginning(signs: Sequence[str]) -> bool:
-    """Whether an expression begins so."""
+    """Whether an expression can begin with these words."""
     opened: list[str] = []
     for sign in signs:
         if sign in "([":
@@ -188,7 +188,7 @@ def _is_beginning(signs: Sequence[str]) -> bool:
 
 
 def _expected(before: Sequence[str], found: Token) -> str:
-    """What would be right behind the words before."""
+    """What is expected after the previous words."""
 
     def fits(sign: str) -> bool:
         return _is_beginning([*before, sign])
@@ -212,5 +212,5 @@ def first_word(node: ast.expr) -> int:
 
 
 def word_after(node: ast.expr) -> int:
-    """Index of the word behind a part."""
+    """Index of the word after a part."""
     return ((node.end_col_offset or 0) + _CELL - 2) // _CELL

@@ -29,11 +29,11 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class LiveWorld(Protocol):
-    """A world whose data changes by itself: what windows and pages show."""
+    """A world with changing data, shown by windows and pages."""
 
     @property
     def world(self) -> WorldView:
-        """What is shown."""
+        """The world."""
 
     @property
     def data(self) -> mujoco.MjData:
@@ -45,42 +45,42 @@ class LiveWorld(Protocol):
 
     @property
     def sources(self) -> Mapping[str, Source]:
-        """Where packets come from, by name."""
+        """Sources of packets, by name."""
 
     @property
     def is_live(self) -> bool:
-        """Whether it follows the real time, so that what shows it must as well."""
+        """Whether it follows the real time, so that hosts must as well."""
 
     def open(self) -> None:
-        """Begins to follow; raises SourceError."""
+        """Starts following; raises SourceError."""
 
     def close(self) -> None:
-        """Ends following."""
+        """Stops following."""
 
     def wait(self, timeout: float) -> list[str]:
         """Waits up to `timeout` s for packets of every source; returns those still silent."""
 
     def listen(self, listener: Listener, *, to_all: bool = False) -> None:
-        """Calls `listener(source, packets)` in `advance` with all packets that are applied.
+        """Calls `listener(source, packets)` in `advance` with all applied packets.
 
-        With `to_all` also with those that a newer one has replaced.
+        With `to_all` also with packets replaced by newer ones.
         """
 
     @property
     def has_states(self) -> bool:
-        """Whether a picture needs no more than MuJoCo's state, so that it can be made later."""
+        """Whether a picture depends on MuJoCo's state only, so that it can be rendered later."""
 
     def reset(self) -> None:
-        """Goes back to the declared pose."""
+        """Resets to the declared pose."""
 
     def advance(self, now: float | None = None) -> bool:
-        """Brings `data` up to date; `now` is the time to show, s since it was opened."""
+        """Updates `data`; `now` is the time to show, s since it was opened."""
 
 
 class Mirror:
     """Follows live sources: opens them, applies what arrives, keeps the last good pose.
 
-    Use it as a context manager; `advance` brings `data` up to the latest packets.
+    Use it as a context manager; `advance` applies the latest packets to `data`.
 
     Args:
         scene: what to compile and follow.
@@ -89,10 +89,10 @@ class Mirror:
         world: the compiled scene.
         data: its state.
         routes: the routes of numbers in force.
-        sources: those that a route leads from.
+        sources: those with routes.
 
     Raises:
-        DeclarationError: the scene, its sources or its routes are wrong.
+        DeclarationError: the scene, its sources or its routes are invalid.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -108,7 +108,7 @@ class Mirror:
         self._placer = Placer(self.world, wiring)
         self._states = _SourceStates(self.world)
         self._latest: dict[str, Packet] = {}
-        self._again: set[str] = set()  # whose latest packet is to be applied once more
+        self._again: set[str] = set()  # whose latest packet is to be applied again
         self._listeners: list[Listener] = []
         self._listeners_to_all: list[Listener] = []
         self._news = threading.Event()
@@ -170,10 +170,10 @@ class Mirror:
         ]
 
     def wait_fresh(self, timeout: float, now: float | None = None) -> None:
-        """Waits until live sources that send have sent anew, and applies that.
+        """Waits for new packets of live, sending sources, and applies them.
 
-        A packet that came while this thread was busy, making an OpenGL context for example, may
-        be old by then.
+        A packet that arrived while this thread was busy, creating an OpenGL context for example,
+        may be outdated.
 
         Args:
             timeout: maximum time, s.
@@ -190,22 +190,22 @@ class Mirror:
                 return
 
     def wait_next(self, timeout: float) -> bool:
-        """Waits up to `timeout` s for packets that came since it last returned; did any come?"""
+        """Waits up to `timeout` s for packets since its last return; whether any came."""
         came = self._news.wait(timeout)
         self._news.clear()
         return came
 
     def listen(self, listener: Listener, *, to_all: bool = False) -> None:
-        """Calls `listener(source, packets)` in `advance` with all packets that are applied.
+        """Calls `listener(source, packets)` in `advance` with all applied packets.
 
-        Where a source has `only_latest_packet = false` these are all good ones, in order. A packet
-        sets everything that its source is routed to, so `data` shows the last of them.
+        For sources with `only_latest_packet = false` these are all good ones, in order. A packet
+        sets all inputs routed from its source, so `data` shows the last of them.
 
         Args:
-            listener: is called before the last packet is applied.
-            to_all: whether it is called with all good packets of every source, also with those that
-                were never applied because a newer one had come by then. Up to 16 MB of them are
-                kept while nothing advances.
+            listener: called before the last packet is applied.
+            to_all: whether it is called with all good packets of every source, including those
+                replaced by newer ones before use. Up to 16 MB of them are kept between calls of
+                `advance`.
         """
         if not to_all:
             self._listeners.append(listener)
@@ -264,18 +264,18 @@ class Mirror:
         return values
 
     def state(self) -> Array:
-        """Returns a copy of everything that a picture of this moment needs."""
+        """Returns a copy of the state needed for a picture of the current time."""
         state = np.empty(mujoco.mj_stateSize(self.world.model, _STATE))
         mujoco.mj_getState(self.world.model, self.data, state, _STATE)
         return state
 
 
 def restore(world: World, data: mujoco.MjData, state: Array) -> None:
-    """Puts a state into `data` and moves the frames.
+    """Restores a state in `data` and moves the frames.
 
     Args:
         world: whose state it is.
-        data: gets it.
+        data: to change.
         state: what `Mirror.state` returned.
     """
     mujoco.mj_setState(world.model, data, state, _STATE)
@@ -283,7 +283,7 @@ def restore(world: World, data: mujoco.MjData, state: Array) -> None:
 
 
 class _SourceStates:
-    """Writes the slots `sources.<name>` of a world's user data, with what `SOURCE_FIELDS` says."""
+    """Writes the slots `sources.<name>` of a world's user data, see `SOURCE_FIELDS`."""
 
     def __init__(self, world: WorldView) -> None:
         self._slots = world.slots
@@ -291,14 +291,14 @@ class _SourceStates:
         self._foreign: dict[str, tuple[int, float]] = {}
 
     def forget(self) -> None:
-        """Resets, as the sources do when they are opened."""
+        """Resets, when the sources are opened."""
         self._link.clear()
         self._foreign.clear()
 
     def write(
         self, data: mujoco.MjData, sources: Mapping[str, Source], latest: Mapping[str, Packet]
     ) -> None:
-        """Writes what every source has counted until now."""
+        """Writes the current counters of every source."""
         for name, source in sources.items():
             packet, counters, now = latest.get(name), source.counters, source.now()
             data.userdata[self._slots[f"sources.{name}"]] = (
@@ -317,7 +317,7 @@ class _SourceStates:
                 counters.duplicates,
                 counters.restarts,
                 _dropped(source),
-                # One is as it should be, and a recording knows of none.
+                # One sender is normal, and a recording has none.
                 counters.senders if counters.senders > 1 else 0,
                 self._link_age(name, counters, _dropped(source), now),
                 counters.foreign,
@@ -325,17 +325,17 @@ class _SourceStates:
             )
 
     def _link_age(self, name: str, counters: Counters, dropped: int, now: float) -> float:
-        """How long ago (s) the link last lost or mixed up something; -1 when it never has."""
+        """Time (s) since the link last lost or reordered packets; -1 for never."""
         counts = (counters.lost, counters.late, counters.duplicates, counters.restarts, dropped)
         before, since = self._link.get(name, ((0,) * len(counts), -1.0))
         if counts != before:
-            # Less than before after a restart: the numbers that were missed have come after all.
+            # Smaller than before after a restart, or when missing numbers have arrived late.
             since = now if any(map(int.__gt__, counts, before)) else since
             self._link[name] = counts, since
         return max(now - since, 0.0) if since >= 0 else -1.0
 
     def _foreign_age(self, name: str, foreign: int, now: float) -> float:
-        """How long ago (s) a packet of a foreign sender came; -1 when none has."""
+        """Time (s) since the last packet of a foreign sender; -1 for none."""
         before, since = self._foreign.get(name, (0, -1.0))
         if foreign != before:
             self._foreign[name] = foreign, now
@@ -344,14 +344,14 @@ class _SourceStates:
 
 
 def _dropped(source: Source) -> int:
-    """What the kernel threw away, where that harms anything: the newest packet always comes."""
+    """Packets dropped by the kernel, if relevant: the newest one is never dropped."""
     return 0 if source.only_latest_packet else source.counters.dropped
 
 
 class Watch:
-    """Follows the data of an overlay, as a mirror follows its sources.
+    """Follows the data of an overlay, like a mirror its sources.
 
-    It shows a copy, so that a window that is paused stands still while the user's loop goes on.
+    It shows a copy, so that a paused window does not change while the user's loop continues.
 
     Args:
         world: of the overlay.
@@ -371,7 +371,7 @@ class Watch:
 
     @property
     def has_states(self) -> bool:
-        """False: what is shown of somebody's model may be any of its fields."""
+        """False: any field of an external model may be shown."""
         return False
 
     def open(self) -> None:
@@ -381,7 +381,7 @@ class Watch:
         """Does nothing: there are no sources."""
 
     def wait(self, timeout: float) -> list[str]:
-        """Returns at once: no source is silent."""
+        """Returns immediately: no source is silent."""
         return []
 
     def listen(self, listener: Listener, *, to_all: bool = False) -> None:
@@ -391,6 +391,6 @@ class Watch:
         """Does nothing: the data is the user's."""
 
     def advance(self, now: float | None = None) -> bool:
-        """Takes over the user's data as it is now; `now` has no meaning here."""
+        """Copies the user's current data; `now` is ignored."""
         mujoco.mj_copyData(self.data, self.world.model, self._theirs)
         return True

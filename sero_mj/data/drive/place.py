@@ -22,14 +22,14 @@ LatestValues = Mapping[str, Mapping[str, Array]]
 
 
 class Placer:
-    """Moves all frames of a world to where its data says.
+    """Computes all frames of a world from its data.
 
     Args:
         world: the compiled scene.
-        wiring: what `wire` returned for its scene; made anew when None.
+        wiring: result of `wire` for its scene; created when None.
 
     Raises:
-        DeclarationError: the scene's routes are wrong.
+        DeclarationError: the scene's routes are invalid.
     """
 
     def __init__(self, world: WorldView, wiring: Wiring | None = None) -> None:
@@ -44,9 +44,9 @@ class Placer:
         self._at_once = [name for name in world.scene.frames if name not in later]
 
     def place(self, data: mujoco.MjData, packets: LatestValues | None = None) -> None:
-        """Computes all frames from joint angles and what was received; time does not pass.
+        """Computes all frames from joint angles and received values, without a time step.
 
-        Before, robots get what other robots' outputs lead to them.
+        First, routes from other robots' outputs are applied.
 
         Args:
             data: the world's state.
@@ -56,7 +56,7 @@ class Placer:
         for name in self._at_once:
             self._place_received(data, name)
         pose_doubles(self._world, data)
-        for level in self._levels:  # each stands on what the one before has placed
+        for level in self._levels:  # each depends on frames of the previous level
             mujoco.mj_kinematics(self._world.model, data)
             for name in level:
                 if name in self._routes:
@@ -82,14 +82,14 @@ class Placer:
 
     def _keep(self, data: mujoco.MjData, route: FrameRoute) -> None:
         target, T = route.to.target, self._origin(data, route)
-        if route.to.key == "flange_check" and not route.is_fwd_kin:  # it is from base to flange
+        if route.to.key == "flange_check" and not route.is_fwd_kin:  # relative to the base
             base = self._world.frame(data, self._world.robots[route.to.name].base_name)
             T = inverse(base) @ T
         data.userdata[self._world.slots[target]] = T.ravel()
         data.userdata[self._world.flags[target]] = 1.0
 
     def _place_received(self, data: mujoco.MjData, name: str) -> None:
-        """Places a received frame, or hides it while there is none."""
+        """Places a received frame, or hides it while none has been received."""
         world = self._world
         T = data.userdata[world.slots[f"{name}.frame"]].reshape(4, 4)
         if data.userdata[world.flags[f"{name}.frame"]] <= 0 or not np.isfinite(T).all():
@@ -111,7 +111,7 @@ def follow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
     """Writes the poses of all doubles into `mocap_pos` and `mocap_quat`; `follow` moves them."""
     if any(part.of.mocap < 0 for part in world.doubles.values()):
-        mujoco.mj_kinematics(world.model, data)  # their bases hang on other robots
+        mujoco.mj_kinematics(world.model, data)  # their bases are mounted on other robots
     targets: dict[str, Array | None] = {}  # of those that have been asked for
     for name, part in world.doubles.items():
         frames = _targets(world, data, name, targets)
@@ -128,13 +128,13 @@ def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
 def _targets(
     world: WorldView, data: mujoco.MjData, name: str, known: dict[str, Array | None]
 ) -> Array | None:
-    """Returns the frames of a double, (rows, n + 1, 4, 4), base first; None where it has no pose.
+    """Returns the frames of a double, (rows, n + 1, 4, 4), base first; None without a pose.
 
     Args:
         world: the compiled scene.
         data: its state.
         name: of the double.
-        known: those of doubles that others stand on are found and kept there.
+        known: cache of frames of doubles that others are mounted on.
     """
     if name in known:
         return known[name]
@@ -157,7 +157,7 @@ def _targets(
 
 
 def _base(data: mujoco.MjData, robot: RobotPart) -> Array:
-    """Returns T_world_base (4, 4) of a robot: as received, or where its carrier has it."""
+    """Returns T_world_base (4, 4) of a robot: as received, or by its carrier."""
     if robot.mocap >= 0:
         return frame(rotation_from_quat(data.mocap_quat[robot.mocap]), data.mocap_pos[robot.mocap])
     body = robot.bodies[0]
@@ -184,12 +184,12 @@ class Router:
 
     Args:
         world: the compiled scene.
-        routes: each after those to what it reads.
+        routes: each after the routes to its own origins.
     """
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world
-        # How many numbers the routes take at least of each origin.
+        # The minimum count of numbers that the routes need of each origin.
         self._sizes: dict[Origin, int] = {}
         for term in (term for route in routes for term in route.value.terms):
             needed = int(term.take.max()) + 1
@@ -197,10 +197,10 @@ class Router:
         self._routes = [(route.value, route.rest, _InputWriter(world, route)) for route in routes]
 
     def apply(self, data: mujoco.MjData, packets: LatestValues) -> None:
-        """Writes what can be computed; `Placer.place` moves the frames.
+        """Writes all computable inputs; `Placer.place` moves the frames.
 
-        Where an origin has no data yet, the input is left as it is, and of one that has several
-        for different joints these joints.
+        Inputs whose origin has no data yet are left unchanged; with several origins for different
+        joints, only their joints.
 
         Args:
             data: the world's state.
@@ -213,7 +213,7 @@ class Router:
                 there = [self._has(data, packets, origin) for origin in value.origins]
                 if all(there):
                     writer.put(data, value.evaluate(lambda o: self._numbers(data, packets, o)))
-                elif rest is not None and any(there):  # joints of the others stay where they are
+                elif rest is not None and any(there):  # joints of the others keep their values
                     came = value.evaluate(lambda o: self._numbers_if_there(data, packets, o))
                     writer.put(data, np.where(np.isnan(came), rest, came))
 
@@ -221,7 +221,7 @@ class Router:
         if origin.is_event:
             return origin.key in packets.get(origin.name, ())
         if origin.key == "joint_angles" and origin.name in self._world.robots:
-            return True  # a robot always stands somewhere
+            return True  # a robot always has a pose
         return bool(data.userdata[self._world.flags[str(origin)]] > 0)
 
     def _numbers(self, data: mujoco.MjData, packets: LatestValues, origin: Origin) -> Array:
@@ -234,7 +234,7 @@ class Router:
     def _numbers_if_there(
         self, data: mujoco.MjData, packets: LatestValues, origin: Origin
     ) -> Array:
-        """Returns the numbers of an origin, NaN where it has no data."""
+        """Returns the numbers of an origin, NaN without data."""
         if self._has(data, packets, origin):
             return self._numbers(data, packets, origin)
         return np.full(self._sizes[origin], np.nan)
@@ -255,7 +255,7 @@ class _InputWriter:
         self._qpos = None if robot is None else robot.qpos
 
     def put(self, data: mujoco.MjData, values: Array) -> None:
-        """Writes the numbers; overflow is no data, and is not applied to what would move."""
+        """Writes the numbers; overflow is no data, and never moves anything."""
         if self._condition is not None:
             values = self._condition(values)
         if self._negated:

@@ -1,4 +1,4 @@
-"""Records what the sources of a scene receive, as they receive it, under the scene's names.
+"""Records the raw packets of a scene's sources, with the scene's names for their values.
 
 The numbers of joints and arrows are called `lwr.A1.torque [Nm]`, in SI units.
 """
@@ -30,8 +30,8 @@ from .wiring import wire
 
 Shapes = Mapping[str, tuple[int, ...]]
 
-# The last word of a per-joint quantity to what it is for one joint, and to its unit where the
-# joint turns and where it slides.
+# The last word of a per-joint quantity to its singular, and to its units for revolute and prismatic
+# joints.
 _ONE: dict[str, tuple[str, str, str]] = {
     "angles": ("angle", "rad", "m"),
     "velocities": ("velocity", "rad/s", "m/s"),
@@ -51,19 +51,19 @@ def record_sources(
     overwrite: bool = False,
     signals_rate: float = SIGNALS_RATE,
 ) -> Iterator[Recorder]:
-    """Records every packet that the sources receive while the context lasts.
+    """Records every packet received by the sources within the context.
 
     Args:
         sources: by name, `mirror.sources` say; opened or not. Replays are not recorded again.
-        path: where to, OUT.mcap.
-        scene: its file and those of its robots are kept in the recording, and its routes say what
-            the decoded values are called there: `lwr.A1.torque [Nm]`.
-        overwrite: write over a file that exists.
-        signals_rate: of how many packets per second and source the decoded values are kept as well.
+        path: of the recording, OUT.mcap.
+        scene: its file and those of its robots are stored in the recording, and its routes give the
+            names of decoded values: `lwr.A1.torque [Nm]`.
+        overwrite: whether to overwrite an existing file.
+        signals_rate: maximum rate of decoded values per source, packets/s.
 
     Raises:
-        RecordingError: the file exists already or cannot be written; at the end, too, when the
-            disk became full. What was written before is kept and can be read.
+        RecordingError: the file exists already or cannot be written; also at the end, if the disk
+            is full. Data written before is kept and readable.
     """
     about = {"sero-mj": __version__, "scene": "" if scene is None else scene.name}
     with Recorder(path, about=about, overwrite=overwrite, signals_rate=signals_rate) as recorder:
@@ -90,7 +90,7 @@ def record_events(
     scene: Scene,
     **options: Any,
 ) -> Iterator[TriggeredRecorder]:
-    """Records what comes shortly before and after a condition is fulfilled, while it lasts.
+    """Records packets around the times at which a condition holds, within the context.
 
     Args:
         sources: by name; opened or not, live or replays.
@@ -100,7 +100,7 @@ def record_events(
         **options: of `TriggeredRecorder`: `before`, `after`, ...
 
     Raises:
-        RecordingError: a file exists already or cannot be written; at the end, too.
+        RecordingError: a file exists already or cannot be written; also at the end.
     """
 
     def find(name: str, rows: Rows, lengths: Ints) -> tuple[Bools, Callable[[int], str]]:
@@ -124,17 +124,17 @@ def record_last(
     seconds: float,
     signals_rate: float = SIGNALS_RATE,
 ) -> Iterator[TriggeredRecorder]:
-    """Keeps what came in the last seconds; `record_now` writes it.
+    """Keeps the packets of the last seconds; `record_now` writes them.
 
     Args:
         sources: by name; opened or not.
         path_of: see `TriggeredRecorder`.
         scene: whose files are kept in every recording.
-        seconds: how much is kept.
+        seconds: duration kept.
         signals_rate: see `TriggeredRecorder`.
 
     Raises:
-        RecordingError: a file cannot be written; at the end, too.
+        RecordingError: a file cannot be written; also at the end.
     """
 
     def nothing(name: str, rows: Rows, lengths: Ints) -> tuple[Bools, Callable[[int], str]]:
@@ -152,7 +152,7 @@ def record_last(
 def _connected(
     recorder: TriggeredRecorder, sources: Mapping[str, Source], scene: Scene
 ) -> Iterator[None]:
-    """Hands packets of sources to a recorder, and files of the scene to its recordings."""
+    """Connects sources to a recorder, and adds the scene's files to its recordings."""
     routes = wire(scene).routes
     try:
         _attach_files(recorder, scene)
@@ -202,8 +202,8 @@ def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:
     Args:
         name: of the robot or double.
         robot: with these joints.
-        quantity: `torques`, `joint_angles`, `target_velocities`, or an input of its own, of which a
-            line of its billboards may say the unit.
+        quantity: `torques`, `joint_angles`, `target_velocities`, or one of its own inputs, whose
+            unit a line of its billboards may give.
     """
     *before, last = quantity.removeprefix("joint_").split("_")
     word, turning, sliding = _ONE.get(last, (last, "", ""))
@@ -223,18 +223,18 @@ def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:
 
 
 class RoutedSignals:
-    """The packets of a source as a scene shows them: what leads to joints and arrows by its name.
+    """The packets of a source in a scene's terms: values routed to joints and arrows, by name.
 
-    Numbers are those that the routes compute, in SI units. What leads to neither stays as it came.
+    Numbers are the results of the routes, in SI units. Other values are unchanged.
 
     Args:
         scene: whose routes these are.
-        routes: all of them; those that take more than a packet of this source are left out.
+        routes: all of them; those that need more than a packet of this source are left out.
         source: name of the source.
         events: event name to its shape.
 
     Attributes:
-        signals: what they are called.
+        signals: names and shapes.
     """
 
     def __init__(self, scene: Scene, routes: Sequence[Route], source: str, events: Shapes) -> None:
@@ -260,7 +260,7 @@ class RoutedSignals:
         self.signals = Signals(shapes, names, origins)
 
     def of(self, values: Mapping[str, Array]) -> dict[str, Array]:
-        """Returns the arrays of a decoded packet, as `signals` has them."""
+        """Returns the arrays of a decoded packet, by `signals`."""
         found = {}
         with np.errstate(over="ignore", invalid="ignore"):
             for route in self._routes:

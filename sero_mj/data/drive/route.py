@@ -1,8 +1,7 @@
-"""Checked routes: what leads from where to where, as a few numpy operations.
+"""Checked routes, compiled to a few numpy operations.
 
-Everything that a route can compute is affine: each number of the input is a constant plus
-multiples of numbers that were received. That is why a route can also be followed backwards, to
-make the packet that gives wanted numbers.
+Everything that a route can compute is affine: each number of the input is a constant plus multiples
+of received numbers. Routes can therefore be inverted, to compute the packet for given inputs.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from ..receive.source import SIGNALS
 
 
 class Origin(NamedTuple):
-    """Where numbers come from.
+    """The origin of numbers.
 
     Attributes:
         name: of a source, or of a robot, a double or an arrow.
         key: the source's event, or the output.
-        is_event: which of the two.
+        is_event: whether it is an event.
     """
 
     name: str
@@ -40,10 +39,10 @@ class Term(NamedTuple):
     """Multiples of the numbers of one origin.
 
     Attributes:
-        origin: where they come from.
-        at: which numbers of the result they are added to, (k,).
-        take: which number of the origin, counted through all of its rows, goes there, (k,).
-        times: what it is multiplied by, (k,).
+        origin: their origin.
+        at: indices in the result to which they are added, (k,).
+        take: flat indices in the origin, (k,).
+        times: factors, (k,).
     """
 
     origin: Origin
@@ -59,8 +58,8 @@ class Affine:
     Attributes:
         offset: the constant, (n,).
         terms: what is added to it, in this order.
-        whole: the origin, where the result is all of its numbers, unchanged.
-        only: where the result is nothing but numbers of one origin: which and from where.
+        whole: the origin, if the result equals all of its numbers.
+        only: if the result consists of numbers of one origin: their indices and the origin.
     """
 
     offset: Array
@@ -70,7 +69,7 @@ class Affine:
 
     @cached_property
     def origins(self) -> tuple[Origin, ...]:
-        """All origins, each once."""
+        """All distinct origins."""
         return tuple(dict.fromkeys(term.origin for term in self.terms))
 
     def evaluate(self, numbers_of: Callable[[Origin], Array]) -> Array:
@@ -99,7 +98,7 @@ def make_affine(offset: Array, terms: Sequence[Term], sizes: Mapping[Origin, int
     Args:
         offset: the constant, (n,).
         terms: what is added to it, in this order.
-        sizes: how many numbers each origin has.
+        sizes: count of numbers of each origin.
     """
     only = whole = None
     if len(terms) == 1 and len(terms[0].at) == len(offset) and not offset.any():
@@ -110,7 +109,7 @@ def make_affine(offset: Array, terms: Sequence[Term], sizes: Mapping[Origin, int
     covered = np.zeros(len(offset), bool)
     for term in terms:
         covered[term.at] = True
-    # -0.0 is what leaves every number as it is that is added to it: 0.0 takes the sign off -0.0.
+    # -0.0 is the neutral element of addition: adding 0.0 would turn -0.0 into 0.0.
     offset = np.where(covered & (offset == 0.0), -0.0, offset)
     return Affine(offset, tuple(terms), whole, only)
 
@@ -123,15 +122,15 @@ class Condition:
     """Comparisons of numbers, joined by `and`, `or` and `not`.
 
     Attributes:
-        truths: of numbers over time, (T, n), where it holds, (T, ...).
+        truths: computes truth values (T, ...) from numbers over time, (T, n).
     """
 
     truths: Truths
 
     def __call__(self, numbers: Array) -> Array:
-        """Returns 1 where it holds for any of the numbers (n,), or over time (T, n), else 0.
+        """Returns 1 if it holds for any of the numbers (n,), or over time (T, n), else 0.
 
-        NaN where one of them is not known.
+        NaN if one of them is unknown.
         """
         rows = numbers if numbers.ndim > 1 else numbers[None]
         with np.errstate(all="ignore"):
@@ -147,15 +146,15 @@ class Route:
 
     Attributes:
         to: the input it leads to.
-        text: where it leads from, as declared.
-        value: how the input's numbers are computed.
+        text: of the origin, as declared.
+        value: of the input.
         negated: whether a toggle is negated.
-        numbers: which of the numbers that the text stands for each of the input's is; a robot of a
-            group has its share of them, and coupled joints those that they follow.
-        texts: where it leads from for each of the input's numbers, where these are for some joints
-            each; empty for joints that nothing leads to, and as a whole for other routes.
-        rest: numbers of the input without what is received, then: the declared pose, or no data.
-        condition: of a toggle, what compares the numbers; None where it takes one as it is.
+        numbers: index of each of the input's numbers in those of the text; a robot of a group has
+            its share of them, and coupled joints those of their driving joints.
+        texts: origin of each of the input's numbers, for routes to some joints; empty for joints
+            without a route, and for other routes.
+        rest: values of joints without a route in that case: the declared pose, or no data.
+        condition: of a toggle, compares the numbers; None if it uses a number directly.
     """
 
     to: Input
@@ -168,7 +167,7 @@ class Route:
     condition: Condition | None = None
 
     def origin_of(self, index: int) -> str:
-        """Returns where one of the input's numbers leads from: `values0[3]`; empty for nothing."""
+        """Returns the origin of one of the input's numbers: `values0[3]`; empty for none."""
         offset = self.value.offset[index]
         text = self.texts[index] if self.texts else self.text
         if np.isnan(offset) or not text:
@@ -182,17 +181,17 @@ class Route:
 
     @property
     def sources(self) -> list[str]:
-        """Names of the sources whose packets it takes numbers from."""
+        """Names of the sources of its numbers."""
         return list(dict.fromkeys(o.name for o in self.value.origins if o.is_event))
 
     @property
     def outputs(self) -> list[str]:
-        """What it reads of robots, doubles and arrows, `name.key`."""
+        """The outputs of robots, doubles and arrows that it reads, `name.key`."""
         return [str(origin) for origin in self.value.origins if not origin.is_event]
 
     @property
     def direct(self) -> str | None:
-        """The source, where a packet of it is all that it takes; else None."""
+        """The source, if it depends on a packet of that only; else None."""
         sources = self.sources
         if any(o.is_event and o.key in SIGNALS for o in self.value.origins):
             return None  # changes without a packet
@@ -206,7 +205,7 @@ class FrameRoute:
     Attributes:
         to: the input it leads to.
         frame: name of the frame, or of the robot whose `fwd_kin_base_to_flange` it is.
-        is_fwd_kin: which of the two.
+        is_fwd_kin: whether it is the latter.
     """
 
     to: Input

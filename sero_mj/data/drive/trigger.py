@@ -1,6 +1,6 @@
-"""Triggers: a condition on what a scene receives, `abs(lwr.torque_error) > 20`, packet by packet.
+"""Triggers: conditions on received values, `abs(lwr.torque_error) > 20`, packet by packet.
 
-`language` has its grammar, and `conditions` its meaning. Names are events of sources
+`language` has their grammar, and `conditions` their meaning. Names are events of sources
 (`udp.values0`), inputs that routes lead to (`lwr.torques`) and, of robots with commanded and
 measured torque, their difference (`lwr.torque_error`).
 """
@@ -29,7 +29,7 @@ Events = Mapping[str, Array]  # event to its numbers over time, (T, ...)
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """Where a condition holds.
+    """The rows in which a condition holds.
 
     Attributes:
         holds: of every row, (T,).
@@ -40,7 +40,7 @@ class Hits:
     _text: str = ""
 
     def describe(self, row: int) -> str:
-        """Says what holds in a row: `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`."""
+        """Describes the condition in a row: `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`."""
         parts = []
         for each in self._compared:
             holds = np.atleast_1d(each.holds[row]).ravel()
@@ -59,21 +59,22 @@ class Hits:
 
 
 class Trigger:
-    """A condition on what the sources of a scene receive.
+    """A condition on the received values of a scene's sources.
 
-    It keeps the newest values of every source: those of others than the packets that are looked
-    at are the last ones that came.
+    It keeps the newest values of every source, which are used for sources other than that of the
+    examined packets.
 
     Args:
         text: the condition.
-        scene: whose signals it names.
+        scene: of its signals.
         wiring: of the scene.
 
     Attributes:
         text: the condition.
 
     Raises:
-        RouteError: it cannot be parsed, names what is not there, or is no condition; points at it.
+        RouteError: it cannot be parsed, has unknown names, or is not a condition; points at the
+            error.
     """
 
     def __init__(self, text: str, scene: Scene, wiring: Wiring) -> None:
@@ -83,7 +84,7 @@ class Trigger:
         self._sources = wiring.sources
         self._expression = parse(text)
         self._latest: dict[str, dict[str, Array]] = {}
-        # What has no meaning is told now.
+        # Report errors immediately.
         with np.errstate(all="ignore"):
             conditions = Conditions(self._expression, self._leaf(_Reader(self, {}, 1)))
             conditions.truth(self._expression.tree)
@@ -123,7 +124,7 @@ class Trigger:
 
     @property
     def names(self) -> list[str]:
-        """Names that a condition can have."""
+        """Names that a condition can use."""
         events = [
             f"{name}.{event}"
             for name, source in self._sources.items()
@@ -137,7 +138,7 @@ class Trigger:
         return all(f"{robot}.{key}" in self._routes for key in ("torques", "commanded_torques"))
 
     def _check(self, word: int, name: str) -> None:
-        """Refuses the name of no signal."""
+        """Refuses unknown names of signals."""
         names = self.names
         if name in names:
             return
@@ -154,14 +155,14 @@ class Trigger:
 
 
 class _Reader:
-    """Signals while some packets of one source are looked at."""
+    """Signals during the examination of packets of one source."""
 
     def __init__(self, trigger: Trigger, events: Mapping[str, Events], count: int) -> None:
         self._trigger, self._events, self._count = trigger, events, count
         self._inputs: dict[str, Array] = {}
 
     def signal(self, name: str) -> Signal:
-        """Returns a signal, (T, ...), T being 1 where it does not change meanwhile."""
+        """Returns a signal, (T, ...), with T = 1 if it is constant meanwhile."""
         trigger = self._trigger
         owner, _, key = name.partition(".")
         if name in trigger._routes:

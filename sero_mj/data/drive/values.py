@@ -1,13 +1,13 @@
-"""What expressions of routes mean: arrays of constants plus multiples of received numbers.
+"""Values of routes' expressions: arrays of constants plus multiples of received numbers.
 
-Such a value is computed once, when a scene is read; `Value.compile` makes of it what runs with
-every packet.
+Such a value is computed once, when a scene is read; `Value.compile` converts it to the operations
+for every packet.
 
 - Entries are picked along the first axis: `udp.vectors0[0]` is the first vector, `[0][2]` its z.
 - Operands have one shape, or one of them is a number or can be repeated as in numpy.
-- A list puts the numbers of its entries one after the other.
-- Matrices cannot be indexed or combined, but for one of several that can be picked, and for
-  another unit of length: `udp.matrices0 * mm` and `0.001 * udp.matrices0` scale their positions.
+- A list concatenates the numbers of its entries. - Matrices cannot be indexed or combined, except
+that one of several can be picked, and the unit of length be changed: `udp.matrices0 * mm` and
+`0.001 * udp.matrices0` scale their positions.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _MINUS_ONE = _Number(-1.0)
 
 
 def _each(function: Callable[..., _Number], *operands: Any) -> Numbers:
-    """Applies a function to every entry, by numpy's rules for shapes."""
+    """Applies a function to every entry, with broadcasting."""
     return np.asarray(np.frompyfunc(function, len(operands), 1)(*operands), dtype=object)
 
 
@@ -69,7 +69,7 @@ class Value:
     Attributes:
         entries: an array of `_Number`, of the value's shape.
         is_frames: whether it is 4 x 4 frames.
-        sizes: how many numbers its origins have.
+        sizes: count of numbers of its origins.
     """
 
     entries: Numbers
@@ -78,17 +78,17 @@ class Value:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the array; () for a number."""
+        """Shape of the array; () for a number."""
         return self.entries.shape
 
     @property
     def units(self) -> list[Dimension]:
-        """Of every entry, row by row."""
+        """Units of every entry, row-major."""
         return [entry.unit for entry in self.entries.flat]
 
     @property
     def is_constant(self) -> bool:
-        """Whether nothing received is in it."""
+        """Whether it contains no received numbers."""
         return not any(entry.terms for entry in self.entries.flat)
 
     def gather(self, take: Ints, factors: Array, constants: Array) -> Value:
@@ -97,8 +97,8 @@ class Value:
         A constant of NaN makes it no data, whatever is received.
 
         Args:
-            take: (m,), which numbers, row by row.
-            factors: (m,); where these are other than 1 a number loses its unit.
+            take: (m,), indices of the numbers, row-major.
+            factors: (m,); a number loses its unit unless its factor is 1.
             constants: (m,).
         """
         flat = self.entries.ravel()
@@ -115,21 +115,21 @@ class Value:
         return Value(entries, sizes=self.sizes)
 
     def spread(self, at: Ints, rest: Array) -> Value:
-        """Returns numbers (m,): its own at the places `at` (k,), and constants elsewhere, (m,).
+        """Returns numbers (m,): its own at the indices `at` (k,), and constants elsewhere, (m,).
 
-        A single number goes to all of these places.
+        A single number is written to all of these.
         """
         entries = np.array([_Number(float(each)) for each in rest], dtype=object)
         entries[at] = self.entries.ravel() if self.entries.size > 1 else self.entries.item()
         return Value(entries, sizes=self.sizes)
 
     def split(self, counts: Sequence[int]) -> list[Value]:
-        """Returns its numbers in parts of so many, row by row."""
+        """Splits its numbers, row-major, into parts of these sizes."""
         parts = np.split(self.entries.ravel(), np.cumsum(counts)[:-1])
         return [Value(part, sizes=self.sizes) for part in parts]
 
     def compile(self, count: int) -> Affine:
-        """Returns what runs with every packet; a constant number is repeated `count` times."""
+        """Returns the operations for every packet; a constant number is repeated `count` times."""
         entries = np.broadcast_to(self.entries.ravel(), count)
         terms = []
         for column in zip_longest(*(entry.terms for entry in entries)):
@@ -154,7 +154,7 @@ def numbers_of(
     """All numbers of an event or output.
 
     Args:
-        origin: which.
+        origin: the event or output.
         shape: of its array.
         units: exponents of the unit of each; None for plain numbers.
     """
@@ -167,14 +167,14 @@ def numbers_of(
 
 
 def joined(values: Sequence[Value]) -> Value:
-    """Returns the numbers of values one after the other."""
+    """Concatenates the numbers of values."""
     entries = np.concatenate([value.entries.ravel() for value in values])
     sizes = {origin: size for value in values for origin, size in value.sizes.items()}
     return Value(entries, sizes=sizes)
 
 
 def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:
-    """Computes what an expression means.
+    """Evaluates an expression.
 
     Args:
         expression: what `parse` returned.
@@ -183,13 +183,13 @@ def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:
     Raises:
         RouteError: points at what has no meaning, and says why.
     """
-    with np.errstate(all="ignore"):  # what is not finite is refused below
+    with np.errstate(all="ignore"):  # non-finite numbers are refused below
         value = Evaluator(expression, names).evaluate(expression.tree)
     return finite(value, expression, names)
 
 
 def finite(value: Value, expression: Expression, names: Mapping[str, Value]) -> Value:
-    """Returns a value with the sizes of its origins; refuses what is not finite."""
+    """Returns a value with the sizes of its origins; refuses non-finite numbers."""
     for entry in value.entries.flat:
         if not all(map(isfinite, (entry.offset, *(times for _, _, times in entry.terms)))):
             raise RouteError(expression.text, 0, "expected finite numbers", len(expression.text))
@@ -210,7 +210,7 @@ class Evaluator:
         self._refuse = expression.refuse
 
     def check_comparison(self, node: ast.expr, left: Value, right: Value) -> None:
-        """Refuses a comparison of frames, or of other units or another number of values.
+        """Refuses a comparison of frames, of different units or of different numbers of values.
 
         Args:
             node: of the left side.
@@ -222,7 +222,7 @@ class Evaluator:
         self._sum(self._expression.behind(node), left, right)
 
     def evaluate(self, node: ast.expr) -> Value:
-        """Returns the value of a part; raises a RouteError that points at what has no meaning."""
+        """Returns the value of a part; raises a RouteError that points at an invalid part."""
         chain = []  # a sum of 1,000 terms is as deep a tree; it is evaluated without recursion
         while True:
             match node:
@@ -277,7 +277,7 @@ class Evaluator:
         return self._sum(at, left, right)
 
     def _pairs(self, at: int, left: Value, right: Value) -> np.broadcast:
-        """Numbers beside each other of two operands; refuses those that do not fit together."""
+        """Broadcasts the numbers of two operands; refuses incompatible shapes."""
         try:
             return np.broadcast(left.entries, right.entries)
         except ValueError:
@@ -307,7 +307,7 @@ class Evaluator:
         return Value(_each(_Number.times, left.entries, factor))
 
     def _scaled_frames(self, at: int, sign: str, left: Value, right: Value) -> Value:
-        """Frames whose positions are times a number: another unit of length."""
+        """Frames with positions multiplied by a number: another unit of length."""
         frames, other = (right, left) if right.is_frames and sign == "*" else (left, right)
         if sign in "+-" or not other.is_constant or other.shape or other.is_frames:
             reason = "expected nothing but a number or a length beside frames, as in frames * mm"
@@ -332,7 +332,7 @@ class Evaluator:
         index: Any
         match node.slice:
             case ast.Slice(lower=lower, upper=upper, step=step):
-                last = value.shape[0]  # a slice may end behind the last one
+                last = value.shape[0]  # a slice may end after the last one
                 index = slice(
                     self._position(lower, value, name, last),
                     self._position(upper, value, name, last),
@@ -351,7 +351,7 @@ class Evaluator:
         return Value(entries, value.is_frames)
 
     def _position(self, node: ast.expr | None, value: Value, name: str, last: int) -> int | None:
-        """An index into the first axis, of which `last` is the greatest."""
+        """An index into the first axis, at most `last`."""
         if node is None:
             return None
         number, length = self._integer(node), value.shape[0]
@@ -373,7 +373,7 @@ class Evaluator:
 
 
 def amount(shape: tuple[int, ...]) -> str:
-    """Returns how many values an array has, for messages."""
+    """Describes the size of an array, for messages."""
     if len(shape) > 1:
         return " x ".join(map(str, shape)) + " values"
     count = int(np.prod(shape))

@@ -1,4 +1,4 @@
-"""Routes: what of which source, robot or frame goes to which input.
+"""Routes from sources, robots and frames to inputs.
 
 route  = target "=" origin
 target = name "." input          lwr.joint_angles, contact.vector, toggles.legend; of a group each
@@ -59,7 +59,7 @@ from .route import FrameRoute, Origin, Route
 from .values import Value, constant, evaluate, joined, numbers_of
 
 FWD_KIN = "fwd_kin_base_to_flange"
-# What can be read of robots, doubles and arrows: what can be set, but for switches and poses.
+# Readable values of robots, doubles and arrows: their inputs except switches and poses.
 _READABLE = ("angles", "values", "vector")
 
 
@@ -69,11 +69,11 @@ class Wiring:
 
     Attributes:
         sources: by name, not yet opened.
-        routes: those of numbers that are right.
-        later: those among them that need more than one packet, each after what it reads.
-        frame_routes: those from frames that are right.
-        levels: names of what frames place, each after what it depends on.
-        problems: what is wrong with the others.
+        routes: valid routes of numbers.
+        later: those among them that need more than one packet, each after its own origins.
+        frame_routes: valid routes from frames.
+        levels: names of bodies placed by frames, each after its dependencies.
+        problems: errors of the others.
     """
 
     sources: dict[str, Source] = field(default_factory=dict)
@@ -84,7 +84,7 @@ class Wiring:
     problems: list[Problem] = field(default_factory=list)
 
     def check(self, scene: Scene) -> Self:
-        """Returns itself; raises DeclarationError where something in the scene is wrong."""
+        """Returns itself; raises DeclarationError for errors in the scene."""
         if self.problems:
             raise DeclarationError(scene.located(self.problems))
         return self
@@ -93,8 +93,8 @@ class Wiring:
 def wire(scene: Scene) -> Wiring:
     """Builds the scene's sources and checks its routes, without opening anything.
 
-    Routes to robots and sources that are themselves declared wrongly are left unchecked: one
-    report of one mistake is enough.
+    Routes to invalid robots and sources are not checked, because each mistake is reported only
+    once.
     """
     wiring = Wiring()
     for name, declared in scene.sources.items():
@@ -102,7 +102,7 @@ def wire(scene: Scene) -> Wiring:
             wiring.sources[name] = make_source(name, declared)
     wiring.problems += _shared_places(wiring.sources)
     checker = _RouteChecker(scene, wiring.sources)
-    led_by: dict[tuple[str, int], str] = {}  # which entry leads to a number of an input
+    led_by: dict[tuple[str, int], str] = {}  # the entry that leads to a number of an input
     parts: dict[str, list[JointPart]] = {}
     for target, origin in scene.routes.items():
         with collect(wiring.problems, f"routes.{target}"):
@@ -138,7 +138,7 @@ def _led_twice(
     joint: int,
     led_by: Mapping[tuple[str, int], str],
 ) -> Problem:
-    """Says that a number of an input has an origin already."""
+    """Reports that a number of an input already has an origin."""
     first = led_by[route.to.target, joint]
     if not isinstance(route, JointPart):
         return Problem("", f"{route.to.target} has a route already, {first}; remove one of them")
@@ -148,12 +148,12 @@ def _led_twice(
 
 
 def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
-    """Ports that two sources of one scene would listen on."""
+    """Ports shared by two sources of a scene."""
     problems = []
     taken: dict[tuple[str, int], str] = {}
     for name, source in sources.items():
         place = source.place
-        if place is None or place[1] == 0:  # no port, or one that the system chooses
+        if place is None or place[1] == 0:  # no port, or one chosen by the system
             continue
         if place in taken:
             message = f"{place[1]} on {place[0]} is the port of source '{taken[place]}' already"
@@ -163,10 +163,10 @@ def _shared_places(sources: Mapping[str, Source]) -> list[Problem]:
 
 
 def _allow_blanks(wiring: Wiring) -> None:
-    """Allows NaN in events that do not move anything, directly or through other routes."""
+    """Allows NaN in events that move nothing, directly or through other routes."""
     routes = {route.to.target: route for route in wiring.routes}
     todo = [target for target, route in routes.items() if route.to.kind not in BLANKABLE]
-    moving: dict[str, Route] = {}  # the routes to what moves, and to what these read
+    moving: dict[str, Route] = {}  # routes to inputs that move something, and to their origins
     while todo:
         target = todo.pop()
         if target in routes and target not in moving:
@@ -174,24 +174,24 @@ def _allow_blanks(wiring: Wiring) -> None:
             todo += routes[target].outputs
     finite = {origin for route in moving.values() for origin in route.value.origins}
     for name, source in wiring.sources.items():
-        # What nobody looks at harms nobody, and its sender may send much that is not routed.
+        # NaN in unused events is harmless, and many events may be unused.
         source.allow_nan({e for e in source.events if Origin(name, e, True) not in finite})
 
 
 def _routes_in_order(routes: Sequence[Route]) -> list[Route]:
-    """The routes that need more than one packet, each after those to what it reads."""
+    """The routes that need more than one packet, each after the routes to its origins."""
     later = {route.to.target: route for route in routes if route.direct is None}
     after = {target: {*later} & set(route.outputs) for target, route in later.items()}
     return [later[target] for target in TopologicalSorter(after).static_order()]
 
 
 def _levels_of_frames(scene: Scene, routes: Sequence[FrameRoute]) -> list[list[str]]:
-    """What frames place, in an order in which everything is placed after what it follows."""
+    """Bodies placed by frames, each after those that it follows."""
     frames = scene.named_frames()
     after: dict[str, set[str]] = {
         name: {double.of} for name, double in scene.doubles.items() if name not in scene.robots
     }
-    if not mount_circles(scene.robots):  # which are reported elsewhere
+    if not mount_circles(scene.robots):  # reported elsewhere
         after |= {name: {*carriers(scene.robots, name)} for name in scene.robots}
     placed = set()
     for route in routes:
@@ -217,13 +217,13 @@ def _levels_of_frames(scene: Scene, routes: Sequence[FrameRoute]) -> list[list[s
 
 def _circle(what: str, error: CycleError) -> Problem:
     names = list(reversed(error.args[1]))[:-1]
-    first = names.index(min(names))  # which one is found first is chance
+    first = names.index(min(names))  # the first one found is random
     circle = " -> ".join([*names[first:], *names[:first], names[first]])
     return Problem("routes", f"{what} that follow each other: {circle}")
 
 
 class _RouteChecker:
-    """Finds what the targets and origins of routes name, and what is wrong with them."""
+    """Resolves the targets and origins of routes, and reports errors."""
 
     def __init__(self, scene: Scene, sources: Mapping[str, Source]) -> None:
         self._scene, self._sources = scene, sources
@@ -231,19 +231,19 @@ class _RouteChecker:
         self._frames = scene.named_frames()
         self._outputs = {key: item for key, item in self._inputs.items() if item.kind in _READABLE}
         self._owners = {item.name for item in self._outputs.values()}
-        self._events: dict[Origin, Value] = {}  # made once: an event may have 65,000 numbers
+        self._events: dict[Origin, Value] = {}  # cached: an event may have 65,000 numbers
 
     def check(self, target: str, origin: str) -> list[Route | FrameRoute | JointPart]:
         """Returns checked routes: one, or one for each member of a group, or for some joints.
 
-        There is none where what is wrong is reported elsewhere.
+        Empty if the error is reported elsewhere.
 
         Raises:
-            DeclarationError: what is wrong with the target, the origin, or both.
+            DeclarationError: errors of the target, the origin, or both.
         """
         name, _, key = target.partition(".")
         limb, dot, of_limb = key.partition(".")
-        dot = "" if f"{name}.{limb}" in self._inputs else dot  # lwr.torques.0 is no limb
+        dot = "" if f"{name}.{limb}" in self._inputs else dot  # lwr.torques.0 is not a limb
         parts = parts_of_origin(origin)
         if dot or parts[0][1] is not None:
             if dot and parts[0][1] is not None:
@@ -290,7 +290,7 @@ class _RouteChecker:
         return made
 
     def _value(self, origin: str) -> tuple[Value, str] | None:
-        """What an origin of numbers means, and its text; None where a fault is told elsewhere."""
+        """The value of a numeric origin, and its text; None if its error is reported elsewhere."""
         try:
             expression = parse(origin)
         except RouteError as error:
@@ -304,7 +304,7 @@ class _RouteChecker:
     def _evaluated(
         self, expression: Expression, problems: list[Problem]
     ) -> tuple[Value, str] | None:
-        """What a parsed origin means, and its text; raises with `problems` beside its own."""
+        """The value of a parsed origin, and its text; errors include `problems`."""
         known = self._known(expression, problems)
         if known is None:
             return None
@@ -318,7 +318,7 @@ class _RouteChecker:
     def _known(
         self, expression: Expression, problems: Sequence[Problem]
     ) -> dict[str, Value] | None:
-        """What its names stand for; None where a fault is told elsewhere. Raises as above."""
+        """Values by name; None if an error is reported elsewhere. Raises as above."""
         found = {name: self._find(name) for name in names_in(expression.text)}
         problems = [*problems, *(v for v in found.values() if isinstance(v, Problem))]
         if problems:
@@ -329,7 +329,7 @@ class _RouteChecker:
     def _group_inputs(
         self, group: str, key: str, members: Sequence[str]
     ) -> list[Input | Problem | None]:
-        """The inputs of a group's members that a route leads to, or what is wrong with it."""
+        """The members' inputs of a route to a group, or its problem."""
         try:
             return list(inputs_of_group(self._inputs, group, key, members))
         except UnknownName as error:
@@ -366,7 +366,7 @@ class _RouteChecker:
         if len(inputs) > 1 and inputs[0].kind in ("angles", "values"):
             shares = _shares(value, inputs, text, target)
         routes: list[Route | FrameRoute] = []
-        first = 0  # of the numbers that a share begins with
+        first = 0  # index of a share's first number
         for item, share in zip(inputs, shares, strict=True):
             full, numbers = share, np.arange(share.entries.size)
             if item.coupled is not None and share.shape and share.entries.size == item.coupled.k:
@@ -404,13 +404,13 @@ class _RouteChecker:
         return [Route(item, text, compiled, condition=condition) for item in items]
 
     def _input(self, target: str) -> Input | Problem | None:
-        """The input that a route leads to, what is wrong with it, or None where that is known."""
+        """The input of a route, its problem, or None if that is reported elsewhere."""
         if target in self._inputs:
             return self._inputs[target]
         scene, (name, _, key) = self._scene, target.partition(".")
         keys = [item.key for item in self._inputs.values() if item.name == name]
         if scene.is_broken(name) or scene.is_broken(name, ("groups",)):
-            near = nearest(key, ROBOT_INPUTS)  # one of its own inputs may be meant
+            near = nearest(key, ROBOT_INPUTS)  # maybe one of its own inputs
             mistyped = near is not None and key not in ROBOT_INPUTS
             message = f"no input '{key}' of {name}; did you mean '{near}'?"
             moves = {f"robots.{name}", f"groups.{name}"} & scene.broken
@@ -434,7 +434,7 @@ class _RouteChecker:
         return Problem("", f"no robot '{name}'{near}")
 
     def _is_frame(self, name: str) -> bool:
-        """Whether a name is that of a frame, and not of numbers."""
+        """Whether a name refers to a frame, not to numbers."""
         return "/" in name or name in self._frames or self._is_fwd_kin(name)
 
     def _is_fwd_kin(self, name: str) -> bool:
@@ -442,7 +442,7 @@ class _RouteChecker:
         return key == FWD_KIN and robot in self._scene.robots and robot not in self._scene.sources
 
     def _no_frame(self, name: str) -> Problem | None:
-        """Says that there is no such frame; None where its robot is declared wrongly."""
+        """Reports an unknown frame; None if its robot is invalid."""
         if self._scene.is_broken(name.partition("/")[0]):
             return None
         events = [f"{n}.{event}" for n, source in self._sources.items() for event in source.events]
@@ -470,13 +470,13 @@ class _RouteChecker:
         return FrameRoute(item, name.partition(".")[0] if is_fwd_kin else name, is_fwd_kin)
 
     def _find(self, name: str) -> Value | Problem | None:
-        """What a name stands for, what is wrong with it, or None where that is known."""
+        """The value of a name, its problem, or None if that is reported elsewhere."""
         if name in UNITS:
             return constant(*UNITS[name])
         return self._no_number(name) if self._is_frame(name) else self._numbers(name)
 
     def _no_number(self, name: str) -> Problem | None:
-        """Says that a name is a frame's; None where its robot is declared wrongly."""
+        """Reports that a name refers to a frame; None if its robot is invalid."""
         message = f"{name} is a 4 x 4 frame, which cannot be indexed or combined"
         is_known = self._scene.frame_name(name) in self._frames or self._is_fwd_kin(name)
         return Problem("", message) if is_known else self._no_frame(name)
@@ -519,7 +519,7 @@ class _RouteChecker:
         return Problem("", f"no output '{key}' of {name}{hint or did_you_mean(key, keys)}")
 
     def _group_output(self, members: Sequence[str], key: str) -> Value | Problem | None:
-        """The values of a group's members one after the other."""
+        """The concatenated values of a group's members."""
         found = []
         for name in members:
             if name not in self._owners:
@@ -547,7 +547,7 @@ def _shares(value: Value, items: Sequence[Input], text: str, target: str) -> lis
     """The values of a group's members, in order: of all joints, or of the independent ones.
 
     Raises:
-        DeclarationError: there are as many values of neither.
+        DeclarationError: the number of values matches neither.
     """
     if value.is_constant and not value.shape:
         return [value] * len(items)  # one number for all
@@ -571,7 +571,7 @@ def _with_coupled(value: Value, item: Input, coupled: CoupledJoints) -> Value:
 
 
 def _wrong_shape(value: Value, item: Input) -> str:
-    """Says why a value has not the shape that an input takes; empty where it has."""
+    """Explains why a value has a wrong shape for an input; empty if correct."""
     count, shape = value.entries.size, value.shape
     many = "1 value" if count == 1 else f"{count} values"
     if item.shape == (4, 4):
@@ -587,7 +587,7 @@ def _wrong_shape(value: Value, item: Input) -> str:
 
 
 def _missing_spaces(name: str, known: Iterable[str]) -> str:
-    """Advice where a known name runs into an operator that can also stand in names."""
+    """Advice if a known name touches an operator that is also allowed in names."""
     for i, sign in enumerate(name):
         if sign in "-/" and name[:i] in known:
             return f"; put spaces about '{sign}'"

@@ -1,9 +1,9 @@
-"""Reads MCAP files of any program: where everything is, and the messages of a chunk.
+"""Reads MCAP files of any program: an index of their records, and the messages of a chunk.
 
-Where everything is says the file's summary, or else a walk through it. A file whose process was
-killed has no summary. Walking through it skips what records contain, so it takes about as long as
-there are chunks; `mcap.stream_reader` would read and unpack them all. Sizes are bounded before
-anything is read or decompressed.
+The index is taken from the file's summary, or else from a scan. A file whose process was killed has
+no summary. Scanning skips the contents of records, so its time is proportional to the number of
+chunks; `mcap.stream_reader` would read and unpack them all. Sizes are bounded before anything is
+read or decompressed.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from mcap.stream_reader import MAGIC_SIZE
 MAX_CHUNK_BYTES = 64 << 20  # decompressed; writers make chunks of 1 to 4 MiB
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time
 _RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
-_CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # bytes of a chunk's fields, but for text and data
-# What the mcap library and the decompressors raise where bytes are not what they should be.
+_CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # bytes of a chunk's fields, except text and data
+# Exceptions of the mcap library and the decompressors for damaged data.
 BROKEN = (
     McapError,
     zstandard.ZstdError,
@@ -38,7 +38,7 @@ BROKEN = (
     MemoryError,
     RuntimeError,
 )
-_ATTACHMENT_HEAD = 4096  # bytes that surely hold an attachment's name
+_ATTACHMENT_HEAD = 4096  # bytes that always include an attachment's name
 _CRC_BYTES = 4 + MAGIC_SIZE  # at the end of a file: the summary's check sum, and the magic number
 _NOT_CLOSED = "its process was killed, the disk was full, or it is still being written"
 
@@ -48,11 +48,11 @@ class ChunkPlace:
     """A chunk in the file.
 
     Attributes:
-        offset: where its record begins.
+        offset: of its record.
         length: bytes of its record.
         first: log time of its earliest message, ns.
         last: log time of its latest message, ns.
-        channels: those that it has messages of; None when that is not known.
+        channels: of its messages; None if unknown.
     """
 
     offset: int
@@ -64,16 +64,16 @@ class ChunkPlace:
 
 @dataclass
 class FileIndex:
-    """Where everything is.
+    """An index of the file.
 
     Attributes:
         channels: number to channel.
         chunks: in the order of the file.
-        counts: channel to its number of messages, but for those in `uncounted`.
-        uncounted: chunks that nothing tells the messages of.
-        metadata: name to what a metadata record says.
-        attachments: name to where its record stands and how long it is.
-        faults: what is wrong with the file.
+        counts: channel to its number of messages, except those in `uncounted`.
+        uncounted: chunks with an unknown number of messages.
+        metadata: name to the contents of a metadata record.
+        attachments: name to offset and length of its record.
+        faults: errors of the file.
     """
 
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -86,7 +86,7 @@ class FileIndex:
 
 
 def read_index(file: BinaryIO) -> FileIndex:
-    """Returns where everything is in a file that begins as an MCAP file does; raises OSError."""
+    """Returns the index of a file with an MCAP header; raises OSError."""
     size = file.seek(0, os.SEEK_END)
     try:
         index = _from_summary(file, size)
@@ -104,7 +104,7 @@ def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
 
     Args:
         file: the MCAP file.
-        offset: where the content begins, bytes.
+        offset: of the content, bytes.
         length: of the content, bytes.
 
     Raises:
@@ -118,7 +118,7 @@ def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
 
 
 def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
-    """Reads the summary; None where there is none; raises one of BROKEN when it is damaged."""
+    """Reads the summary; None without one; raises one of BROKEN if it is damaged."""
     ending = FOOTER_SIZE + MAGIC_SIZE
     if size < MAGIC_SIZE + ending:
         return None
@@ -161,9 +161,9 @@ def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
 
 
 def _walk_through(file: BinaryIO, size: int) -> FileIndex:
-    """Goes from record to record, up to the end of the data or to where that is not possible."""
+    """Scans the records up to the end of the data or the first damage."""
     index = FileIndex()
-    # Where chunks are, with the counts of the message indices behind them.
+    # Chunks, with the counts of the message indices after them.
     chunks: list[tuple[tuple[int, int, int, int], dict[int, int]]] = []
     position, is_whole = MAGIC_SIZE, False
     try:
@@ -181,7 +181,7 @@ def _walk_through(file: BinaryIO, size: int) -> FileIndex:
     except BROKEN:
         pass  # up to here, then
     if chunks and not is_whole:
-        chunks[-1][1].clear()  # some of the records behind it may be missing
+        chunks[-1][1].clear()  # some of the records after it may be missing
     for place, counts in chunks:
         chunk = ChunkPlace(*place, frozenset(counts) or None)
         index.chunks.append(chunk)
@@ -200,7 +200,7 @@ def _walk_through(file: BinaryIO, size: int) -> FileIndex:
 
 
 def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
-    """Opcode, place and length of one record after the other, up to the end of the data."""
+    """Yields opcode, offset and length of each record up to the end of the data."""
     position, opcode = MAGIC_SIZE, 0
     while opcode != Opcode.DATA_END:
         file.seek(position)
@@ -213,7 +213,7 @@ def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
 
 
 def _note(file: BinaryIO, opcode: int, offset: int, length: int, index: FileIndex) -> None:
-    """Adds a record to the index; the file stands behind the record's head."""
+    """Adds a record to the index; the file position is after the record's head."""
     if opcode == Opcode.CHANNEL:
         found = Channel.read(ReadDataStream(read_record(file, offset, length)))
         index.channels[found.id] = found
@@ -232,7 +232,7 @@ def _metadata(file: BinaryIO, offset: int, length: int) -> Metadata:
 
 
 def reason_of(error: BaseException) -> str:
-    """What one of BROKEN says; those of the mcap library often say nothing."""
+    """The message of one of BROKEN; those of the mcap library are often empty."""
     return str(error) or {"EndOfFile": "it ends early"}.get(name := type(error).__name__, name)
 
 
@@ -247,7 +247,7 @@ def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
         channel: the channel's number.
 
     Raises:
-        BROKEN: one of these, where the chunk is damaged, or larger than can be meant.
+        BROKEN: one of these, if the chunk is damaged or implausibly large.
     """
     chunk = Chunk.read(ReadDataStream(io.BytesIO(record)))
     if len(chunk.data) + _CHUNK_FIELDS + len(chunk.compression) != len(record):
@@ -272,7 +272,7 @@ def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
 
 
 def _decompressed(chunk: Chunk) -> bytes:
-    """What a chunk contains; never takes more memory than the chunk says, and that is bounded."""
+    """The contents of a chunk; memory is bounded by the size stated in the chunk."""
     size = chunk.uncompressed_size
     if size > MAX_CHUNK_BYTES:
         most = f"expected at most {MAX_CHUNK_BYTES}"

@@ -1,4 +1,4 @@
-"""Tables of comma-separated values: a recording as one, and one to be sent as packets."""
+"""Tables of comma-separated values: exports recordings, and reads tables to be sent."""
 
 from __future__ import annotations
 
@@ -35,21 +35,21 @@ _QUOTED = re.compile(r'"[^"]*"')
 
 @contextlib.contextmanager
 def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[Writer]:
-    """Gives a writer of rows; a file of this name is replaced when all of them are written.
+    """Yields a writer of rows; an existing file is replaced when all of them are written.
 
-    Until then they are in a file beside it, which goes when something fails. What is no file, a
-    pipe say, is written to as it is.
+    Until then they are in a temporary file beside it, which is removed on failure. Pipes are
+    written to directly.
 
     Args:
         path: the table.
-        failed: what is said when it fails, in front of the reason.
+        failed: message on failure, before the reason.
 
     Raises:
         CsvError: the file cannot be written.
     """
     path = Path(path)
     is_file = path.is_file() or not path.exists()
-    whole = path.resolve() if is_file else path  # what a link leads to, not the link
+    whole = path.resolve() if is_file else path  # the target of a link, not the link
     partial = whole.with_name(f"{whole.name}.part") if is_file else whole
     try:
         with open(partial, "w", newline="", encoding="utf-8") as file:
@@ -58,9 +58,9 @@ def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[W
             os.replace(partial, whole)
     except BaseException as error:
         if is_file:
-            with contextlib.suppress(OSError):  # it may be its folder that is not there
+            with contextlib.suppress(OSError):  # its folder may be missing
                 partial.unlink()
-        # Some of this package's own errors are OSErrors as well: of where the rows come from.
+        # Some of this package's own errors, of the rows' source, are OSErrors as well.
         if isinstance(error, OSError) and not isinstance(error, SeroError):
             raise CsvError(path, f"{failed}: {error.strerror}") from error
         raise
@@ -72,7 +72,7 @@ class Exported:
 
     Attributes:
         rows: packets, one row each.
-        malformed: packets that are not in it, because they could not be decoded.
+        malformed: number of packets left out because they could not be decoded.
     """
 
     rows: int = 0
@@ -97,21 +97,21 @@ def export_csv(
     start: float = -math.inf,
     stop: float | None = None,
 ) -> Exported:
-    """Writes a source's good packets into a table, a row each: time, then all of its numbers.
+    """Writes a source's good packets to a table, a row each: time, then all numbers.
 
-    Numbers have as many digits as it takes to read the same ones again; NaN is `nan`. The file is
-    there when all of it is there: a file of this name is replaced then.
+    Numbers have enough digits to be read back exactly; NaN is `nan`. The file appears when it is
+    complete, and then replaces an existing one.
 
     Args:
-        recording: where from.
+        recording: to export.
         name: the source.
         path: the file to write.
         decode: a packet to its events; None, or ValueError, for a malformed one.
-        start: from when on, s since the recording began.
-        stop: until before when, likewise; None to the end.
+        start: first time, s since the recording began.
+        stop: end time, exclusive, likewise; None for the end.
 
     Returns:
-        How many rows it has, and how many packets it has not.
+        the numbers of rows and of packets left out.
 
     Raises:
         CsvError: the file cannot be written.
@@ -137,7 +137,7 @@ def export_csv(
                 row += values[event].ravel().tolist()
             yield row
 
-    first = next(rows_of := rows(), None)  # what is wrong with the recording comes before a file
+    first = next(rows_of := rows(), None)  # recording errors come before a file is created
     with csv_table(path) as table:
         table.writerow([TIME, *column_names(events)])
         if first is not None:
@@ -151,18 +151,18 @@ def read_csv(
 ) -> tuple[Array, dict[str, Array]]:
     """Reads a table of numbers, separated by commas or semicolons, as programs write them.
 
-    The first line may name the columns, also behind `#`, as numpy writes it; without names they are
-    `1`, `2`, ... A column called `time` says when each row is due. A first column that alone has no
-    name counts rows, as pandas does, and is left out. Empty lines and comments, which begin with
-    `#`, are passed over. Between semicolons numbers may have decimal commas.
+    The first line may name the columns, also after `#`, as written by numpy; without names they are
+    `1`, `2`, ... A column `time` has the time of each row. A first column that is the only one
+    without a name is an index, as in pandas, and is left out. Empty lines and comments, which begin
+    with `#`, are skipped. With semicolons numbers may have decimal commas.
 
     Args:
         path: the file.
-        rate: rows per s, instead of a column `time`, which is left out then.
-        instead: how a rate can be given, for what is said where there is no column `time`.
+        rate: rows per s, instead of a column `time`, which is then ignored.
+        instead: how a rate can be given, for the message about a missing column `time`.
 
     Returns:
-        When each row is due, s, (n,), never decreasing; and name to column, (n,). NaN and infinity
+        the times of the rows, s, (n,), non-decreasing; and name to column, (n,). NaN and infinity
         are read as such, and empty cells as NaN.
 
     Raises:
@@ -191,7 +191,7 @@ def read_csv(
 
 
 def _reader(lines: Iterator[str]) -> Reader:
-    """Reads cells between semicolons where the first line but comments has any, else commas."""
+    """Reads cells separated by semicolons if the first non-comment line has any, else by commas."""
     head: list[str] = []
     for line in lines:
         head.append(line)
@@ -245,7 +245,7 @@ def _read_rows(path: Path, reader: Reader, *, timed: bool) -> tuple[list[str], A
 
 
 def _filled_rows(path: Path, reader: Reader) -> Iterator[tuple[int, list[str], list[str]]]:
-    """Line and cells of every row that is not empty, and cells of the comment above the first."""
+    """Line and cells of every non-empty row, and cells of the comment above the first."""
     comment: list[str] = []
     try:
         for cells in reader:
@@ -258,14 +258,14 @@ def _filled_rows(path: Path, reader: Reader) -> Iterator[tuple[int, list[str], l
 
 
 def _is_count(cells: list[str]) -> bool:
-    """Whether a row names columns by their numbers behind an index, as pandas does."""
+    """Whether a row names columns by numbers after an index, as in pandas."""
     counted = [str(i) for i in range(len(cells) - 1)]
     first, *others = (cell.strip() for cell in cells)
     return bool(others) and not first and others == counted
 
 
 def _check_names(path: Path, line: int, names: list[str], first: int) -> None:
-    """Raises `CsvError` where columns, the first of which has this number, cannot be told apart."""
+    """Raises `CsvError` for ambiguous column names; `first` is the number of the first column."""
     for i, name in enumerate(names):
         if not name:
             raise CsvError(path, f"column {i + first} has no name", line=line)
@@ -274,7 +274,7 @@ def _check_names(path: Path, line: int, names: list[str], first: int) -> None:
 
 
 def _number(cell: str) -> float | None:
-    """The number in a cell, NaN where it is empty; None where there is something else."""
+    """The number in a cell, NaN if it is empty; None for anything else."""
     try:
         return float(cell) if cell.strip() else math.nan
     except ValueError:

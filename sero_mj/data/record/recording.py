@@ -1,4 +1,4 @@
-"""`Recording`: reads what `RecordingWriter` wrote, also when that was cut off or damaged."""
+"""`Recording`: reads files of `RecordingWriter`, even truncated or damaged ones."""
 
 from __future__ import annotations
 
@@ -57,27 +57,27 @@ class RecordedSource(SourceDeclaration):
 
     @property
     def is_unreadable(self) -> bool:
-        """Whether it has packets, and none of them can be read."""
+        """Whether it has packets, but none of them is readable."""
         return self.count > 0 and math.isnan(self.first)
 
 
 class Recording:
-    """A recording that was written before, or is being written now. For any number of threads.
+    """A finished recording, or one still being written. For any number of threads.
 
-    Times are s since the recording began. Chunks that are damaged are left out, and told in
-    `faults`; so is everything else that is wrong and can be lived with.
+    Times are s since the recording began. Damaged chunks are left out and reported in `faults`,
+    like all other tolerable errors.
 
     Args:
         path: the file.
 
     Attributes:
         path: the file.
-        about: what it is a recording of.
+        about: description of the recorded scene.
         start: when it began, UTC.
         duration: s from its beginning to its last packet.
         sources: name to source.
-        lost: source to the number of its packets that could not be kept.
-        faults: what is wrong with it, a sentence each. Damaged chunks are found as they are read.
+        lost: source to the number of its lost packets.
+        faults: its errors, a sentence each. Damaged chunks are detected when they are read.
 
     Raises:
         RecordingError: it cannot be read, or is not a recording.
@@ -112,7 +112,7 @@ class Recording:
         self.faults += index.faults
         declarations = self._declarations(index)
         self._chunks = index.chunks
-        # Chunks are almost in the order of time. These two are in any case, so that they can be
+        # Chunks are almost sorted by time. These two are strictly sorted, so that they can be
         # searched: the latest message up to a chunk, and the earliest one from a chunk on.
         self._latest = list(accumulate((chunk.last for chunk in self._chunks), max))
         earliest = accumulate((chunk.first for chunk in reversed(self._chunks)), min)
@@ -135,7 +135,7 @@ class Recording:
         self.duration = max(ends, default=0.0)
 
     def _declarations(self, index: FileIndex) -> dict[int, SourceDeclaration]:
-        """Raw channel to what it says of its source."""
+        """Raw channel to the declaration of its source."""
         found = {}
         for number, channel in index.channels.items():
             text = channel.metadata.get(SOURCE_KEY)
@@ -156,7 +156,7 @@ class Recording:
 
     def _read_clock(self, index: FileIndex) -> RecordingClock:
         metadata = index.metadata.get(CLOCK)
-        if metadata is None:  # other tools may leave it out when they write a file anew
+        if metadata is None:  # other tools may omit it when they rewrite a file
             self.faults.append("does not say when it began; times count from its first packet")
             return RecordingClock(min(self._earliest, default=0), 0)
         try:
@@ -178,7 +178,7 @@ class Recording:
         return counts
 
     def _ends(self, channel: int) -> tuple[float, float]:
-        """When the first and the last packet in the file arrived."""
+        """Arrival of the first and the last packet in the file."""
         first = next((found[0][0] for _, found in self._of(channel, self._chunks)), None)
         backwards = reversed(self._chunks)
         last = next((found[-1][0] for _, found in self._of(channel, backwards)), None)
@@ -191,10 +191,10 @@ class Recording:
 
         Args:
             name: which; empty for `default`, or the only one.
-            default: taken where there is a source of this name and no other is asked for.
+            default: used if there is a source of this name and no other is requested.
 
         Raises:
-            UsageError: there is no such source, or several to choose from.
+            UsageError: there is no such source, or there are several.
         """
         names = list(self.sources)
         chosen = name or (default if default in names or len(names) != 1 else names[0])
@@ -208,15 +208,15 @@ class Recording:
     def packets(
         self, name: str, start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, bytes]]:
-        """Goes through a source's packets in the order of the file; reads only what it must.
+        """Iterates over a source's packets in file order; reads only the required chunks.
 
         Args:
             name: the source.
-            start: from when on, s since the recording began.
-            stop: until before when, likewise; None to the end.
+            start: first time, s since the recording began.
+            stop: end time, exclusive, likewise; None for the end.
 
         Returns:
-            When each one arrived, s since the recording began, and its bytes.
+            Arrival of each, s since the recording began, and its bytes.
 
         Raises:
             RecordingError: the file cannot be read.
@@ -224,8 +224,8 @@ class Recording:
         """
         channel = self._find(name)
         begin, end = self._log_time(start), self._log_time(math.inf if stop is None else stop)
-        # Behind the last chunk that is wholly before the start, and before the first that is
-        # wholly behind the end.
+        # After the last chunk entirely before the start, and before the first one entirely after
+        # the end.
         chunks = (
             self._chunks[i]
             for i in range(bisect_right(self._latest, begin - 1), len(self._chunks))
@@ -237,7 +237,7 @@ class Recording:
                     yield self._seconds(log_time), data
 
     def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
-        """Returns a source's newest packet at or before a time, or None: what a seek begins with.
+        """Returns a source's newest packet at or before a time, or None; used by seeking.
 
         Args:
             name: the source.
@@ -286,7 +286,7 @@ class Recording:
             raise self._unreadable(error) from error
 
     def check_readable(self, name: str) -> None:
-        """Raises RecordingError where none of a source's packets can be read."""
+        """Raises RecordingError if none of a source's packets is readable."""
         source = self.sources[name]
         if source.is_unreadable:
             why, *others = self.faults or ["its index is wrong"]
@@ -320,7 +320,7 @@ class Recording:
     def _of(
         self, channel: int, chunks: Iterator[ChunkPlace] | list[ChunkPlace]
     ) -> Iterator[tuple[ChunkPlace, list[tuple[int, bytes]]]]:
-        """The chunks that have messages of a channel, and these."""
+        """The chunks with messages of a channel, and the messages."""
         for chunk in chunks:
             if chunk.channels is None or channel in chunk.channels:
                 found = self._messages(chunk, channel)
@@ -328,7 +328,7 @@ class Recording:
                     yield chunk, found
 
     def _messages(self, chunk: ChunkPlace, channel: int) -> list[tuple[int, bytes]]:
-        """A chunk's messages of a channel: log time in ns, and data; none when it is damaged."""
+        """A chunk's messages of a channel: log time in ns, and data; empty if it is damaged."""
         with self._lock:
             if self._cached[:2] == (chunk.offset, channel):
                 return self._cached[2]

@@ -1,4 +1,4 @@
-"""What makes an MCAP file a recording of ours: topics, metadata, the two clocks, and JSON.
+"""The format of recordings in MCAP: topics, metadata, the two clocks, and JSON.
 
     metadata `sero-mj`    format, version, started, start_epoch_ns, start_monotonic_ns
     metadata `about`      what the recording is of: scene, robot, ...
@@ -8,14 +8,15 @@
                           plot; its metadata says of every name where its number comes from
     attachments           the scene file and its robots' files
 
-A message's log time is when the packet arrived, in ns since the epoch. That clock is the monotonic
-one, moved once, when the recording began: it never jumps, and differences are exact to the ns.
+A message's log time is when the packet arrived, in ns since the epoch. It is the monotonic clock
+with a constant offset set at the start of the recording: it never jumps, and differences are exact
+to the ns.
 
-Numbers that have a name of their own (`lwr.A1.torque [Nm]`) are members of a JSON message. Foxglove
-refuses a whole channel whose schema has an array of arrays. So other values are an array of
+Numbers with individual names (`lwr.A1.torque [Nm]`) are members of a JSON message. Foxglove refuses
+a whole channel if its schema has an array of arrays. Therefore other values are an array of
 numbers; vectors an array of `{x, y, z}`; matrices an array of `{position: {x, y, z}, rotation: [9
-numbers, row by row]}`, which is all of a frame. NaN and infinity, which JSON lacks, are null.
-Numbers have seven significant digits, enough for a plot; the packets beside them have them all.
+numbers, row by row]}`, which defines a frame. NaN and infinity, which JSON lacks, are null. Numbers
+have seven significant digits, enough for a plot; the raw packets have all digits.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ _MAX_NS = 2**64 - 1
 
 @dataclass(frozen=True)
 class RecordingClock:
-    """When a recording began, on both clocks.
+    """The start of a recording, on both clocks.
 
     Attributes:
         epoch_ns: ns since the epoch, UTC.
@@ -58,7 +59,7 @@ class RecordingClock:
         """Returns the log time, ns since the epoch, of an arrival in s on `time.monotonic`.
 
         Raises:
-            ValueError: it is not a time that a file can hold.
+            ValueError: the time is out of the file's range.
         """
         if not math.isfinite(arrival):
             raise ValueError(f"arrival: found {arrival}; expected seconds on time.monotonic")
@@ -86,7 +87,7 @@ class RecordingClock:
 
 @dataclass(frozen=True)
 class SourceDeclaration:
-    """How a source's packets are to be decoded, as a raw channel's metadata carries it.
+    """The declaration needed to decode a source's packets, stored as a raw channel's metadata.
 
     Attributes:
         name: the source's name in routes.
@@ -135,12 +136,12 @@ _FRAME_TEXT = f'{{"position":{_POINT_TEXT},"rotation":[{",".join([_DIGITS] * 9)}
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """What the messages of a source hold, and what it is called there.
+    """The contents of a source's messages, and their names.
 
     Attributes:
-        shapes: event, or input that a route leads to, to its shape: (n,), (n, 3) or (n, 4, 4).
+        shapes: event, or routed input, to its shape: (n,), (n, 3) or (n, 4, 4).
         names: one of these to the names of its numbers, n; the others are arrays.
-        origins: such a name to where its number comes from: `values1[0]`.
+        origins: such a name to the origin of its number: `values1[0]`.
     """
 
     shapes: Mapping[str, tuple[int, ...]]
@@ -162,7 +163,7 @@ class Signals:
         return json.dumps({"title": title, "type": "object", "properties": properties}).encode()
 
     def encode(self, values: Mapping[str, NDArray[np.float64]]) -> bytes:
-        """Returns a decoded packet as a message; arrays as `shapes` has them."""
+        """Returns a decoded packet as a message; arrays by `shapes`."""
         numbers = [np.asarray(values[key], np.float64).ravel() for key in self.shapes]
         return self.encode_table(np.concatenate(numbers)[None])[0] if numbers else b"{}"
 
@@ -188,9 +189,9 @@ class Signals:
 
     @cached_property
     def _template(self) -> tuple[str, NDArray[np.intp] | None]:
-        """The message with a place for every number, and which number goes where.
+        """The message template with a placeholder for every number, and the order of numbers.
 
-        The latter is None where they go as they come.
+        The latter is None if the order is unchanged.
         """
         members, order, first = [], [], 0
         for key, shape in self.shapes.items():

@@ -1,9 +1,9 @@
-"""`RecordingWriter`: packets and what they mean, into an MCAP file that is whole at every moment.
+"""`RecordingWriter`: writes packets and decoded values to an MCAP file that is always valid.
 
-Behind the last record there always stands a short ending without an index, which the next records
-are written over and bring along. So a process may be killed at any time, and readers find a whole
-file without an index; only one that was killed in the midst of a write leaves half a chunk at the
-end. On a full disk the same ending has its room already.
+The last record is always followed by a short ending without an index, which the next records
+overwrite and append again. So if the process is killed at any time, readers find a valid file
+without an index; only a process killed during a write leaves half a chunk at the end. On a full
+disk the space of the ending is already allocated.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from .recording_format import (
 )
 
 CHUNK_BYTES = 1 << 20
-FLUSH_AFTER = 0.4  # s: so that no more than half a second is lost with its process
+FLUSH_AFTER = 0.4  # s: so that at most half a second is lost with its process
 _MESSAGE_HEAD = 31  # bytes of a message's record beside its data
-_BY_US = 1 << 62  # larger than any chunk: the library shall not end one when we do not know it
+_BY_US = 1 << 62  # larger than any chunk: prevents the library from ending chunks by itself
 _WHY = {
     errno.ENOSPC: "no space left on the disk",
     errno.EDQUOT: "the disk quota is used up",
@@ -49,7 +49,7 @@ _WHY = {
 
 
 def pack_record(record: McapRecord) -> bytes:
-    """Returns a record as it stands in a file."""
+    """Returns a serialized record."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())
@@ -59,7 +59,7 @@ SHORT_ENDING = pack_record(DataEnd(0)) + pack_record(Footer(0, 0, 0)) + MCAP0_MA
 
 
 class McapStream:
-    """A stream for `mcap.writer.Writer`: records wait until `flush` writes them with an ending.
+    """A stream for `mcap.writer.Writer`: buffers records until `flush` writes them with an ending.
 
     Args:
         path: the file.
@@ -68,7 +68,7 @@ class McapStream:
     Attributes:
         path: the file.
         size: bytes of the file.
-        kept: what is in the file up to the last `flush`, for the error; empty for nothing.
+        kept: description of the data up to the last `flush`, for the error; empty for none.
         error: why nothing more can be written, or None.
 
     Raises:
@@ -79,10 +79,10 @@ class McapStream:
         self.path = Path(path)
         self.size, self.kept = 0, ""
         self.error: RecordingError | None = None
-        self._end = 0  # where the records in the file end, and its ending begins
+        self._end = 0  # end of the records in the file, where its ending begins
         self._records = bytearray()
         try:
-            # Unbuffered: what is left in a buffer would be lost with the process.
+            # Unbuffered: buffered data would be lost with the process.
             self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
         except FileExistsError as error:
             reason = "exists already; choose another name, or remove it"
@@ -96,16 +96,16 @@ class McapStream:
         return self._file.closed
 
     def write(self, data: bytes) -> int:
-        """Takes whole records."""
+        """Accepts complete records."""
         self._records += data
         return len(data)
 
     def tell(self) -> int:
-        """Where the next record will stand."""
+        """Offset of the next record."""
         return self._end + len(self._records)
 
     def flush(self) -> None:
-        """Writes the records over the ending, which follows them.
+        """Overwrites the ending with the records, followed by a new ending.
 
         Raises:
             RecordingError: there is no room. What was written before is kept.
@@ -139,9 +139,9 @@ class McapStream:
         self.size = self._end + len(data)
 
     def _rescue(self, error: OSError) -> NoReturn:
-        """Removes what is half written, closes the file, and raises the error."""
+        """Removes partially written data, closes the file, and raises the error."""
         with contextlib.suppress(OSError):
-            # The ending keeps its room on the disk throughout.
+            # The space of the ending remains allocated throughout.
             self._file.truncate(self._end + len(SHORT_ENDING))
             self._put_at_end(SHORT_ENDING)
         with contextlib.suppress(OSError):
@@ -171,20 +171,20 @@ class _Channels:
 class RecordingWriter:
     """Writes a recording. For one thread at a time; `Recorder` is for several.
 
-    The process may be killed at any time: what came more than `flush_after` before is in the file,
-    as long as something is written or `flush_if_old` is called now and then. The file can be read
-    while it is written. The memory it takes grows by the library's chunk index only: less than 1 kB
-    per chunk, so 7 MB in an hour of chunks that are flushed every 0.4 s.
+    The process may be killed at any time: data older than `flush_after` is in the file, provided
+    that something is written or `flush_if_old` is called regularly. The file can be read while it
+    is written. Its memory use grows by the library's chunk index only: less than 1 kB per chunk, so
+    7 MB in an hour of chunks that are flushed every 0.4 s.
 
     Args:
         path: the file.
         about: what it is a recording of, e.g. `{"scene": "lwr_udp"}`.
         overwrite: write over a file that exists; else that is an error.
         chunk_bytes: a chunk is written when its messages are larger than this.
-        flush_after: s until a chunk is written though it is not full.
+        flush_after: s until an incomplete chunk is written.
 
     Attributes:
-        clock: when the recording began.
+        clock: start of the recording.
 
     Raises:
         RecordingError: the file exists already, or cannot be written.
@@ -203,7 +203,7 @@ class RecordingWriter:
         self.clock = RecordingClock() if clock is None else clock
         self._channels: dict[str, _Channels] = {}
         self._chunk_bytes, self._flush_after = chunk_bytes, flush_after
-        self._waiting = 0  # bytes of the messages that are not yet in the file
+        self._waiting = 0  # bytes of the messages not yet in the file
         self._oldest = 0.0  # when the first of them came, on time.monotonic
         self._count = 0  # of packets, in the file or not
         self._span = (2**64, 0)  # log times of the first and the last of them, ns
@@ -239,10 +239,11 @@ class RecordingWriter:
         Args:
             name: the source's name in routes.
             kind: its kind, e.g. `udp`.
-            declared: its fields in the scene, of JSON's types; a replay makes its decoder of them.
+            declared: its fields in the scene, of JSON's types; a replay builds its decoder from
+                them.
             events: event name to its shape, (n,), (n, 3) or (n, 4, 4).
             size: bytes of a packet.
-            signals: what is kept of the decoded packets; their events when None.
+            signals: of the decoded packets; their events when None.
 
         Raises:
             RecordingError: it cannot be written.
@@ -277,7 +278,7 @@ class RecordingWriter:
         return number
 
     def _repeat(self, record: McapRecord) -> None:
-        """Writes a record outside of chunks too, so that it can be read where a chunk is lost."""
+        """Repeats a record outside of chunks, so that it is readable if a chunk is lost."""
         self._file.write(pack_record(record))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
@@ -292,7 +293,7 @@ class RecordingWriter:
         self._file.flush()
 
     def write_raw(self, name: str, packet: bytes, arrival: float) -> None:
-        """Writes a packet as it came, numbered from 0 on.
+        """Writes a raw packet, numbered from 0.
 
         Args:
             name: its source.
@@ -367,7 +368,7 @@ class RecordingWriter:
         return channels
 
     def _add(self, channel: int, data: bytes, log_time: int, number: int) -> None:
-        """Adds a message to the chunk, and writes that when it is full."""
+        """Adds a message to the chunk, and writes the chunk when it is full."""
         if self._file.error is not None:
             raise self._file.error
         if not self._waiting:
@@ -378,7 +379,7 @@ class RecordingWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Writes all that waits into the file; raises RecordingError."""
+        """Writes all buffered data to the file; raises RecordingError."""
         if not self._waiting:
             return
         self._writer.flush()
@@ -387,10 +388,10 @@ class RecordingWriter:
         self._file.kept = f"{self._count} packets over {seconds:.3f} s" if self._count else ""
 
     def flush_if_old(self) -> float:
-        """Flushes when the oldest message has waited for `flush_after`.
+        """Flushes if the oldest message is older than `flush_after`.
 
         Returns:
-            The s until it is due; infinite when nothing waits.
+            The s until it is due; infinite without buffered data.
 
         Raises:
             RecordingError: there is no room.
@@ -405,7 +406,7 @@ class RecordingWriter:
         """Finishes the file; harmless when it is finished.
 
         Args:
-            lost: source to the number of its packets that never came here, to be told by readers.
+            lost: source to the number of its lost packets, to be reported by readers.
 
         Raises:
             RecordingError: there is no room for the rest. What was written before is kept.

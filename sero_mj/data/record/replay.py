@@ -1,4 +1,4 @@
-"""`Replay`: a recording as a source. What was received once is received again, bit for bit."""
+"""`Replay`: a recording as a source, which reproduces the received packets bit for bit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ..receive.source import Source, log
 from ..receive.structure import Structure
 from .recording import RecordedSource, Recording
 
-_AT_ONCE = 4096  # packets
+_BATCH = 4096  # packets
 
 
 def _as_path(file: Any) -> Path:
@@ -35,20 +35,20 @@ def _as_path(file: Any) -> Path:
 
 
 class Replay(Source):
-    """Plays one source of a recording, through the decoder that the source had.
+    """Plays one source of a recording, through the decoder of that source.
 
-    It has no thread: packets come when the clock that drives it has reached their time. A mirror
-    drives it by its own time, so that a film of a recording is the same however long rendering
-    takes.
+    It has no thread: packets are delivered when the clock that drives it reaches their time. A
+    mirror drives it by its own time, so that a film of a recording does not depend on the rendering
+    time.
 
     Attributes:
         file: the recording, made by `sero-mj record`.
-        source: which of its sources; the one of this name, or the only one, when empty.
-        speed: 1 is as it was, 2 twice as fast.
-        loop: starts again at the end; else it stays there, and its data become stale.
-        start: where it begins, s since the recording began; at the first packet of any of its
+        source: name of the recorded source; when empty, the one of this name, or the only one.
+        speed: 1 is the original speed, 2 twice as fast.
+        loop: whether to restart at the end; else it stays there, and its data become stale.
+        start: first time, s since the recording began; that of the first packet of any of its
             sources when None.
-        stop: where it ends, likewise; at the recording's end when None.
+        stop: end time, likewise; the recording's end when None.
     """
 
     name: str = "replay"
@@ -164,21 +164,21 @@ class Replay(Source):
 
     @property
     def position(self) -> float:
-        """Where it is, s since the recording began."""
+        """Current position, s since the recording began."""
         return self._position
 
     @property
     def is_live(self) -> bool:
-        """Packets come as `advance_to` asks."""
+        """False: packets follow `advance_to`."""
         return False
 
     @property
     def end(self) -> float | None:
-        """How long it plays, s; None where it loops."""
+        """Its duration, s; None for a loop."""
         return None if self.loop else self.duration / self.speed
 
     def now(self) -> float:
-        """The time on the recording's clock; where it has ended, it goes on without packets."""
+        """The time on the recording's clock, which continues after the end without packets."""
         return self._position + self._beyond
 
     def allow_nan(self, events: Collection[str]) -> None:
@@ -218,14 +218,14 @@ class Replay(Source):
         self._coming = iter(())
 
     def wait(self, timeout: float) -> bool:
-        """Whether there are packets at all; returns at once."""
+        """Whether there are packets at all; returns immediately."""
         return self.recorded.count > 0
 
     def advance_to(self, time: float) -> None:
         """Plays the packets up to a time.
 
         Args:
-            time: of whoever drives it, s; 0 is where it starts.
+            time: of the driving clock, s; 0 is the start.
         """
         clock = time
         with self._lock:
@@ -239,7 +239,7 @@ class Replay(Source):
                 self._go_to(self._begin)
             beyond = max(position - self._end, 0.0)
             position = min(position, self._end)
-            if position < self._position:  # the clock went back: it is a new film, say
+            if position < self._position:  # the clock was set back, by a new film for example
                 self._go_to(position)
             self._play_until(position)
             self._beyond = beyond
@@ -249,7 +249,7 @@ class Replay(Source):
 
         Args:
             position: s since the recording began.
-            clock: the time now of whoever drives it, s.
+            clock: current time of the driving clock, s.
         """
         with self._lock:
             position = min(max(position, self._begin), self._end)
@@ -272,13 +272,13 @@ class Replay(Source):
             return super().take()
 
     def _go_to(self, position: float) -> None:
-        """Seeks: discards what was played, and plays the last packet before that time."""
+        """Seeks: discards played packets, and plays the last packet before that time."""
         assert self._recording is not None
         self._intake = self._new_intake()
         self._position, self._beyond = position, 0.0
         name = self.recorded.name
         before = self._recording.last_before(name, position)
-        # Times are kept in ns: the next one is the first that is not the same packet again.
+        # Times are stored in ns: the next one is the first that is not the same packet.
         after = position if before is None else before[0] + 1e-9
         self._coming = self._recording.packets(name, after)
         self._held = None
@@ -297,7 +297,7 @@ class Replay(Source):
                 self._held = packet
                 break
             batch.append(packet)
-            if len(batch) == _AT_ONCE:
+            if len(batch) == _BATCH:
                 self._hand_in(batch)
                 batch = []
         if batch:
@@ -305,7 +305,7 @@ class Replay(Source):
         self._log_faults()
 
     def _log_faults(self) -> None:
-        """Logs what is wrong with the recording, as it is found."""
+        """Logs errors of the recording when they are found."""
         assert self._recording is not None
         faults = self._recording.faults
         for fault in faults[self._told :] if self.debug_level else []:
@@ -321,7 +321,7 @@ def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
     """The receiver that a recording declares.
 
     Raises:
-        RecordingError: its kind is not known, its fields are wrong, or they make other events.
+        RecordingError: its kind is unknown, its fields are invalid, or they result in other events.
     """
     kind, of = recorded.kind, f"source '{recorded.name}'"
     kinds = [known for known in plugins(SOURCES) if known != "replay"]
@@ -343,7 +343,7 @@ def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
 
 
 def _first_of(recording: Recording) -> float:
-    """When the first packet of any source came, s since the recording began."""
+    """Arrival of the first packet of any source, s since the recording began."""
     return min((s.first for s in recording.sources.values() if s.count), default=0.0)
 
 

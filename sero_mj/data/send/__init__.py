@@ -1,4 +1,4 @@
-"""We play a robot, for trying what receives.
+"""Plays a robot, to test receivers.
 
 In: a scene, a motion, a recording or a table. Out: packets in the layout of a source, at an exact
 rate, by UDP or shared memory; for FRI the whole controller.

@@ -1,7 +1,7 @@
-"""`FriController`: sends what the controller of an LWR sends, as it sends it.
+"""`FriController`: emulates the FRI communication of an LWR's controller.
 
-`AnswerStatistics` is what the controller makes of a client's answers, `NetworkFaults` is a network
-that loses packets.
+`AnswerStatistics` are the controller's statistics of a client's answers, `NetworkFaults` simulates
+a network that loses packets.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _QUALITY_NUMBERS = {name: number for number, name in QUALITIES.items()}
 _MAX_BYTES = 65_536
 
 WINDOW = 100  # packets that FRI averages over
-_PATIENCE = 2  # packets that may go out before the answer to one is missed; ours
-# The answer rate from which a quality is reached. FRI says that it grades the link in four steps,
-# not where these are; the thresholds are ours.
+_MAX_UNANSWERED = 2  # packets sent until a missing answer counts as missed; our choice
+# The minimum answer rate of each quality. FRI grades the link in four steps without specifying
+# thresholds; these are ours.
 _REACHED_FROM = {3: 0.95, 2: 0.8, 1: 0.5, 0: 0.0}
 
 
@@ -38,13 +38,13 @@ class FriController:
 
     Counters wrap at 16 bits; statistics are over the last 100 packets; the quality follows the
     answer rate, and with an unacceptable one the interface falls back from command to monitor.
-    Commands are counted and do nothing: the robot goes on with its motion.
+    Commands are counted but have no effect: the robot continues its motion.
 
     Args:
         robot: seven joints.
         cycle: s between packets, 0.001 to 0.1.
-        quality: name of a quality to tell whatever the answers are; None to follow them.
-        commands: whether its program has asked for the command state.
+        quality: name of a quality to report regardless of the answers; None to follow them.
+        commands: whether its program has requested the command state.
         counter: send counter of the first packet.
         amplitude: of the motion, 0 to 1.
         faults: of the network that `run` sends through; None for a good one.
@@ -52,13 +52,13 @@ class FriController:
     Attributes:
         cycle: s between packets.
         faults: of the network.
-        sent: packets made so far.
+        sent: packets created so far.
         answers: good answers so far.
-        wrong_answers: what came and is no command packet.
-        command_flags: all flags that were set in answers; 0 when nothing was commanded.
+        wrong_answers: received packets that are not command packets.
+        command_flags: all flags set in answers; 0 when nothing was commanded.
 
     Raises:
-        UsageError: another cycle or quality, or a robot of other than seven joints.
+        UsageError: invalid cycle or quality, or a robot without seven joints.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class FriController:
         self.restart()
 
     def restart(self) -> None:
-        """Resets counters and statistics, as after the interface was closed and opened."""
+        """Resets counters and statistics, as when the interface is reopened."""
         self._counter = self._first
         self._reflected = 0
         self._statistics = AnswerStatistics()
@@ -125,7 +125,7 @@ class FriController:
         return packet
 
     def take_answer(self, packet: bytes, came_at: float) -> bool:
-        """Takes an answer that came at a time (s); returns whether it is a command packet."""
+        """Processes an answer received at a time (s); returns whether it is a command packet."""
         row = np.frombuffer(packet, np.uint8)[None]
         if len(packet) != self._command.size or self._command.find_wrong_constants(row)[0]:
             self.wrong_answers += 1
@@ -138,14 +138,14 @@ class FriController:
         return True
 
     def run(self, to: UdpSink, duration: float | None = None) -> SendReport:
-        """Sends until the duration (s) is over or the user interrupts, and takes answers.
+        """Sends until the duration (s) is over or the user interrupts, and processes answers.
 
         Args:
-            to: where to; answers come to its socket.
-            duration: s; None goes on for ever.
+            to: the destination; answers arrive at its socket.
+            duration: s; None for no limit.
 
         Returns:
-            what was achieved; `packets` are those that were made, also where the network lost them.
+            statistics; `packets` includes those lost by the network.
         """
         to.socket.setblocking(False)
         before = self.sent
@@ -159,7 +159,7 @@ class FriController:
     def _packets(
         self, sock: socket.socket, duration: float | None
     ) -> Iterator[tuple[float, bytes]]:
-        """When each packet that the network lets through is due, and its bytes."""
+        """Time and bytes of each packet passed on by the network."""
         start = time.perf_counter()
         total = None if duration is None else max(round(duration / self.cycle), 1)
         count = 0
@@ -176,13 +176,13 @@ class FriController:
             pass
 
     def _listen(self, sock: socket.socket, until: float) -> bool:
-        """Takes an answer, if one comes until a time of `time.perf_counter`, s; has one come?"""
+        """Waits for an answer until a time of `time.perf_counter`, s; whether one came."""
         left = until - time.perf_counter()
         if not select.select([sock], [], [], max(left, 0.0))[0]:
             return False
         try:
             packet = sock.recv(_MAX_BYTES)
-        except OSError:  # an earlier packet met no listener, say
+        except OSError:  # an earlier packet had no receiver, for example
             return True
         self.take_answer(packet, time.perf_counter())
         return True
@@ -190,7 +190,7 @@ class FriController:
 
 @dataclass
 class _Sent:
-    """One packet: its counter, when it went, and how long its answer took, s."""
+    """A packet: its counter, send time, and answer latency, s."""
 
     counter: int
     time: float
@@ -198,7 +198,7 @@ class _Sent:
 
 
 class AnswerStatistics:
-    """Follows which packets were answered.
+    """Tracks which packets were answered.
 
     Attributes:
         miss_counter: packets that were not answered in time, so far.
@@ -209,23 +209,23 @@ class AnswerStatistics:
         self._sent: deque[_Sent] = deque()
 
     def send(self, counter: int, time: float) -> None:
-        """Notes that a packet goes out at a time (s)."""
+        """Registers a packet sent at a time (s)."""
         self._sent.append(_Sent(counter, time))
-        if len(self._sent) > _PATIENCE and self._sent[-1 - _PATIENCE].latency is None:
+        if len(self._sent) > _MAX_UNANSWERED and self._sent[-1 - _MAX_UNANSWERED].latency is None:
             self.miss_counter += 1
-        if len(self._sent) > WINDOW + _PATIENCE:
+        if len(self._sent) > WINDOW + _MAX_UNANSWERED:
             self._sent.popleft()
 
     def answer(self, reflected: int, time: float) -> None:
-        """Notes an answer that came at a time (s); one that is late counts as missed."""
-        waiting = list(self._sent)[-_PATIENCE:]
+        """Registers an answer received at a time (s); a late one counts as missed."""
+        waiting = list(self._sent)[-_MAX_UNANSWERED:]
         for packet in waiting:
             if packet.counter == reflected and packet.latency is None:
                 packet.latency = max(time - packet.time, 0.0)
 
     def _latencies(self) -> list[float]:
-        """Of the answers to the last 100 packets that can have been answered."""
-        judged = list(self._sent)[:-_PATIENCE]
+        """Latencies of answers to the last 100 packets that may have been answered."""
+        judged = list(self._sent)[:-_MAX_UNANSWERED]
         return [packet.latency for packet in judged if packet.latency is not None]
 
     def values(self) -> dict[str, float]:
@@ -275,8 +275,8 @@ class NetworkFaults:
         self._random = np.random.default_rng(self.seed)
 
     def pass_on(self, packet: bytes) -> list[bytes]:
-        """Returns the packets that leave when one enters."""
-        chance = self._random.random(3)  # always three, so that one share does not change another
+        """Returns the packets that leave the network when one enters."""
+        chance = self._random.random(3)  # always three, so that the shares are independent
         after = self.flush()
         if chance[0] < self.loss:
             self.withheld += 1
@@ -291,6 +291,6 @@ class NetworkFaults:
         return [packet, *after]
 
     def flush(self) -> list[bytes]:
-        """Returns the packet that waits for the one that follows, if one does."""
+        """Returns the packet held back for swapping, if any."""
         held, self._held = self._held, None
         return [] if held is None else [held]

@@ -1,6 +1,6 @@
-"""A motion as a robot would make it, and what can be measured during it.
+"""Example motions of robots, with the signals measured during them.
 
-It is smooth, within the robot's limits, and comes with the torques that it takes.
+They are smooth, within the robot's limits, and include the required torques.
 """
 
 from __future__ import annotations
@@ -17,16 +17,19 @@ from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World
 from ..receive.fri import ALL_DRIVES
 
-LEAD = 0.5  # s by which the commanded position, for a double, runs ahead of the measured one
+LEAD = 0.5  # s by which the commanded position, for a double, leads the measured one
 _AMPLITUDE = 0.4  # of half the joint's range
 _AMPLITUDE_ABOUT_POSE = 0.2  # likewise, about a declared pose
 _BEND = 0.2  # of half the range: the arm swings about a bent pose, not about a stretched one
 _DEFAULT_RANGE = (-1.0, 1.0)  # rad or m, for joints without limits
 _MAX_SWING = 1.1  # rad
-_REDUCTION, _REDUCTIONS = 0.75, 10  # of swings that make robots meet, and how often
-_LOOKED_AT = 0.618034 * np.arange(500)  # s; poses of all phases of the joints' periods
+_REDUCTION, _REDUCTIONS = (
+    0.75,
+    10,
+)  # of swings with collisions, and how often
+_SAMPLE_TIMES = 0.618034 * np.arange(500)  # s; poses of all phases of the joints' periods
 _PERIODS = np.array([7.0, 9.0, 6.0, 8.0, 5.0, 4.0, 3.5])  # s; repeated for more joints
-_FRI_LEAD = 0.3  # s; much, so that the commanded position is seen beside the measured one
+_FRI_LEAD = 0.3  # s; large, so that the commanded position is visible beside the measured one
 _FORCE = 40.0  # N; as when somebody leans on the tool
 _MOMENT = 4.0  # Nm
 _ROOM_TEMPERATURE, _WARM_UP = 28.0, 14.0  # C
@@ -34,13 +37,13 @@ _JOINT_IMPEDANCE = 3
 
 
 class SineMotion:
-    """Every joint swings with its own period; velocities stay below the limits.
+    """Every joint oscillates with its own period; velocities stay below the limits.
 
     A robot whose `joint_angles` are declared swings about these, else about a bent pose.
 
     Args:
         robot: whose limits to keep.
-        amplitude: scales the swing; 0 stands still.
+        amplitude: scales the swing; 0 for none.
     """
 
     def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
@@ -97,7 +100,7 @@ class InverseDynamics:
         self.world.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
     def torques(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """Joint torques that make the motion.
+        """Joint torques required for the motion.
 
         Args:
             position: of the joints of all robots, one robot after the other, (n,), rad or m.
@@ -148,7 +151,7 @@ def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[st
     motions = {name: SineMotion(robot, amplitude) for name, robot in by_name.items()}
     always = meeting(None)
     for _ in range(_REDUCTIONS):
-        met = {pair for t in _LOOKED_AT for pair in meeting(float(t))} - always
+        met = {pair for t in _SAMPLE_TIMES for pair in meeting(float(t))} - always
         if not met:
             break
         reduced: set[str] = set()
@@ -216,7 +219,7 @@ class RobotSignals:
             "joint_accelerations": acceleration,
             "billboard_values": velocity,
             "flange_check": self._robot.fwd_kin_base_to_flange(position),
-            # Of the robot's own inputs nothing is known; temperatures in degrees, say.
+            # The robot's own inputs are unknown; temperatures in degrees, say.
             "further": 30.0 + 5.0 * np.sin(0.2 * t + np.arange(self._robot.n)),
         }
 

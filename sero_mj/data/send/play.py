@@ -1,7 +1,7 @@
-"""Packets as a robot would send them: every receiving feature can be tried without one.
+"""Generates packets as a robot would send them, to try receiving without a robot.
 
-`MotionPackets` makes them; `RouteInverse` follows routes backwards for it: which numbers a packet
-needs for its inputs to get wanted ones.
+`MotionPackets` generates them; `RouteInverse` inverts routes: it computes the numbers of a packet
+for given values of inputs.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ..receive.structure import Structure
 from .motion import CommonMotion, RobotSignals
 
 _SWITCHED_AFTER = 4.0  # s
-_DEPENDENT = 1e-9  # share of a row that is new, below which it says nothing new
+_RANK_TOLERANCE = 1e-9  # share of a row below which it is linearly dependent
 _MAGNITUDES = {"force": 50.0, "torque": 10.0, "velocity": 0.5, "angular_velocity": 1.5}
 
 
@@ -31,7 +31,7 @@ def choose_source(wiring: Wiring, name: str | None = None) -> Source:
     """The source of this name, or the only one.
 
     Raises:
-        UsageError: there is none, or several are there to choose from.
+        UsageError: there is none, or there are several.
     """
     sources = wiring.sources
     if name is None and len(sources) == 1:
@@ -62,11 +62,11 @@ class Player(Protocol):
 
 
 class MotionPackets:
-    """Packets of a scene's source, with the signals that its routes lead to the robots.
+    """Packets of a scene's source, with the signals routed to the robots.
 
     Args:
         scene: robots and routes.
-        source: whose packets to make; the scene's only one when None.
+        source: of the packets; the scene's only one when None.
         structure: instead of the source's.
         amplitude: of the motion, 0 to 1.
         players: robot name to what says its signals, instead of a motion.
@@ -99,7 +99,7 @@ class MotionPackets:
         self._scene = scene
         self._inputs = list_inputs(scene)
         self._routes = {route.to.target: route for route in wiring.routes}
-        # Of routes that ask for different things of one event the first ones get them.
+        # If routes require different values of an event, the first ones win.
         routes.sort(key=lambda route: _importance(scene, route.to))
         self._wanted = [(route.to, route.negated) for route in routes]
         self._inverse = None if all(r.value.whole for r in routes) else RouteInverse(routes)
@@ -150,7 +150,7 @@ class MotionPackets:
         return list(seen.values())
 
     def _robot_of(self, item: Input) -> str | None:
-        """The robot whose motion decides what an input gets."""
+        """The robot whose motion determines an input."""
         if item.kind in ("angles", "values") or item.key == "flange_check":
             double = self._scene.doubles.get(item.name)
             return item.name if double is None else double.of
@@ -184,7 +184,7 @@ class MotionPackets:
         return self.structure.encode(values)
 
     def _output(self, target: str, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
-        """What can be read of a robot, a double or an arrow at time t."""
+        """An output of a robot, a double or an arrow at time t."""
         item, route = self._inputs[target], self._routes.get(target)
         if route is not None and route.sources:
             return self._value(item, now, t)
@@ -199,7 +199,7 @@ class MotionPackets:
         return np.zeros(item.count) if value is None else np.asarray(value, np.float64)
 
     def _value(self, item: Input, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
-        """What an input gets at time t."""
+        """The value of an input at time t."""
         scene, robot = self._scene, self._robot_of(item)
         if robot is not None:
             # A double gets the command that its robot will follow.
@@ -218,7 +218,7 @@ class MotionPackets:
         return self._frame(item, t)
 
     def _frame(self, item: Input, t: float) -> Array:
-        """Where a base, an object or a camera is declared; a received frame goes in a circle."""
+        """The declared frame of a base, an object or a camera; received frames move in a circle."""
         scene = self._scene
         if item.name in scene.robots:
             return scene.robots[item.name].base_frame
@@ -240,7 +240,7 @@ def _connected(routes: Sequence[Route], source: str, events: Collection[str]) ->
     taking = [
         route
         for route in routes
-        if route.condition is None  # many numbers fulfil one
+        if route.condition is None  # not unique
         and all(
             origin.key in events
             for origin in route.value.origins
@@ -270,17 +270,17 @@ def _nothing_to_send(routes: Sequence[Route], source: str, structure: Structure)
 
 
 def _importance(scene: Scene, item: Input) -> int:
-    """What moves a robot comes first, switches come last; else the order of the routes."""
+    """Sort key: inputs that move a robot first, switches last; else the order of the routes."""
     if item.kind == "angles":
         return int(item.name in scene.doubles)
     return {"pose": 2, "frame": 2, "values": 3, "vector": 4}.get(item.kind, 5)
 
 
 class RouteInverse:
-    """Solves routes for the numbers of the events that they take.
+    """Solves routes for the numbers of their events.
 
-    What is left open is as small as possible. Where routes ask for things that cannot both be,
-    the first ones get what they want, number by number.
+    The solution has minimum norm. If routes contradict each other, the first ones win, number by
+    number.
 
     Args:
         routes: the most important first; each takes something from an event.
@@ -326,7 +326,7 @@ class RouteInverse:
         """Solves for one packet.
 
         Args:
-            wanted: what the input of each route is to get, (n,), by `name.key`.
+            wanted: desired value of each route's input, (n,), by `name.key`.
             output: the numbers of an output that routes read beside events.
 
         Returns:
@@ -353,14 +353,14 @@ class RouteInverse:
 
 
 def _independent(rows: Array) -> list[int]:
-    """Indices of the rows that are no sum of multiples of those before them."""
+    """Indices of the rows that are linearly independent of earlier ones."""
     basis = np.empty((0, rows.shape[1]))
     kept = []
     for i, row in enumerate(rows):
         size = np.linalg.norm(row)
         rest = row - basis.T @ (basis @ row)
-        rest -= basis.T @ (basis @ rest)  # once more, for what rounding has left
-        if size > 0 and np.linalg.norm(rest) > _DEPENDENT * size:
+        rest -= basis.T @ (basis @ rest)  # repeated, to remove rounding errors
+        if size > 0 and np.linalg.norm(rest) > _RANK_TOLERANCE * size:
             basis = np.vstack([basis, rest / np.linalg.norm(rest)])
             kept.append(i)
     return kept

@@ -1,4 +1,4 @@
-"""What was recorded, or stands in a table, as packets with the times at which they are due."""
+"""Plays recordings and tables as packets with their send times."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class Playback(ABC):
     Attributes:
         structure: of the packets.
         about: what is played and how, in a few words, for people.
-        count: how many there are to be sent, at most.
+        count: maximum number of packets.
         duration: from the first to the last, s.
         skipped: how many could not be sent so far: malformed ones, and such whose numbers the
             structure cannot hold.
-        notes: what is to be known about it, a sentence each: damage of a recording, found so far.
+        notes: sentences about it: damage of a recording found so far.
     """
 
     structure: Structure
@@ -52,7 +52,7 @@ class Playback(ABC):
             return None
 
     def _note_absent(self, events: Collection[str]) -> None:
-        """Says what is sent for those events of the structure that are not among these."""
+        """Notes the values sent for events of the structure that are missing here."""
         blank = self.structure.decode(self.structure.encode({}))  # constants are not zero
         absent = [event for event in blank if event not in events and not blank[event].any()]
         frames = [event for event in absent if event in self.structure.matrices]
@@ -64,7 +64,7 @@ class Playback(ABC):
 
 
 class RecordedPackets(Playback):
-    """One source of a recording: bit for bit as it came, or in another structure.
+    """One source of a recording: bit for bit, or in another structure.
 
     Args:
         file: the recording.
@@ -163,7 +163,7 @@ class TablePackets(Playback):
         for event, shape in structure.events.items():
             own = column_names({event: shape})
             missing = [name for name in own if name not in columns]
-            if 0 < len(missing) < len(own):  # the others would be made up
+            if 0 < len(missing) < len(own):  # the others would be invented
                 few = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
                 has = f"has {len(own) - len(missing)} of the {len(own)} numbers of {event}"
                 raise CsvError(file, f"{has}; no column is called {few}")
@@ -186,9 +186,9 @@ class TablePackets(Playback):
 def timed(
     playback: Playback, *, speed: float = 1.0, loop: bool = False, duration: float | None = None
 ) -> Iterator[tuple[float, bytes]]:
-    """Packets at another speed, again and again, or for a while.
+    """Packets at another speed, in a loop, or for a limited time.
 
-    A round begins one average interval after the end of the one before.
+    Each repetition begins one average interval after the end of the previous one.
 
     Args:
         playback: what to play.
@@ -213,7 +213,7 @@ def timed(
 
 
 def _identities(structure: Structure) -> dict[str, Array]:
-    """Frames for all matrices of a structure: zeros would be none."""
+    """Identity frames for all matrices of a structure, because zeros would be invalid."""
     shapes = {event: structure.events[event] for event in structure.matrices}
     return {event: np.broadcast_to(np.eye(4), shape) for event, shape in shapes.items()}
 

@@ -22,16 +22,18 @@ from ...base.errors import SourceError, reason_of
 from ..receive.shm_block import Block, block_path
 from ..receive.structure import Rows, Structure
 
-_SPIN = 2e-4  # s; sleeping is not exact to less than this, so the rest is waited for actively
-_COMPUTED = 1000.0  # packets/s; between them floating-point numbers go along straight lines
-_AHEAD = 0.25  # s
+_SPIN = 2e-4  # s; sleep is not more accurate than this, so the rest is a busy wait
+_MAX_COMPUTED_RATE = (
+    1000.0  # packets/s; in between, floating-point numbers are interpolated linearly
+)
+_LEAD_TIME = 0.25  # s
 
 
 class Sink(Protocol):
     """Where packets go: `UdpSink`, `ShmWriter`."""
 
     def put(self, packet: bytes) -> None:
-        """Takes a packet; raises OSError when the system refuses it."""
+        """Sends a packet; raises OSError when the system refuses it."""
 
 
 class UdpSink:
@@ -78,8 +80,8 @@ class UdpSink:
 class ShmWriter:
     """Writes packets of one structure to a block of POSIX shared memory, each over the one before.
 
-    The block is made where there is none, and made larger where it is too small; one that this
-    writer has made goes with it.
+    The block is created if missing, and enlarged if too small; a block created by this writer is
+    removed with it.
 
     Args:
         block: name of the shared memory, `robot` or `/robot`.
@@ -158,7 +160,7 @@ class ShmWriter:
 
 
 class PacketBuffer:
-    """Packets of a motion at a high rate, made in the time that is left between two of them.
+    """Packets of a motion at a high rate, computed in the idle time between two of them.
 
     Up to 1 kHz every packet is computed; above, as many as that are, and those in between are
     interpolated: an LWR's joint angles are then 1e-6 rad off at most.
@@ -187,7 +189,7 @@ class PacketBuffer:
         self._time = structure.field(time) if time else None
         self._time_scale = time_scale
         self._floats = [field for field in structure.fields if field.is_float]
-        self._step = max(math.ceil(rate / _COMPUTED), 1)
+        self._step = max(math.ceil(rate / _MAX_COMPUTED_RATE), 1)
         self._packets: deque[bytes] = deque()
         self._first = 0  # the number of the first of them, from 0
         self._made = 0
@@ -205,8 +207,8 @@ class PacketBuffer:
         return self._packets[0]
 
     def idle(self, left: float) -> bool:
-        """Makes packets if that takes less than the time left (s); returns whether it has."""
-        if left < 1.5 * self._takes or len(self._packets) > _AHEAD * self._rate:
+        """Computes packets if that takes less than the time left (s); returns whether it did."""
+        if left < 1.5 * self._takes or len(self._packets) > _LEAD_TIME * self._rate:
             return False
         self._make()
         return True
@@ -229,7 +231,7 @@ class PacketBuffer:
         numbers = np.arange(made, made + step)
         if self._sequence is not None:
             field = self._sequence
-            # As a counter in C does, it wraps.
+            # It wraps like a counter in C.
             counted = (numbers + 1).astype("<i8").astype(field.dtype)
             rows[:, field.offset : field.end].view(field.dtype)[:, 0] = counted
         if self._time is not None:
@@ -248,12 +250,12 @@ class PacketBuffer:
 
 @dataclass
 class SendReport:
-    """What a sender achieved.
+    """Statistics of a sender.
 
     Attributes:
         packets: how many were sent.
         seconds: how long it took.
-        refused: how many the system refused to send; the others went on.
+        refused: number of packets that the system refused to send.
         jitter_p50: median of how late packets left, s.
         jitter_p99: 99th percentile of the same.
     """
@@ -311,14 +313,14 @@ def send(
     """
     late: list[float] = []
     refused = sent = 0
-    gc.freeze()  # else all that was imported is looked through in between, for 50 ms at a time
+    gc.freeze()  # else garbage collection scans all imported objects, for 50 ms at a time
     start = time.perf_counter()
     try:
         for due, packet in packets:
             late.append(wait_until(start + due, idle))
             try:
                 to.put(packet)
-            except OSError:  # nobody listens yet, or the network is away: a robot goes on
+            except OSError:  # no receiver yet, or no network: a robot continues
                 refused += 1
             sent += 1
             if len(late) > 100_000:
@@ -333,7 +335,7 @@ def send(
 
 
 def wait_until(when: float, idle: Callable[[float], bool] | None = None) -> float:
-    """Waits, and returns by how much (s) it was late."""
+    """Waits, and returns its delay (s)."""
     left = when - time.perf_counter()
     while idle is not None and left > 0 and idle(left):
         left = when - time.perf_counter()
@@ -345,7 +347,7 @@ def wait_until(when: float, idle: Callable[[float], bool] | None = None) -> floa
 
 
 def _open(name: str) -> tuple[Block, bool]:
-    """The block, and whether it was made just now."""
+    """The block, and whether it was created now."""
     while True:  # another writer may make or remove it meanwhile
         try:
             return Block(name, writable=True), False
@@ -357,7 +359,7 @@ def _open(name: str) -> tuple[Block, bool]:
 
 
 def _modulus(dtype: np.dtype[np.generic]) -> int:
-    """Up to where a lock of this type can count exactly."""
+    """The range in which a lock of this type counts exactly."""
     if dtype.kind == "f":
         return 2**53 if dtype.itemsize == 8 else 2**24
     return int(2 ** (8 * dtype.itemsize - (dtype.kind == "i")))

@@ -1,4 +1,4 @@
-"""Names of joints on cards: without what repeats, and not too long."""
+"""Names of joints on cards: without repeated parts, and of limited length."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _END = re.compile(rf"({_BETWEEN}({'|'.join(_GENERIC)}))+$", re.IGNORECASE)
 
 
 def card_names(joints: Sequence[str], robot: str) -> list[str]:
-    """Returns the names of a robot's joints without what repeats.
+    """Returns the names of a robot's joints without repeated parts.
 
     Left out are the robot's name in front, the words that all names begin with, and `joint` at the
     end; but names stay distinct, and more than a number.
@@ -83,7 +83,7 @@ def titles(
 
 
 def _without_common_start(owners: Sequence[str]) -> list[str]:
-    """Returns names without the words that all of them begin with: those of a group of all."""
+    """Returns names without their common first words."""
     words = [name.split("_") for name in owners]
     same = 0
     if len(words) > 1:

@@ -132,7 +132,7 @@ def fill_ring(
 
 
 def _draw_mark(buffer: GeomBuffer, mark: Array, view: PictureView) -> None:
-    """Draws a red line from where something is to a cross where it is wanted."""
+    """Draws a red line from an actual position to a cross at the desired one."""
     wanted, there = mark
     half = _MARK_HALF * handle_length(wanted, view)
     rows = buffer.take(4, int(mujoco.mjtGeom.mjGEOM_BOX))

@@ -293,7 +293,7 @@ def _rooms_between(
 
 
 def place_clear(centres: Array, sizes: Array, taken: Array, low: Array, high: Array) -> Array:
-    """Moves rectangles off those that are taken and off each other, each as little as possible.
+    """Moves rectangles off occupied ones and off each other, each as little as possible.
 
     Args:
         centres: desired centres, (k, 2), pixels.

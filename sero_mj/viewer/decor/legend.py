@@ -170,7 +170,7 @@ def _notes(world: WorldView) -> list[bytes]:
 
 
 def _named(names: list[str]) -> str:
-    """Returns the names; nothing where they are too long together."""
+    """Returns the names; empty if they are too long together."""
     listed = ", ".join(names)
     return listed if len(names) == 1 or len(listed) <= _MAX_NAMES else ""
 

@@ -214,7 +214,7 @@ def _in_colours(groups: list[Panels], rgba: Array) -> list[Panels]:
 
 
 def _without(groups: list[Panels], covered: NDArray[np.bool_]) -> list[Panels]:
-    """Returns the panels with those of all their lines empty that are covered, (k,) bool."""
+    """Returns the panels with covered lines emptied, (k,) bool."""
     each = iter(covered.tolist())
     return [
         replace(group, texts=[[b"" if next(each) else t for t in lines] for lines in group.texts])

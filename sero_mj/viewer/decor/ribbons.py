@@ -24,8 +24,8 @@ _HEAD_ARC = np.deg2rad(46.0)
 # How many heads there may be, and steps along the arc that each has, finest first. The last head is
 # at the tip; wherever the joint's link hides one, another is seen.
 _HEADS = ((3, 3), (3, 2), (2, 2), (2, 1), (1, 1))
-_FEWEST_BOXES = 8  # of the ribbon, where there is more than one head
-_MARK_SIZE = 0.7  # how far the heads before the last protrude, of what the last does
+_FEWEST_BOXES = 8  # of the ribbon, if there is more than one head
+_MARK_SIZE = 0.7  # protrusion of the other heads, over that of the last one
 _NECK = 0.25  # width in front of these heads, of the ribbon's
 _THICKNESS = 0.05  # of the radius
 _HEAD_THICKNESS = 0.30  # of the radius, maximum thickness of the head

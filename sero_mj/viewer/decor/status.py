@@ -94,7 +94,7 @@ def _controller_faults(name: str, state: Any, answers: bool) -> list[str]:
 
 
 def _about(world: WorldView, name: str) -> str:
-    """Returns kind and address of a live source; empty for those that are read from files."""
+    """Returns kind and address of a live source; empty for sources read from files."""
     with suppress(SeroError):
         declared = world.scene.sources[name]
         if isinstance(declared, Mapping):
@@ -111,7 +111,7 @@ def _answers(source: Any) -> bool:
 
 
 class Status(Feature):
-    """Shows the faults of the sources, and of those that have sent nothing yet what is awaited."""
+    """Shows the faults of the sources, and the packets expected from silent ones."""
 
     order = 50
 
@@ -145,7 +145,7 @@ class Status(Feature):
                 frame.corners.append(panel)
 
     def _awaited(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> Panels | None:
-        """Returns what is awaited from sources that have sent nothing, and what would send it."""
+        """Returns the packets expected from silent sources, and the command to send them."""
         if not toggles.status:
             return None
         lines = []

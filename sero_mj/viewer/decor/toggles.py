@@ -101,7 +101,7 @@ class Toggles:
         self.reset()
 
     def reset(self) -> None:
-        """Resets the toggles to those that the scene declares."""
+        """Resets the toggles to those of the scene."""
         world, scene = self._world, self._world.scene
         declared = [part.declared for part in world.owners.values()]
 

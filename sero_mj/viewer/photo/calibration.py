@@ -1,4 +1,4 @@
-"""Finds where a camera is from points of the robot whose pixels are known (PnP, by OpenCV).
+"""Computes a camera's pose from points of the robot with known pixels (PnP, by OpenCV).
 
 A point is a frame of the scene, `lwr/flange`, or a joint, `lwr/A3`, whose point is the middle of
 its axis, with an offset along the frame's axes.
@@ -27,11 +27,11 @@ from ...robots.assemble.world_view import WorldView
 from .photo_camera import PhotoCamera, opencv
 
 _LEAST, _MIN_WITH_FOCAL = 4, 6
-_FLAT = 1e-3  # of their extent; points nearer to a plane or line than this lie in it
-_AMBIGUOUS = 1.5  # times the least error; two cameras whose errors are nearer both fit
-_FEW_PIXELS = 3.0  # what a careful click is off at most
+_FLATNESS = 1e-3  # of their extent; maximum distance of coplanar or collinear points
+_AMBIGUOUS = 1.5  # times the least error; cameras with smaller errors fit as well
+_CLICK_ERROR = 3.0  # maximum error of a careful click
 _MAX_SUBSETS = 1000
-_POOR = 0.05  # of the picture's width that points are off, on average, where nothing fits
+_MAX_MEAN_ERROR = 0.05  # of the picture's width; mean error above which nothing fits
 _NO_CAMERA = (
     "no camera sees the points so; expected the pose that the photo shows, and names that are not "
     "mixed up"
@@ -51,7 +51,7 @@ class ClickedPoint:
         name: of a frame or joint.
         pixel: (2,), to the right and down from the centre of the upper left pixel.
         offset: along the axes of the frame, (3,), m.
-        place: where it is written, for messages.
+        place: in its file, for messages.
     """
 
     name: str
@@ -62,14 +62,14 @@ class ClickedPoint:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A camera that was found.
+    """The result of a calibration.
 
     Attributes:
         camera: the camera.
-        errors: how far each point is from where the camera sees it, (k, 2), pixels.
-        used: those that it was found from, (k,); the others are outliers.
+        errors: reprojection error of each point, (k, 2), pixels.
+        used: whether each point was used, (k,); the others are outliers.
         position_error: standard error of its position, (3,), m.
-        focal_error: standard error of the focal length, pixels; 0 where that was given.
+        focal_error: standard error of the focal length, pixels; 0 if that was given.
     """
 
     camera: PhotoCamera
@@ -80,12 +80,12 @@ class Calibration:
 
     @property
     def rms(self) -> float:
-        """Root mean square of the distances of the points that were used, pixels."""
+        """Root mean square of the distances of the used points, pixels."""
         return _rms(self.errors[self.used])
 
 
 def point_names(world: WorldView) -> list[str]:
-    """Names that points may have, frames first."""
+    """Valid names of points, frames first."""
     return [*world.frames.names, *_joints(world)]
 
 
@@ -102,7 +102,7 @@ def _joints(world: WorldView) -> dict[str, int]:
 def points_apart(world: WorldView, data: mujoco.MjData) -> list[str]:
     """Names of points to click, robot by robot from its base to its flange.
 
-    Frames of links that are where a joint is are left out.
+    Frames of links that coincide with a joint are left out.
 
     Args:
         world: the compiled scene.
@@ -144,7 +144,7 @@ def write_points(path: Path, points: Sequence[ClickedPoint]) -> None:
 
 
 def full_name(world: WorldView, name: str) -> str:
-    """The name of a point, of which the robot may be left out where it is clear.
+    """The full name of a point; the robot may be omitted if unambiguous.
 
     Raises:
         ValueError: there is no such point, or several robots have one.
@@ -191,7 +191,7 @@ def read_points(path: Path, world: WorldView, size: tuple[int, int]) -> list[Cli
         size: width and height of the photo, pixels.
 
     Raises:
-        DeclarationError: with everything that is wrong.
+        DeclarationError: with all errors.
     """
     problems: list[Problem] = []
     if path.suffix.lower() == ".toml":
@@ -276,18 +276,18 @@ def _csv_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
 def calibrate(
     names: Sequence[str], points: Array, pixels: Array, camera: PhotoCamera, *, find_focal: bool
 ) -> Calibration:
-    """Finds where a camera is.
+    """Computes the pose of a camera.
 
     Args:
         names: of the points, for messages.
         points: in the world, (k, 3), m.
         pixels: (k, 2), as OpenCV counts them.
-        camera: with what is known of its lens; its place is not used.
-        find_focal: whether its focal length is to be found as well, the same for x and y.
+        camera: with its known lens parameters; its pose is not used.
+        find_focal: whether to estimate its focal length as well, equal for x and y.
 
     Raises:
-        UsageError: there are too few points, they lie on a line, or in a plane so that two cameras
-            see them in the same way, or none sees them so.
+        UsageError: there are too few points, they are collinear, or coplanar with two possible
+            cameras, or no camera fits.
     """
     least = _MIN_WITH_FOCAL if find_focal else _LEAST
     if len(points) < least:
@@ -295,11 +295,11 @@ def calibrate(
         more = "; --camera-file with its intrinsics needs 4" if find_focal else ""
         raise UsageError(f"found {len(points)} points; {what} needs {least} or more{more}")
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if spread[1] < _FLAT * spread[0]:
+    if spread[1] < _FLATNESS * spread[0]:
         raise UsageError(
             "the points lie on a line, about which the camera could turn; expected points beside it"
         )
-    is_flat = bool(spread[2] < _FLAT * spread[0])
+    is_flat = bool(spread[2] < _FLATNESS * spread[0])
     if is_flat and find_focal:
         raise UsageError(
             "the points lie in a plane, which does not say how far away it is without the focal "
@@ -312,7 +312,7 @@ def calibrate(
     found = solver.solve(points[used], pixels[used])
     if is_flat:
         _check_ambiguity(found, points[used], pixels[used])
-    if not _rms(found.project(points[used])[0] - pixels[used]) < _POOR * found.width:
+    if not _rms(found.project(points[used])[0] - pixels[used]) < _MAX_MEAN_ERROR * found.width:
         raise UsageError(_NO_CAMERA)
     projected, depth = found.project(points)
     for name, ahead in zip(names, depth, strict=True):
@@ -331,7 +331,7 @@ def _rms(errors: Array) -> float:
 
 
 def _check_ambiguity(found: PhotoCamera, points: Array, pixels: Array) -> None:
-    """Raises UsageError where another camera sees points of a plane in nearly the same way."""
+    """Raises UsageError if another camera fits coplanar points nearly as well."""
     cv2 = opencv()
     rays = found.undistort(pixels)[:, None]
     _, turns, shifts, _ = cv2.solvePnPGeneric(
@@ -350,7 +350,7 @@ def _check_ambiguity(found: PhotoCamera, points: Array, pixels: Array) -> None:
 
 
 def _placed(camera: PhotoCamera, turn: Array, shift: Array) -> PhotoCamera:
-    """The camera at what OpenCV calls rvec and tvec."""
+    """The camera at OpenCV's rvec and tvec."""
     rotation = opencv().Rodrigues(np.asarray(turn, float))[0]
     T_camera_world = frame(rotation, np.asarray(shift, float).ravel())
     return replace(camera, T_world_camera=inverse(T_camera_world))
@@ -392,7 +392,7 @@ class _Solver:
     @staticmethod
     def _pose(camera: PhotoCamera, points: Array, pixels: Array) -> PhotoCamera:
         cv2 = opencv()
-        # Without distortion, in pixels of the same size.
+        # Without distortion, with square pixels.
         K = camera.matrix
         plain = camera.undistort(pixels) * (K[0, 0], K[1, 1])
         diagonal = np.diag([K[0, 0], K[1, 1], 1.0])
@@ -404,7 +404,7 @@ class _Solver:
                 turn, shift = cv2.solvePnPRefineLM(
                     points, plain[:, None], diagonal, None, turn, shift
                 )
-        except cv2.error:  # pixels that are all the same, say
+        except cv2.error:  # identical pixels, for example
             done = False
         if not done or not np.isfinite([turn, shift]).all():
             raise UsageError(_NO_CAMERA)
@@ -436,11 +436,11 @@ class _Solver:
             median = float(np.sort(off)[(count + least) // 2])
             if median < best:
                 best, distances = median, off
-        limit = max(2.5 * 1.4826 * (1 + 5 / max(count - least, 1)) * best, _FEW_PIXELS)
+        limit = max(2.5 * 1.4826 * (1 + 5 / max(count - least, 1)) * best, _CLICK_ERROR)
         used = distances <= limit if np.isfinite(best) else np.ones(count, bool)
         if used.sum() < least:
             return np.ones(count, bool)
-        # Once more, by the camera of all that agree: a subset's own is less exact.
+        # Repeated with the camera of all inliers, which is more accurate than that of a subset.
         found = self.solve(points[used], pixels[used])
         off = np.linalg.norm(found.project(points)[0] - pixels, axis=1)
         return np.asarray(off <= max(limit, 3.0 * _rms((off[used])[:, None])))

@@ -1,6 +1,6 @@
-"""`CameraFeed`: the pictures of a live camera; `VideoFeed`: of a video, at the time that is shown.
+"""`CameraFeed`: pictures of a live camera; `VideoFeed`: of a video, at the displayed time.
 
-Both read on threads of their own.
+Both read on separate threads.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from .camera_file import read_camera
 from .footage import Pixels, Video
 from .photo_camera import PhotoCamera, opencv
 
-_FIRST = 10.0  # s that a camera may take for its first picture
-_AGAIN = 1.0  # s until a camera that is lost is tried again
-_QUIET = 0.7  # s without a picture after which it is lost
-_SAME = 1e-4  # s
-_READ_ON = 2.0  # s to a frame that is read on to; one that is farther is sought
-_RATE_OVER = 0.1  # share of the last interval in the mean
+_FIRST_TIMEOUT = 10.0  # s until the first picture of a camera
+_RETRY_INTERVAL = 1.0  # s until a lost camera is reopened
+_LOST_AFTER = 0.7  # s without a picture after which it is lost
+_TIME_TOLERANCE = 1e-4  # s
+_MAX_READ_AHEAD = 2.0  # s; frames farther ahead are sought instead of read sequentially
+_RATE_WEIGHT = 0.1  # share of the last interval in the mean
 
 
 class CameraFeed:
     """Reads a camera until it is closed; a context manager.
 
-    A camera that is lost is told in `piece`, and tried again; its last picture stays.
+    A lost camera is reported in `piece`, and reopened; its last picture is kept.
 
     Args:
         what: a camera's number, `0`; a file, which is played over and over at its rate; or an
@@ -68,10 +68,12 @@ class CameraFeed:
         self._thread.start()
         try:
             with self._changed:
-                self._changed.wait_for(lambda: self._pixels is not None or self._failed, _FIRST)
+                self._changed.wait_for(
+                    lambda: self._pixels is not None or self._failed, _FIRST_TIMEOUT
+                )
                 first = self._pixels
             if first is None:
-                why = self._error or f"no picture within {_FIRST:.0f} s"
+                why = self._error or f"no picture within {_FIRST_TIMEOUT:.0f} s"
                 raise RenderError(f"{self.name}: {why}")
             self.camera: PhotoCamera = read_camera(camera_file, (first.shape[1], first.shape[0]))
         except BaseException:
@@ -94,11 +96,11 @@ class CameraFeed:
 
     @property
     def piece(self) -> Piece:
-        """What the status line says of it."""
+        """Its piece of the status line."""
         with self._changed:
             age, interval = time.monotonic() - self._arrival, self._interval
             wrong, error = self._wrong_size, self._error
-        if age > max(_QUIET, 3.0 * interval):
+        if age > max(_LOST_AFTER, 3.0 * interval):
             return f"{self.name}: lost for {age:.0f} s{error and ', '}{error}", "bad"
         if wrong is not None:
             expected = f"{self.camera.width}x{self.camera.height}"
@@ -125,9 +127,9 @@ class CameraFeed:
                 continue
             except (RenderError, UsageError) as error:
                 self._tell(str(error).removeprefix(f"{self.what}: "))
-            except Exception as error:  # OpenCV's and FFmpeg's; the window goes on without it
+            except Exception as error:  # OpenCV's and FFmpeg's; the window continues without it
                 self._tell(str(error) or type(error).__name__)
-            self._closing.wait(_AGAIN)
+            self._closing.wait(_RETRY_INTERVAL)
 
     def _tell(self, error: str) -> None:
         with self._changed:
@@ -139,11 +141,11 @@ class CameraFeed:
         size = (pixels.shape[1], pixels.shape[0])
         with self._changed:
             self._size = self._size or size
-            # A camera that is plugged in again may send pictures of another size.
+            # A reconnected camera may send pictures of another size.
             self._wrong_size = None if size == self._size else size
             passed = now - self._arrival
             if np.isfinite(passed):
-                self._interval += (_RATE_OVER if self._interval else 1.0) * (
+                self._interval += (_RATE_WEIGHT if self._interval else 1.0) * (
                     passed - self._interval
                 )
             self._arrival, self._error = now, ""
@@ -163,9 +165,9 @@ class CameraFeed:
             self._closing.wait(1.0 / video.fps)
 
     def _film(self) -> None:
-        """Reads a camera until it sends nothing any more."""
+        """Reads a camera until it stops sending."""
         cv2: Any = opencv()
-        logging = cv2.utils.logging  # what it prints is told in the status line
+        logging = cv2.utils.logging  # its messages are shown in the status line instead
         logging.setLogLevel(logging.LOG_LEVEL_SILENT)
         capture = cv2.VideoCapture(int(self.what) if self.what.isdecimal() else self.what)
         try:
@@ -184,9 +186,9 @@ class CameraFeed:
 
 
 class VideoFeed:
-    """Reads a video at the time that is shown, forward and back; a context manager.
+    """Reads a video at the displayed time, forward and back; a context manager.
 
-    Frames are decoded on a thread of its own: while that seeks, the last one stays.
+    Frames are decoded on a separate thread: while that seeks, the last one is kept.
 
     Args:
         path: the video.
@@ -221,7 +223,9 @@ class VideoFeed:
         self._thread = threading.Thread(target=self._run, name="video", daemon=True)
         self._thread.start()
         with self._changed:
-            self._changed.wait_for(lambda: self._pixels is not None or bool(self._error), _FIRST)
+            self._changed.wait_for(
+                lambda: self._pixels is not None or bool(self._error), _FIRST_TIMEOUT
+            )
 
     def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
         """Returns the number and the pixels (height, width, 3) of the newest frame that is read.
@@ -238,7 +242,7 @@ class VideoFeed:
 
     @property
     def piece(self) -> Piece:
-        """What the status line says of it."""
+        """Its piece of the status line."""
         with self._changed:
             wanted, error = self._wanted, self._error
         if error:
@@ -267,18 +271,18 @@ class VideoFeed:
         try:
             while not self._closing:
                 self._read_on()
-        except Exception as error:  # of what is damaged; the window goes on with the last frame
+        except Exception as error:  # of damaged data; the window continues with the last frame
             with self._changed:
                 self._error = str(error) or type(error).__name__
                 self._changed.notify_all()
 
     @property
     def _sought(self) -> float:
-        """The time that is wanted, of those that the video has, s."""
+        """The requested time, clipped to the video's duration, s."""
         return max(self._wanted, 0.0)
 
     def _read_on(self) -> None:
-        """Shows frame after frame as their times come, until another part is wanted."""
+        """Reads frames sequentially at their times, until another part is requested."""
         last: tuple[float, Pixels] | None = None
         for frame in self._video.frames(self._sought):
             if last is not None and frame[0] > self._sought:
@@ -297,10 +301,12 @@ class VideoFeed:
             self._changed.notify_all()
 
     def _goes_on(self, at: float, end: float) -> bool:
-        """Waits while the frame from a time to another is wanted; are those behind it then?"""
+        """Waits while the frame of this interval is requested; whether later ones are next."""
         with self._changed:
-            self._changed.wait_for(lambda: self._closing or not at - _SAME <= self._sought < end)
-            return not self._closing and end <= self._sought < end + _READ_ON
+            self._changed.wait_for(
+                lambda: self._closing or not at - _TIME_TOLERANCE <= self._sought < end
+            )
+            return not self._closing and end <= self._sought < end + _MAX_READ_AHEAD
 
 
 def _size_in(camera_file: Path) -> tuple[int, int] | None:

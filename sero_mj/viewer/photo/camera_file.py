@@ -1,4 +1,4 @@
-"""Camera files: what a camera's lens does and where it stands, as OpenCV, ROS and we write it.
+"""Camera files: intrinsics and pose of a camera, in the formats of OpenCV, ROS and our own.
 
 - YAML of OpenCV's `FileStorage` and its calibration sample: `camera_matrix`,
   `distortion_coefficients`, `image_width`, `image_height`; `fisheye_model: 1`.
@@ -35,7 +35,7 @@ ENDINGS = (".yaml", ".yml", ".toml")
 _MAX_BYTES = 1_000_000
 _MAX_SIDE = 16384  # pixels
 _MIN_DRAWABLE = 0.75  # of the picture
-# By what the others call them; keys are compared in lower case.
+# By the names in other formats; keys are compared in lower case.
 _KEYS = {
     "camera_matrix": ("camera_matrix", "k"),
     "distortion_coefficients": ("distortion_coefficients", "d"),
@@ -51,16 +51,16 @@ _REQUIRED = "is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels, as a calibrat
 
 
 def read_camera(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
-    """Reads a camera with its place in the world.
+    """Reads a camera with its pose in the world.
 
     Args:
         path: the file.
-        size: width and height, pixels, of the picture that it has taken; None for the file's.
+        size: width and height of its picture, pixels; None for the file's.
 
     Raises:
         DeclarationError: the file cannot be read, or what it says is wrong or missing, or is of
             pictures of another size; lists all of it.
-        UsageError: a package that reads it is not installed.
+        UsageError: a package needed to read it is not installed.
     """
     problems: list[Problem] = []
     table = _table(path)
@@ -72,7 +72,7 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
 
 
 def read_intrinsics(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
-    """Reads a camera, whether or not its file says where it is; see `read_camera`."""
+    """Reads a camera, with or without a pose in its file; see `read_camera`."""
     problems: list[Problem] = []
     camera = _camera(path, _table(path), size, problems)
     if problems or camera is None:
@@ -146,7 +146,7 @@ def _yaml(path: Path) -> dict[str, Any]:
     )
     try:
         text = read_file(path, _MAX_BYTES).decode("utf-8-sig")
-        # OpenCV's first line is none of YAML's, and is what its files begin with.
+        # OpenCV's first line is not valid YAML.
         found = yaml.load(re.sub(r"\A%YAML:[\d.]+", "", text), Loader)
     except FileNotFoundError:
         raise wrong("no such file") from None

@@ -17,8 +17,8 @@ from ...base.paths import open_file
 Pixels = NDArray[np.uint8]
 PHOTOS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 _MAX_PIXELS = 16384**2
-_SAME = 1e-4  # s
-_FPS = 30.0  # where a video does not say
+_TIME_TOLERANCE = 1e-4  # s
+_FPS = 30.0  # if a video does not state it
 
 
 def is_photo(path: Path) -> bool:
@@ -90,10 +90,10 @@ class Video:
     def frames(self, begin: float = 0.0) -> Iterator[tuple[float, Pixels]]:
         """Yields frames: their times since the first one, s, and pixels.
 
-        What is damaged ends it, with all frames before.
+        It ends at damaged data, after all previous frames.
 
         Args:
-            begin: time up to which frames may be left out, s.
+            begin: time before which frames may be skipped, s.
 
         Raises:
             RenderError: there is nothing to be read.
@@ -109,7 +109,7 @@ class Video:
             for frame in self._container.decode(stream):
                 found = float(Fraction(frame.pts or 0) * (stream.time_base or 0))
                 self._first = found if self._first is None else self._first
-                # Without good times frames are counted.
+                # Without valid times frames are counted.
                 since = found - self._first
                 time = since if since > time else time + step
                 is_any = True
@@ -130,7 +130,7 @@ class Video:
 
 
 def read_frame(path: Path, time: float) -> Pixels:
-    """Reads the frame of a video that is seen at a time, s since the first one.
+    """Reads the frame of a video at a time, s since the first frame.
 
     Raises:
         RenderError: the video cannot be read, or has no such frame.
@@ -138,7 +138,7 @@ def read_frame(path: Path, time: float) -> Pixels:
     with Video(path) as video:
         found, last = None, 0.0
         for at, pixels in video.frames(time):
-            if at > time + _SAME:
+            if at > time + _TIME_TOLERANCE:
                 break
             found, last = pixels, at
         if found is None or time > last + 1.5 / video.fps:
@@ -166,7 +166,7 @@ def at_rate(video: Video, fps: float, duration: float | None) -> Iterator[tuple[
 
 
 def upright(frame: av.VideoFrame) -> Pixels:
-    """Returns the pixels of a frame as it is to be seen: phones write how they were held."""
+    """Returns the pixels of a frame, rotated as stored by phones."""
     pixels = frame.to_ndarray(format="rgb24")
     turns = round(getattr(frame, "rotation", 0) / 90) % 4
     return np.ascontiguousarray(np.rot90(pixels, turns))

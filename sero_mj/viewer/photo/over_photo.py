@@ -1,8 +1,8 @@
-"""`PhotoPainter`: decor over a photo of the real robot, whose model only hides what is behind it.
+"""`PhotoPainter`: decor over a photo of the real robot, occluded by its invisible model.
 
 The scene is drawn twice, once with the robot and the background black and once with both white.
-What is drawn in front of them adds the first picture's colours, and lets through what the second
-one has more than the first: exact for smooth edges and transparent decor, in every OpenGL.
+The first picture gives the colours of the decor, the difference of the two its transparency: exact
+for smooth edges and transparent decor, in every OpenGL.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ Pixels = NDArray[np.uint8]
 Draw = Callable[[], Pixels]
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
-_FAR = 0.9  # where the background is, of the far plane
-# What the model's surroundings and light would add.
+_BACKGROUND_DEPTH = 0.9  # of the far plane
+# Effects of the model's surroundings and lights.
 _FLAGS = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_SKYBOX", "mjRND_FOG", "mjRND_HAZE")
 
 
@@ -58,7 +58,7 @@ class PhotoPainter:
         font: Font,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> PhotoView:
-        """Makes the camera of a scene that of the photos, and removes the floor.
+        """Sets a scene's camera to that of the photos, and removes the floor.
 
         Args:
             scene: that `mjv_updateScene` has filled, before decor is added.
@@ -70,7 +70,7 @@ class PhotoPainter:
             scene.flags[int(getattr(mujoco.mjtRndFlag, name))] = 0
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == _GEOM and geom.objid >= 0 and self._is_floor[geom.objid]:
-                # MuJoCo draws any plane without an end; a point behind the camera is not seen.
+                # MuJoCo draws every plane as infinite; a point behind the camera is invisible.
                 geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 1e-6)
                 geom.pos = scene.camera[0].pos - scene.camera[0].forward
         near = float(scene.camera[0].frustum_near)
@@ -100,7 +100,7 @@ class PhotoPainter:
         return np.minimum(out, 255).astype(np.uint8)
 
     def _masked(self, scene: mujoco.MjvScene) -> list[mujoco.MjvGeom]:
-        """Returns what stands for the photo: robots and objects, and a background that is added."""
+        """Returns the geoms that mask the photo: robots and objects, and an added background."""
         geoms = [
             geom
             for geom in scene.geoms[: scene.ngeom]
@@ -110,7 +110,7 @@ class PhotoPainter:
         if scene.ngeom == scene.maxgeom:
             scene.ngeom -= 1  # without a background, all decor would be lost
         camera, background = scene.camera[0], scene.geoms[scene.ngeom]
-        distance = _FAR * camera.frustum_far
+        distance = _BACKGROUND_DEPTH * camera.frustum_far
         forward, up = np.array(camera.forward, float), np.array(camera.up, float)
         axes = np.column_stack([np.cross(forward, up), up, -forward])
         scale = distance / camera.frustum_near
@@ -131,6 +131,6 @@ class PhotoPainter:
 
 
 def _colour(geoms: list[mujoco.MjvGeom], brightness: float) -> None:
-    """Makes geoms black (0) or white (1), whatever light is on them."""
+    """Makes geoms black (0) or white (1), independent of lighting."""
     for geom in geoms:
         geom.rgba, geom.emission = np.array([*[brightness] * 3, 1.0]), brightness

@@ -1,8 +1,8 @@
-"""`PhotoCamera`: a real camera with its lens, and how its pictures are drawn in OpenGL.
+"""`PhotoCamera`: a real camera with its lens, and the rendering of its pictures in OpenGL.
 
 Its frame is OpenCV's: x to the right of the picture, y down, z forward. Pixels of this file are
-OpenCV's as well: u to the right, v down, (0, 0) the centre of the upper left pixel. `PhotoView`
-is the same camera as decor sees it, with pixels from the lower left corner.
+OpenCV's as well: u to the right, v down, (0, 0) the centre of the upper left pixel. `PhotoView` is
+the same camera for decor, with pixels from the lower left corner.
 """
 
 from __future__ import annotations
@@ -23,21 +23,23 @@ from ..decor.picture_view import Depth, PictureView
 
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 MODELS: tuple[str, ...] = get_args(DistortionModel)
-# How many coefficients OpenCV takes for each.
+# Number of OpenCV's coefficients for each.
 COUNTS: dict[str, tuple[int, ...]] = {
     "plumb_bob": (4, 5),
     "rational_polynomial": (8, 12, 14),
     "equidistant": (4,),
 }
 Size = tuple[int, int]
-_WIDEST = float(np.tan(np.deg2rad(75.0)))  # from the axis; a plane picture of more is mostly edge
-_FINER = 1.25  # how much finer the picture without distortion is than the photo
+_MAX_TANGENT = float(
+    np.tan(np.deg2rad(75.0))
+)  # from the axis; a plane picture of more is mostly edge
+_OVERSAMPLING = 1.25  # resolution of the undistorted picture over that of the photo
 _MAX_PIXELS = 12e6  # of it; larger photos have less than that in it
-_LOOKED_UP = 320  # pixels of a row that are looked up in it; those between are interpolated
+_LOOKUP_COLUMNS = 320  # pixels of a row that are looked up in it; others are interpolated
 _OUTSIDE = -10.0  # a pixel that it does not have
-_THERE_AND_BACK = 0.1  # pixels that a pixel may be off after it
-_FARTHEST = 20.0  # from the axis, at z = 1
-_GRID = 33  # pixels along each side that are looked at
+_ROUND_TRIP_TOLERANCE = 0.1  # pixels that a pixel may be off after it
+_MAX_RADIUS = 20.0  # from the axis, at z = 1
+_GRID = 33  # samples along each side
 
 
 def opencv() -> Any:
@@ -77,7 +79,7 @@ class PhotoCamera:
 
     @property
     def is_distorted(self) -> bool:
-        """Whether straight lines may be bent in its pictures."""
+        """Whether its lens has distortion."""
         return bool(self.distortion.any()) or self.model == "equidistant"
 
     def resized(self, width: int, height: int) -> PhotoCamera:
@@ -109,7 +111,7 @@ class PhotoCamera:
         """Returns the pixels (..., 2) of rays x/z, y/z (..., 2) in the camera's frame."""
         if not self.is_distorted:
             return self._to_pixels(rays)
-        # Beyond the picture the polynomials may come back into it.
+        # Outside of the picture the polynomials may fold back into it.
         radius = np.linalg.norm(rays, axis=-1, keepdims=True)
         beyond = np.maximum(radius / self._largest_radius, 1.0)
         flat = np.ascontiguousarray((rays / beyond).reshape(-1, 2))
@@ -134,16 +136,16 @@ class PhotoCamera:
         if not len(flat):
             return np.zeros(pixels.shape)
         rays = self._undistort(flat)
-        rays[~(np.abs(rays) < _FARTHEST).all(axis=1)] = np.nan  # also OpenCV's mark of no ray
+        rays[~(np.abs(rays) < _MAX_RADIUS).all(axis=1)] = np.nan  # also OpenCV's mark of no ray
         there = self._distort(np.nan_to_num(rays))
-        is_found = np.abs(there - flat).max(axis=1) < _THERE_AND_BACK
+        is_found = np.abs(there - flat).max(axis=1) < _ROUND_TRIP_TOLERANCE
         is_found &= np.linalg.norm(rays, axis=1) < fold
         rays[~is_found] = np.nan
         return rays.reshape(pixels.shape)
 
     @property
     def _fold(self) -> float:
-        """The least distance from the axis, at z = 1, from where on pixels come back."""
+        """The minimum distance from the axis, at z = 1, at which the projection folds back."""
         return self._limits[0]
 
     @property
@@ -196,7 +198,7 @@ class PhotoCamera:
 
     @property
     def drawable(self) -> float:
-        """Which share of the picture has rays."""
+        """The share of the picture that has rays."""
         return float(np.isfinite(self._some_rays).all(axis=-1).mean())
 
     @cached_property
@@ -205,7 +207,7 @@ class PhotoCamera:
         rays = self._some_rays.reshape(-1, 2)
         rays = rays[np.isfinite(rays).all(axis=1)]
         norm = np.linalg.norm(rays, axis=1, keepdims=True)
-        rays = rays * np.minimum(_WIDEST / np.maximum(norm, 1e-9), 1.0)
+        rays = rays * np.minimum(_MAX_TANGENT / np.maximum(norm, 1e-9), 1.0)
         return rays.min(axis=0), rays.max(axis=0)
 
 
@@ -216,22 +218,22 @@ def _limits_of(
     """Where pixels come back, and the largest distance that the picture has, at z = 1."""
     K, coefficients = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
     lens = PhotoCamera(width, height, K, np.eye(4), coefficients, model)
-    radii = np.linspace(0.0, _FARTHEST, 4001)
-    fold = _FARTHEST
+    radii = np.linspace(0.0, _MAX_RADIUS, 4001)
+    fold = _MAX_RADIUS
     for turn in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False).tolist():
         rays = radii[:, None] * np.array([np.cos(turn), np.sin(turn)])
         away = np.linalg.norm(lens._distort(rays) - K[:2, 2], axis=1)
         back = np.flatnonzero(~(np.diff(away) > 0.0))
-        fold = min(fold, float(radii[back[0]]) if len(back) else _FARTHEST)
+        fold = min(fold, float(radii[back[0]]) if len(back) else _MAX_RADIUS)
     distances = np.linalg.norm(lens._found_rays(lens._some_pixels, fold), axis=-1)
     distances = distances[np.isfinite(distances)]
-    largest = min(float(distances.max(initial=0.0)), _WIDEST) or _WIDEST
+    largest = min(float(distances.max(initial=0.0)), _MAX_TANGENT) or _MAX_TANGENT
     return fold, min(1.02 * largest, fold)
 
 
 @dataclass(frozen=True, eq=False)
 class PhotoView(PictureView):
-    """A `PhotoCamera` as decor sees it: pixels are those of the photo, with its distortion."""
+    """A `PhotoCamera` for decor: pixels are those of the photo, with its distortion."""
 
     camera: PhotoCamera = None  # type: ignore[assignment]  # fields before it have defaults
 
@@ -288,15 +290,15 @@ class PhotoView(PictureView):
 
 
 class PlanePicture:
-    """How OpenGL draws what a `PhotoCamera` sees, and how that becomes the photo's pixels.
+    """Renders the view of a `PhotoCamera` in OpenGL, and maps it to the photo's pixels.
 
-    Without distortion it is drawn as it is. Else a finer picture without distortion is drawn, which
-    has all that the photo has, and the photo's pixels are looked up in it.
+    Without distortion it is drawn directly. Else an undistorted picture of higher resolution is
+    drawn, which covers the photo, and the photo's pixels are looked up in it.
 
     Args:
         camera: of the photo.
         largest: width and height that may be drawn, pixels.
-        scale: how many pixels are drawn for one of the photo, a side.
+        scale: drawn pixels per pixel of the photo, along a side.
 
     Attributes:
         size: width and height of what is drawn, pixels.
@@ -321,7 +323,7 @@ class PlanePicture:
     def _look_up(self, low: Any, high: Any, largest: Size) -> None:
         camera, cv2 = self.camera, opencv()
         # Rays of some pixels, and between these: lenses bend little from pixel to pixel.
-        apart = max(camera.width // _LOOKED_UP, 1)
+        apart = max(camera.width // _LOOKUP_COLUMNS, 1)
         rows, columns = camera.height // apart + 2, camera.width // apart + 2
         v, u = np.mgrid[:rows, :columns].astype(float) * apart
         rays = camera.undistort(np.stack([u, v], axis=-1))
@@ -330,12 +332,12 @@ class PlanePicture:
         steps = np.linalg.norm(np.diff(rays, axis=1), axis=2) / apart
         steps = steps[np.isfinite(steps) & (steps > 0)]
         finest = float(np.percentile(steps, 1.0)) if len(steps) else 1e-3
-        size = extent * max(_FINER, self._scale) / finest
+        size = extent * max(_OVERSAMPLING, self._scale) / finest
         size *= min(1.0, *(np.array(largest) / size), np.sqrt(_MAX_PIXELS / size.prod()))
         width, height = (max(round(float(side)), 1) for side in size)
         self.size = (width, height)
         pixels = (rays - low) / extent * (width, height) - 0.5
-        pixels[~(np.linalg.norm(rays, axis=2) < _WIDEST)] = np.nan
+        pixels[~(np.linalg.norm(rays, axis=2) < _MAX_TANGENT)] = np.nan
         at = np.arange(camera.width, dtype=np.float32), np.arange(camera.height, dtype=np.float32)
         everywhere = np.meshgrid(at[0] / apart, at[1] / apart)
         each = [

@@ -1,7 +1,7 @@
-"""`PointBoard`: a photo on which points of the robot are clicked, and what follows from them.
+"""`PointBoard`: a photo on which points of the robot are clicked, with the calibration result.
 
-It knows no window: it takes clicks and keys, and draws its picture. Pixels of this file are counted
-from the upper left corner of the board, x to the right, y down.
+It is independent of windows: it handles clicks and keys, and draws its picture. Pixels of this file
+are counted from the upper left corner of the board, x to the right, y down.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _KEYS = ("click: where the photo shows it", "wheel: larger, drag: move", "up, do
 
 @dataclass
 class _View:
-    """What of the photo is shown: its pixel in the middle, and how large one is."""
+    """The visible part of the photo: its central pixel, and the size of a pixel."""
 
     centre: Array
     zoom: float
@@ -55,13 +55,13 @@ class PointBoard:
         points: in the world, (k, 3), m.
         lens: of the camera.
         find_focal: see `calibrate`.
-        clicked: pixels (2,) of points that are known already, by their index.
+        clicked: known pixels (2,) of points, by their index.
 
     Attributes:
-        chosen: index of the point that the next click is for.
+        chosen: index of the point for the next click.
         clicked: pixels by point.
         found: the camera, once there are enough points.
-        message: what is wrong, or how well it fits.
+        message: the error, or the quality of the fit.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class PointBoard:
             self._typesetter = Typesetter(line)
 
     def click(self, x: float, y: float) -> None:
-        """Chooses a point of the list, or says where the photo shows the chosen one."""
+        """Selects a point of the list, or sets the pixel of the selected one."""
         if x < self.panel_width:
             row = self._row_at(y)
             if row is not None:
@@ -124,7 +124,7 @@ class PointBoard:
             self._solve()
 
     def zoom(self, steps: float, x: float, y: float) -> None:
-        """Makes the photo larger about a pixel of the board."""
+        """Zooms the photo about a pixel of the board."""
         view, at = self._now(), np.array([x, y])
         if x < self.panel_width:
             return
@@ -190,7 +190,7 @@ class PointBoard:
         return _LINE * self._typesetter.font.height
 
     def _first(self) -> float:
-        """Where the list begins, below the title."""
+        """Index of the first line of the list, below the title."""
         return 2.4 * self._row_height()
 
     def _shown(self) -> range:

@@ -1,9 +1,9 @@
-"""Finds when in a recording a video of the robot begins, from the motion in both.
+"""Finds the time in a recording at which a video of the robot begins, from the motion in both.
 
-Where the robot's outline sweeps over the picture between two frames, the picture changes. What is
-swept is computed from the recording by the known camera, at the video's rate, on a coarse grid of
-cells; what changes is read off the video on the same grid. Both are correlated over time, cell by
-cell, for every offset at once: robots that move alike at different places do not look alike.
+The picture changes where the robot's outline sweeps over it between two frames. The swept area is
+computed from the recording with the known camera, at the video's rate, on a coarse grid of cells;
+the changes of the video are computed on the same grid. Both are correlated over time, cell by cell,
+for all offsets together, so that similar motions at different places are distinguished.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from .photo_camera import PhotoCamera, opencv
 _WIDTH = 192  # pixels, of outlines
 _CELL = 6  # pixels
 _POINTS = 80  # of a mesh's outline
-_NOISE, _MAX_CHANGE = 4.0, 40.0  # grey levels: what is none, and what counts as one full change
+_NOISE, _FULL_CHANGE = 4.0, 40.0  # grey levels: noise, and a full change
 _MIN_OVERLAP = 1.5  # s
-_APART = 0.4  # s from the best offset, from where on another one is another one
-_LEAST = 0.15  # correlation
-_CLEARLY = 1.25  # times as much as any other
-_LONGEST = 3600.0  # s of a recording that is looked through
-_HIDDEN_GROUP = 3  # the first group of geoms that is not shown
-_CHUNK = 64  # cells that are transformed at once
+_PEAK_DISTANCE = 0.4  # s; minimum separation of distinct peaks
+_MIN_CORRELATION = 0.15  # correlation
+_PEAK_RATIO = 1.25  # minimum ratio of the best peak to any other
+_MAX_DURATION = 3600.0  # s of a recording that are searched
+_HIDDEN_GROUP = 3  # the first hidden group of geoms
+_CHUNK = 64  # cells per Fourier transform
 
 Cells = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class FoundOffset:
-    """When a video begins.
+    """The start of a video in a recording.
 
     Attributes:
         offset: s of the recording at the video's first frame.
@@ -62,15 +62,15 @@ class FoundOffset:
 
 
 def find_offset(scene: Scene, path: Path, camera: PhotoCamera) -> FoundOffset:
-    """Finds when a video of the robot begins.
+    """Finds the start of a video of the robot.
 
     Args:
-        scene: whose sources are recordings or simulated, from when on times count.
+        scene: with recorded or simulated sources, which define the time.
         path: the video.
-        camera: that took it.
+        camera: of the video.
 
     Raises:
-        UsageError: nothing moves in one of them, they do not agree, or at several offsets alike.
+        UsageError: one of them has no motion, they do not agree, or they agree at several offsets.
         SeroError: a problem of the scene, its sources or the video.
     """
     mirror = Mirror(scene)
@@ -80,9 +80,9 @@ def find_offset(scene: Scene, path: Path, camera: PhotoCamera) -> FoundOffset:
         end = max((source.end or 0.0 for source in mirror.sources.values()), default=0.0)
         if not end:
             raise UsageError("--offset auto needs a recording or a scenario that ends")
-        if end > _LONGEST:
+        if end > _MAX_DURATION:
             raise UsageError(
-                f"--offset auto looks through {_LONGEST / 60:.0f} minutes at most, and the "
+                f"--offset auto looks through {_MAX_DURATION / 60:.0f} minutes at most, and the "
                 f"recording has {end / 60:.0f}; give --offset S"
             )
         small = _small(camera)
@@ -97,7 +97,7 @@ def _small(camera: PhotoCamera) -> PhotoCamera:
 
 
 def _swept(mirror: Mirror, camera: PhotoCamera, fps: float, end: float) -> Cells:
-    """What the robots' outlines sweep over from frame to frame, (T, cells)."""
+    """The cells swept by the robots' outlines from frame to frame, (T, cells)."""
     cv2 = opencv()
     outlines = _Outlines(mirror.world)
     found: list[NDArray[np.float32]] = []
@@ -114,7 +114,7 @@ def _swept(mirror: Mirror, camera: PhotoCamera, fps: float, end: float) -> Cells
 
 
 def _changed(video: Video, camera: PhotoCamera, fps: float) -> Cells:
-    """What changes from frame to frame of a video, (T, cells)."""
+    """The changes from frame to frame of a video, (T, cells)."""
     cv2 = opencv()
     found: list[NDArray[np.float32]] = []
     last: NDArray[np.float32] | None = None
@@ -123,8 +123,8 @@ def _changed(video: Video, camera: PhotoCamera, fps: float) -> Cells:
         size = (camera.width, camera.height)
         now = cv2.resize(grey, size, interpolation=cv2.INTER_AREA).astype(np.float32)
         if last is not None:
-            change = np.clip(np.abs(now - last) - _NOISE, 0.0, _MAX_CHANGE)
-            found.append(_cells(change * (255.0 / _MAX_CHANGE)))
+            change = np.clip(np.abs(now - last) - _NOISE, 0.0, _FULL_CHANGE)
+            found.append(_cells(change * (255.0 / _FULL_CHANGE)))
         last = now
     if not found:
         raise UsageError(f"{video.path}: has one frame only; --offset auto needs motion")
@@ -169,7 +169,7 @@ class _Outlines:
 
 
 def _points_of(model: mujoco.MjModel, geom: int) -> Array:
-    """Points (k, 3) whose hull is about that of a geom, in its frame."""
+    """Points (k, 3) whose hull approximates that of a geom, in its frame."""
     if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.geom_dataid[geom]
         first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
@@ -191,7 +191,7 @@ def _corners() -> Iterator[tuple[int, int, int]]:
 
 
 def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
-    """Finds the offset at which what changes is what is swept.
+    """Finds the offset that maximizes the correlation of changed and swept cells.
 
     Args:
         swept: of the recording, (T, cells), from frame to frame.
@@ -199,7 +199,7 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
         fps: frames per s of both.
 
     Raises:
-        UsageError: there is no offset that is clearly the best.
+        UsageError: no offset is clearly the best.
     """
     for what, cells in (("recording", swept), ("video", changed)):
         if float(np.abs(cells - cells.mean(axis=0)).sum(axis=1).max(initial=0.0)) < 0.02:
@@ -213,17 +213,17 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
             f"--offset auto: recording and video are too short; expected {_MIN_OVERLAP:g} s or more"
         )
     best = int(np.argmax(scores))
-    apart = np.abs(lags - lags[best]) > max(_APART * fps, 2)
+    apart = np.abs(lags - lags[best]) > max(_PEAK_DISTANCE * fps, 2)
     other = float(scores[apart].max(initial=0.0))
     score = float(scores[best])
     offset = (lags[best] + _peak(scores, best)) / fps
-    if score < _LEAST:
+    if score < _MIN_CORRELATION:
         raise UsageError(
             f"--offset auto: the motion in the video agrees to {score:.2f} at most with that of "
-            f"the recording; expected {_LEAST:g} or more: is it this camera and this recording? "
-            "Else give --offset S"
+            f"the recording; expected {_MIN_CORRELATION:g} or more: is it this camera and this "
+            "recording? Else give --offset S"
         )
-    if score < _CLEARLY * other:
+    if score < _PEAK_RATIO * other:
         second = float(lags[apart][int(np.argmax(scores[apart]))] / fps)
         raise UsageError(
             f"--offset auto: {offset:.2f} s and {second:.2f} s fit alike ({score:.2f} and "
@@ -233,12 +233,12 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
 
 
 def correlate(swept: Cells, changed: Cells, least: int) -> tuple[NDArray[np.intp], Array]:
-    """Returns the correlation at every offset at which enough of both overlaps.
+    """Returns the correlation at every offset with sufficient overlap.
 
     Args:
         swept: (T, cells).
         changed: (T', cells).
-        least: frames that have to overlap, and half of the shorter one.
+        least: minimum overlap, frames; also half of the shorter one.
 
     Returns:
         offsets in frames, row of `swept` of the first row of `changed`, and correlations.
@@ -259,7 +259,7 @@ def correlate(swept: Cells, changed: Cells, least: int) -> tuple[NDArray[np.intp
     first, last = np.maximum(lags, 0), np.minimum(lags + short, long)
     sums_a, sums_b = (np.concatenate([[0.0], np.cumsum(e)]) for e in (energy_a, energy_b))
     both = (sums_a[last] - sums_a[first]) * (sums_b[last - lags] - sums_b[first - lags])
-    # Little motion in what overlaps is little evidence.
+    # Little motion in the overlap is little evidence.
     enough = both > 0.01 * energy_a.sum() * energy_b.sum() * min(short / long, 1.0)
     enough &= last - first >= max(least, min(long, short) // 2)
     scores = np.where(enough, products[lags] / np.sqrt(np.where(enough, both, 1.0)), -1.0)
@@ -267,7 +267,7 @@ def correlate(swept: Cells, changed: Cells, least: int) -> tuple[NDArray[np.intp
 
 
 def _peak(scores: Array, best: int) -> float:
-    """Where between frames a correlation is highest, by a parabola; -0.5 to 0.5."""
+    """The position of the peak between frames, by a parabola; -0.5 to 0.5."""
     if not 0 < best < len(scores) - 1:
         return 0.0
     left, middle, right = scores[best - 1 : best + 2]

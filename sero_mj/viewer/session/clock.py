@@ -1,4 +1,4 @@
-"""The time that a live viewer shows: real for what is live, the user's for all the rest."""
+"""The displayed time of a live viewer: real time for live sources, else set by the user."""
 
 from __future__ import annotations
 
@@ -12,43 +12,43 @@ from .live_history import LiveHistory
 from .torque_history import SPAN
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
-_STEP = 1.0 / 60.0  # s, of a recording that has no time step
-_PIECE = 0.05  # s that are simulated at once, and
-# s of real time after which a frame is shown, so that the window stays alive; where the rest of a
-# frame takes longer, that long, which makes half as many frames at worst.
-_PATIENCE = 0.03
-_FINE = 0.004  # s between moments, so that no spike of 5 ms is missed at real time,
-_MAX_MOMENTS = 20  # of which a frame has at most so many
-_FLOWS = 0.5  # s; what goes on by more has jumped
-_PAST_MOMENTS = 120  # in which what plots show before a jump's end is gone through
-_SMOOTHING = 0.1  # of the speed that is shown, for every frame
-_MAX_FRAME = 0.5  # s; what stood still for longer (a laptop asleep) does not jump
+_STEP = 1.0 / 60.0  # s, for recordings without a time step
+_SIMULATION_CHUNK = 0.05  # s simulated in one call
+# s of real time until a frame is shown, so that the window stays responsive; if the rest of a frame
+# takes longer, that time, which halves the frame rate at worst.
+_MAX_WAIT = 0.03
+_SAMPLE_INTERVAL = 0.004  # s between samples, so that no spike of 5 ms is missed in real time
+_MAX_SAMPLES = 20  # per frame
+_JUMP_THRESHOLD = 0.5  # s; a larger advance is a jump
+_PAST_SAMPLES = 120  # with which the plots are refilled after a jump
+_SMOOTHING = 0.1  # weight of a frame in the displayed speed
+_MAX_FRAME = 0.5  # s; longer frames (after a laptop's sleep) are shortened to this
 
 
 class Clock:
-    """Says which moment a mirror shows, frame by frame.
+    """Determines the time that a mirror shows, frame by frame.
 
-    Live sources have the real time. They can be held still, and what they showed in the last minute
-    can be seen again while they go on; what comes in the meantime is not missed.
+    Live sources run in real time. They can be paused, and the last minute can be replayed while
+    they continue; packets received meanwhile are kept.
 
     Args:
-        mirror: is driven; must be open.
+        mirror: driven by the clock; must be open.
 
     Attributes:
         is_live: whether a source follows the real time.
-        is_past: whether it is live, and shows what has passed.
-        is_playing: whether there is a source, which has a speed; else the user sets all inputs.
-        is_paused: whether it stands still.
-        speed: shown s per real s.
-        time: shown, s since the start.
+        is_past: whether it is live, and shows the past.
+        is_playing: whether there is a source with a speed; else the user sets all inputs.
+        is_paused: whether it is paused.
+        speed: displayed s per real s.
+        time: displayed, s since the start.
         begin: of the time line, s.
-        end: of the time line, s; None where a source has no end. Of what is live, or simulated
-            without an end, the newest moment.
+        end: of the time line, s; None if a source has no end. For live sources and endless
+            simulations the newest time.
         step_size: of a single step, s.
-        on_moment: called whenever the mirror has moved on; with it, recordings and simulations go
-            on in steps that are as fine at a low frame rate, so that a plot misses little. One that
-            is set later hears first of what was before, as after a jump.
-        real_speed: what came of `speed` in the last frames; a simulation may be slower.
+        on_moment: called whenever the mirror has advanced; if set, recordings and simulations
+            advance in equally fine steps at a low frame rate, so that a plot misses little. If it
+            is set later, it is first called for past times, as after a jump.
+        real_speed: achieved in the last frames; a simulation may be slower than `speed`.
     """
 
     def __init__(self, mirror: LiveWorld) -> None:
@@ -67,43 +67,43 @@ class Clock:
         ends = [source.end for source in sources if source.end is not None]
         is_endless = self.is_live or len(ends) < len(sources)
         self.end = None if is_endless else max(ends, default=None)
-        # Where a simulation has no end, its time line moves.
+        # The time line of an endless simulation moves.
         self._growing = [] if self.is_live else [s for s in sources if s.newest is not None]
         self._move_line()
         steps = [source.step for source in sources if source.step is not None]
         self.step_size = min(steps, default=_STEP)
-        self._shown: float | None = None  # what the mirror stands at
-        self._is_heard = True  # whether somebody heard of that
+        self._shown: float | None = None  # the time of the mirror
+        self._is_heard = True  # whether `on_moment` was called for it
         self._simulated = 0.0  # as far as it is simulated
         self._simulates = bool(steps)
         self._passed = self._simulating = 0.0  # s for the last frame, and for simulating in it
 
     @property
     def is_at_end(self) -> bool:
-        """Whether it has come to the end of the time line."""
+        """Whether it is at the end of the time line."""
         return self._has_end and self.end is not None and self.time >= self.end
 
     @property
     def _has_end(self) -> bool:
-        """Whether time stops there."""
+        """Whether the time line has an end."""
         return not (self.is_live or self._growing)
 
     def _move_line(self) -> None:
-        """Brings the ends of a time line that moves up to date."""
+        """Updates the ends of a moving time line."""
         if self._growing:
             self.begin = max(source.begin for source in self._growing)
             self.end = max(source.newest or 0.0 for source in self._growing)
 
     @property
     def can_go_back(self) -> bool:
-        """Whether what has passed can be shown."""
+        """Whether the past can be shown."""
         return not self.is_live or self._history is not None
 
     def advance(self, passed: float) -> bool:
-        """Goes on by so many real s and brings the mirror there.
+        """Advances by a real time, s, and updates the mirror.
 
         Returns:
-            whether anything may look different.
+            whether the picture may have changed.
         """
         if self.is_live:
             return self._follow(passed)
@@ -114,7 +114,7 @@ class Clock:
         self._passed = min(passed, _MAX_FRAME)
         self.time += self.speed * self._passed
         if self._has_end and self.end is not None and self.time >= self.end:
-            self.time, before = self.end, self.end - self.speed * passed  # no fault of its speed
+            self.time, before = self.end, self.end - self.speed * passed  # not due to its speed
         changed = self._show()
         self._move_line()
         passed = max(passed, 1e-6)
@@ -122,7 +122,7 @@ class Clock:
         return changed
 
     def _follow(self, passed: float) -> bool:
-        """Brings a live mirror up to date, and shows it or what has passed."""
+        """Updates a live mirror, and shows it or its past."""
         history = self._history
         if history is None:
             if not self.is_paused:
@@ -131,7 +131,7 @@ class Clock:
         if self.is_past:
             history.put_back()
         elif self.is_paused and self.end:
-            history.keep()  # what was shown last, where it stands still
+            history.keep()  # the last displayed state, while paused
         self._mirror.advance()
         if self.on_moment is not None:
             self.on_moment()
@@ -141,7 +141,7 @@ class Clock:
             self.time += self.speed * min(passed, _MAX_FRAME)
             self.is_past = self.time < self.end
         elif self.is_paused and not self.is_past:
-            self.is_past = True  # at the moment that was shown last
+            self.is_past = True  # at the last displayed time
         if not self.is_past:
             self.time, self.speed = self.end, 1.0
             return True
@@ -150,7 +150,7 @@ class Clock:
         return True
 
     def go_live(self) -> str:
-        """Shows what is live, or the end of the time line; returns what to tell the user."""
+        """Shows live data, or the end of the time line; returns a message."""
         if not self.is_live:
             if self.end is None:
                 return "no end"
@@ -179,24 +179,24 @@ class Clock:
         return True
 
     def _moments(self, goal: float, *, jumps: bool) -> list[float]:
-        """What is shown until then: more than a frame's end where somebody listens."""
+        """The times to show until then: more than a frame's end if `on_moment` is set."""
         if self.on_moment is None:
             return [goal]
         passed = goal - (goal if self._shown is None else self._shown)
-        if jumps or passed < 0 or passed > _FLOWS:  # plots show what was before it
+        if jumps or passed < 0 or passed > _JUMP_THRESHOLD:  # plots show the time before it
             begin = max(goal - SPAN, 0.0)
-            return np.linspace(begin, goal, _PAST_MOMENTS).tolist() if goal else [goal]
+            return np.linspace(begin, goal, _PAST_SAMPLES).tolist() if goal else [goal]
         if not passed:
             return [goal]
-        count = min(max(round(passed / _FINE), 1), _MAX_MOMENTS)
+        count = min(max(round(passed / _SAMPLE_INTERVAL), 1), _MAX_SAMPLES)
         return [goal - passed * k / count for k in range(count - 1, -1, -1)]
 
     def _simulate(self, goal: float) -> float:
-        """Simulates until then, or for as long as a frame may take; returns how far it came."""
+        """Simulates until then, or for the maximum time of a frame; returns the time reached."""
         begin = clock.monotonic()
-        patience = max(_PATIENCE, self._passed - self._simulating)
-        while self._simulated < goal and clock.monotonic() - begin < patience:
-            self._simulated = min(self._simulated + _PIECE, goal)
+        max_wait = max(_MAX_WAIT, self._passed - self._simulating)
+        while self._simulated < goal and clock.monotonic() - begin < max_wait:
+            self._simulated = min(self._simulated + _SIMULATION_CHUNK, goal)
             for source in self._mirror.sources.values():
                 source.advance_to(self._simulated)
         self._simulating = clock.monotonic() - begin
@@ -205,7 +205,7 @@ class Clock:
         return self._simulated
 
     def pause(self) -> str:
-        """Stands still, or goes on; returns what to tell the user."""
+        """Pauses or resumes; returns a message."""
         if self.is_at_end:
             self.seek(0.0)
             self.is_paused = False
@@ -216,7 +216,7 @@ class Clock:
         return "paused" if self.is_paused else "goes on"
 
     def step(self, count: int = 1) -> str:
-        """Stands still, some steps further on (or back); returns what to tell the user."""
+        """Pauses after some steps forward (or back); returns a message."""
         self.is_paused = True
         if self.is_live and self._history is None:
             self._mirror.advance()
@@ -234,7 +234,7 @@ class Clock:
         return f"at {self.time:.3f} s"
 
     def faster(self, times: int) -> str:
-        """Changes the speed by so many places of `SPEEDS`; returns what to tell the user."""
+        """Changes the speed by entries of `SPEEDS`; returns a message."""
         if self.is_live and not self.is_past:
             return "live: the speed is the robot's"
         nearest = min(range(len(SPEEDS)), key=lambda i: abs(SPEEDS[i] - self.speed))
@@ -242,12 +242,12 @@ class Clock:
         return f"speed {self.speed:g}"
 
     def reset(self) -> str:
-        """Goes back to the start; returns what to tell the user."""
+        """Returns to the start; returns a message."""
         if self.is_live:
             is_paused = self.is_paused
             self.go_live()
             self._mirror.reset()
-            # At once, also where it stands still: the declared pose never came from the robot.
+            # Immediately, even if paused: the declared pose is not from the robot.
             self._follow(0.0)
             self.is_paused = is_paused
             return "reset to the declared pose, then the latest packets"
@@ -255,9 +255,9 @@ class Clock:
         return "back to the start"
 
     def seek(self, time: float) -> None:
-        """Goes to a time, s, within the time line, from where it goes on.
+        """Continues from a time, s, within the time line.
 
-        Of what is live the newest moment is no past; without effect where nothing of it is kept.
+        The newest time of live sources is live, not past; no effect without history.
         """
         if self.is_live and (self._history is None or self.end is None):
             return
@@ -269,14 +269,14 @@ class Clock:
                 self.go_live()
 
     def go_to_start(self) -> None:
-        """Goes on at the start of what has begun anew."""
+        """Continues at the start after a restart."""
         self.time = self._simulated = 0.0
         self._shown, self.is_paused = None, False
         self._move_line()
 
 
 def time_text(time: float) -> str:
-    """A time as people write it: `3.42 s`, or `12:03.4` from a minute on."""
+    """A time as text: `3.42 s`, or `12:03.4` from a minute on."""
     if time < 60:
         return f"{time:.2f} s"
     minutes, seconds = divmod(time, 60)

@@ -1,4 +1,4 @@
-"""`Dragging`: which tool a drag belongs to, from its press until it is let go."""
+"""`Dragging`: assigns a drag to a tool, from press to release."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from .tool import Grab, Tool, Tools
 
 
 class Dragging:
-    """Hands drags on to the tools.
+    """Passes drags to the tools.
 
     Args:
-        tools: are asked in their order.
-        say: tells the user something, and whether it is bad; an empty text takes the last one back.
+        tools: asked in their order.
+        say: shows a message, and whether it is an error; an empty text removes the last one.
     """
 
     def __init__(self, tools: Tools, say: Callable[[str, bool], None]) -> None:
         self._tools, self._say = tools, say
-        self._tool: Tool | None = None  # whose drag goes on
-        self._trouble = ""  # what was said of it last
-        self._tried: Pixel | None = None  # where handles were looked for
+        self._tool: Tool | None = None  # of the current drag
+        self._trouble = ""  # its last message
+        self._tried: Pixel | None = None  # where handles were searched
         self._is_refused = False
 
     def take(

@@ -9,7 +9,7 @@ from typing import Literal
 LEFT, RIGHT, MIDDLE = 0, 1, 2
 DOUBLE_CLICK_TIME = 0.35  # maximum time between the two presses, s
 DOUBLE_CLICK_DISTANCE = 8.0  # maximum distance between them, pixels
-_STILL = 4.0  # maximum distance between press and release of a click, pixels
+_MAX_CLICK_MOTION = 4.0  # maximum distance between press and release of a click, pixels
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class Mouse:
         if press is None:
             return None
         if not self._is_drag:
-            self._is_drag = _apart(press, event) > _STILL
+            self._is_drag = _apart(press, event) > _MAX_CLICK_MOTION
             if not self._is_drag:
                 return None
             before = (press.x, press.y)  # includes the movement before the drag was recognized

@@ -1,4 +1,4 @@
-"""Views as their user left them: one file for every scene, in the user's state folder."""
+"""Saved views: one file for every scene, in the user's state folder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _MAX_BYTES = 100_000
 
 
 def file_of(scene: Scene) -> Path:
-    """Returns where the view of a scene is kept: by its file or name, and by who is in it."""
+    """Returns the file of a scene's view: by its file or name, and its robots."""
     name = scene.name if scene.file is None else str(scene.file.resolve())
     name = "\n".join([name, *scene.robots, *scene.doubles])
     digest = hashlib.sha256(name.encode()).hexdigest()[:16]
@@ -30,12 +30,12 @@ def file_of(scene: Scene) -> Path:
 
 
 def state_folder() -> Path:
-    """Returns the user's folder for what is kept from one start to the next."""
+    """Returns the user's state folder."""
     return user_state_path("sero-mj", appauthor=False)
 
 
 def write_state(path: Path, data: bytes) -> None:
-    """Writes a file of that folder, whole or not at all; says in the log where it cannot."""
+    """Writes a file of that folder atomically; logs failures."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}")
@@ -46,19 +46,19 @@ def write_state(path: Path, data: bytes) -> None:
 
 
 def keep_view(scene: Scene, state: ViewState, layout: Mapping[str, bool]) -> None:
-    """Keeps a view for the next time; says in the log where it cannot.
+    """Saves a view for the next start; logs failures.
 
     Args:
         scene: that was shown.
-        state: what its user has set; the time is not kept.
-        layout: which parts of the window or page were shown.
+        state: set by the user; the time is not saved.
+        layout: visible parts of the window or page.
     """
     text = json.dumps({"view": state._replace(time=None).to_text(), "layout": dict(layout)})
     write_state(file_of(scene), text.encode())
 
 
 def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool]] | None:
-    """Returns a view that was kept, and the layout; None for none.
+    """Returns a saved view, and the layout; None for none.
 
     Raises:
         UsageError: the file is damaged.

@@ -1,4 +1,4 @@
-"""`LiveHost`: what window and web page have in common."""
+"""`LiveHost`: the common base of window and web page."""
 
 from __future__ import annotations
 
@@ -58,30 +58,29 @@ _MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
 
 
 class LiveHost(ABC):
-    """Shows a mirror, and hands what the user does to clock, switches and tools.
+    """Shows a mirror, and passes user input to clock, switches and tools.
 
     Args:
-        mirror: must be open; is driven by the host's clock.
-        folder: where what the user keeps goes, and pictures and films; the current one when None.
+        mirror: must be open; driven by the host's clock.
+        folder: of saved files, pictures and films; the current one when None.
 
     Attributes:
         mirror: the mirror.
         world: the compiled scene.
         data: its state.
-        toggles: what is shown.
+        toggles: visibility of features.
         clock: pause, speed and time line.
         history: the torques of the last seconds.
-        tools: what the user does to the world, by name.
-        opener: returns what shows a file that is dropped; None where none is opened.
-        offers: what may be shown instead of this, by the label of a button; None for what is no
-            scene.
-        next_mirror: that which its user has chosen, and this host has ended for.
+        tools: by name.
+        opener: returns the mirror of a dropped file; None if files cannot be opened.
+        offers: other scenes to show, by the label of a button; None for non-scenes.
+        next_mirror: chosen by the user to be shown after this host has ended.
         folder: as given.
         capture: writes screenshots and films.
         wants_picture: whether the next frame is to be a screenshot.
         joint: the joint of the world whose torques are plotted.
-        command: how a command shows this scene: its name or file, and options; from the scene when
-            None.
+        command: arguments of a command that shows this scene: its name or file, and options; from
+            the scene when None.
         decor: of the last frame; pixels of the pointer are those of its picture, y up.
         notice: the last message to the user.
         shows_status: whether status line or panel are shown.
@@ -101,12 +100,12 @@ class LiveHost(ABC):
         self.clock = clock = Clock(mirror)
         if clock.is_live:
             clock.on_moment = self._sample
-        # What follows the real time has packets between frames, and else the clock has moments.
+        # Live sources receive packets between frames; otherwise the clock provides samples.
         kept = SPAN + live_history.SPAN if clock.is_live and clock.can_go_back else SPAN
         self.history = TorqueHistory(world, mirror.routes if mirror.is_live else (), kept)
         if mirror.is_live:
             mirror.listen(self._hear, to_all=True)
-        # A scene to show instead of this one, which its user has asked for; and what offers that.
+        # A requested scene to show instead of this one, and its offers.
         self.next_mirror: Mirror | None = None
         self.offers: dict[str, Callable[[], Mirror | None]] = {}
         self.opener: Callable[[Path], Mirror] | None = None
@@ -219,15 +218,15 @@ class LiveHost(ABC):
     @property
     @abstractmethod
     def is_following(self) -> bool:
-        """Whether the camera goes along with a frame."""
+        """Whether the camera follows a frame."""
 
     @abstractmethod
     def to_clipboard(self, text: str) -> None:
-        """Puts a text onto the user's clipboard."""
+        """Copies a text to the user's clipboard."""
 
     @abstractmethod
     def request_close(self) -> None:
-        """Lets the next frame be the last."""
+        """Requests to close after the next frame."""
 
     def close(self) -> None:
         """Closes the host, after pictures and films are written."""
@@ -246,12 +245,12 @@ class LiveHost(ABC):
             pass
 
     def _use(self, decor: SceneDecor) -> None:
-        """Draws tools with a decor; to be called when it is made."""
+        """Adds the tools to a decor; called when it is created."""
         for tool in self.tools.values():
             decor.add(DrawnTool(tool, self.tools))
 
     def _advance(self, advance: Callable[[], object]) -> None:
-        """Brings the mirror to the current time; an error pauses and is shown."""
+        """Updates the mirror to the current time; errors pause it and are shown."""
         now = time.monotonic()
         passed, self._advanced = now - self._advanced, now
         self._dragging.advance()
@@ -363,7 +362,7 @@ class LiveHost(ABC):
         return f"selected: {joint_name(self.world, self.joint)}"
 
     def select(self, joint: int) -> None:
-        """Selects a joint: it is lit, and its torques are plotted."""
+        """Selects a joint: it is highlighted, and its torques are plotted."""
         self.joint = self.toggles.selected = joint
 
     def _take_screenshot(self) -> None:
@@ -376,7 +375,7 @@ class LiveHost(ABC):
         return self.capture.start(self.picture_size, time.monotonic())
 
     def _take_pictures(self, now: float, draw: Callable[[], Pixels]) -> None:
-        """Hands on what is drawn, if a screenshot or the film wants it now, s."""
+        """Passes on the current picture if a screenshot or film needs it now, s."""
         if self.wants_picture or self.capture.wants(now):
             pixels = draw()
             if self.wants_picture:
@@ -387,7 +386,7 @@ class LiveHost(ABC):
     # ---- other scenes
 
     def open_file(self, path: Path) -> None:
-        """Shows the scene, robot or recording in a file instead, or says why it cannot be."""
+        """Shows the scene, robot or recording of a file instead, or an error message."""
         opener = self.opener
         if opener is None:
             self.say(f"{path.name}: files are opened by `sero-mj view` alone", is_bad=True)
@@ -395,7 +394,7 @@ class LiveHost(ABC):
             self._go_on_with(lambda: opener(path))
 
     def _go_on_with(self, make: Callable[[], Mirror | None]) -> None:
-        """Ends, so that another scene is shown, if any; or says why it cannot be."""
+        """Ends, so that another scene is shown, if any; or shows an error message."""
         try:
             self.next_mirror = make()
         except SeroError as error:
@@ -407,16 +406,16 @@ class LiveHost(ABC):
 
     @property
     def layout(self) -> dict[str, bool]:
-        """Which parts of the window or page are shown, by name."""
+        """Visible parts of the window or page, by name."""
         return {"status": self.shows_status, "plot": self.shows_plot}
 
     def show_layout(self, layout: Mapping[str, bool]) -> None:
-        """Shows the parts that were shown before."""
+        """Restores the visible parts."""
         self.shows_status = layout.get("status", self.shows_status)
         self.shows_plot = layout.get("plot", self.shows_plot)
 
     def view_state(self) -> ViewState:
-        """What the user has set of the view, as text; of a free camera to 0.1 mm and 1e-4 deg."""
+        """The user's settings of the view, as text; a free camera to 0.1 mm and 1e-4 deg."""
         return view_state_of(self.world, self.view_camera, self.toggles, self.clock)
 
     def render_words(self) -> list[str]:
@@ -479,7 +478,7 @@ class LiveHost(ABC):
     def drag(
         self, moved: Moved, at: Pixel | None, begin: Pixel | None, pressed: Pixel | None
     ) -> bool:
-        """Hands a drag or a turn of the wheel to the tools.
+        """Passes a drag or a turn of the wheel to the tools.
 
         Args:
             moved: the drag, or turn.
@@ -493,7 +492,7 @@ class LiveHost(ABC):
         return self._dragging.take(moved, at, begin, pressed)
 
     def hold(self, at: Pixel) -> bool:
-        """Says what a finger that is held at a pixel would drag; returns whether anything."""
+        """Announces what a long press at a pixel would drag; returns whether anything."""
         return self._dragging.announce(at)
 
     def let_go(self) -> None:

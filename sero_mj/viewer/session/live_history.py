@@ -1,4 +1,4 @@
-"""`LiveHistory`: what a live mirror has shown in the last minute."""
+"""`LiveHistory`: the states of a live mirror in the last minute."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class LiveHistory:
-    """The states of a live mirror in the last minute, some 30 a second, and the newest one.
+    """The states of a live mirror in the last minute, about 30 per second, and the newest one.
 
-    While an older one is shown the mirror goes on: `put_back` before it is advanced.
+    While an older one is shown the mirror continues: call `put_back` before advancing it.
 
     Args:
-        mirror: whose data it is.
-        span: s that are kept.
+        mirror: of the data.
+        span: duration kept, s.
     """
 
     def __init__(self, mirror: LiveWorld, span: float = SPAN) -> None:
@@ -34,7 +34,7 @@ class LiveHistory:
         self._times: Array = np.full(count, np.nan)
         self._states: Array = np.empty((count, size))
         self._newest: Array = np.empty(size)
-        self._row = -1  # of the newest that is kept
+        self._row = -1  # of the newest state kept
         self.end = 0.0
 
     @property
@@ -44,7 +44,7 @@ class LiveHistory:
         return float(known.min()) if len(known) else self.end
 
     def add(self) -> None:
-        """Keeps the state that the data has now; a time before the last one begins anew."""
+        """Keeps the current state; a time before the last one restarts the history."""
         time = float(self._data.time)
         if time < self.end:
             self._times[:] = np.nan
@@ -55,16 +55,16 @@ class LiveHistory:
             self.keep()
 
     def keep(self) -> None:
-        """Keeps the newest state, however soon after the one before."""
+        """Keeps the newest state, regardless of its distance to the previous one."""
         self._row = (self._row + 1) % len(self._times)
         self._times[self._row], self._states[self._row] = self.end, self._newest
 
     def put_back(self) -> None:
-        """Puts the newest state into the data."""
+        """Restores the newest state in the data."""
         mujoco.mj_setState(self._model, self._data, self._newest, _STATE)
 
     def show(self, time: float) -> None:
-        """Puts the last state before a time, s, into the data; the oldest one at least."""
+        """Restores the last state before a time, s, or the oldest one."""
         count = len(self._times)
         order = (self._row + 1 + np.arange(count)) % count  # the oldest first
         order = order[np.isfinite(self._times[order])]

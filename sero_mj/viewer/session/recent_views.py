@@ -1,4 +1,4 @@
-"""What was viewed lately, with pictures of how it was left, in the user's state folder."""
+"""Recent views with their last pictures, in the user's state folder."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ PICTURE_SIZE = (480, 300)  # pixels
 
 
 class RecentView(NamedTuple):
-    """What was viewed.
+    """A recent view.
 
     Attributes:
-        scene: the name of what is shipped, or the absolute path of a file.
-        replay: the absolute path of the recording that was played; empty for none.
+        scene: a shipped name, or the absolute path of a file.
+        replay: the absolute path of the recording played; empty for none.
     """
 
     scene: str
@@ -31,7 +31,7 @@ class RecentView(NamedTuple):
 
     @property
     def picture(self) -> Path:
-        """The file of its last picture, if one was kept."""
+        """The file of its last picture, if there is one."""
         digest = hashlib.sha256("\n".join(self).encode()).hexdigest()[:16]
         return state_folder() / "recent" / f"{digest}.jpg"
 
@@ -42,22 +42,22 @@ class RecentView(NamedTuple):
 
     @property
     def is_there(self) -> bool:
-        """Whether its files still are."""
+        """Whether its files still exist."""
         files = [Path(name) for name in self if name]
         return all(file.exists() for file in (files[1:] if self.is_shipped else files))
 
 
 def recent_views() -> list[RecentView]:
-    """Returns what was viewed lately and is still there, the latest first."""
+    """Returns recent views that still exist, latest first."""
     return [view for view in _read() if view.is_there]
 
 
 def remember_view(view: RecentView, pixels: Pixels | None) -> None:
-    """Remembers a view as the latest.
+    """Saves a view as the latest.
 
     Args:
-        view: what was viewed.
-        pixels: its picture, (height, width, 3), uint8; None to keep the one that there is.
+        view: the view.
+        pixels: its picture, (height, width, 3), uint8; None to keep the existing one.
     """
     before = [each for each in _read() if each != view]
     kept = [view, *before[: MOST - 1]]
@@ -83,7 +83,7 @@ def _file() -> Path:
 
 
 def _read() -> list[RecentView]:
-    """What is remembered; nothing where the file is damaged, which the next view mends."""
+    """The saved views; empty if the file is damaged, which the next view repairs."""
     try:
         found = json.loads(_file().read_bytes())
         views = [RecentView(str(each["scene"]), str(each["replay"])) for each in found]

@@ -1,4 +1,4 @@
-"""A window or page as its user left it: kept at the end, shown at the next start."""
+"""Saves the state of a window or page at the end, and restores it at the next start."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from .view_state import ViewState, apply_state
 
 
 def keep(host: LiveHost) -> None:
-    """Keeps camera, switches, selection and layout for the next time."""
+    """Saves camera, switches, selection and layout."""
     keep_view(host.world.scene, host.view_state(), host.layout)
 
 
 def restore(host: LiveHost, *, with_camera: bool = True) -> None:
-    """Shows a scene as its user left it, if that was kept.
+    """Restores the saved view of a scene, if any.
 
     Args:
         host: that shows it.
-        with_camera: whether its camera as well.
+        with_camera: whether to restore its camera.
     """
     try:
         found = find_view(host.world.scene)
@@ -33,7 +33,7 @@ def restore(host: LiveHost, *, with_camera: bool = True) -> None:
 
 
 def show_state(host: LiveHost, state: ViewState) -> None:
-    """Shows a view as it was, as far as it fits the scene; says what does not."""
+    """Restores a view as far as it fits the scene; reports the rest."""
     camera, joint, wrong = apply_state(host.world, host.toggles, state)
     if camera is not None:
         copy_camera(camera, host.view_camera)

@@ -1,4 +1,4 @@
-"""What the start page shows: what was viewed lately, what is shipped, and which data is awaited.
+"""The contents of the start page: recent views, shipped scenes, and expected data.
 
 `StartPage` is all of it but the drawing, which `window/start_window.py` and `web/start_host.py` do.
 """
@@ -25,7 +25,7 @@ from ..panels.message import Message
 from .recent_views import RecentView, recent_views
 from .status_line import Mood
 
-# Returns the scene of what was chosen; raises SeroError, which the page then shows.
+# Returns the selected scene; raises SeroError, which the page then shows.
 Opener = Callable[[RecentView | Path], Mirror]
 
 TITLE = "sero-mj"
@@ -39,13 +39,13 @@ MORE_HINT = "`sero-mj list` names all that is shipped, `sero-mj --help` all comm
 # Robots that are parts of others come last.
 _PARTS = ("biped_leg", "dlr_hand2_finger", "hit_finger", "justin_head", "justin_torso",
           "justin_wheel", "space_justin_torso", "ups_leg")  # fmt: skip
-# What listens without a word to whom it hears.
+# Kinds of sources that listen passively.
 _HEARD_KINDS = ("udp", "shm")
 _ERROR_TIME, _OPENING_TIME = 12.0, 60.0  # s for which an error is shown, and what is opened
 
 
 class Tile(NamedTuple):
-    """Something that can be opened.
+    """An item that can be opened.
 
     Attributes:
         view: that it opens.
@@ -68,7 +68,7 @@ class Section(NamedTuple):
 
 
 def sections() -> list[Section]:
-    """Returns all tiles: those of what was viewed lately first."""
+    """Returns all sections, recent views first."""
     models, parts, scenes = paths.list_models(), set(_PARTS), paths.list_scenes()
     found = [
         Section("Recent", [_recent_tile(view) for view in recent_views()]),
@@ -95,7 +95,7 @@ def _tile(name: str) -> Tile:
 
 
 def _group_tile(name: str, *, is_hidden: bool) -> Tile:
-    """The tile of a group of robots, by its file where a scene has its name."""
+    """The tile of a group of robots, by its file if a scene has the same name."""
     file = paths.models_dir() / name / paths.GROUP_FILE
     view = RecentView(str(file) if is_hidden else name)
     return Tile(view, name, _about(file), _shipped_picture(name))
@@ -120,7 +120,7 @@ def _shipped_picture(name: str) -> Path | None:
 
 
 def _about(file: Path | None) -> str:
-    """What a shipped file says of itself."""
+    """The description of a shipped file."""
     if file is None:
         return ""
     text = file.read_text(encoding="utf-8")
@@ -130,13 +130,13 @@ def _about(file: Path | None) -> str:
 
 
 class ExpectedPackets(NamedTuple):
-    """Packets that scenes can show, at one place where they come.
+    """Packets that scenes can show, at one address.
 
     Attributes:
-        where: they come: an address, or shared memory.
+        where: network address, or shared memory.
         views: that show packets of a size, by that size, bytes.
-        rates: at which packets come, packets/s, by their size; without those that do not.
-        trouble: why none can come; empty for nothing.
+        rates: of received packets, packets/s, by their size.
+        trouble: why none can be received; empty for none.
     """
 
     where: str
@@ -146,14 +146,14 @@ class ExpectedPackets(NamedTuple):
 
     @property
     def command(self) -> str:
-        """The command that would send such packets; empty where some come, or cannot."""
+        """The command that would send such packets; empty if some arrive, or cannot."""
         if self.rates or self.trouble:
             return ""
         return f"sero-mj send {self.views[min(self.views)][0].scene}"
 
     @property
     def expected(self) -> str:
-        """Sizes of packets, and what shows them."""
+        """Sizes of packets, and the scenes that show them."""
         parts: list[str] = []
         for size, views in sorted(self.views.items()):
             names = ", ".join(Path(view.scene).name for view in views)
@@ -162,7 +162,7 @@ class ExpectedPackets(NamedTuple):
 
     @property
     def text(self) -> str:
-        """What has come."""
+        """The received packets."""
         if self.trouble:
             return self.trouble
         if not self.rates:
@@ -175,19 +175,19 @@ class ExpectedPackets(NamedTuple):
 
     @property
     def mood(self) -> Mood:
-        """How good that is."""
+        """The mood of the text."""
         if self.trouble or not self.rates.keys() <= self.views.keys():
             return "bad"
         return "good" if self.rates else "plain"
 
     @property
     def shown(self) -> list[RecentView]:
-        """What shows the packets that come."""
+        """The views of the received packets."""
         return [view for size, views in self.views.items() if size in self.rates for view in views]
 
 
 class _Place:
-    """Where packets of one or several sizes come, and which of them do."""
+    """An address with packets of one or several sizes, and their counts."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
@@ -224,7 +224,7 @@ class _Place:
 
 
 class PortMonitor:
-    """Hears which of the data that scenes can show is coming; a context manager.
+    """Monitors the ports of scenes for packets; a context manager.
 
     Args:
         views: of the scenes.
@@ -251,20 +251,20 @@ class PortMonitor:
             place.close()
 
     def awaited(self) -> list[ExpectedPackets]:
-        """Returns what is awaited, by place: where something comes first."""
+        """Returns the expected packets, by address: active ones first."""
         found = [place.awaited() for place in self._places.values()]
         return sorted(found, key=lambda each: (not each.rates, each.where))
 
 
 def listening() -> PortMonitor:
-    """Returns who hears the data of all scenes that are shipped or were viewed lately."""
+    """Returns a monitor of all shipped and recent scenes."""
     recent = [view for view in recent_views() if not view.replay]
     shipped = [RecentView(name) for name in paths.list_scenes()]
     return PortMonitor(list(dict.fromkeys([*recent, *shipped])))
 
 
 def _sources(scene: str) -> list[Source]:
-    """What a scene's file declares; nothing where it is wrong, which opening it says."""
+    """The sources of a scene's file; empty if it is invalid, which opening it reports."""
     path = paths.shipped_file(scene) or Path(scene)
     if path.suffix != ".toml":
         return []

@@ -1,4 +1,4 @@
-"""`Tool`: what a user does to a world that is shown, by pointer, keys and panel.
+"""`Tool`: a user interaction with the displayed world, by pointer, keys and panel.
 
 Jogging, pulling, undo and all others are found by entry points, one file each; a package adds one
 in its pyproject.toml:
@@ -38,18 +38,18 @@ Found = TypeVar("Found")
 
 
 class Shown(Protocol):
-    """What a tool knows of the window or page that it works in.
+    """The interface of the window or page to its tools.
 
     Attributes:
-        mirror: what is shown, with its sources and routes.
+        mirror: the displayed mirror, with its sources and routes.
         world: the compiled scene.
-        data: its state; its frames are up to date when `draw` and what the pointer does are called.
-        toggles: what is switched on.
+        data: its state; frames are up to date when `draw` and the pointer's methods are called.
+        toggles: visibility of features.
         clock: pause, speed and time line.
-        decor: of the last frame: what is at a pixel, and the camera's view.
-        folder: where files of the user go; the current folder when None.
+        decor: of the last frame: items at pixels, and the camera's view.
+        folder: of the user's files; the current folder when None.
         view_camera: the camera; can be changed.
-        is_following: whether the camera goes along with a frame.
+        is_following: whether the camera follows a frame.
         picture_size: width and height of screenshots, pixels.
         tools: all of them by name.
     """
@@ -81,7 +81,7 @@ class Shown(Protocol):
         """Shows a message for a few seconds."""
 
     def select(self, joint: int) -> None:
-        """Selects a joint: it is lit, and its torques are plotted."""
+        """Selects a joint: it is highlighted, and its torques are plotted."""
 
     def view_state(self) -> ViewState:
         """Camera, switches, selection and time, as text."""
@@ -90,11 +90,11 @@ class Shown(Protocol):
         """Scene, camera and switches as arguments of `sero-mj render`."""
 
     def to_clipboard(self, text: str) -> None:
-        """Puts a text onto the user's clipboard."""
+        """Copies a text to the user's clipboard."""
 
 
 class Grab(NamedTuple):
-    """What a drag does that begins at a pixel.
+    """The effect of a drag that begins at a pixel.
 
     Attributes:
         text: for the user.
@@ -106,7 +106,7 @@ class Grab(NamedTuple):
 
 
 class Tool:
-    """A tool of one window or page; whatever it does not take part in is left as it is here.
+    """A tool of one window or page; override the methods of the events it needs.
 
     Pixels are those of the picture, y up.
 
@@ -114,9 +114,9 @@ class Tool:
         shown: where it works.
 
     Attributes:
-        order: among the others: of panels from above, of drags and keys who is asked first. Those
-            of sero-mj have 10 to 90.
-        keys: name of an action and words for the help, by key; no words for what it leaves out.
+        order: of panels from top to bottom, and of priority for drags and keys. Those of sero-mj
+            have 10 to 90.
+        keys: name of an action and text for the help, by key; no text to omit it from the help.
     """
 
     order: ClassVar[int] = 100
@@ -126,13 +126,13 @@ class Tool:
         self.shown = shown
 
     def actions(self) -> Mapping[str, Action]:
-        """What keys and menus do, by the names in `keys`."""
+        """Actions of keys and menus, by the names in `keys`."""
         return {}
 
     # ---- the pointer
 
     def click(self, picked: Picked | None, at: Pixel) -> str | None:
-        """Takes a click; returns what to tell the user, or None where it is for others.
+        """Handles a click; returns a message, or None to leave it to others.
 
         Args:
             picked: the item there; None for the background.
@@ -141,7 +141,7 @@ class Tool:
         return None
 
     def hover(self, at: Pixel | None) -> bool:
-        """Takes notice of the pointer; returns whether a drag from there would grab a handle.
+        """Handles the pointer; returns whether a drag from there would grab a handle.
 
         Args:
             at: the pixel; None outside of the picture, and while something is dragged.
@@ -149,38 +149,38 @@ class Tool:
         return False
 
     def grab_handle(self, at: Pixel) -> Grab | None:
-        """Begins a drag of a handle; None where there is none of this tool."""
+        """Begins a drag of a handle; None if this tool has none there."""
         return None
 
     def grab(self, at: Pixel) -> Grab | None:
-        """Begins a drag with Ctrl; None where there is nothing for this tool."""
+        """Begins a drag with Ctrl; None if this tool has nothing to drag there."""
         return None
 
     def announce(self, at: Pixel) -> Grab | None:
-        """Says what `grab` would do there."""
+        """Describes what `grab` would do there."""
         return None
 
     def move(self, at: Pixel) -> None:
         """Moves the pointer of the drag."""
 
     def drag(self) -> str:
-        """Does what the drag is for, in every frame; returns what is in its way, or nothing."""
+        """Applies the drag, in every frame; returns what obstructs it, or an empty text."""
         return ""
 
     def release(self) -> None:
         """Ends the drag."""
 
     def wheel(self, notches: float) -> str | None:
-        """Takes the wheel while this tool drags; returns what to tell, or None to zoom as ever."""
+        """Handles the wheel while this tool drags; returns a message, or None to zoom as usual."""
         return None
 
     # ---- frames
 
     def advance(self, passed: float) -> None:
-        """Acts before the world moves on, s of real time after the last frame."""
+        """Acts before the world advances, `passed` s of real time after the last frame."""
 
     def watch(self) -> None:
-        """Looks at a new state of what is live."""
+        """Examines a new live state."""
 
     def lay_out(self, frame: Frame) -> None:
         """Adds panels to a frame, see `decor.feature.Feature`."""
@@ -196,38 +196,38 @@ class Tool:
         return ()
 
     def next_message(self) -> tuple[str, bool] | None:
-        """What to tell the user of work in the background, and whether it is bad; None for none."""
+        """A message about background work, and whether it is an error; None for none."""
         return None
 
     # ---- what is kept
 
     @property
     def state(self) -> Any:
-        """What undo takes back, of all that the user does with it; equal ones are one."""
+        """The state for undo; equal states count as one."""
         return ()
 
     def restore(self, state: Any) -> None:
-        """Takes over a state of before."""
+        """Restores an earlier state."""
 
     def render_words(self) -> list[str]:
-        """Arguments of `sero-mj render` with which a picture shows what it has changed."""
+        """Arguments of `sero-mj render` that reproduce its changes in a picture."""
         return []
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
-        """What the sticks of a gamepad move: its name, it, and T_world_base (4, 4)."""
+        """The goal moved by the sticks of a gamepad: its name, it, and T_world_base (4, 4)."""
         return None
 
     def close(self) -> None:
-        """Frees what it holds, when window or page are closed."""
+        """Releases resources when the window or page is closed."""
 
 
 class Tools(Mapping[str, Tool]):
     """All tools of a window or page by name, in their order.
 
-    What fails of another package is logged, told and taken out; the rest goes on.
+    A failing tool of another package is logged, reported and removed; the others continue.
 
     Args:
-        shown: where they work.
+        shown: the window or page.
     """
 
     def __init__(self, shown: Shown) -> None:
@@ -248,7 +248,7 @@ class Tools(Mapping[str, Tool]):
 
     @contextmanager
     def _guarding(self, name: str, kind: type[Tool]) -> Iterator[None]:
-        """Survives what a tool of another package raises."""
+        """Catches errors of a tool of another package."""
         try:
             yield
         except Exception as error:
@@ -267,7 +267,7 @@ class Tools(Mapping[str, Tool]):
         return answer
 
     def ask(self, act: Callable[[Tool], Found]) -> list[Found]:
-        """What all of them answer, in their order."""
+        """The results of all tools, in their order."""
         answers: list[Found] = []
         for name, tool in [*self._tools.items()]:
             with self._guarding(name, type(tool)):
@@ -275,7 +275,7 @@ class Tools(Mapping[str, Tool]):
         return answers
 
     def first(self, act: Callable[[Tool], Found | None]) -> tuple[Tool, Found] | None:
-        """The first that answers, and what; None where none does."""
+        """The first tool with a result, and the result; None for none."""
         for name, tool in [*self._tools.items()]:
             with self._guarding(name, type(tool)):
                 answer = act(tool)
@@ -312,6 +312,6 @@ def tool_kinds() -> dict[str, type[Tool]]:
 
 
 def tool_keys() -> dict[str, tuple[str, str]]:
-    """Name of the action and words for the help, by key, of all tools in their order."""
+    """Name of the action and text for the help, by key, of all tools in their order."""
     kinds = sorted(tool_kinds().items(), key=lambda each: (each[1].order, each[0]))
     return {key: entry for _, kind in kinds for key, entry in kind.keys.items()}

@@ -1,4 +1,4 @@
-"""What a user has set of a view: camera, switches, selection; as text for commands and links."""
+"""The user's settings of a view, as text for commands and links: camera, switches, selection."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SWITCH_NAMES = (
     "arrows", "arrow_quantity", "billboards", "details", "axes", "frame_names", "vectors", "cards",
     "doubles", "legend", "status", "flange_checks",
 )  # fmt: skip
-# Also taken, but set by nobody: whether torques are those of the model, which the legend tells.
+# Also accepted, but not settable: whether torques are those of the model, as the legend says.
 MODELLED = "modelled"
 _DECIMALS = 4  # of degrees and m
 _MAX_CHARACTERS = 20_000  # of a state as text
@@ -31,13 +31,13 @@ _SWITCHES = (*SWITCH_NAMES, "clicked")
 
 
 class ViewState(NamedTuple):
-    """What a user has set of a view.
+    """The user's settings of a view.
 
     Attributes:
-        camera: as `find_camera` takes it; empty for the scene's own view.
-        switches: that are not as the scene declares, as `apply_switches` takes them.
-        joint: that is selected, `lwr/A2`; empty for none.
-        time: that is shown, s; None where it goes on by itself.
+        camera: in the format of `find_camera`; empty for the scene's own view.
+        switches: those that differ from the scene's, in the format of `apply_switches`.
+        joint: selected, `lwr/A2`; empty for none.
+        time: displayed, s; None for live sources.
     """
 
     camera: str = ""
@@ -57,7 +57,7 @@ class ViewState(NamedTuple):
         """From JSON.
 
         Raises:
-            UsageError: it is no such text.
+            UsageError: the text is invalid.
         """
         try:
             found = json.loads(text[: _MAX_CHARACTERS + 1])
@@ -72,7 +72,7 @@ class ViewState(NamedTuple):
 def view_state_of(
     world: WorldView, camera: mujoco.MjvCamera, toggles: Toggles, clock: Clock
 ) -> ViewState:
-    """What a user has set of a view, as text."""
+    """The user's settings of a view."""
     return ViewState(
         camera_text(world, camera),
         switches_text(world, toggles),
@@ -82,7 +82,7 @@ def view_state_of(
 
 
 def camera_text(world: WorldView, camera: mujoco.MjvCamera) -> str:
-    """Returns a camera as `find_camera` takes it: its name, or six numbers."""
+    """Returns a camera in the format of `find_camera`: its name, or six numbers."""
     if int(camera.type) == int(mujoco.mjtCamera.mjCAMERA_FIXED):
         return str(world.model.camera(camera.fixedcamid).name)
     numbers = (camera.azimuth, camera.elevation, camera.distance, *camera.lookat)
@@ -90,7 +90,7 @@ def camera_text(world: WorldView, camera: mujoco.MjvCamera) -> str:
 
 
 def switches_text(world: WorldView, toggles: Toggles) -> dict[str, str]:
-    """Returns the switches that are not as declared: a digit for each item, or one for all."""
+    """Returns switches that differ from the declared ones: a digit per item, or one for all."""
     declared = Toggles(world)
     found = {}
     for name in SWITCH_NAMES:
@@ -112,7 +112,7 @@ def apply_switches(
         toggles: changed in place.
         given: by name, see `SWITCH_NAMES`: a digit for each item (joint, frame, ...), or one for
             all; 1 is on, and `arrow_quantity` counts the quantities from 0.
-        selected: the joint to be lit, `lwr/A2`; as it is when None.
+        selected: the joint to select, `lwr/A2`; unchanged when None.
 
     Raises:
         UsageError: no such switch, other digits, or not as many as there are items.
@@ -179,12 +179,12 @@ def apply_state(
 
 
 class ViewSnapshot(NamedTuple):
-    """What a user can take back of a view, to the last bit; equal ones look the same.
+    """The exact state of a view for undo; equal ones look the same.
 
     Attributes:
         camera: type, ids of camera and body, azimuth, elevation and distance.
-        lookat: (3,), m; None where the camera goes along with something.
-        switches: of `SWITCH_NAMES`, then which billboards were clicked on, as bytes.
+        lookat: (3,), m; None if the camera follows something.
+        switches: of `SWITCH_NAMES`, then the clicked billboards, as bytes.
         selected: joint.
     """
 
@@ -195,7 +195,7 @@ class ViewSnapshot(NamedTuple):
 
     @classmethod
     def of(cls, camera: mujoco.MjvCamera, toggles: Toggles, *, follows: bool) -> ViewSnapshot:
-        """What a camera and toggles are now; `follows` says whether it goes along."""
+        """The current state of a camera and toggles; `follows`: whether it follows a frame."""
         return cls(
             tuple(getattr(camera, name) for name in _CAMERA),
             None if follows else tuple(camera.lookat.tolist()),
@@ -204,7 +204,7 @@ class ViewSnapshot(NamedTuple):
         )
 
     def show(self, camera: mujoco.MjvCamera, toggles: Toggles) -> None:
-        """Makes a camera and toggles like that."""
+        """Applies the state to a camera and toggles."""
         for name, value in zip(_CAMERA, self.camera, strict=True):
             setattr(camera, name, value)
         if self.lookat is not None:

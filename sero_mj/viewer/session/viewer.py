@@ -30,14 +30,14 @@ from .viewer_process import ViewerProcess
 if TYPE_CHECKING:
     from ..web.host import WebHost
 
-_shown: list[Viewer] = []  # those that are open, also where nobody holds them (in a notebook)
+_shown: list[Viewer] = []  # open viewers, even without other references (in a notebook)
 
 
 class Viewer:
-    """A window or web page in a process of its own, which the user's loop feeds.
+    """A window or web page in a separate process, fed by the user's loop.
 
-    It is drawn by itself, whether or not the loop goes on, until it is closed, by its user or by
-    `close`, or this process ends. Can be used as a context manager.
+    It is drawn independently of the loop until it is closed by its user or by `close`, or this
+    process ends. Can be used as a context manager.
 
     Attributes:
         world: the compiled scene.
@@ -57,16 +57,15 @@ class Viewer:
 
     @property
     def is_open(self) -> bool:
-        """Whether it is shown: its user has not closed it, and its process lives."""
+        """Whether its user has not closed it, and its process is alive."""
         return self._process.is_open
 
     @property
     def data(self) -> mujoco.MjData:
         """The state of the world at the last `sync`; of an overlay the user's own data.
 
-        It has what was set, and what the scene's sources have brought. Change it with `set` and
-        `robot` only. Once it is asked for, every `sync` brings it up to date, which takes some
-        50 us for every picture.
+        It includes set values and data of the scene's sources. Change it with `set` and `robot`
+        only. After the first access every `sync` updates it, which takes some 50 us per picture.
         """
         if not self._memory.is_read:
             self._memory.is_read = True
@@ -75,7 +74,7 @@ class Viewer:
 
     @property
     def pictures(self) -> int:
-        """How many pictures have been shown."""
+        """Number of pictures shown."""
         return self._memory.pictures
 
     def set(self, target: str, values: Any) -> None:
@@ -104,11 +103,11 @@ class Viewer:
         return RobotInputs(self, name)
 
     def sync(self) -> bool:
-        """Hands on the state of an overlay's model, takes over what is shown, and handles clicks.
+        """Sends the state of an overlay's model, receives the displayed state, and handles clicks.
 
-        It waits for nothing (1 us for a scene, some 30 us for an overlay), so it can be called in
-        every cycle of a fast loop, and raises nothing because of the viewer. A viewer that is only
-        to show what is `set` needs no call.
+        It never blocks (1 us for a scene, some 30 us for an overlay), so it can be called in every
+        cycle of a fast loop, and errors of the viewer are not raised. A viewer that only shows
+        `set` values needs no call.
 
         Returns:
             whether it is still open.
@@ -136,7 +135,7 @@ class Viewer:
         self._on_click = callback
 
     def picture(self) -> Picture:
-        """Returns a picture of what was set until now, without status line and messages.
+        """Returns a picture of the values set so far, without status line and messages.
 
         Returns:
             (height, width, 3), uint8.
@@ -149,7 +148,7 @@ class Viewer:
         return picture
 
     def close(self) -> None:
-        """Closes window or page, and the scene's sources. Without it that is done at exit."""
+        """Closes window or page, and the scene's sources; otherwise done at exit."""
         if self in _shown:
             _shown.remove(self)
         self._process.close()
@@ -189,7 +188,7 @@ def view(
     port: int | None = None,
     token: bool = False,
 ) -> Viewer:
-    """Opens a window or a web page on a scene, in a process of its own, and returns.
+    """Opens a window or a web page on a scene, in a separate process, and returns.
 
     The scene's sources are mirrored, if it has any; the caller can set all inputs:
 
@@ -198,9 +197,9 @@ def view(
                 viewer.robot("lwr").torques = my_torques()
                 time.sleep(0.001)
 
-    It stays open without any further call, in a notebook for example. Opened again (by a cell that
-    is run again, say), it replaces the window or page that this process has on a scene of this name
-    with robots of these names; the page keeps its port.
+    It stays open without further calls, in a notebook for example. When called again (by running a
+    cell again, say), it replaces this process's window or page of a scene with the same name and
+    robots; the page keeps its port.
 
     Args:
         scene: a scene; a TOML file or the name of a shipped scene, scenario or robot; or an
@@ -217,7 +216,7 @@ def view(
             does.
 
     Raises:
-        UsageError: arguments that contradict each other, or have another type.
+        UsageError: arguments contradict each other, or have a wrong type.
         SeroError: a problem of the scene, its sources or the camera, no display for a window, or
             no such address for a page.
     """

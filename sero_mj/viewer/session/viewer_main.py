@@ -31,8 +31,8 @@ from .viewer_memory import OverlayMemory, SceneMemory, ViewerMemory
 
 log = logging.getLogger(__name__)
 
-_UNSEEN = 0.1  # s between two frames of a page that no browser shows
-_PATIENCE = 5.0  # s after which it ends, even if the host does not come back from drawing
+_HIDDEN_INTERVAL = 0.1  # s between two frames of a page that no browser shows
+_CLOSE_TIMEOUT = 5.0  # s after which it ends, even if the host does not come back from drawing
 
 
 def main() -> None:
@@ -81,7 +81,7 @@ class _User:
             while True:
                 self.messages.put(pickle.load(sys.stdin.buffer))
         self.messages.put(None)
-        time.sleep(_PATIENCE)
+        time.sleep(_CLOSE_TIMEOUT)
         os._exit(1)
 
     @property
@@ -204,7 +204,7 @@ def _serve(user: _User, host: LiveHost, memory: ViewerMemory) -> None:
     while host.frame() and not user.is_gone:
         memory.show()
         with suppress(queue.Empty):
-            message = user.messages.get(timeout=0.0 if host.is_seen else _UNSEEN)
+            message = user.messages.get(timeout=0.0 if host.is_seen else _HIDDEN_INTERVAL)
             if message is None:
                 return
             _, number = message

@@ -29,7 +29,7 @@ from ...robots.external.model_world import ModelWorld
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # MuJoCo takes ten times as long for the enum
 _MEMORY = Path("/dev/shm")  # files there are never written to a disk; Linux only
 _HEADER = 2  # of an array: its number, and a checksum
-_MOST = 2**32  # checksums are smaller
+_CHECKSUM_MODULUS = 2**32  # checksums are smaller
 _pack = struct.Struct("dd").pack
 
 
@@ -87,7 +87,7 @@ class SharedArrays:
         contents = values.tobytes()
         with self._lock:
             self.written[index] = number = self.written[index] + 1
-            header = _pack(number, zlib.crc32(contents, number % _MOST))
+            header = _pack(number, zlib.crc32(contents, number % _CHECKSUM_MODULUS))
             self._memory[self._spans[index]] = header + contents
 
     def number(self, index: int) -> int:
@@ -105,7 +105,7 @@ class SharedArrays:
             return None
         cells = self._cells[start:stop].copy()
         values = cells[_HEADER:]
-        if zlib.crc32(values.data, int(cells[0]) % _MOST) != cells[1]:
+        if zlib.crc32(values.data, int(cells[0]) % _CHECKSUM_MODULUS) != cells[1]:
             return None
         self.numbers[index] = cells[0]
         return values

@@ -37,8 +37,8 @@ _PROGRAM = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
     "from sero_mj.viewer.session.viewer_main import main; main()"
 )
-_CLOSING = 5.0  # s that it has to close by itself
-_PICTURE = 30.0  # s to wait for a picture; software takes a second or two for the first
+_CLOSE_TIMEOUT = 5.0  # s that it has to close by itself
+_PICTURE_TIMEOUT = 30.0  # s to wait for a picture; software takes a second or two for the first
 _MAX_CLICKS = 1000  # that wait to be taken
 
 
@@ -157,7 +157,7 @@ class ViewerProcess:
     def _ending(self) -> str:
         """Returns how the process has ended, and the last that it wrote."""
         try:
-            code = self._process.wait(_CLOSING)
+            code = self._process.wait(_CLOSE_TIMEOUT)
         except subprocess.TimeoutExpired:  # it lives, and says nothing that can be understood
             self._process.kill()
             code = self._process.wait()
@@ -178,12 +178,14 @@ class ViewerProcess:
         """
         self._wanted += 1
         is_there = self.is_open and self._send(("picture", self._wanted))
-        end = time.monotonic() + _PICTURE
+        end = time.monotonic() + _PICTURE_TIMEOUT
         while is_there:
             try:
                 number, found = self._pictures.get(timeout=max(end - time.monotonic(), 0.0))
             except queue.Empty:
-                raise RenderError(f"the viewer has made no picture in {_PICTURE:g} s") from None
+                raise RenderError(
+                    f"the viewer has made no picture in {_PICTURE_TIMEOUT:g} s"
+                ) from None
             if number == -1:
                 break
             if number != self._wanted:
@@ -207,7 +209,7 @@ class ViewerProcess:
         with suppress(OSError, ValueError):
             process.stdin.close()
         try:
-            process.wait(_CLOSING)
+            process.wait(_CLOSE_TIMEOUT)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
