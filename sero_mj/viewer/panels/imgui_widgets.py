@@ -20,6 +20,7 @@ _LIMIT: Rgb = (0.85, 0.30, 0.30)
 _GRAB = 0.6  # width of a slider's knob, of the text's height
 _EDGE = 2.0  # pixels between the knob and the slider's ends
 _TICK = 0.28  # height of marks at its edges, of its height; text is between them
+_BESIDE = 0.9  # beside a plot, for half of the last number below it, of the text's height
 _LINE = 1.75  # width of lines, pixels
 _TIP = 22.0  # width from which on a tip is wrapped, of the text's height
 
@@ -180,8 +181,12 @@ class ImguiWidgets:
 
     def plot(self, plot: Plot, height: float) -> None:
         """Builds a plot."""
-        implot, imgui = self._implot, self._imgui
-        if not implot.begin_plot(f"##{plot.y_label}", imgui.ImVec2(-1.0, height * self._unit)):
+        implot, imgui, unit = self._implot, self._imgui, self._unit
+        padding = imgui.ImVec2(_BESIDE * unit, 0.3 * unit)
+        implot.push_style_var(implot.StyleVar_.plot_padding, padding)
+        is_shown = implot.begin_plot(f"##{plot.y_label}", imgui.ImVec2(-1.0, height * unit))
+        implot.pop_style_var(1)
+        if not is_shown:
             return
         implot.setup_axes("", plot.y_label)
         implot.setup_axis_format(implot.ImAxis_.x1, f"%g {plot.x_unit}")

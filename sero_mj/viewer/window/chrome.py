@@ -24,6 +24,7 @@ from .places import Places, Rect, arrange
 _HINT = "H help"
 # Below the picture's upper edge, in lines of the window's text.
 _MESSAGE_TOP, _FILMING_TOP, _HANDLE_TOP = 2.5, 0.5, 0.8
+_BESIDE_HANDLE = 1.2  # that numbers leave to it at the left edge, likewise
 _PANEL = 21.5  # width, of the text's height
 _POINTS = 980  # of a line of a plot, at most
 _TALLEST = 0.97  # of the window's height
@@ -57,11 +58,11 @@ class Chrome(ImguiLayer):
         self.shows_panel = False
         self.covered = 0.0
 
-    def places(self) -> Places:
-        """Returns where the parts of the window are."""
+    def places(self, size: tuple[int, int]) -> Places:
+        """Returns where the parts of a window of that size are."""
         host = self._host
         return arrange(
-            self._gl.size,
+            size,
             self._line,
             has_status=host.shows_status,
             has_time=host.shows_status and host.has_time_line,
@@ -72,15 +73,22 @@ class Chrome(ImguiLayer):
     def _line(self) -> int:
         return self._gl.typesetter.font.height
 
-    def build(self, places: Places, picture: mujoco.MjrRect, pieces: Sequence[Piece]) -> None:
+    def build(
+        self,
+        size: tuple[int, int],
+        places: Places,
+        picture: mujoco.MjrRect,
+        pieces: Sequence[Piece],
+    ) -> None:
         """Builds everything for a frame.
 
         Args:
+            size: of the window, pixels.
             places: of the window's parts.
             picture: where it is, which may be smaller than its place.
             pieces: of the status line.
         """
-        self.frame(lambda: self._build(places, picture, pieces))
+        self.frame(size, lambda: self._build(places, picture, pieces))
 
     def _build(self, places: Places, picture: mujoco.MjrRect, pieces: Sequence[Piece]) -> None:
         host, ui = self._host, self.widgets
@@ -96,7 +104,7 @@ class Chrome(ImguiLayer):
             over = (places.status.height - self.text_height) / 2 / self.text_height
             with self._part("status", places.status, 0.55, over):
                 build_status_line(ui, pieces, _HINT)
-        top = self._gl.size[1] - picture.bottom - picture.height
+        top = self.size[1] - picture.bottom - picture.height
         if host.notice.is_shown:
             self._note("message", host.notice.piece, picture, top + _MESSAGE_TOP * self._line)
         if host.capture.is_filming:
@@ -116,7 +124,7 @@ class Chrome(ImguiLayer):
         padding = ImVec2(round(beside * unit), round(above * unit))
         imgui.push_style_var(imgui.StyleVar_.window_padding, padding)
         imgui.push_style_var(imgui.StyleVar_.window_rounding, 0.0)
-        imgui.set_next_window_pos(ImVec2(rect.left, self._gl.size[1] - rect.bottom - rect.height))
+        imgui.set_next_window_pos(ImVec2(rect.left, self.size[1] - rect.bottom - rect.height))
         imgui.set_next_window_size(ImVec2(rect.width, rect.height))
         imgui.set_next_window_bg_alpha(1.0)
         imgui.begin(name, None, _BAR_FLAGS)
@@ -145,11 +153,11 @@ class Chrome(ImguiLayer):
         self.take_mouse()
         if build_handle(self.widgets, "Tab"):
             self.shows_panel = True
-        self.covered = float(imgui.get_window_width())
+        self.covered = _BESIDE_HANDLE * self._line
         imgui.end()
 
     def _panel(self, bottom: float) -> None:
-        width, height = self._gl.size
+        width, height = self.size
         margin = round(0.4 * self.text_height)
         room = max(_TALLEST * (height - bottom) - margin, 100.0)
         wide = round(min(_PANEL * self.text_height, 0.6 * width))
@@ -167,7 +175,7 @@ class Chrome(ImguiLayer):
 
     def _help(self) -> None:
         """Builds the help in the middle of the window, to be scrolled where it finds no room."""
-        width, height = self._gl.size
+        width, height = self.size
         host, margin = self._host, round(0.4 * self.text_height)
         wide = min(help_panel.WIDTH * self.text_height, width - 2 * margin)
         imgui.set_next_window_pos(ImVec2(width / 2, height / 2), 0, ImVec2(0.5, 0.5))

@@ -290,7 +290,7 @@ class Window(LiveHost):
         self._advance(lambda: self.clock.advance(passed))
         self.navigator.advance(self.data)
         chrome = self._chrome
-        places = chrome.places()
+        places = chrome.places((width, height))
         rect = mujoco.MjrRect(*places.picture)
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
         # Pictures and films are as without chrome.
@@ -305,7 +305,7 @@ class Window(LiveHost):
         frame_rate = 1.0 / max(self._interval, 1e-6)
         pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
         pieces[1:1] = self.decor.pieces
-        chrome.build(places, self.decor.rect, pieces)
+        chrome.build((width, height), places, self.decor.rect, pieces)
         drawn = time.monotonic()
         self.work = drawn - begin
         view = self.decor.view

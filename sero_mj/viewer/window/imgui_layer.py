@@ -49,11 +49,13 @@ class ImguiLayer:
 
     Attributes:
         text_height: of its widgets, pixels.
+        size: of the window in the last frame, pixels.
         widgets: that it is made of.
     """
 
     def __init__(self, gl: GlWindow) -> None:
         self._gl = gl
+        self.size = gl.size  # asked for once a frame, for that is a question to the display
         self.text_height = round(_TEXT * gl.typesetter.font.height)
         self._context, self._plots = imgui.create_context(), implot.create_context()
         io = imgui.get_io()
@@ -88,7 +90,7 @@ class ImguiLayer:
             if is_over:
                 io.add_mouse_wheel_event(event.x, event.y)
             return is_over
-        self._at = x, y = event.x, self._gl.size[1] - event.y
+        self._at = x, y = event.x, self.size[1] - event.y
         io.add_mouse_pos_event(x, y)
         if event.kind == "move":
             return self._is_held
@@ -103,7 +105,7 @@ class ImguiLayer:
 
     def is_over(self, x: float, y: float) -> bool:
         """Whether a pixel of the window, y up, is its own."""
-        return self._is_over(x, self._gl.size[1] - y)
+        return self._is_over(x, self.size[1] - y)
 
     def _is_over(self, x: float, y: float) -> bool:
         return self._is_open_above or any(
@@ -118,17 +120,18 @@ class ImguiLayer:
         if key in _KEYS:
             io.add_key_event(_KEYS[key], action != glfw.RELEASE)
 
-    def frame(self, build: Callable[[], None]) -> None:
+    def frame(self, size: tuple[int, int], build: Callable[[], None]) -> None:
         """Builds the widgets of a frame, which `draw` draws.
 
         Args:
+            size: of the window, pixels.
             build: builds windows of Dear ImGui, and says of those that take the mouse, by
                 `take_mouse`, where they are.
         """
-        width, height = self._gl.size
         now = time.monotonic()
         io = imgui.get_io()
-        io.display_size = ImVec2(width, height)
+        self.size = size
+        io.display_size = ImVec2(*size)
         io.delta_time, self._last = max(now - self._last, 1e-4), now
         imgui.backends.opengl3_new_frame()
         imgui.new_frame()

@@ -93,9 +93,10 @@ class StartWindow:
                 page.choose(Path(event.key))
             else:
                 self._layer.take(event)
-        if all(gl.size):
-            self._layer.frame(self._build)
-            mujoco.mjr_rectangle(mujoco.MjrRect(0, 0, *gl.size), *_BACKGROUND)
+        size = gl.size
+        if all(size):
+            self._layer.frame(size, self._build)
+            mujoco.mjr_rectangle(mujoco.MjrRect(0, 0, *size), *_BACKGROUND)
             self._layer.draw()
             gl.swap()
         if is_opening:  # and its name is shown now
@@ -105,7 +106,7 @@ class StartWindow:
         return True
 
     def _build(self) -> None:
-        unit, (width, height) = self._layer.text_height, self.gl.size
+        unit, (width, height) = self._layer.text_height, self._layer.size
         imgui.set_next_window_pos(ImVec2(0.0, 0.0))
         imgui.set_next_window_size(ImVec2(width, height))
         imgui.set_next_window_bg_alpha(0.0)

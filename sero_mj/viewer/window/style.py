@@ -78,5 +78,4 @@ def set_style(height: float) -> None:
     plots = implot.get_style()
     for name, rgba in _PLOT_COLOURS.items():
         plots.set_color_(getattr(implot.Col_, name), ImVec4(*rgba))
-    plots.plot_padding = ImVec2(0.0, round(0.3 * height))
     plots.legend_padding = ImVec2(0.0, round(0.3 * height))
