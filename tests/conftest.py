@@ -102,6 +102,15 @@ def state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True)
+def backend() -> Iterator[None]:
+    """Commands that are run in this process choose the window's OpenGL; programs after them not."""
+    before = os.environ.get("MUJOCO_GL")
+    yield
+    if before is not None:
+        os.environ["MUJOCO_GL"] = before
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--no-skips", action="store_true", help="a skipped test has failed")
 

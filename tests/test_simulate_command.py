@@ -241,7 +241,7 @@ def test_what_is_interrupted_is_kept_and_not_judged(
     assert simulate(scenario, "--record", out, "--real-time", *options) == 130
     said = capsys.readouterr()
     (text,) = re.findall(r"sero-mj: stopped at 0\.(\d+) s of 0\.4 s; what is ex.*", said.err)
-    assert 200 <= int(text) < 300
+    assert 200 <= int(text) < 400  # at real time a loaded machine goes on by more at once
     assert "held" not in said.out and "FAILED" not in said.out
     if options == ["--json"]:
         found = json.loads(said.out)

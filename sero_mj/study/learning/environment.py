@@ -25,6 +25,7 @@ from ...robots.assemble.world import World
 from ...simulate.control.compiler import Compiler
 from ...simulate.control.torque_loop import LoopGains
 from ...simulate.plant import Plant
+from ...simulate.runs.monitor import Finding
 from ...simulate.runs.run_log import event_of
 from ...simulate.runs.run_source import RunSource
 from ...simulate.scenario import Scenario
@@ -100,8 +101,14 @@ def _usual_stiffness(robot: SerialRobot) -> Array:
 class _DrivenRun:
     """The current episode as a run that goes as far as its agent has driven it; for `RunSource`."""
 
+    drag_force = live = None  # the agent drives it, nobody else
+
     def __init__(self, environment: Environment) -> None:
         self._environment = environment
+
+    def findings(self) -> list[Finding]:
+        """What the monitor of the scenario finds until now."""
+        return self._environment.simulation.findings()
 
     @property
     def about(self) -> str:

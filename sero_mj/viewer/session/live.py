@@ -146,13 +146,14 @@ class LiveHost(ABC):
         }
         self._keys = {key: name for key, (name, _) in HOST_KEYS.items()} | MORE_KEYS
         self._keys |= dict.fromkeys(KEYS, "")
+        for tool in self.tools.values():
+            for action, act in (self.tools.call(tool, lambda tool: tool.actions()) or {}).items():
+                self._actions.setdefault(action, partial(self._act, tool, act))
         for name, tool in self.tools.items():
             self._take_keys(name, tool)
 
     def _take_keys(self, name: str, tool: Tool) -> None:
-        """Lets keys do what a tool does; says which of them are taken already."""
-        for action, act in (self.tools.call(tool, lambda tool: tool.actions()) or {}).items():
-            self._actions.setdefault(action, partial(self._act, tool, act))
+        """Lets keys do what a tool does; reports those that are in use, or have no action."""
         for key, (action, _) in tool.keys.items():
             if key in self._keys:
                 log.warning("the key %s of the tool %s is taken; it does nothing", key, name)
