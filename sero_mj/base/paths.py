@@ -73,7 +73,7 @@ def scene_endings() -> tuple[str, ...]:
 
 @cache
 def _endings(*, of_scenes: bool) -> tuple[str, ...]:
-    found = [kind for kind in load_all(IMPORTERS, object).values() if hasattr(kind, "is_scene")]
+    found = [kind for kind in load_all(IMPORTERS).values() if hasattr(kind, "is_scene")]
     kinds = [kind for kind in found if kind.is_scene == of_scenes]
     kinds.sort(key=lambda kind: kind.order)
     return tuple(dict.fromkeys(ending for kind in kinds for ending in kind.endings))

@@ -55,8 +55,8 @@ def plugins(group: str) -> Mapping[str, EntryPoint]:
 
 def forget_plugins() -> None:
     """Looks for entry points again, where packages were installed since."""
-    _entry_points.cache_clear()
-    plugins.cache_clear()
+    for found in (_entry_points, plugins, load_all):
+        found.cache_clear()
 
 
 def is_own(point: EntryPoint) -> bool:
@@ -97,8 +97,14 @@ def load_plugin(group: str, name: str, base: type | None = None) -> Any:
         raise PluginError(group, known[name], error) from error
 
 
-def load_all(group: str, base: type) -> dict[str, Any]:
-    """All classes of a group by name; logs those that cannot be loaded, and leaves them out."""
+@cache
+def load_all(group: str, base: type | None = None) -> Mapping[str, Any]:
+    """All of a group by name; logs once which cannot be loaded, and leaves them out.
+
+    Args:
+        group: of entry points.
+        base: of the classes that they have to name.
+    """
     found: dict[str, Any] = {}
     for name in plugins(group):
         try:

@@ -12,8 +12,8 @@ import sys
 from typing import Any, Protocol
 
 from .. import __version__
-from ..base.errors import DeclarationError, PluginError, SeroError
-from ..base.plugins import COMMANDS, load_plugin, plugins
+from ..base.errors import DeclarationError, SeroError
+from ..base.plugins import COMMANDS, load_all, load_plugin, plugins
 from ..viewer.headless.backend import choose_backend
 from ._arguments import OneLineParser, join_negative_values
 
@@ -81,16 +81,9 @@ class Command(Protocol):
 
 def _commands(wanted: str) -> list[Command]:
     """The command of that name, which is then all that is loaded; of another name all of them."""
-    known = plugins(COMMANDS)
-    if wanted in known:
+    if wanted in plugins(COMMANDS):
         return [load_plugin(COMMANDS, wanted)]
-    found: list[Command] = []
-    for name in known:
-        try:
-            found.append(load_plugin(COMMANDS, name))
-        except PluginError as error:
-            logging.warning("%s; left out", error)
-    return sorted(found, key=lambda command: command.ORDER)
+    return sorted(load_all(COMMANDS).values(), key=lambda command: command.ORDER)
 
 
 def _parser(wanted: str) -> argparse.ArgumentParser:

@@ -5,8 +5,9 @@ A motion of the flange is followed by inverse kinematics, pose by pose.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,8 +32,7 @@ from .target_motions import (
 _EVERY = 0.02  # s between two poses that are tried
 
 
-@cache
-def target_motion_kinds() -> dict[str, type[TargetMotion]]:
+def target_motion_kinds() -> Mapping[str, type[TargetMotion]]:
     """All installed kinds of target motions by name."""
     return load_all(TARGET_MOTIONS, TargetMotion)
 

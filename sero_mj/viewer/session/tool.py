@@ -233,7 +233,7 @@ class Tools(Mapping[str, Tool]):
     def __init__(self, shown: Shown) -> None:
         self._shown = shown
         self._tools: dict[str, Tool] = {}
-        for name, kind in sorted(tool_kinds().items(), key=lambda each: (each[1].order, each[0])):
+        for name, kind in tool_kinds().items():
             with self._guarding(name, kind):
                 self._tools[name] = kind(shown)
 
@@ -307,11 +307,10 @@ class DrawnTool:
 
 
 def tool_kinds() -> dict[str, type[Tool]]:
-    """All installed tools by name; logs those that cannot be loaded."""
-    return load_all(TOOLS, Tool)
+    """All installed tools by name, in their order; logs those that cannot be loaded."""
+    return dict(sorted(load_all(TOOLS, Tool).items(), key=lambda each: (each[1].order, each[0])))
 
 
 def tool_keys() -> dict[str, tuple[str, str]]:
     """Name of the action and text for the help, by key, of all tools in their order."""
-    kinds = sorted(tool_kinds().items(), key=lambda each: (each[1].order, each[0]))
-    return {key: entry for _, kind in kinds for key, entry in kind.keys.items()}
+    return {key: entry for kind in tool_kinds().values() for key, entry in kind.keys.items()}
