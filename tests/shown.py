@@ -10,6 +10,7 @@ import mujoco
 from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.session.clock import Clock
 from sero_mj.viewer.session.scene_decor import SceneDecor
+from sero_mj.viewer.session.view_state import ViewState, view_state_of
 
 
 class Shown:
@@ -48,8 +49,8 @@ class Shown:
     def select(self, joint: int) -> None:
         self.toggles.selected = joint
 
-    def view_state(self) -> Any:
-        raise NotImplementedError
+    def view_state(self) -> ViewState:
+        return view_state_of(self.world, self.view_camera, self.toggles, self.clock)
 
     def render_words(self) -> list[str]:
         return [self.world.scene.name]
