@@ -31,7 +31,7 @@ class CheckOptions(SceneArgument, PackageOptions):
 def run(options: CheckOptions) -> int:
     """Prints; returns 0."""
     from ..data.drive.wiring import wire
-    from ..robots.assemble.scene import parts_of_origin
+    from ..robots.assemble.route_text import parts_of_origin
     from ..robots.assemble.world import World
     from ..viewer.camera import list_cameras
 

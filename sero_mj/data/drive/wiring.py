@@ -42,7 +42,8 @@ from ...robots.assemble.inputs import (
     list_inputs,
 )
 from ...robots.assemble.mounts import carriers, mount_circles
-from ...robots.assemble.scene import NOT, Scene, names_in, parts_of_origin
+from ...robots.assemble.route_text import NOT, names_in, parts_of_origin
+from ...robots.assemble.scene import Scene
 from ..receive.source import SIGNALS, Source, make_source
 from ._units import UNITS, robot_of, units_of, wrong_unit
 from .conditions import condition_of

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import math
-import re
-from collections.abc import Collection, Iterator, Mapping, Sequence, Sized
-from itertools import pairwise
+from collections.abc import Collection, Mapping, Sequence, Sized
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -23,6 +20,7 @@ from .groups import SHARED, Group, group_problems, membership
 from .mounts import carrier, mount_problems, mounted_by_joints
 from .robot import SerialRobot
 from .robot_parts import VALUE_INPUTS, check_line_values
+from .route_text import names_in, route_texts
 from .surroundings import Camera, Light, Object, View
 
 # Maximum number of entries, so that a scene compiles within seconds.
@@ -40,20 +38,6 @@ MOST_ENTRIES = {
 }
 # Sections whose entries have frames or are moved.
 _WITH_FRAMES = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
-NOT = "not"
-JOINING = ("and", "or", NOT)  # words between comparisons
-FUNCTIONS = ("abs", "min", "max", "norm", "any", "all")
-_MAX_ORIGIN = 100_000  # characters of a route's text; each may become a token
-_FOR, _BETWEEN = " for ", ";"  # in origins for some joints only
-_OF_JOINTS = ("from", "joints")
-# Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
-_TOKENS = re.compile(
-    r"(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
-    r"|(?P<name>[A-Za-z_][A-Za-z0-9_./-]*)"
-    r"|(?P<sign>[<>=!]=|[-+*/()\[\],:<>])"
-    r"|(?P<other>[^ \t\r\n])"
-)
-
 
 _Entry = TypeVar("_Entry", SmartArrow, ReceivedFrame)
 
@@ -571,135 +555,3 @@ def _not_of_type(
         for key, value in fields.items()
         if value is not None and not is_right(value)
     ]
-
-
-def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
-    """Returns the routes with every origin as text.
-
-    Raises:
-        DeclarationError: an origin is neither text nor numbers nor a table of joints.
-    """
-    texts, problems = {}, []
-    for target, origin in routes.items():
-        try:
-            texts[target] = origin_text(origin)
-        except ValueError as error:
-            problems.append(Problem(f"routes.{target}", str(error)))
-    if problems:
-        raise DeclarationError(problems)
-    return texts
-
-
-class Token(NamedTuple):
-    """A token of an origin's text.
-
-    Attributes:
-        kind: `number`, `name`, `sign`, or `other` for characters that are invalid in a route.
-        text: its characters.
-        at: index of its first character.
-    """
-
-    kind: str
-    text: str
-    at: int
-
-
-def tokens_of(origin: str) -> Iterator[Token]:
-    """Yields the tokens of an origin's text."""
-    for match in _TOKENS.finditer(origin):
-        yield Token(match.lastgroup or "other", match.group(), match.start())
-
-
-def names_in(origin: str) -> list[str]:
-    """Returns the distinct names in an origin: events, outputs, frames and units."""
-    words = [*tokens_of(origin), Token("end", "", len(origin))]
-    names = (
-        word.text
-        for word, behind in pairwise(words)
-        if word.kind == "name" and not (behind.text == "(" and word.text in FUNCTIONS)
-    )
-    return [name for name in dict.fromkeys(names) if name not in JOINING]
-
-
-def origin_text(origin: Any) -> str:
-    """Returns an origin as text; numbers and (nested) lists of numbers are constants.
-
-    One for some joints only is written `udp.values0 for l_elbow, l_wrist`, and several are
-    separated by semicolons; `parts_of_origin` splits them.
-
-    Raises:
-        ValueError: the origin is none of the types listed in `Scene`.
-    """
-    if isinstance(origin, Mapping):
-        text = _text_for_joints(origin)
-    elif isinstance(origin, list | tuple) and any(isinstance(entry, Mapping) for entry in origin):
-        text = f"{_BETWEEN} ".join(_text_for_joints(entry) for entry in origin)
-    else:
-        text = _plain_text(origin)
-    if len(text) > _MAX_ORIGIN:
-        raise ValueError(f"found {len(text)} characters; expected at most {_MAX_ORIGIN}")
-    return text
-
-
-def _plain_text(origin: Any) -> str:
-    if isinstance(origin, str):
-        return origin
-    plain = origin.tolist() if hasattr(origin, "tolist") else origin
-    text = _number_text(plain)
-    if text is None:
-        hint = ""
-        if isinstance(plain, list) and any(isinstance(entry, str) for entry in plain):
-            hint = '; put quotes about the whole list: "[udp.values0[0], 1]"'
-        message = (
-            f'found {origin!r:.200}; expected an event such as "udp.values0", or numbers{hint}'
-        )
-        raise ValueError(message)
-    return text
-
-
-def _text_for_joints(table: Any) -> str:
-    """Returns an origin for some joints as text, see `origin_text`."""
-    example = '{ from = "udp.values0", joints = ["A1", "A2"] }'
-    if not isinstance(table, Mapping) or not table.keys() & {*_OF_JOINTS}:
-        if not isinstance(table, Mapping):
-            raise ValueError(f"found {table!r} among tables; expected {example}")
-        message = f'found {table!r}; expected an event such as "udp.values0", or numbers'
-        raise ValueError(f"{message}; put quotes about the whole name")
-    if table.keys() != {*_OF_JOINTS}:
-        unknown = [f"unknown '{key}'{did_you_mean(key, _OF_JOINTS)}" for key in table
-                   if key not in _OF_JOINTS]  # fmt: skip
-        missing = [f"no '{key}'" for key in _OF_JOINTS if key not in table]
-        raise ValueError(f"found {', '.join([*unknown, *missing])}; expected {example}")
-    joints = [table["joints"]] if isinstance(table["joints"], str) else table["joints"]
-    names = isinstance(joints, list | tuple) and all(isinstance(each, str) for each in joints)
-    if not names or not joints:
-        raise ValueError(f"joints: found {joints!r}; expected names of joints or limbs, in order")
-    return f"{_plain_text(table['from'])}{_FOR}{', '.join(joints)}"
-
-
-def parts_of_origin(text: str) -> list[tuple[str, list[str] | None]]:
-    """Returns the parts of an origin's text: each origin, and its joints.
-
-    The joints are None for an origin of all joints.
-    """
-    if _FOR not in text:
-        return [(text, None)]
-    pairs = [part.partition(_FOR) for part in text.split(_BETWEEN)]
-    return [
-        (origin.strip(), [name.strip() for name in names.split(",")] if is_for else None)
-        for origin, is_for, names in pairs
-    ]
-
-
-def _number_text(value: Any) -> str | None:
-    """Returns a number or a list of numbers as text; None for anything else."""
-    if isinstance(value, list | tuple):
-        entries = [_number_text(entry) for entry in value]
-        texts = [entry for entry in entries if entry is not None]
-        return f"[{', '.join(texts)}]" if len(texts) == len(entries) else None
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    try:
-        return repr(value) if math.isfinite(value) else None
-    except OverflowError:  # an int too large for a float
-        return None

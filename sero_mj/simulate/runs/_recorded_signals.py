@@ -22,7 +22,8 @@ from ...data.record.replay import Replay
 from ...robots.assemble.double import Double
 from ...robots.assemble.groups import Group
 from ...robots.assemble.robot import SerialRobot
-from ...robots.assemble.scene import Scene, names_in, route_texts
+from ...robots.assemble.route_text import names_in, route_texts
+from ...robots.assemble.scene import Scene
 from .run_log import event_of
 
 # Inputs of a robot that are signals of a run.
