@@ -22,7 +22,8 @@ from .double import Double
 from .group_model import Expanded, expand_groups, where
 from .groups import SHARED, Group, membership
 from .robot import SerialRobot, build_robot
-from .scene import MOST_ENTRIES, Scene, SceneToggles, excess, origin_text
+from .route_text import origin_text
+from .scene import MOST_ENTRIES, Scene, SceneToggles, excess
 from .surroundings import Camera, Light, Object, View, set_directory
 
 T = TypeVar("T")

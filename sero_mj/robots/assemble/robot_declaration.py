@@ -1,0 +1,464 @@
+"""What a robot declares, and the checks of it; `SerialRobot` derives everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+
+from ...base.declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
+from ...base.errors import DeclarationError, Problem, did_you_mean
+from ...base.frames import Array
+from .couplings import Coupling, coupled_joints, coupling_problems
+from .dh import COLUMNS
+from .dynamics import Dynamics, TorqueControl
+from .limbs import limb_problems
+from .robot_parts import (
+    IN_DEGREES,
+    PER_JOINT,
+    VALUE_INPUTS,
+    ArrowQuantity,
+    BillboardLines,
+    Children,
+    Columns,
+    JointNames,
+    Limits,
+    LinkGeometries,
+    LinkGeometry,
+    OwnInputs,
+    Ranges,
+    TreeFrames,
+    check_colors,
+    check_line_values,
+    dh_rows,
+    frame_label,
+    frame_labels,
+)
+from .surroundings import Object, check_mjcf
+
+BASE = "base"  # the parent of joints without a parent joint
+# Values of a DH table's fields for a robot with joint frames.
+_OF_TABLE: dict[str, Any] = {
+    "dh_params": np.zeros((0, 4)),
+    "dh_params_deg": None,
+    "dh_columns": [*COLUMNS],
+    "length_unit": "m",
+    "dh_base_frame": np.eye(4),
+}
+_COUPLING_TOLERANCE = 1e-4  # rad or m; angles in files are rounded
+
+
+class RobotDeclaration(Declaration):
+    """A robot declared as in the paper's `SerialRobot` proto, with the proto's defaults.
+
+    Frames are 4x4 row-major, lengths in m, angles in rad, torques in Nm (forces in N for
+    prismatic joints). n is the number of joints, 1 to 128. They form a chain, or with `parents` a
+    tree.
+
+    Attributes:
+        name: the robot's name in routes, e.g. `lwr` in `lwr.joint_angles`.
+        description: one line about it, for `sero-mj list`.
+        note: about its data, shown with the legend, e.g. `approximate`.
+        dh_convention: `craig` (modified) or `standard`, there is no default; `none` with
+            `joint_frames`.
+        dh_params: (n, 4), one row per joint.
+        dh_params_deg: the same with alpha and theta in degrees; converted to dh_params.
+        dh_columns: order of the four columns.
+        length_unit: unit of a and d in the table only, `m` or `mm`; converted to m.
+        dh_base_frame: T_base_0, frame 0 of the table in the base.
+        joint_frames: (n, 4, 4), for robots without a DH table: T_parent_i of every joint at zero
+            joint value; joint i turns about, or slides along, z of its own frame.
+        parents: for branching robots, n names: each joint's parent joint, or `base`. When None, the
+            robot is a chain: the parent is the previous joint.
+        joint_types: n times `revolute` or `prismatic`.
+        joint_names: n names; J1, J2, ... by default.
+        link_names: names of base and links in the robot's original file, n + 1. They are names of
+            frames, in addition to `base`, `link1`, ..., and the joint of each link.
+        limbs: names of joints by limb, for branching robots; the others are found by `limb_joints`.
+            Routes and panels refer to them.
+        couplings: joints that follow another one, by name: `{ to = "J3", ratio = 1, offset = 0 }`.
+            Inputs and their declared values (`joint_angles`, `torques`, ...) may then be given for
+            the independent joints only; k is their number, else n.
+        position_limits: (n, 2), lower and upper, rad or m.
+        position_limits_deg: the same in degrees; converted to position_limits.
+        velocity_limits: (n,), rad/s or m/s.
+        velocity_limits_deg: the same in degrees per second; converted to velocity_limits.
+        torque_limits: (n,), Nm or N.
+        dynamics: masses, inertia and friction; estimated where not given.
+        torque_control: of joint torque control, used in runs with `torque_control`.
+        elastic_joints: whether simulated joints are elastic, with `dynamics.joint_stiffness`.
+        acceleration_limits: (n,), rad/s2 or m/s2, at which arrows of accelerations have full width.
+        directory: folder of the mesh files.
+        filenames: base and n links; a name, a table (see `LinkGeometry`), or a list of these.
+            Without files, link shapes are generated from the DH table.
+        collisions: base and n links, as `filenames`: collision geometry, meshes by their convex
+            hulls. None for the visual geometry, with one hull for a link's meshes.
+        colors: red, green, blue, alpha (0 to 1) by name, for `filenames`.
+        mjcf: instead of `filenames` and `collisions`, MJCF with the geoms of the links: a file
+            relative to `directory`, text, or an object, see `Object`; its joints are the robot's.
+        mesh_scale: metres per unit of the mesh files.
+        mount: the frame of another robot that carries its base, e.g. `arm/flange`, or the joint of
+            that link, `icub/l_elbow`; None for a robot placed in the world.
+        base_frame: T_world_base, or T_mount_base of a mounted robot.
+        free_base: whether its base is free in simulation, starting at `base_frame`; in mirroring an
+            input places it, like any base.
+        mirrored: whether it is the mirror image, at the xz plane of its base, of the robot
+            described by all other fields: a left arm from a right one. Equal joint values give
+            mirrored poses, held by equal torques. With S = diag(1, -1, 1, 1) every frame T becomes
+            S T S, so joints turn opposite to z of their frames.
+        flange_frame: T_n_flange, from the last joint's frame.
+        flange_on: name of the joint whose link carries the flange; None for the last one.
+        joint_angles: (n,), initial pose, used until something is received.
+        joint_angles_deg: the same in degrees; converted to joint_angles.
+        children: objects fixed to the flange, or to the frame that they are `on`.
+        enable_touch_sensor: whether a click on the robot toggles its features.
+        stale_after: s without a packet until the robot is shown grey.
+        offsets_to_center_of_joints: (n, 3), m, offset of arrows and billboards in the joint's
+            frame; by default they are at generated housings.
+        show_axes: whether coordinate axes are shown at the base, every joint and the flange.
+        axes_size: their length, m; by default in proportion to generated shapes.
+        axes_transparency: 0 opaque to 1 invisible.
+        show_arrows: whether round arrows are shown.
+        arrow_quantity: quantity of the arrows: `torques`, `torque_error` (commanded - measured),
+            `joint_accelerations`, or `singularity` (see `viewer.decor.singularity`).
+        arrow_dead_band: fraction of the limit below which no arrow is shown, to hide noise.
+        arrow_radius: of the round arrows, m; by default large enough to clear generated shapes.
+        fit_arrows: whether each joint's arrow is fitted to the adjacent links' geometry, instead of
+            `arrow_radius`, and axes without `axes_size` are in proportion to the reach.
+        arrow_width_scale: m per Nm for a joint without torque limit. With a limit an arrow is
+            `arrow_radius` wide at the limit, times this over its default of 0.01.
+        torques: initial measured torques, (n,) or (k,), Nm or N; None for no data.
+        commanded_torques: initial commanded torques, (n,) or (k,), Nm or N; None for no data.
+        joint_accelerations: initial accelerations, (n,) or (k,), rad/s2 or m/s2; None for no data.
+        show_billboards: whether billboards are shown.
+        billboard_scale: text height, in units of 0.7 times the picture height.
+        billboard_values: initial values, (n,) or (k,); None for no data.
+        billboard_lines: lines of the billboards; None for one per routed input.
+        inputs: names of additional per-joint inputs for billboards, e.g. `temperatures`.
+        flange_tolerance: tolerated distance of a received `flange_check` from the flange, m.
+        flange_tolerance_deg: tolerated angle of it, degrees.
+    """
+
+    name: Name = "robot"
+    description: str = ""
+    note: str = ""
+    dh_convention: Literal["craig", "standard", "none"]
+    dh_columns: Columns = [*COLUMNS]
+    length_unit: Literal["m", "mm"] = "m"
+    dh_params_deg: Annotated[Array | None, of_shape(None, 4)] = None
+    joint_frames: TreeFrames = None
+    dh_params: Annotated[Array, of_shape(None, 4)] = np.zeros((1, 4))
+    dh_base_frame: Frame = Field(default_factory=lambda: np.eye(4))
+    joint_types: list[Literal["revolute", "prismatic"]] | None = None
+    joint_names: JointNames | None = None
+    link_names: list[str] | None = None
+    parents: list[str] | None = None
+    couplings: dict[str, Coupling] = {}
+    limbs: dict[Name, list[str]] = {}
+    position_limits: Ranges = None
+    position_limits_deg: Ranges = None
+    velocity_limits: Limits = None
+    velocity_limits_deg: Limits = None
+    torque_limits: Limits = None
+    dynamics: Dynamics = Field(default_factory=Dynamics)
+    torque_control: TorqueControl = Field(default_factory=TorqueControl)
+    elastic_joints: bool = False
+    acceleration_limits: Limits = None
+    directory: str = ""
+    colors: dict[str, Rgba] = {}
+    filenames: list[LinkGeometries] = []
+    collisions: list[LinkGeometries] | None = None
+    mjcf: Any = None
+    mesh_scale: float = Field(1.0, gt=0)
+    mount: str | None = None
+    mirrored: bool = False
+    free_base: bool = False
+    base_frame: Frame = Field(default_factory=lambda: np.eye(4))
+    flange_frame: Frame = Field(default_factory=lambda: np.eye(4))
+    flange_on: str | None = None
+    joint_angles: Vector | None = None
+    joint_angles_deg: Vector | None = None
+    children: Children = []
+    enable_touch_sensor: bool = True
+    stale_after: float = Field(0.5, gt=0)
+    offsets_to_center_of_joints: Annotated[Array | None, of_shape(None, 3)] = None
+    show_axes: bool = False
+    axes_size: float = Field(0.2, gt=0)
+    axes_transparency: float = Field(0.0, ge=0, le=1)
+    show_arrows: bool = False
+    arrow_radius: float = Field(0.1, gt=0)
+    fit_arrows: bool = False
+    arrow_width_scale: float = Field(0.01, gt=0)
+    arrow_quantity: ArrowQuantity = "torques"
+    arrow_dead_band: float = Field(0.002, ge=0, lt=1)
+    torques: Vector | None = None
+    commanded_torques: Vector | None = None
+    joint_accelerations: Vector | None = None
+    show_billboards: bool = False
+    billboard_scale: float = Field(0.05, gt=0, le=0.5)
+    billboard_values: Vector | None = None
+    inputs: OwnInputs = []
+    billboard_lines: BillboardLines = None
+    flange_tolerance: float = Field(0.001, gt=0)
+    flange_tolerance_deg: float = Field(0.5, gt=0)
+
+    _model: Path | None = PrivateAttr(None)  # the robot file, for problems found later
+    # Files and keys of its tables in models of groups, outer ones first; for the same.
+    _declared: tuple[tuple[Path, str], ...] = PrivateAttr(())
+
+    @field_validator("dh_params")
+    @classmethod
+    def _joint_count(cls, rows: Array, info: ValidationInfo) -> Array:
+        if "dh_params_deg" not in info.data:
+            raise ValueError("")  # dh_params_deg is invalid, and dh_params has its default
+        if info.data.get("joint_frames") is not None or "joint_frames" not in info.data:
+            return np.zeros((0, 4))
+        columns = info.data.get("dh_columns", [*COLUMNS])
+        return dh_rows(rows, info.data.get("dh_params_deg"), columns)
+
+    @field_validator(*PER_JOINT)
+    @classmethod
+    def _one_per_joint(cls, value: Any, info: ValidationInfo) -> Any:
+        n = _count(info.data)
+        if value is None or n is None:
+            return value
+        if info.field_name in ("joint_angles", "joint_angles_deg", *VALUE_INPUTS):
+            if not {"couplings", "joint_names"} <= info.data.keys():
+                return value  # the couplings are unknown
+            if info.data["couplings"] and info.field_name == "joint_angles_deg":
+                return np.rad2deg(_with_coupled(np.deg2rad(value), info))
+            if info.data["couplings"]:
+                return _with_coupled(value, info)
+        if len(value) != n:
+            raise ValueError(f"found {len(value)} entries; expected {n}, {_each(info.data)}")
+        return value
+
+    @field_validator("parents")
+    @classmethod
+    def _parents_come_before(cls, parents: list[str] | None, info: ValidationInfo) -> Any:
+        n = _count(info.data)
+        if parents is None or n is None or "joint_names" not in info.data:
+            return parents
+        if len(parents) != n:
+            raise ValueError(f"found {len(parents)} entries; expected {n}, {_each(info.data)}")
+        names, problems = _joint_names(info.data), []
+        branch = [BASE]  # the path to the previous joint
+        for i, parent in enumerate(parents):
+            if parent not in (BASE, *names):
+                message = f"no joint '{parent}'{did_you_mean(parent, [BASE, *names])}"
+                problems.append(Problem(str(i), message))
+            elif parent not in branch:
+                message = f"{names[i]} is on {parent}; expected it behind that and its branch whole"
+                problems.append(Problem(str(i), message))
+            branch = [*branch[: branch.index(parent) + 1 if parent in branch else 1], names[i]]
+        if problems:
+            raise DeclarationError(problems)
+        return parents
+
+    @field_validator("link_names")
+    @classmethod
+    def _names_of_links(cls, names: list[str] | None, info: ValidationInfo) -> list[str] | None:
+        n = _count(info.data)
+        if names is not None and n is not None and len(names) != n + 1:
+            raise ValueError(f"found {len(names)} entries; expected {n + 1}, of base and links")
+        return names
+
+    @field_validator("flange_on")
+    @classmethod
+    def _flange_is_on_a_joint(cls, joint: str | None, info: ValidationInfo) -> Any:
+        known = "joint_names" in info.data and _count(info.data) is not None
+        if joint is not None and known and joint not in _joint_names(info.data):
+            raise ValueError(f"no joint '{joint}'{did_you_mean(joint, _joint_names(info.data))}")
+        return joint
+
+    @field_validator("couplings")
+    @classmethod
+    def _joints_to_couple_exist(
+        cls, couplings: dict[str, Coupling], info: ValidationInfo
+    ) -> dict[str, Coupling]:
+        if _count(info.data) is not None and "joint_names" in info.data:
+            problems = coupling_problems(_joint_names(info.data), couplings)
+            if problems:
+                raise DeclarationError(problems)
+        return couplings
+
+    @field_validator("limbs")
+    @classmethod
+    def _joints_of_limbs_exist(
+        cls, limbs: dict[str, list[str]], info: ValidationInfo
+    ) -> dict[str, list[str]]:
+        if _count(info.data) is not None and "joint_names" in info.data:
+            problems = limb_problems(_joint_names(info.data), limbs)
+            if problems:
+                raise DeclarationError(problems)
+        return limbs
+
+    @field_validator("dynamics", "torque_control")
+    @classmethod
+    def _tables_suit_the_joints(
+        cls, table: Dynamics | TorqueControl, info: ValidationInfo
+    ) -> Dynamics | TorqueControl:
+        n = _count(info.data)
+        if n is not None:
+            table.check_counts(n)
+        return table
+
+    @field_validator(*IN_DEGREES)
+    @classmethod
+    def _degrees_suit_the_joints(cls, limits: Array | None, info: ValidationInfo) -> Any:
+        key = IN_DEGREES[str(info.field_name)]
+        if limits is not None and info.data.get(key) is not None:
+            raise ValueError(f"found both {key} and {info.field_name}; expected one of them")
+        if limits is not None and "prismatic" in (info.data.get("joint_types") or []):
+            raise ValueError(f"{info.field_name} is for revolute joints only; use {key} in rad, m")
+        return limits
+
+    @model_validator(mode="before")
+    @classmethod
+    def _frames_instead_of_a_table(cls, fields: Any) -> Any:
+        if isinstance(fields, Mapping) and fields.get("joint_frames") is not None:
+            # Fields of an existing robot that is validated again because a field is set.
+            as_without = {
+                key
+                for key in _OF_TABLE.keys() & fields
+                if np.array_equal(fields[key], _OF_TABLE[key])
+            }
+            left = {key: value for key, value in fields.items() if key not in as_without}
+            return {"dh_convention": "none", **left}
+        return fields
+
+    @model_validator(mode="after")
+    def _frames_or_a_table(self) -> Self:
+        given = sorted(_OF_TABLE.keys() & self.model_fields_set)
+        if self.joint_frames is not None and (given or self.dh_convention != "none"):
+            found = given[0] if given else f"dh_convention = '{self.dh_convention}'"
+            raise ValueError(f"found {found} with joint_frames; expected one of the two")
+        if self.joint_frames is None and self.dh_convention == "none":
+            raise ValueError("dh_convention: found 'none'; expected joint_frames with it")
+        return self
+
+    @model_validator(mode="after")
+    def _from_degrees(self) -> Self:
+        if {"dh_params", "dh_params_deg"} <= self.model_fields_set:
+            raise ValueError("found both dh_params and dh_params_deg; expected one of them")
+        for in_degrees, key in IN_DEGREES.items():
+            limits = getattr(self, in_degrees)
+            if limits is not None:  # set without validation, which would come here again
+                self.__dict__[key] = np.deg2rad(limits)
+                self.__dict__[in_degrees] = None
+        self.__dict__["dh_params_deg"] = None
+        if self.length_unit == "mm":
+            metres = [0.001 if column in ("a", "d") else 1.0 for column in self.dh_columns]
+            self.__dict__ |= {"dh_params": self.dh_params * metres, "length_unit": "m"}
+        return self
+
+    @field_validator("billboard_lines")
+    @classmethod
+    def _lines_have_values(cls, lines: Any, info: ValidationInfo) -> Any:
+        check_line_values(lines, info.data.get("inputs", []))
+        return lines
+
+    @model_validator(mode="after")
+    def _base_is_free_or_mounted(self) -> Self:
+        if self.free_base and self.mount is not None:
+            raise ValueError(
+                f"free_base: found true with mount = '{self.mount}'; expected one of the two"
+            )
+        return self
+
+    @field_validator("children")
+    @classmethod
+    def _frames_to_be_on_exist(cls, children: list[Object], info: ValidationInfo) -> list[Object]:
+        n = _count(info.data)
+        if n is not None and "joint_names" in info.data:
+            frames = frame_labels(n)
+            known = _joint_names(info.data), info.data.get("link_names")
+            children = [
+                child.model_copy(update={"on": frame_label(child.on, *known)}) for child in children
+            ]
+            problems = [
+                Problem(f"{k}.on", f"no frame '{child.on}'{did_you_mean(child.on, frames)}")
+                for k, child in enumerate(children)
+                if child.on not in frames
+            ]
+            if problems:
+                raise DeclarationError(problems)
+        return children
+
+    @model_validator(mode="after")
+    def _can_be_mirrored(self) -> Self:
+        pieces = [child.name for child in self.children if child.mjcf or child.urdf]
+        if self.mirrored and pieces:
+            message = f"the child '{pieces[0]}' is a piece of MJCF or URDF, and cannot be mirrored"
+            raise ValueError(f"mirrored: {message}; expected shapes and meshes")
+        return self
+
+    @field_validator("mjcf")
+    @classmethod
+    def _is_mjcf_alone(cls, mjcf: Any, info: ValidationInfo) -> Any:
+        if mjcf is not None and (info.data.get("filenames") or info.data.get("collisions")):
+            raise ValueError("found it with filenames or collisions; expected one of the two")
+        return check_mjcf(mjcf)
+
+    @field_validator("filenames", "collisions")
+    @classmethod
+    def _one_per_link(cls, links: list[list[LinkGeometry]] | None, info: ValidationInfo) -> Any:
+        n = _count(info.data)
+        if links is None or not any(links):
+            # The proto's default of filenames is [""]: no geometry given.
+            return links if info.field_name == "collisions" else []
+        if n is not None and len(links) != n + 1:
+            raise ValueError(
+                f"found {len(links)} entries; expected {n + 1}: the base and one per joint"
+            )
+        check_colors(links, info.data.get("colors", {}))
+        return links
+
+
+def _count(fields: Mapping[str, Any]) -> int | None:
+    """The number of joints; None if the table or the frames are invalid."""
+    rows = fields.get("joint_frames")
+    if rows is None:
+        rows = fields.get("dh_params")
+    return None if rows is None or not len(rows) else len(rows)
+
+
+def _each(fields: Mapping[str, Any]) -> str:
+    """What each entry belongs to, for messages."""
+    by_frames = fields.get("joint_frames") is not None
+    return "one per frame of joint_frames" if by_frames else "one per row of dh_params"
+
+
+def _joint_names(fields: Mapping[str, Any]) -> list[str]:
+    names: list[str] | None = fields["joint_names"]
+    return names or [f"J{i + 1}" for i in range(_count(fields) or 0)]
+
+
+def _with_coupled(values: Array, info: ValidationInfo) -> Array:
+    """Returns the angles of all joints, given these or those of the independent ones.
+
+    Other quantities of the independent joints are kept: those of coupled joints are unknown.
+
+    Raises:
+        ValueError: the value of a coupled joint contradicts its coupling; or the number of values
+            is neither that of the joints nor of the independent ones.
+    """
+    names = _joint_names(info.data)
+    coupled = coupled_joints(names, info.data["couplings"])
+    if len(values) not in (coupled.n, coupled.k):
+        count = f"{coupled.n}, {_each(info.data)}, or {coupled.k} without the coupled joints"
+        raise ValueError(f"found {len(values)} entries; expected {count}")
+    if info.field_name in VALUE_INPUTS:
+        return values
+    if len(values) == coupled.k:
+        return coupled.positions(values)
+    right = coupled.positions(values[coupled.independent])
+    for name, found, expected in zip(names, values, right, strict=True):
+        if abs(found - expected) > _COUPLING_TOLERANCE:
+            raise ValueError(
+                f"found {found:g} for {name}; its coupling has it at {expected:g}: leave it out"
+            )
+    return values
