@@ -2,6 +2,7 @@
 
 In: robot files, scene files, or the same declared in Python. Out: a `World`: the `MjModel`, ids by
 name, and slots of `MjData.userdata` for values that MuJoCo has no field for.
-Open first: `world.py`; then `robot.py` and `scene.py` for the declarations, `mjcf.py` for building
-the model, `dh.py` for the kinematics that check it.
+Open first: `world.py`; then `robot_declaration.py` and `scene.py` for what files may declare,
+`robot.py` for what follows from it, `mjcf.py` for building the model, `dh.py` for the kinematics
+that check it.
 """
