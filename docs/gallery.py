@@ -28,9 +28,9 @@ from sero_mj import render_picture
 from sero_mj.base import paths
 from sero_mj.data.drive.wiring import wire
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 
 DOCS = Path(__file__).resolve().parent
 PAGE = DOCS / "gallery.md"

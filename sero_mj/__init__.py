@@ -37,21 +37,21 @@ if TYPE_CHECKING:
     from .data.record.recording import Recording as Recording
     from .data.record.replay import Replay as Replay
     from .load import load_scene as load_scene
-    from .robots.assemble.cartesian import ReceivedFrame as ReceivedFrame
-    from .robots.assemble.cartesian import SmartArrow as SmartArrow
-    from .robots.assemble.dh import DhTable as DhTable
-    from .robots.assemble.double import Double as Double
-    from .robots.assemble.dynamics import Dynamics as Dynamics
-    from .robots.assemble.groups import Group as Group
-    from .robots.assemble.robot import SerialRobot as SerialRobot
-    from .robots.assemble.scene import Scene as Scene
-    from .robots.assemble.scene import SceneToggles as SceneToggles
-    from .robots.assemble.scene_file import group_from_model as group_from_model
-    from .robots.assemble.surroundings import Camera as Camera
-    from .robots.assemble.surroundings import Light as Light
-    from .robots.assemble.surroundings import Object as Object
-    from .robots.assemble.surroundings import View as View
     from .robots.assemble.world import World as World
+    from .robots.declared.cartesian import ReceivedFrame as ReceivedFrame
+    from .robots.declared.cartesian import SmartArrow as SmartArrow
+    from .robots.declared.dh import DhTable as DhTable
+    from .robots.declared.double import Double as Double
+    from .robots.declared.dynamics import Dynamics as Dynamics
+    from .robots.declared.groups import Group as Group
+    from .robots.declared.robot import SerialRobot as SerialRobot
+    from .robots.declared.scene import Scene as Scene
+    from .robots.declared.scene import SceneToggles as SceneToggles
+    from .robots.declared.scene_file import group_from_model as group_from_model
+    from .robots.declared.surroundings import Camera as Camera
+    from .robots.declared.surroundings import Light as Light
+    from .robots.declared.surroundings import Object as Object
+    from .robots.declared.surroundings import View as View
     from .simulate.plant import Plant as Plant
     from .simulate.scenario import Scenario as Scenario
     from .simulate.scenario_file import read_scenario as read_scenario
@@ -79,20 +79,20 @@ _register_with_gymnasium()
 __version__ = "0.1.0"
 
 _HOME = {
-    "ReceivedFrame": "robots.assemble.cartesian",
-    "SmartArrow": "robots.assemble.cartesian",
-    "DhTable": "robots.assemble.dh",
-    "Double": "robots.assemble.double",
-    "Dynamics": "robots.assemble.dynamics",
-    "Group": "robots.assemble.groups",
-    "group_from_model": "robots.assemble.scene_file",
-    "Object": "robots.assemble.surroundings",
-    "SerialRobot": "robots.assemble.robot",
-    "Camera": "robots.assemble.surroundings",
-    "Light": "robots.assemble.surroundings",
-    "Scene": "robots.assemble.scene",
-    "View": "robots.assemble.surroundings",
-    "SceneToggles": "robots.assemble.scene",
+    "ReceivedFrame": "robots.declared.cartesian",
+    "SmartArrow": "robots.declared.cartesian",
+    "DhTable": "robots.declared.dh",
+    "Double": "robots.declared.double",
+    "Dynamics": "robots.declared.dynamics",
+    "Group": "robots.declared.groups",
+    "group_from_model": "robots.declared.scene_file",
+    "Object": "robots.declared.surroundings",
+    "SerialRobot": "robots.declared.robot",
+    "Camera": "robots.declared.surroundings",
+    "Light": "robots.declared.surroundings",
+    "Scene": "robots.declared.scene",
+    "View": "robots.declared.surroundings",
+    "SceneToggles": "robots.declared.scene",
     "World": "robots.assemble.world",
     "Mirror": "data.drive.mirror",
     "load_scene": "load",

@@ -12,9 +12,9 @@ from typing import Any
 from .base import paths
 from .base.errors import DeclarationError, Problem, UnknownName, UsageError, did_you_mean
 from .data.drive.wiring import wire
-from .robots.assemble.robot import SerialRobot
-from .robots.assemble.scene import Scene
-from .robots.assemble.scene_file import read_scene_file
+from .robots.declared.robot import SerialRobot
+from .robots.declared.scene import Scene
+from .robots.declared.scene_file import read_scene_file
 from .robots.importers.imported_tables import NoJoints
 from .robots.importers.importer import find_importer
 from .simulate.sections import is_scenario

@@ -28,9 +28,9 @@ from xdist.scheduler import LoadScopeScheduling
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.study.workers import available_cpus
 
 # Without deadlines: how long an example takes depends on what else the machine does.

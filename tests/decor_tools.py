@@ -7,9 +7,9 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
 from sero_mj.viewer.decor.picture_view import PictureView

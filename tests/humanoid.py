@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sero_mj.base.frames import frame, rotation_from_rpy
-from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.declared.robot import SerialRobot
 
 _AXES = {"x": [0, np.pi / 2, 0], "y": [-np.pi / 2, 0, 0], "z": [0, 0, 0]}
 _LEG = [("hip_yaw", "z", 0.0), ("hip_roll", "x", 0.0), ("hip_pitch", "y", 0.0),

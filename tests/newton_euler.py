@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.robots.assemble.robot_dynamics import RobotDynamics
+from sero_mj.robots.declared.robot import SerialRobot
 
 
 def inverse_dynamics(

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from sero_mj.data.drive.wiring import wire
-from sero_mj.robots.assemble.cartesian import SmartArrow
-from sero_mj.robots.assemble.double import Double
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.cartesian import SmartArrow
+from sero_mj.robots.declared.double import Double
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 
 TWO = {
     "udp": {"kind": "udp", "structure": "2F2F3F2M"},

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from sero_mj.data.receive.structure import Structure
 from sero_mj.data.record.recording_writer import RecordingWriter
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.runs.run_log import RunLog
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation

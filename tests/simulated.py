@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.control.controller import Sensed
 from sero_mj.simulate.control.robot_model import RobotModel
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import mujoco
 
-from sero_mj.robots.assemble.inputs import SOURCE_FIELDS
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.inputs import SOURCE_FIELDS
 
 NOTHING_YET = {
     "age": -1,

@@ -14,11 +14,11 @@ from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.structure import are_frames
 from sero_mj.data.send.motion import LEAD, InverseDynamics, SineMotion
 from sero_mj.data.send.play import MotionPackets
-from sero_mj.robots.assemble.cartesian import ReceivedFrame, SmartArrow
-from sero_mj.robots.assemble.double import Double
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.robots.declared.double import Double
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 
 Array = NDArray[np.float64]
 T = 0.37

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from sero_mj.base.errors import UnknownName
 from sero_mj.data.drive.place import Placer, follow
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.double import Double
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.double import Double
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.card_names import card_names, shortened, titles
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind

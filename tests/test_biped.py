@@ -12,8 +12,8 @@ import pytest
 
 from sero_mj import Mirror, load_scene
 from sero_mj.base.paths import find_scene, scenes_dir
-from sero_mj.robots.assemble.mounts import base_frames
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
+from sero_mj.robots.declared.mounts import base_frames
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 

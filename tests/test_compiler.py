@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.control.compiler import Compiler, fingerprint
 from sero_mj.simulate.control.robot_model import RobotModel, world_without_meshes
 from sero_mj.simulate.scenario import Scenario

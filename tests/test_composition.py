@@ -14,9 +14,9 @@ from sero_mj import DeclarationError, Double, Mirror, Plant, Scene, SerialRobot,
 from sero_mj.base.frames import frame, rotation_from_rpy
 from sero_mj.data.drive.wiring import wire
 from sero_mj.data.send.play import MotionPackets
-from sero_mj.robots.assemble.mounts import base_frames, unmounted
 from sero_mj.robots.assemble.parts import robots_of_bodies
 from sero_mj.robots.assemble.robot_dynamics import RobotDynamics, robot_dynamics
+from sero_mj.robots.declared.mounts import base_frames, unmounted
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
 

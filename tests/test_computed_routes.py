@@ -19,9 +19,9 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.place import Placer, Router
 from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.udp import UdpReceiver
-from sero_mj.robots.assemble.double import Double
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.double import Double
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.staleness import NO_DATA_YET, Staleness
 
 Array = NDArray[np.float64]

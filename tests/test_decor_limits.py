@@ -6,11 +6,11 @@ from decor_tools import belonging, labels, rectangle, toggles_of, view_at
 from source_slots import set_source
 
 from sero_mj.data.drive.place import Placer
-from sero_mj.robots.assemble.cartesian import ReceivedFrame, SmartArrow
-from sero_mj.robots.assemble.double import Double
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.robots.declared.double import Double
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.flange_check import OFF_RGBA
 from sero_mj.viewer.decor.geom_buffer import Kind

@@ -15,11 +15,11 @@ import pytest
 from poses import chain, move, rot
 
 from sero_mj.base import paths
-from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
-from sero_mj.robots.assemble.scene import Scene
-from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.declared.surroundings import Object
 
 HALF_PI = math.pi / 2
 MODELS = paths.models_dir()

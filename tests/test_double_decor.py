@@ -16,10 +16,10 @@ from decor_tools import (
 )
 
 from sero_mj.data.drive.place import Placer
-from sero_mj.robots.assemble.double import COMMANDED_RGBA, DOUBLE_GROUP, Double
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.double import COMMANDED_RGBA, DOUBLE_GROUP, Double
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.axes import AXIS_RGB
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import CAPACITY, GeomBuffer, Kind

@@ -14,10 +14,10 @@ from sero_mj.data.drive.place import Placer
 from sero_mj.data.send.motion import LEAD
 from sero_mj.data.send.play import MotionPackets
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.double import COMMANDED_RGBA, DOUBLE_GROUP, Double
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.double import COMMANDED_RGBA, DOUBLE_GROUP, Double
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.camera import bounding_sphere
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.session.picking import pick

@@ -15,12 +15,12 @@ from newton_euler import inverse_dynamics
 from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
-from sero_mj.robots.assemble.dynamics import Dynamics, balanced_tensor, inertia_problem
-from sero_mj.robots.assemble.robot import SerialRobot, build_robot
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
-from sero_mj.robots.assemble.scene import Scene
-from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.dynamics import Dynamics, balanced_tensor, inertia_problem
+from sero_mj.robots.declared.robot import SerialRobot, build_robot
+from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.declared.surroundings import Object
 
 RAIL = {
     "dh_convention": "standard",

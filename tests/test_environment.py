@@ -12,7 +12,7 @@ from dm_env import test_utils
 
 import sero_mj
 from sero_mj.base.errors import DeclarationError, SimulationError, UnknownName
-from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.study.learning.environment import Environment

@@ -18,9 +18,9 @@ from runs import HOME, record_packets, record_run, two_joints
 from sero_mj.base.errors import SimulationError, UsageError
 from sero_mj.base.frames import Array
 from sero_mj.cli import main
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.control.robot_model import RobotModel
 from sero_mj.simulate.external_loads import attach_payload
 from sero_mj.simulate.runs.run_log import RunLog

@@ -19,7 +19,7 @@ from sero_mj.data.drive._units import UNITS
 from sero_mj.data.drive.language import parse
 from sero_mj.data.drive.route import Affine, Origin
 from sero_mj.data.drive.values import Value, constant, evaluate, numbers_of
-from sero_mj.robots.assemble.route_text import names_in
+from sero_mj.robots.declared.route_text import names_in
 
 Array = NDArray[np.float64]
 EVENTS = {

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from sero_mj.base.errors import DeclarationError
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.runs.run_log import ACTUAL, MEASURED
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario

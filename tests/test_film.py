@@ -15,8 +15,8 @@ from PIL import Image
 
 from sero_mj.base.errors import DeclarationError, RenderError
 from sero_mj.data.drive.mirror import Mirror
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene, View
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene, View
 from sero_mj.viewer.headless.film import FilmWriter, default_fps, save_picture
 from sero_mj.viewer.headless.render import _states, render_film, render_picture
 

@@ -19,9 +19,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sero_mj.data.drive.place import Placer
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene, SceneToggles
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene, SceneToggles
 from sero_mj.viewer.decor.axes import AXIS_RGB
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.flange_check import OFF_RGBA, flange_difference

@@ -10,8 +10,8 @@ import pytest
 
 from sero_mj import DeclarationError, Mirror, Plant, Scene, SerialRobot, World
 from sero_mj.base.frames import frame, rotation_from_quat, rotation_from_rpy
-from sero_mj.robots.assemble.mounts import base_frames, unmounted
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
+from sero_mj.robots.declared.mounts import base_frames, unmounted
 from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.runs.measures import MEASURES
 from sero_mj.simulate.runs.run_recording import read_run

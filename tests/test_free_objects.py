@@ -9,7 +9,7 @@ import pytest
 
 from sero_mj import DeclarationError, Mirror, Plant, Scene, SerialRobot, World
 from sero_mj.base.frames import frame, rotation_from_rpy
-from sero_mj.robots.assemble.surroundings import Object
+from sero_mj.robots.declared.surroundings import Object
 from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.runs.run_recording import read_run
 from sero_mj.simulate.scenario import Scenario

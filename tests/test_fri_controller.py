@@ -24,12 +24,12 @@ from sero_mj.data.send.fri_controller import AnswerStatistics, FriController, Ne
 from sero_mj.data.send.motion import FriSignals
 from sero_mj.data.send.sender import UdpSink
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.declared.robot import SerialRobot
 
 # A controller in a process of its own; it prints what it did when it has sent its packets.
 ROBOT = """
 import json, sys
-from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.data.send.fri_controller import NetworkFaults, FriController
 from sero_mj.data.send.sender import UdpSink
 options = json.loads(sys.argv[2])

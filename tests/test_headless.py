@@ -11,8 +11,8 @@ from PIL import Image
 from sero_mj.base.errors import RenderError, UnknownName, UsageError
 from sero_mj.data.drive.place import Placer
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.scene import Camera, Scene, View
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.scene import Camera, Scene, View
 from sero_mj.viewer.camera import bounding_sphere, find_camera, needed_aspect, stand_back
 from sero_mj.viewer.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, line_height
 from sero_mj.viewer.decor.geom_buffer import ARROW_SIZE_OF_LENGTH

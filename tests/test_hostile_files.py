@@ -37,8 +37,8 @@ from sero_mj.data.receive.shm import ShmReader
 from sero_mj.data.record.csv_files import read_csv
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.replay import Replay
-from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.surroundings import Object
 from sero_mj.robots.importers.mjcf_file import as_spec
 from sero_mj.simulate.runs.run_recording import read_run
 from sero_mj.viewer.photo.calibration import read_points
@@ -263,7 +263,7 @@ def test_scenes_of_thousands_of_robots_are_refused_before_they_are_built(
     def built(*_: Any) -> None:
         pytest.fail("an entry is built")
 
-    monkeypatch.setattr("sero_mj.robots.assemble.scene_file._Reader._entry", built)
+    monkeypatch.setattr("sero_mj.robots.declared.scene_file._Reader._entry", built)
     file = tmp_path / "many.toml"
     file.write_text("".join(ROBOT.format(f"r{i}") for i in range(3000)))
     with pytest.raises(DeclarationError) as found:

@@ -24,8 +24,8 @@ from sero_mj.data.receive.intake import Intake
 from sero_mj.data.receive.language import parse
 from sero_mj.data.receive.structure import Structure
 from sero_mj.data.receive.udp import UdpReceiver
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 
 COUNT = int(os.environ.get("SERO_MJ_PACKETS", "20000"))
 CAUSES = ("wrong_size", "wrong_constant", "not_finite", "not_frames")

@@ -12,9 +12,9 @@ from runs import HOME, record_run, simulated
 
 from sero_mj.base.errors import UsageError
 from sero_mj.cli import main
-from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.runs.run_log import RunLog
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation

@@ -8,8 +8,8 @@ import pytest
 import sero_mj
 from sero_mj.base.frames import frame, rotation_angle
 from sero_mj.data.drive.place import follow
-from sero_mj.robots.assemble.couplings import Coupling
-from sero_mj.robots.assemble.inverse_kinematics import (
+from sero_mj.robots.declared.couplings import Coupling
+from sero_mj.robots.declared.inverse_kinematics import (
     CLOSE,
     frame_place,
     independent_limits,

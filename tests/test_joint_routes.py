@@ -18,12 +18,12 @@ from sero_mj.data.drive.record_sources import RoutedSignals
 from sero_mj.data.drive.wiring import wire
 from sero_mj.data.send.play import MotionPackets
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.double import Double
-from sero_mj.robots.assemble.groups import Group
-from sero_mj.robots.assemble.limbs import find_limbs
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.double import Double
+from sero_mj.robots.declared.groups import Group
+from sero_mj.robots.declared.limbs import find_limbs
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.runs.run_recording import read_run
 
 UDP = {"kind": "udp", "structure": "2F7F3F1F"}

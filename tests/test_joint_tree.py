@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from sero_mj.base.errors import DeclarationError
 from sero_mj.base.frames import frame, rotation_from_rpy
 from sero_mj.data.drive.place import Placer
-from sero_mj.robots.assemble.double import Double
-from sero_mj.robots.assemble.joint_tree import JointFrames
-from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.double import Double
+from sero_mj.robots.declared.joint_tree import JointFrames
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 
 BASE = frame(rotation_from_rpy([0.2, -0.3, 0.5]), [0.3, -0.1, 0.4])
 

@@ -10,10 +10,10 @@ import pytest
 from newton_euler import inverse_dynamics
 from poses import chain, move, rot
 
-from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 
 HALF_PI = math.pi / 2
 NAMES = ["puma560", "panda", "scara", "stanford"]

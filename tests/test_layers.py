@@ -20,6 +20,7 @@ ORDER = (
     "",
     "base",
     "robots.importers",
+    "robots.declared",
     "robots.assemble",
     "robots.external",
     "data.receive",
@@ -42,11 +43,11 @@ ROOMS = [folder for folder in ORDER if folder not in ("", "load", "__main__")]
 WINGS = ("robots", "data")  # that have no files of their own
 # What the independent check and the packet layer must do without.
 NO_MUJOCO = (
-    *("robots.importers.x3d", "robots.importers.wrl", "robots.assemble.dh", "base.frames"),
-    *("robots.assemble.shapes", "data.receive", "data.record.replay"),
+    *("robots.importers.x3d", "robots.importers.wrl", "robots.declared.dh", "base.frames"),
+    *("robots.declared.shapes", "data.receive", "data.record.replay"),
 )
 MUJOCO = (
-    *("describe.x3d", "describe.wrl", "assemble.dh", "assemble.shapes", "frames", "receive"),
+    *("describe.x3d", "describe.wrl", "declared.dh", "declared.shapes", "frames", "receive"),
     "record.replay",
 )
 MUJOCO = ("mujoco", "dm_control")
@@ -182,13 +183,13 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
 @pytest.mark.parametrize(
     ("module", "line", "found"),
     [
-        ("robots.assemble.dh", "from ...data.receive.source import age", "imports data.receive"),
-        ("robots.assemble.dh", "from ...data.receive import source", "imports data.receive"),
-        ("robots.assemble.dh", "from ...data import receive", "imports data.receive"),
-        ("robots.assemble.dh", "import sero_mj.data.receive.udp", "imports data.receive.udp"),
-        ("robots.assemble.dh", "from sero_mj.data.drive.wiring import wire", "data.drive.wiring"),
-        ("robots.assemble.dh", "from sero_mj import Mirror", "imports data.drive.mirror"),
-        ("robots.assemble.dh", "from ... import HeadlessRenderer", "imports viewer.headless"),
+        ("robots.declared.dh", "from ...data.receive.source import age", "imports data.receive"),
+        ("robots.declared.dh", "from ...data.receive import source", "imports data.receive"),
+        ("robots.declared.dh", "from ...data import receive", "imports data.receive"),
+        ("robots.declared.dh", "import sero_mj.data.receive.udp", "imports data.receive.udp"),
+        ("robots.declared.dh", "from sero_mj.data.drive.wiring import wire", "data.drive.wiring"),
+        ("robots.declared.dh", "from sero_mj import Mirror", "imports data.drive.mirror"),
+        ("robots.declared.dh", "from ... import HeadlessRenderer", "imports viewer.headless"),
         ("data.receive.source", "from ..drive.place import follow", "imports data.drive.place"),
         ("data.send.play", "from ..drive._units import UNITS", "imports data.drive._units"),
         (
@@ -205,14 +206,14 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
         ("viewer.decor.geom_buffer", "from ..camera import list_cameras", "imports viewer.camera"),
         ("viewer.camera", "from ..cli import main", "imports cli"),
         ("study.figure", "from .learning.make import make_environment", "imports study.learning"),
-        ("base.errors", "from ..robots.assemble import dh", "imports robots.assemble.dh"),
+        ("base.errors", "from ..robots.declared import dh", "imports robots.declared.dh"),
         ("base.paths", "def f():\n    from ..cli import main", "imports cli"),
         ("robots.assemble", "from ...viewer import decor", "imports viewer.decor"),
         ("cli.fk", "from ..__main__ import main", "imports __main__"),
         (
-            "robots.assemble.dh",
-            "from .mjcf import build_spec",
-            "circle: robots.assemble.dh > robots.assemble.mjcf",
+            "robots.declared.dh",
+            "from .scene import Scene",
+            "circle: robots.declared.dh > robots.declared.scene",
         ),
         ("base.errors", "from . import paths", "circle: base.errors > base.paths > base.errors"),
         ("data.drive.place", "from . import place", "circle: data.drive.place > data.drive.place"),

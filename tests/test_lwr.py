@@ -12,11 +12,11 @@ import pytest
 
 from sero_mj.base import paths
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
-from sero_mj.robots.assemble.scene_file import read_scene_file
-from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.declared.scene_file import read_scene_file
+from sero_mj.robots.declared.surroundings import Object
 
 HALF_PI = math.pi / 2
 SNIPPET = (

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 
 import sero_mj
 from sero_mj.base.errors import DeclarationError, SimulationError
-from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.simulate.control.compiler import Compiler
 from sero_mj.simulate.control.model_rows import ModelRows
 from sero_mj.simulate.scenario import Run, build_entry

@@ -11,8 +11,8 @@ from scripted_widgets import ScriptedWidgets
 
 import sero_mj
 from sero_mj.data.drive.place import follow
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.study.align import align

@@ -16,10 +16,10 @@ from PIL import Image
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.base.frames import Array
-from sero_mj.robots.assemble.dynamics import Dynamics
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.dynamics import Dynamics
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.importers import mesh_files
 from sero_mj.robots.importers.mesh_files import MeshPiece, read_mesh
 from sero_mj.robots.importers.package_files import find_file, package_of

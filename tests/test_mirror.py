@@ -28,9 +28,9 @@ from sero_mj.data.receive.mailbox import Packet
 from sero_mj.data.receive.source import age
 from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.robot_parts import VALUE_INPUTS
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.robot_parts import VALUE_INPUTS
+from sero_mj.robots.declared.scene import Scene
 
 Array = NDArray[np.float64]
 SCENES = Path(__file__).parent.parent / "scenes"

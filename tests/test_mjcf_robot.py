@@ -11,10 +11,10 @@ import pytest
 from sero_mj.base.errors import DeclarationError
 from sero_mj.data.drive.wiring import wire
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.double import DOUBLE_GROUP, Double
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.double import DOUBLE_GROUP, Double
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.importers.mjcf_robot import mjcf_tables, tree_of
 from sero_mj.simulate import external_loads
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from sero_mj.data.drive.place import follow
 from sero_mj.data.send.motion import InverseDynamics, SineMotion
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81  # m/s2, MuJoCo's default

@@ -17,9 +17,9 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.place import Placer
 from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.flange_check import flange_difference
 

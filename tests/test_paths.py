@@ -23,9 +23,9 @@ from sero_mj.base.errors import DeclarationError, Problem, UnknownName, did_you_
 from sero_mj.base.toml_file import key_lines, located
 from sero_mj.cli import main
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene_file import read_scene_file
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene_file import read_scene_file
 
 MINIMAL = 'dh_convention = "craig"\n'
 

@@ -16,12 +16,12 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.place import Placer
 from sero_mj.data.send.play import MotionPackets
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.cartesian import ReceivedFrame, SmartArrow
-from sero_mj.robots.assemble.double import Double
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
-from sero_mj.robots.assemble.surroundings import Camera, Object
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.robots.declared.double import Double
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.declared.surroundings import Camera, Object
 from sero_mj.viewer.decor.flange_check import flange_difference
 
 Q = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])

@@ -10,11 +10,11 @@ import pytest
 from newton_euler import inverse_dynamics
 
 from sero_mj.base.errors import SimulationError, UnknownName
-from sero_mj.robots.assemble.robot import SerialRobot
 from sero_mj.robots.assemble.robot_dynamics import RobotDynamics
-from sero_mj.robots.assemble.scene import Scene
-from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.declared.surroundings import Object
 from sero_mj.simulate.plant import Plant
 from sero_mj.simulate.sensors import SensorErrors, Sensors
 

@@ -13,7 +13,7 @@ from runs import simulated, sine_run, two_joints
 
 from sero_mj.base.errors import CsvError, UsageError
 from sero_mj.cli import main
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.runs.run_csv import write_run_csv
 from sero_mj.simulate.runs.run_log import RunLog

@@ -21,7 +21,7 @@ from sero_mj.data.drive.record_sources import record_sources
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.replay import Replay
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.inputs import SOURCE_FIELDS
+from sero_mj.robots.declared.inputs import SOURCE_FIELDS
 
 STRUCTURE = "number:1H 7F1M 7f"
 ROUTES = {

@@ -14,7 +14,7 @@ from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
 from sero_mj.data.record.replay import Replay
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.inputs import SOURCE_FIELDS
+from sero_mj.robots.declared.inputs import SOURCE_FIELDS
 
 PACKETS = moving(11)
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from sero_mj.base.errors import DeclarationError
-from sero_mj.robots.assemble.dh import COLUMNS
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.surroundings import Object
+from sero_mj.robots.declared.dh import COLUMNS
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.surroundings import Object
 
 TWO_JOINTS = [[0, 0, 0, 0.3], [0, 0.4, 0, 0]]
 

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sero_mj.data.drive.place import follow
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
-from sero_mj.robots.assemble.shapes import housing_radii
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.declared.shapes import housing_radii
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import CAPACITY, MAX_GEOMS, Kind
 from sero_mj.viewer.decor.ribbons import ribbon_shape

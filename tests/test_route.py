@@ -19,11 +19,11 @@ from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.source import make_source
 from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.inputs import OWNER_TOGGLES, list_inputs
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.robot_parts import VALUE_INPUTS
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.inputs import OWNER_TOGGLES, list_inputs
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.robot_parts import VALUE_INPUTS
+from sero_mj.robots.declared.scene import Scene
 
 KINDS = [*plugins(SOURCES)]
 LISTED = ", ".join(sorted(KINDS))

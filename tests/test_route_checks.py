@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from route_scenes import messages, scene_of
 
 from sero_mj.data.drive.wiring import wire
-from sero_mj.robots.assemble.inputs import list_inputs
+from sero_mj.robots.declared.inputs import list_inputs
 
 
 @pytest.mark.parametrize(

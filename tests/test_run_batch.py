@@ -10,7 +10,7 @@ import pytest
 from sero_mj import SerialRobot
 from sero_mj.base.errors import DeclarationError, SimulationError
 from sero_mj.base.paths import find_scenario
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.control.compiler import Compiler
 from sero_mj.simulate.control.controller import Sensed, Target
 from sero_mj.simulate.run_batch import batch_key

@@ -17,7 +17,7 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.recording_writer import FLUSH_AFTER
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.scene_file import read_scene_file
+from sero_mj.robots.declared.scene_file import read_scene_file
 from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.runs._recorded_signals import spread_bunches
 from sero_mj.simulate.runs.run_csv import write_run_csv

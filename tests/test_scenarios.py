@@ -10,8 +10,8 @@ import pytest
 
 from sero_mj.base.errors import DeclarationError, SimulationError, UnknownName
 from sero_mj.base.paths import list_scenarios
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.disturbances import Force
 from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.scenario import Scenario

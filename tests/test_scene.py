@@ -8,10 +8,10 @@ from pydantic import BaseModel
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene, View
-from sero_mj.robots.assemble.scene_file import read_scene_file
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene, View
+from sero_mj.robots.declared.scene_file import read_scene_file
 
 ARM = '[robots.arm]\ndh_convention = "craig"\n'
 LIFTED = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 2], [0, 0, 0, 1]]

@@ -16,9 +16,9 @@ from sero_mj.base.errors import SourceError, StructureError, UsageError
 from sero_mj.data.send.motion import InverseDynamics, SineMotion
 from sero_mj.data.send.play import MotionPackets
 from sero_mj.data.send.sender import SendReport, UdpSink, paced, send
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.robot_parts import VALUE_INPUTS
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.robot_parts import VALUE_INPUTS
+from sero_mj.robots.declared.scene import Scene
 
 UDP = {"kind": "udp", "port": 4711, "structure": "2F2F2F"}
 ROUTES = {

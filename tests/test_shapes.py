@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError
-from sero_mj.robots.assemble.dh import DhTable
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
-from sero_mj.robots.assemble.scene_file import read_scene_file
-from sero_mj.robots.assemble.shapes import generate_shapes
-from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.dh import DhTable
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.declared.scene_file import read_scene_file
+from sero_mj.robots.declared.shapes import generate_shapes
+from sero_mj.robots.declared.surroundings import Object
 
 ANGLES = st.sampled_from([0.0, pi / 2, -pi / 2, pi]) | st.floats(-pi, pi)
 # From a watch to a crane; shorter steps than 1 um are not drawn, so none are asked for here.

@@ -9,7 +9,7 @@ import pytest
 from test_scenarios import HOME, lwr, ran, scenario
 
 from sero_mj.base.errors import SimulationError
-from sero_mj.robots.assemble.surroundings import Object
+from sero_mj.robots.declared.surroundings import Object
 from sero_mj.simulate.disturbances import DeadSensor
 from sero_mj.simulate.runs.run_log import MEASURED, event_of
 from sero_mj.simulate.simulation import Simulation

@@ -7,12 +7,12 @@ from decor_tools import belonging, labels, of_kind, rectangle, texts_in, toggles
 from source_slots import set_source
 
 from sero_mj.data.drive.place import Placer
-from sero_mj.robots.assemble.cartesian import ReceivedFrame, SmartArrow
-from sero_mj.robots.assemble.double import Double
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
-from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.cartesian import ReceivedFrame, SmartArrow
+from sero_mj.robots.declared.double import Double
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.declared.surroundings import Object
 from sero_mj.viewer.decor.axes import AXIS_RGB
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GREY, Kind

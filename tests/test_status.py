@@ -17,9 +17,9 @@ from source_slots import set_source
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.receive.structure import Structure
 from sero_mj.load import load_scene
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.cards import move_below
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.font import line_height

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from sero_mj.base.errors import DeclarationError
-from sero_mj.robots.assemble.robot import SerialRobot
+from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.simulate.control.plan import target_motion_from, target_motion_kinds
 from sero_mj.simulate.control.target_motions import (
     Chirp,

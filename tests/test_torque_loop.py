@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from sero_mj import Plant, Scenario, Scene, SerialRobot, Simulation, World
 from sero_mj.base.errors import DeclarationError, SimulationError
-from sero_mj.robots.assemble.dynamics import TorqueControl
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
+from sero_mj.robots.declared.dynamics import TorqueControl
 from sero_mj.simulate.control.torque_loop import LoopGains, TorqueLoop
 from sero_mj.simulate.drives import Drives
 from sero_mj.simulate.scenario import Run

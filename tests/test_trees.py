@@ -14,9 +14,9 @@ from test_joint_tree import tree_robot, values_of
 from sero_mj import Plant, Scene, SerialRobot, World
 from sero_mj.base.frames import frame, rotation_from_rpy
 from sero_mj.data.drive.place import Placer
-from sero_mj.robots.assemble.double import Double
-from sero_mj.robots.assemble.mounts import base_frames, unmounted
 from sero_mj.robots.assemble.robot_dynamics import RobotDynamics, robot_dynamics
+from sero_mj.robots.declared.double import Double
+from sero_mj.robots.declared.mounts import base_frames, unmounted
 from sero_mj.simulate.control.robot_model import RobotModel
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation

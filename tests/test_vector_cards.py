@@ -22,10 +22,10 @@ from source_slots import set_source
 
 from sero_mj.base.frames import round_down_1_2_5
 from sero_mj.data.drive.place import Placer
-from sero_mj.robots.assemble.cartesian import SmartArrow
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Scene
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.cartesian import SmartArrow
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
 

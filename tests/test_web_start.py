@@ -25,7 +25,7 @@ from websockets.sync.client import connect
 from sero_mj import Mirror, load_scene
 from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError, UsageError
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.session.recent_views import RecentView
 from sero_mj.viewer.session.start_page import PortMonitor
 from sero_mj.viewer.web.host import WebHost

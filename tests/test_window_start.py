@@ -20,7 +20,7 @@ _DRIVER = """
 import os
 os.environ["MUJOCO_GL"] = "glfw"
 from pathlib import Path
-from sero_mj.robots.assemble.scene import Scene
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.base.errors import UsageError
 from sero_mj.viewer.session.recent_views import RecentView
 from sero_mj.viewer.session.start_page import PortMonitor

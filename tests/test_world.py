@@ -12,10 +12,10 @@ import pytest
 
 from sero_mj.base import frames
 from sero_mj.base.errors import DeclarationError, UnknownName
-from sero_mj.robots.assemble.robot import SerialRobot
-from sero_mj.robots.assemble.scene import Camera, Light, Scene
-from sero_mj.robots.assemble.surroundings import Object
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Camera, Light, Scene
+from sero_mj.robots.declared.surroundings import Object
 from sero_mj.viewer.decor.quantities import joint_values
 
 OBJ = mujoco.mjtObj

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from ..data.record.recording import Recording
-    from ..robots.assemble.scene import Scene
+    from ..robots.declared.scene import Scene
     from ..simulate.runs.run_log import RunLog
 
 # Subparsers have no public type.

@@ -13,7 +13,7 @@ from ..robots.assemble.link_geometry import drawn_geoms
 from ..robots.importers.x3d_text import face_set, shape_lines
 
 if TYPE_CHECKING:
-    from ..robots.assemble.robot import SerialRobot
+    from ..robots.declared.robot import SerialRobot
 
 _CREASE = 0.7  # rad; MuJoCo draws sharper edges than these as such
 _UPRIGHT = frame(rotation_about(0, np.pi / 2))  # from z, the axis of MuJoCo's cylinders, to y

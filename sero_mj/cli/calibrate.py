@@ -22,8 +22,8 @@ from ._arguments import (
 from .shared_options import File, JsonOptions, ReplayOptions, SettingOptions
 
 if TYPE_CHECKING:
-    from ..robots.assemble.scene import Scene
     from ..robots.assemble.world import World
+    from ..robots.declared.scene import Scene
     from ..viewer.photo.calibration import Calibration, ClickedPoint
     from ..viewer.photo.photo_camera import PhotoCamera
 

@@ -14,7 +14,7 @@ from .shared_options import PackageOptions, SceneArgument
 
 if TYPE_CHECKING:
     from ..data.receive.source import Source
-    from ..robots.assemble.robot import SerialRobot
+    from ..robots.declared.robot import SerialRobot
 
 _TIED = "\0"  # a space at which no line is broken
 _EPILOG = """\
@@ -31,8 +31,8 @@ class CheckOptions(SceneArgument, PackageOptions):
 def run(options: CheckOptions) -> int:
     """Prints; returns 0."""
     from ..data.drive.wiring import wire
-    from ..robots.assemble.route_text import parts_of_origin
     from ..robots.assemble.world import World
+    from ..robots.declared.route_text import parts_of_origin
     from ..viewer.camera import list_cameras
 
     scene = read_scene(options.scene)

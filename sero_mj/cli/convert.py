@@ -18,9 +18,9 @@ from ._arguments import check_new, command, read_scene, writing
 
 if TYPE_CHECKING:
     from ..base.declaration import Declaration
-    from ..robots.assemble.robot import SerialRobot
-    from ..robots.assemble.robot_parts import LinkGeometry
-    from ..robots.assemble.scene import Scene
+    from ..robots.declared.robot import SerialRobot
+    from ..robots.declared.robot_parts import LinkGeometry
+    from ..robots.declared.scene import Scene
 
 _EPILOG = """\
 examples:

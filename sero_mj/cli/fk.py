@@ -13,7 +13,7 @@ from ._arguments import command
 from .shared_options import JsonOptions, PackageOptions
 
 if TYPE_CHECKING:
-    from ..robots.assemble.robot import SerialRobot
+    from ..robots.declared.robot import SerialRobot
 
 _EPILOG = """\
 examples:
@@ -101,8 +101,8 @@ def compare(robot: Any, q: Any) -> dict[str, Any]:
     import mujoco
 
     from ..base import frames
-    from ..robots.assemble.scene import Scene
     from ..robots.assemble.world import World
+    from ..robots.declared.scene import Scene
 
     # Alone: what carries it does not matter from its base on.
     alone = robot.model_copy(update={"mount": None})

@@ -20,7 +20,7 @@ from .new import print_next, scene_text, write_scene
 from .shared_options import PackageOptions
 
 if TYPE_CHECKING:
-    from ..robots.assemble.robot import SerialRobot
+    from ..robots.declared.robot import SerialRobot
     from ..robots.importers.imported_tables import ImportedTables
 
 _EPILOG = """\
@@ -57,7 +57,7 @@ class ImportOptions(PackageOptions):
 
 def run(options: ImportOptions) -> int:
     """Writes the files; returns 0."""
-    from ..robots.assemble.robot import SerialRobot
+    from ..robots.declared.robot import SerialRobot
 
     _check_format(options.file)
     source = _read(options)

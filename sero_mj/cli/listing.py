@@ -103,7 +103,7 @@ def _about(file: Path) -> str:
 
 
 def _print_fields() -> None:
-    from ..robots.assemble.robot import SerialRobot
+    from ..robots.declared.robot import SerialRobot
 
     _print_declaration(SerialRobot)
 
@@ -122,14 +122,14 @@ def _print_scenario_fields() -> None:
 
 def scene_tables() -> dict[str, type[Declaration]]:
     """The tables of robot and scene files, by their headers."""
-    from ..robots.assemble.cartesian import ReceivedFrame, SmartArrow
-    from ..robots.assemble.couplings import Coupling
-    from ..robots.assemble.double import Double
-    from ..robots.assemble.dynamics import Dynamics, TorqueControl
-    from ..robots.assemble.groups import Group
-    from ..robots.assemble.robot import SerialRobot
-    from ..robots.assemble.scene import SceneToggles
-    from ..robots.assemble.surroundings import Camera, Light, Object, View
+    from ..robots.declared.cartesian import ReceivedFrame, SmartArrow
+    from ..robots.declared.couplings import Coupling
+    from ..robots.declared.double import Double
+    from ..robots.declared.dynamics import Dynamics, TorqueControl
+    from ..robots.declared.groups import Group
+    from ..robots.declared.robot import SerialRobot
+    from ..robots.declared.scene import SceneToggles
+    from ..robots.declared.surroundings import Camera, Light, Object, View
 
     kinds = plugins(SOURCES)
     return {

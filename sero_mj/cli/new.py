@@ -108,7 +108,7 @@ class NewOptions(Options):
 
 def run(options: NewOptions) -> int:
     """Writes the files; returns 0."""
-    from ..robots.assemble.robot import SerialRobot
+    from ..robots.declared.robot import SerialRobot
 
     name = options.name
     like = None if options.like is None else paths.find_model(options.like)

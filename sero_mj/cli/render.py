@@ -19,7 +19,7 @@ from ._arguments import command, offset_of_video, progress_bar
 from .shared_options import EyeOptions, OverOptions, SceneArgument, ShownOptions
 
 if TYPE_CHECKING:
-    from ..robots.assemble.scene import Scene
+    from ..robots.declared.scene import Scene
 
 _EPILOG = """\
 examples:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ..data.receive.source import Source
     from ..data.receive.structure import Structure
     from ..data.send.playback import Playback
-    from ..robots.assemble.scene import Scene
+    from ..robots.declared.scene import Scene
 
 _EPILOG = """\
 examples:

@@ -18,7 +18,7 @@ from ..viewer.headless.picture_options import EYE_DISTANCE, CameraOptions, Stere
 from ._arguments import read_recorded_run, read_scene, replay_instead
 
 if TYPE_CHECKING:
-    from ..robots.assemble.scene import Scene
+    from ..robots.declared.scene import Scene
     from ..simulate.runs.run_log import RunLog
 
 File = Annotated[Path, Option("FILE")]

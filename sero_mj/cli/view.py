@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from ..base.frames import Array
     from ..data.drive.mirror import Mirror
-    from ..robots.assemble.scene import Scene
+    from ..robots.declared.scene import Scene
     from ..viewer.photo.camera_feed import CameraFeed, VideoFeed
     from ..viewer.session.live import LiveHost
     from ..viewer.session.recent_views import RecentView
@@ -173,7 +173,7 @@ class Session:
     """
 
     def __init__(self, options: ViewOptions, *, on_page: bool) -> None:
-        from ..robots.assemble.scene import Scene
+        from ..robots.declared.scene import Scene
 
         self.options, self.on_page = options, on_page
         self._port: int = options.port or 0

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..base.frames import Array
-from ..robots.assemble.robot import SerialRobot
+from ..robots.declared.robot import SerialRobot
 from .control.controller import ControllerDeclaration, Sensed, Target
 from .control.make_controller import LimitedController, make_controller
 from .control.model_rows import ModelRows

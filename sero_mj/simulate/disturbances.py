@@ -12,8 +12,8 @@ from pydantic import AfterValidator, Field, model_validator
 from ..base.declaration import Declaration, Frame, Name, Point, Vector, of_shape
 from ..base.errors import DeclarationError, Problem, did_you_mean
 from ..base.frames import Array
-from ..robots.assemble.dynamics import inertia_problem, tensors_from
-from ..robots.assemble.robot import SerialRobot
+from ..robots.declared.dynamics import inertia_problem, tensors_from
+from ..robots.declared.robot import SerialRobot
 from .plant import Plant
 from .plant_rows import PlantRow
 from .sensors import Signal

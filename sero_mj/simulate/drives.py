@@ -13,8 +13,8 @@ import numpy as np
 
 from ..base.errors import DeclarationError, Problem, collect
 from ..base.frames import Array
-from ..robots.assemble.robot import SerialRobot
 from ..robots.assemble.robot_dynamics import robot_dynamics
+from ..robots.declared.robot import SerialRobot
 from .control.joint_control import largest_share
 from .control.torque_loop import LoopGains, TorqueLoop, unstable_loop
 from .plant_rows import PlantRows

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..base.frames import Array
-from ..robots.assemble.robot import SerialRobot
-from ..robots.assemble.scene import Scene
+from ..robots.declared.robot import SerialRobot
+from ..robots.declared.scene import Scene
 from .runs.run_source import RunSource
 from .scenario import Scenario
 from .simulated_scene import simulated_scene

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from ..base.declaration import Declaration, Name
 from ..base.errors import DeclarationError, Problem, did_you_mean
 from ..base.frames import Array, Bools
-from ..robots.assemble.scene import Scene
+from ..robots.declared.scene import Scene
 from .disturbances import Disturbance, Fault
 from .runs.measures import MEASURES, NEED_TARGET, OF_FREE, PER_JOINT, SIGNED
 from .runs.monitor import KINDS, Finding

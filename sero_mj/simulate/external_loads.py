@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike
 from ..base.declaration import numbers
 from ..base.errors import UnknownName
 from ..base.frames import Array
-from ..robots.assemble.dynamics import inertia_problem, principal_moments, tensors_from
 from ..robots.assemble.mjcf_dynamics import PAYLOAD
 from ..robots.assemble.parts import robots_of_bodies
 from ..robots.assemble.world import World
+from ..robots.declared.dynamics import inertia_problem, principal_moments, tensors_from
 
 
 class Push:

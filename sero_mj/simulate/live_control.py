@@ -10,8 +10,8 @@ import numpy as np
 
 from ..base.errors import DeclarationError, UnknownName
 from ..base.frames import Array
-from ..robots.assemble.joint_speeds import joint_speeds
-from ..robots.assemble.robot import SerialRobot
+from ..robots.declared.joint_speeds import joint_speeds
+from ..robots.declared.robot import SerialRobot
 from .control.controller import ControllerDeclaration, Target
 from .control.joint_control import largest_share
 from .control.make_controller import controller_kinds

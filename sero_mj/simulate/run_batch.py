@@ -15,10 +15,10 @@ import numpy as np
 
 from ..base.errors import DeclarationError, SimulationError
 from ..base.frames import Array, RowIndex
-from ..robots.assemble.joint_speeds import joint_speeds
-from ..robots.assemble.robot import SerialRobot
-from ..robots.assemble.scene import Scene
 from ..robots.assemble.world import World
+from ..robots.declared.joint_speeds import joint_speeds
+from ..robots.declared.robot import SerialRobot
+from ..robots.declared.scene import Scene
 from .control.compiler import Compiler, fingerprint
 from .control.robot_model import RobotModel
 from .control.whole_body import WholeBody

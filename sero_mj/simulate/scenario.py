@@ -15,8 +15,8 @@ from ..base.declaration import Declaration, by_kind, of_shape
 from ..base.errors import DeclarationError, Problem, collect, did_you_mean
 from ..base.frames import Array
 from ..robots.assemble.robot_dynamics import EARTH
-from ..robots.assemble.scene import Scene
-from ..robots.assemble.surroundings import Object
+from ..robots.declared.scene import Scene
+from ..robots.declared.surroundings import Object
 from .control.controller import Controller, ControllerDeclaration, within
 from .control.joint_control import GravityCompensation
 from .control.make_controller import controller_from

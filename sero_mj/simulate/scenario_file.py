@@ -25,9 +25,9 @@ from ..base.frames import Array
 from ..base.paths import find_scenario, find_scene
 from ..base.toml_file import key_lines, located, read_toml
 from ..data.record.csv_files import read_csv
-from ..robots.assemble.robot import SerialRobot
-from ..robots.assemble.scene import Scene
-from ..robots.assemble.scene_file import read_scene_file
+from ..robots.declared.robot import SerialRobot
+from ..robots.declared.scene import Scene
+from ..robots.declared.scene_file import read_scene_file
 from .runs.monitor import Monitor
 from .runs.run_recording import read_run
 from .scenario import Run, Scenario, build_entry

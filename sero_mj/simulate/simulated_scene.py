@@ -7,9 +7,9 @@ import copy
 import numpy as np
 
 from ..base.frames import frame
-from ..robots.assemble.cartesian import ReceivedFrame, SmartArrow
-from ..robots.assemble.double import Double
-from ..robots.assemble.scene import Scene
+from ..robots.declared.cartesian import ReceivedFrame, SmartArrow
+from ..robots.declared.double import Double
+from ..robots.declared.scene import Scene
 from .disturbances import Force
 from .drag_force import DragForce
 from .runs.run_log import RunLayout, event_of

@@ -11,8 +11,8 @@ import numpy as np
 from ..base.errors import DeclarationError, Problem, SimulationError, collect
 from ..base.frames import Array, frame, rotation_from_quat
 from ..data.receive.structure import Structure
-from ..robots.assemble.mounts import base_frames, unmounted
-from ..robots.assemble.robot import SerialRobot
+from ..robots.declared.mounts import base_frames, unmounted
+from ..robots.declared.robot import SerialRobot
 from .control.compiler import Compiler
 from .control.controller import ControllerDeclaration
 from .control.plan import Plan, make_plan

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..base.errors import UsageError, did_you_mean
 from ..base.frames import Array
-from ..robots.assemble.robot import SerialRobot
+from ..robots.declared.robot import SerialRobot
 from ..simulate.runs.run_log import RunLog, compared_signal
 
 _MIN_OVERLAP = 0.3  # of the shorter one

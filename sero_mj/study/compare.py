@@ -13,10 +13,10 @@ from ..base.frames import Array
 from ..base.reduction import peak, rms
 from ..data.receive.structure import Structure
 from ..data.record.csv_files import csv_table
-from ..robots.assemble.double import Double
-from ..robots.assemble.robot import SerialRobot
-from ..robots.assemble.robot_parts import BillboardLine
-from ..robots.assemble.scene import Scene
+from ..robots.declared.double import Double
+from ..robots.declared.robot import SerialRobot
+from ..robots.declared.robot_parts import BillboardLine
+from ..robots.declared.scene import Scene
 from ..simulate.runs.run_log import TIME
 from ..simulate.runs.run_source import FinishedRun, RunSource
 from .align import Pair

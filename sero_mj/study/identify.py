@@ -32,7 +32,7 @@ import numpy as np
 from ..base.errors import UsageError
 from ..base.frames import Array
 from ..base.reduction import rms
-from ..robots.assemble.robot import SerialRobot
+from ..robots.declared.robot import SerialRobot
 from ..simulate.runs.run_log import RunLog
 from .compare import one_unit, unit_of
 from .figure import BLUE, MIN_SHARE, ORANGE, Figure, check_suffix, save_figures, styled

@@ -29,8 +29,8 @@ import numpy as np
 
 from ..base.errors import UsageError
 from ..base.frames import Array, Bools
-from ..robots.assemble.robot import SerialRobot
 from ..robots.assemble.robot_dynamics import GRAVITY, robot_dynamics
+from ..robots.declared.robot import SerialRobot
 from ..simulate.control.robot_model import RobotModel
 from ..simulate.runs.run_log import RunLog, compared_signal
 from .align import Pair, at_times

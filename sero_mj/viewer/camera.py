@@ -10,9 +10,9 @@ import numpy as np
 from ..base.errors import DeclarationError, UnknownName, UsageError
 from ..base.frames import Array
 from ..data.drive.place import Placer
-from ..robots.assemble.double import OUT_OF_SIGHT
 from ..robots.assemble.solids import geom_boxes
 from ..robots.assemble.world_view import WorldView
+from ..robots.declared.double import OUT_OF_SIGHT
 
 _MARGIN = 1.12  # margin around the robots
 _DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height

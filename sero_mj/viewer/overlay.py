@@ -12,9 +12,9 @@ import numpy as np
 
 from ..base.errors import UsageError
 from ..base.frames import Array
-from ..robots.assemble.cartesian import SmartArrow
-from ..robots.assemble.double import Double
-from ..robots.assemble.scene import SceneToggles
+from ..robots.declared.cartesian import SmartArrow
+from ..robots.declared.double import Double
+from ..robots.declared.scene import SceneToggles
 from ..robots.external.model_world import ModelWorld
 from ..robots.importers.mjcf_file import as_spec, is_mjcf_object
 from .camera import find_camera

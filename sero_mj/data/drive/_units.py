@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...robots.assemble.inputs import Input
-from ...robots.assemble.robot import SerialRobot
-from ...robots.assemble.scene import Scene
+from ...robots.declared.inputs import Input
+from ...robots.declared.robot import SerialRobot
+from ...robots.declared.scene import Scene
 
 Dimension = tuple[int, ...]
 

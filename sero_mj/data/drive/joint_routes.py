@@ -14,8 +14,8 @@ import numpy as np
 
 from ...base.errors import DeclarationError, Problem, did_you_mean
 from ...base.frames import Array
-from ...robots.assemble.inputs import Input
-from ...robots.assemble.scene import Scene
+from ...robots.declared.inputs import Input
+from ...robots.declared.scene import Scene
 from ._units import robot_of, units_of, wrong_unit
 from .route import Route
 from .values import Value, joined

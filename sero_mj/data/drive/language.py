@@ -23,7 +23,7 @@ from itertools import pairwise
 from typing import Any, NoReturn
 
 from ...base.errors import RouteError, did_you_mean
-from ...robots.assemble.route_text import FUNCTIONS, JOINING, NOT, Token, tokens_of
+from ...robots.declared.route_text import FUNCTIONS, JOINING, NOT, Token, tokens_of
 
 _MAX_DEPTH = 40  # of nested brackets
 _MAX_WORDS = 2000  # parsing a sum takes quadratic time

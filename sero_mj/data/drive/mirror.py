@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array
-from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.scene import Scene
 from ..receive.intake import Counters
 from ..receive.mailbox import Packet, Packets
 from ..receive.source import QUIET_AFTER, Source, age

@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Ints, frame, inverse, rotation_from_quat
-from ...robots.assemble.cartesian import WORLD
-from ...robots.assemble.double import OUT_OF_SIGHT, fade_in
-from ...robots.assemble.inputs import BLANKABLE
-from ...robots.assemble.mounts import mount_pose
 from ...robots.assemble.parts import DoublePart, RobotPart
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.cartesian import WORLD
+from ...robots.declared.double import OUT_OF_SIGHT, fade_in
+from ...robots.declared.inputs import BLANKABLE
+from ...robots.declared.mounts import mount_pose
 from .route import FrameRoute, Origin, Route
 from .wiring import Wiring, wire
 

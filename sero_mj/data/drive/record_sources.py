@@ -15,9 +15,9 @@ import numpy as np
 
 from ... import __version__
 from ...base.frames import Array, Bools, Ints
-from ...robots.assemble.inputs import Input
-from ...robots.assemble.robot import SerialRobot
-from ...robots.assemble.scene import Scene
+from ...robots.declared.inputs import Input
+from ...robots.declared.robot import SerialRobot
+from ...robots.declared.scene import Scene
 from ..receive.source import Source
 from ..receive.structure import Rows
 from ..record.recorder import SIGNALS_RATE, Recorder

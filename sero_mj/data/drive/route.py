@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...base.frames import Array, Ints
-from ...robots.assemble.inputs import Input
+from ...robots.declared.inputs import Input
 from ..receive.source import SIGNALS
 
 

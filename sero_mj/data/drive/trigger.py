@@ -15,7 +15,7 @@ import numpy as np
 
 from ...base.errors import did_you_mean
 from ...base.frames import Array, Bools
-from ...robots.assemble.scene import Scene
+from ...robots.declared.scene import Scene
 from ..receive.source import SIGNALS
 from ._units import robot_of
 from .conditions import Compared, Conditions, Leaf, Signal

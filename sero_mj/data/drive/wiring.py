@@ -31,9 +31,9 @@ from ...base.errors import (
     did_you_mean,
     nearest,
 )
-from ...robots.assemble.cartesian import WORLD
-from ...robots.assemble.couplings import CoupledJoints
-from ...robots.assemble.inputs import (
+from ...robots.declared.cartesian import WORLD
+from ...robots.declared.couplings import CoupledJoints
+from ...robots.declared.inputs import (
     BLANKABLE,
     ROBOT_INPUTS,
     SCENE,
@@ -41,9 +41,9 @@ from ...robots.assemble.inputs import (
     inputs_of_group,
     list_inputs,
 )
-from ...robots.assemble.mounts import carriers, mount_circles
-from ...robots.assemble.route_text import NOT, names_in, parts_of_origin
-from ...robots.assemble.scene import Scene
+from ...robots.declared.mounts import carriers, mount_circles
+from ...robots.declared.route_text import NOT, names_in, parts_of_origin
+from ...robots.declared.scene import Scene
 from ..receive.source import SIGNALS, Source, make_source
 from ._units import UNITS, robot_of, units_of, wrong_unit
 from .conditions import condition_of

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...base.errors import UsageError, did_you_mean
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.robot import SerialRobot
 from ..receive.fri import COMMAND, CYCLES, QUALITIES, FriLayout
 from ..receive.structure import Structure
 from .motion import FriSignals

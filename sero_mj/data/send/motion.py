@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array
-from ...robots.assemble.mounts import carriers
-from ...robots.assemble.robot import SerialRobot
-from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World
+from ...robots.declared.mounts import carriers
+from ...robots.declared.robot import SerialRobot
+from ...robots.declared.scene import Scene
 from ..receive.fri import ALL_DRIVES
 
 LEAD = 0.5  # s by which the commanded position, for a double, leads the measured one

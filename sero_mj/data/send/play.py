@@ -14,8 +14,8 @@ import numpy as np
 
 from ...base.errors import UsageError, did_you_mean
 from ...base.frames import Array, frame, rotation_about
-from ...robots.assemble.inputs import Input, list_inputs
-from ...robots.assemble.scene import Scene
+from ...robots.declared.inputs import Input, list_inputs
+from ...robots.declared.scene import Scene
 from ..drive.route import Origin, Route
 from ..drive.wiring import Wiring, wire
 from ..receive.source import Source

@@ -9,9 +9,9 @@ import numpy as np
 
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
-from .robot import SerialRobot
+from ..declared.robot import SerialRobot
+from ..declared.scene import Scene
 from .robot_dynamics import EARTH
-from .scene import Scene
 from .world import World, dynamics_of
 
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from ...base.errors import DeclarationError, Problem, collect
 from ...base.frames import MIRROR, Array
+from ..declared.robot import SerialRobot
+from ..declared.robot_parts import LinkGeometry
+from ..declared.shapes import SHELL, LinkShape, generate_shapes
 from .mjcf_elements import MESH, Hull, geom_type, half_sizes, mesh_assets, pose, shape_geom
 from .mjcf_links import drawn_links, touching_links
-from .robot import SerialRobot
-from .robot_parts import LinkGeometry
-from .shapes import SHELL, LinkShape, generate_shapes
 
 Geom = dict[str, Any]
 

@@ -18,9 +18,13 @@ import numpy as np
 from ...base import frames
 from ...base.errors import DeclarationError, Problem, collect
 from ...base.frames import Array, round_down_1_2_5
+from ..declared.double import DOUBLE_GROUP, Double, path_fade
+from ..declared.inputs import moving
+from ..declared.mounts import base_frames, carrier, mount_order
+from ..declared.robot import SerialRobot
+from ..declared.scene import Scene
+from ..declared.surroundings import PALETTES, Look, Object, Palette
 from ..importers.mjcf_file import as_spec
-from .double import DOUBLE_GROUP, Double, path_fade
-from .inputs import moving
 from .link_geometry import drawn_geoms
 from .mjcf_dynamics import (
     ON,
@@ -34,12 +38,8 @@ from .mjcf_dynamics import (
     set_up_dynamics,
 )
 from .mjcf_elements import MESH, SITE_GROUP, geom_type, half_sizes, mesh_assets, pose
-from .mounts import base_frames, carrier, mount_order
 from .rigid_urdf import urdf_piece
-from .robot import SerialRobot
 from .robot_dynamics import RobotDynamics, declared_inertia
-from .scene import Scene
-from .surroundings import PALETTES, Look, Object, Palette
 
 OBJECT_GROUP, ROBOT_GROUP = 0, 1
 SKY = "sky"  # name of the texture

@@ -14,14 +14,14 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Bools
-from .dynamics import principal_moments
+from ..declared.dynamics import principal_moments
+from ..declared.mounts import carrying_link
+from ..declared.robot import SerialRobot
+from ..declared.shapes import housing_radii
 from .link_geometry import touching_geoms
 from .mjcf_elements import MESH, hull_asset
 from .mjcf_links import excluded_links
-from .mounts import carrying_link
-from .robot import SerialRobot
 from .robot_dynamics import LinkInertia, RobotDynamics
-from .shapes import housing_radii
 
 TIMESTEP = 1e-3  # s, an LWR's cycle
 HULL_GROUP = 4  # a hidden group: links are displayed by their meshes

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...base.frames import Array
+from ..declared.shapes import LinkShape
 from ..importers.mesh_files import Rgba, read_mesh
 from ..importers.mjcf_file import add_file
-from .shapes import LinkShape
 
 MESH = mujoco.mjtGeom.mjGEOM_MESH
 _CONVEX = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX

@@ -14,10 +14,10 @@ import numpy as np
 
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import MIRROR, Array, Ints, frame, inverse, rotation_from_quat
+from ..declared.robot import SerialRobot
 from ..importers.mjcf_robot import kept_tree
 from ..importers.mjcf_tree import MjcfTree
 from .mjcf_elements import MESH, pose
-from .robot import SerialRobot
 
 TOUCHING = "touching-"  # prefix of names of collision geoms
 _CONVEX, _SHELL = (

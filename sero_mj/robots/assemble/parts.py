@@ -10,13 +10,13 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Bools, Ints
-from .cartesian import WORLD, NamedFrame
+from ..declared.cartesian import WORLD, NamedFrame
+from ..declared.double import Double
+from ..declared.joint_tree import JointTree
+from ..declared.robot import SerialRobot
+from ..declared.robot_parts import ARROW_QUANTITIES, VALUE_INPUTS, BillboardLine
+from ..declared.scene import Scene
 from .decor_sizes import Sizes
-from .double import Double
-from .joint_tree import JointTree
-from .robot import SerialRobot
-from .robot_parts import ARROW_QUANTITIES, VALUE_INPUTS, BillboardLine
-from .scene import Scene
 
 Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name
 

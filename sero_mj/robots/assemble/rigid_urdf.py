@@ -8,11 +8,11 @@ from typing import Any
 
 import mujoco
 
+from ..declared.robot_parts import LinkGeometry
 from ..importers.urdf import read_rigid_urdf
 from .link_geometry import part_geoms
 from .mjcf_dynamics import HULL_GROUP
 from .mjcf_elements import Hull
-from .robot_parts import LinkGeometry
 
 log = logging.getLogger(__name__)
 

@@ -16,10 +16,10 @@ import numpy as np
 from ...base import frames
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import MIRROR, Array
-from .dynamics import link_name, rotate_tensors
+from ..declared.dynamics import link_name, rotate_tensors
+from ..declared.robot import SerialRobot
 from .link_geometry import drawn_geoms, generated
 from .mjcf_elements import MESH, hull_asset, shape_geom
-from .robot import SerialRobot
 
 GRAVITY = 9.81  # m/s2, MuJoCo's default
 EARTH: Array = np.array([0.0, 0.0, -GRAVITY])  # m/s2

@@ -19,18 +19,18 @@ import numpy as np
 
 from ...base.errors import DeclarationError, Problem, collect
 from ...base.frames import Bools, Ints
+from ..declared.double import DOUBLE_GROUP, OUT_OF_SIGHT
+from ..declared.inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
+from ..declared.mounts import carrier
+from ..declared.robot_parts import VALUE_INPUTS
+from ..declared.scene import Scene
 from ..importers.mjcf_file import write_mjcf
 from .decor_sizes import MeasuredBodies, measure
-from .double import DOUBLE_GROUP, OUT_OF_SIGHT
-from .inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
 from .mjcf import body_names, build_spec, frame_names, moved_body
 from .mjcf_dynamics import set_contact_defaults, set_inertia
 from .mjcf_elements import Hull, mesh_assets
-from .mounts import carrier
 from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
 from .robot_dynamics import RobotDynamics, about_masses, robot_dynamics
-from .robot_parts import VALUE_INPUTS
-from .scene import Scene
 from .solids import geom_boxes
 from .world_view import WorldView
 

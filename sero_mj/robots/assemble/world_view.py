@@ -10,9 +10,9 @@ import numpy as np
 
 from ...base.errors import UnknownName
 from ...base.frames import Array, Bools, inverse
-from .inputs import Input, inputs_of_group, share_out
+from ..declared.inputs import Input, inputs_of_group, share_out
+from ..declared.scene import Scene
 from .parts import ArrowTable, DoublePart, DrawnDouble, FrameTable, JointTable, Owner, RobotPart
-from .scene import Scene
 
 
 class WorldView(Protocol):

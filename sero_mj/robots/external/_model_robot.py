@@ -13,12 +13,12 @@ from pydantic import AfterValidator, BeforeValidator, PrivateAttr, ValidationInf
 from ...base.declaration import numbers
 from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean
 from ...base.frames import Array, Ints
-from ..assemble.cartesian import NamedFrame
 from ..assemble.decor_sizes import MeasuredBodies, Sizes, measure
-from ..assemble.double import AXES_OPACITY, Double
 from ..assemble.parts import RobotPart
-from ..assemble.robot import SerialRobot
 from ..assemble.robot_dynamics import GRAVITY
+from ..declared.cartesian import NamedFrame
+from ..declared.double import AXES_OPACITY, Double
+from ..declared.robot import SerialRobot
 from ..importers.mjcf_tree import frames_at_zero, link_poses, torque_limits
 from ._model_trees import Tree, without_scope
 

@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Ints
-from ..assemble.double import OUT_OF_SIGHT, fade_in, path_fade
 from ..assemble.parts import DoublePart, DrawnDouble
+from ..declared.double import OUT_OF_SIGHT, fade_in, path_fade
 
 _PARALLEL = 1e-6  # minimum length of a unit vector's component perpendicular to an axis
 

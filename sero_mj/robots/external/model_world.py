@@ -16,16 +16,16 @@ import numpy as np
 
 from ...base.errors import DeclarationError, Problem, UnknownName
 from ...base.frames import Array, Bools, Ints
-from ..assemble.cartesian import NamedFrame, SmartArrow
-from ..assemble.double import Double
-from ..assemble.inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
 from ..assemble.mjcf import build_surroundings
 from ..assemble.parts import DoublePart, DrawnDouble, make_tables
-from ..assemble.robot_parts import VALUE_INPUTS
-from ..assemble.scene import Scene, SceneToggles
 from ..assemble.solids import geom_boxes, is_shown
-from ..assemble.surroundings import View
 from ..assemble.world_view import WorldView
+from ..declared.cartesian import NamedFrame, SmartArrow
+from ..declared.double import Double
+from ..declared.inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
+from ..declared.robot_parts import VALUE_INPUTS
+from ..declared.scene import Scene, SceneToggles
+from ..declared.surroundings import View
 from ._model_robot import ModelPart, list_model_frames, model_part
 from ._model_state import JointPoses, ModelDoubles, ModelState, Sites
 from ._model_trees import find_trees

@@ -12,7 +12,7 @@ length a, and an angle alpha from A to B about x:
 
 Two normals enclose the angle theta about, and the distance d along, their common axis. Craig's row
 i has alpha and a of the normal before joint i, the standard one those of the normal after it (see
-`robots.assemble.dh` for the two).
+`robots.declared.dh` for the two).
 """
 
 from __future__ import annotations

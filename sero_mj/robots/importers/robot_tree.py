@@ -26,7 +26,7 @@ _FLANGES = (
     "gripper_tcp", "hand_tcp", "grasp", "gripper", "hand",
 )  # fmt: skip
 _MAX_LENGTH_RATIO = 10.0  # a table's lengths over the reach; above it, normals are too far away
-_MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative; as in `robots.assemble.dynamics`
+_MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative; as in `robots.declared.dynamics`
 _NO_LIMIT = 1e3  # rad or m; limits beyond this mean no limit
 TOO_FAR = f"limits of {_NO_LIMIT:g} m or rad and more are taken for none"
 
@@ -40,7 +40,7 @@ class Geometry:
         file: of the mesh, absolute; None for a shape.
         scale: of the mesh, m per unit, (3,).
         shape: `box`, `sphere`, `cylinder` or `capsule`.
-        size: as `robots.assemble.surroundings.SHAPE_SIZES`.
+        size: as `robots.declared.surroundings.SHAPE_SIZES`.
         color: name and rgba; None for none.
         line: of its element.
     """

@@ -13,7 +13,7 @@ from pydantic import BeforeValidator, Field
 from ...base.declaration import numbers
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.robot import SerialRobot
 from .controller import (
     DEFAULT_RATIO,
     SOFTEST,

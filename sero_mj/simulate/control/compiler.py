@@ -10,10 +10,10 @@ import numpy as np
 
 from ...base.declaration import Declaration
 from ...base.frames import Array
-from ...robots.assemble.robot import SerialRobot
 from ...robots.assemble.robot_dynamics import EARTH
-from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World
+from ...robots.declared.robot import SerialRobot
+from ...robots.declared.scene import Scene
 from .robot_model import RobotModel, world_without_meshes
 
 _MAX_WORLDS = 8  # worlds that are remembered; a sweep over masses has a new one every time

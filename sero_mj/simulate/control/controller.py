@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BeforeValidator
 from ...base.declaration import Declaration, numbers
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.robot import SerialRobot
 from .robot_model import RobotModel
 
 

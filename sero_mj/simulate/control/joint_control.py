@@ -14,7 +14,7 @@ from pydantic import Field
 
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Bools
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.robot import SerialRobot
 from .controller import (
     DEFAULT_RATIO,
     SOFTEST,

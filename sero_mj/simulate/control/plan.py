@@ -16,8 +16,8 @@ from ...base.declaration import by_kind
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
 from ...base.plugins import TARGET_MOTIONS, load_all
-from ...robots.assemble.inverse_kinematics import Reached, reach
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.inverse_kinematics import Reached, reach
+from ...robots.declared.robot import SerialRobot
 from .compiler import Compiler
 from .robot_model import RobotModel
 from .target_motions import (

@@ -27,9 +27,9 @@ from mujoco import (
 )
 
 from ...base.frames import Array, frame, inverse
-from ...robots.assemble.robot import SerialRobot
-from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World, dynamics_of
+from ...robots.declared.robot import SerialRobot
+from ...robots.declared.scene import Scene
 from .whole_body import Mounting
 
 

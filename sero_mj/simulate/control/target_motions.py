@@ -15,8 +15,8 @@ from pydantic import Field, field_validator, model_validator
 from ...base.declaration import Declaration, Frame, Vector, of_shape
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
-from ...robots.assemble.couplings import CoupledJoints
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.couplings import CoupledJoints
+from ...robots.declared.robot import SerialRobot
 from .controller import MaybePerJoint, PerJoint, per_joint, within
 
 Samples = tuple[Array, Array, Array]

@@ -39,9 +39,9 @@ import numpy as np
 
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Bools
-from ...robots.assemble.dynamics import TorqueControl
-from ...robots.assemble.robot import SerialRobot
 from ...robots.assemble.robot_dynamics import RobotDynamics
+from ...robots.declared.dynamics import TorqueControl
+from ...robots.declared.robot import SerialRobot
 from .model_rows import ModelRows
 from .robot_model import RobotModel
 

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, Field, model_validator
 from ...base.declaration import Frame, Vector
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Ints
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.robot import SerialRobot
 from .controller import MaybePerJoint
 from .target_motions import (
     CartesianMotion,

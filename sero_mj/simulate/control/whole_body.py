@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array
-from ...robots.assemble.mounts import carrying_link
 from ...robots.assemble.world import World
+from ...robots.declared.mounts import carrying_link
 
 
 @dataclass(frozen=True, eq=False)

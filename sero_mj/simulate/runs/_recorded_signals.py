@@ -19,11 +19,11 @@ from ...data.receive.mailbox import Packets
 from ...data.receive.source import SIGNALS, Source
 from ...data.record.recording import Recording
 from ...data.record.replay import Replay
-from ...robots.assemble.double import Double
-from ...robots.assemble.groups import Group
-from ...robots.assemble.robot import SerialRobot
-from ...robots.assemble.route_text import names_in, route_texts
-from ...robots.assemble.scene import Scene
+from ...robots.declared.double import Double
+from ...robots.declared.groups import Group
+from ...robots.declared.robot import SerialRobot
+from ...robots.declared.route_text import names_in, route_texts
+from ...robots.declared.scene import Scene
 from .run_log import event_of
 
 # Inputs of a robot that are signals of a run.

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ...base.frames import Array
-from ...robots.assemble.mounts import base_frames, carriers
+from ...robots.declared.mounts import base_frames, carriers
 from .run_log import RunLog, event_of
 
 

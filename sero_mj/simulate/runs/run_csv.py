@@ -10,7 +10,7 @@ import numpy as np
 
 from ...base.frames import Array
 from ...data.record.csv_files import column_names, csv_table
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.robot import SerialRobot
 from .run_log import MEASURED, TIME, RunLayout, RunLog, event_of, recorded_event
 
 _COLUMN = re.compile(r"(\w+)\[(\d+)\]")

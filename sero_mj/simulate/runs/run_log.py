@@ -13,7 +13,7 @@ import numpy as np
 from ...base.errors import UsageError
 from ...base.frames import Array
 from ...data.receive.structure import Structure
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.robot import SerialRobot
 
 # Per joint of every robot, in blocks of three that lie in a row as the plant has them.
 MEASURED = ("joint_angles", "joint_velocities", "torques")

@@ -25,9 +25,9 @@ from ...base.toml_file import parse_toml
 from ...data.receive.source import Source, make_source
 from ...data.record.csv_files import column_names, read_csv
 from ...data.record.recording import Recording
-from ...robots.assemble.group_model import Expanded, expand_groups
-from ...robots.assemble.robot import SerialRobot, build_robot
-from ...robots.assemble.scene import MOST_ENTRIES, Scene
+from ...robots.declared.group_model import Expanded, expand_groups
+from ...robots.declared.robot import SerialRobot, build_robot
+from ...robots.declared.scene import MOST_ENTRIES, Scene
 from ...robots.importers.robot_file import read_robot_file
 from ._recorded_signals import Series, follow_routes, read_events, receiver_of, series_of
 from .run_csv import columns_of_events, run_of_columns

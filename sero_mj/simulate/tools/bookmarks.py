@@ -12,7 +12,7 @@ from ...base.errors import SeroError
 from ...base.frames import Array, Bools
 from ...data.receive.source import QUIET_AFTER
 from ...data.record.replay import Replay
-from ...robots.assemble.inputs import SOURCE_FIELDS
+from ...robots.declared.inputs import SOURCE_FIELDS
 from ...viewer.decor.quantities import joint_values
 from ...viewer.session.clock import time_text
 from ...viewer.session.tool import Action, Shown, Tool

@@ -10,8 +10,8 @@ from dm_env import specs
 
 from ...base.errors import DeclarationError, Problem, SimulationError
 from ...base.frames import Array
-from ...robots.assemble.joint_speeds import joint_speeds
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.joint_speeds import joint_speeds
+from ...robots.declared.robot import SerialRobot
 from ...simulate.control.controller import Sensed, Target
 from ...simulate.control.joint_control import JointImpedance, Torque
 from ...simulate.control.make_controller import make_controller

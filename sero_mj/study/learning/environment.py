@@ -18,10 +18,10 @@ from ...base.errors import DeclarationError, Problem, SimulationError, UnknownNa
 from ...base.frames import Array
 from ...data.drive.mirror import Mirror
 from ...data.receive.structure import Structure
-from ...robots.assemble.mounts import base_frames, unmounted
-from ...robots.assemble.robot import SerialRobot
 from ...robots.assemble.robot_dynamics import robot_dynamics
 from ...robots.assemble.world import World
+from ...robots.declared.mounts import base_frames, unmounted
+from ...robots.declared.robot import SerialRobot
 from ...simulate.control.compiler import Compiler
 from ...simulate.control.torque_loop import LoopGains
 from ...simulate.plant import Plant

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from ...base.errors import DeclarationError, Problem, did_you_mean
 from ...base.frames import Array
-from ...robots.assemble.joint_speeds import joint_speeds
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.joint_speeds import joint_speeds
+from ...robots.declared.robot import SerialRobot
 from .environment import Environment
 from .make import make_environment
 

@@ -12,9 +12,9 @@ from ...base.declaration import Declaration
 from ...base.errors import DeclarationError, Problem, UnknownName, did_you_mean
 from ...base.frames import Array
 from ...base.paths import list_models, list_scenarios
-from ...robots.assemble.double import Double
-from ...robots.assemble.robot import SerialRobot
-from ...robots.assemble.scene import Scene
+from ...robots.declared.double import Double
+from ...robots.declared.robot import SerialRobot
+from ...robots.declared.scene import Scene
 from ...simulate.runs.run_log import event_of
 from ...simulate.scenario import Scenario
 from ...simulate.scenario_file import read_scenario

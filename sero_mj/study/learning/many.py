@@ -16,7 +16,7 @@ import numpy as np
 
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Bools
-from ...robots.assemble.mounts import base_frames, unmounted
+from ...robots.declared.mounts import base_frames, unmounted
 from ...simulate.control.joint_control import JointImpedanceController
 from ...simulate.control.make_controller import make_controller
 from ...simulate.control.model_rows import ModelRows

@@ -19,8 +19,8 @@ from pydantic import Field
 from ...base.declaration import Declaration
 from ...base.errors import SimulationError
 from ...base.frames import Array, frame, rotation_angles
-from ...robots.assemble.cartesian import SmartArrow
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.cartesian import SmartArrow
+from ...robots.declared.robot import SerialRobot
 from ...simulate.plant import Plant
 from ...simulate.runs.run_log import RunLog
 from ...simulate.simulation import Simulation

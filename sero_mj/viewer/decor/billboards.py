@@ -12,9 +12,9 @@ import numpy as np
 
 from ...base.frames import Array, Ints
 from ...robots.assemble.parts import DoublePart, Owner
-from ...robots.assemble.robot_parts import BillboardLine
-from ...robots.assemble.scene import Scene
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.robot_parts import BillboardLine
+from ...robots.declared.scene import Scene
 from .card_names import card_names, longest_name, titles
 from .cards import NO_SHARE, SMALL, Cards, heights_in_order, owner_groups
 from .feature import Feature, Frame

@@ -13,10 +13,10 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Bools, Ints
-from ...robots.assemble.double import OUT_OF_SIGHT
-from ...robots.assemble.mounts import carrier
 from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.double import OUT_OF_SIGHT
+from ...robots.declared.mounts import carrier
 from .geom_buffer import GeomBuffer, Kind
 from .layout import LEFT, RIGHT, columns, is_narrow, uncross, with_room
 from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes

@@ -9,8 +9,8 @@ import numpy as np
 
 from ...base.frames import Array
 from ...base.plugins import is_own_class
-from ...robots.assemble.double import fade_in, spread_out
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.double import fade_in, spread_out
 from .cards import LEADER_RGBA, CardLayout, Outline, owner_groups
 from .feature import Drawn, Frame, make_features
 from .geom_buffer import CAPACITY, GeomBuffer

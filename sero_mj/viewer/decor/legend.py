@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from ...base.frames import Array, round_down_1_2_5
-from ...robots.assemble.robot_parts import ARROW_QUANTITIES
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from .feature import Feature, Frame
 from .panels import PADDING, Panels, panel_sizes
 from .picture_view import PictureView

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array
-from ...robots.assemble.robot_parts import ARROW_QUANTITIES
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from .singularity import towards_singularity
 
 QUANTITY_NAMES = {

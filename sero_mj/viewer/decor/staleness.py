@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.receive.source import QUIET_AFTER
-from ...robots.assemble.inputs import SOURCE_FIELDS
 from ...robots.assemble.parts import DoublePart, robots_of_bodies
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.inputs import SOURCE_FIELDS
 from .geom_buffer import GeomBuffer
 from .panels import Panels, labels_at
 from .picture_view import PictureView

@@ -13,8 +13,8 @@ import numpy as np
 from ...base.errors import SeroError
 from ...data.receive import fri
 from ...data.receive.source import make_source
-from ...robots.assemble.inputs import SOURCE_FIELDS
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.inputs import SOURCE_FIELDS
 from .cards import move_below
 from .feature import Feature, Frame
 from .panels import PANEL_RGBA, Panels, panel_sizes

@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Bools
-from ...robots.assemble.inputs import SCENE, Input
 from ...robots.assemble.parts import DoublePart
-from ...robots.assemble.robot_parts import ARROW_QUANTITIES
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.inputs import SCENE, Input
+from ...robots.declared.robot_parts import ARROW_QUANTITIES
 
 
 @dataclass(frozen=True, eq=False)

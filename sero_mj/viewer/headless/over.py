@@ -11,8 +11,8 @@ import numpy as np
 
 from ...base.errors import RenderError, UsageError
 from ...data.drive.mirror import Mirror
-from ...robots.assemble.scene import Scene
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.scene import Scene
 from ..decor.font import line_height
 from ..decor.picture_view import PictureView
 from ..photo.camera_file import read_camera

@@ -23,8 +23,8 @@ from PIL import Image
 from ...base.errors import RenderError
 from ...base.frames import Array
 from ...data.drive.mirror import Mirror, restore
-from ...robots.assemble.scene import Scene
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.scene import Scene
 from ..added_surroundings import added_surroundings
 from ..camera import bounding_sphere, find_camera, needed_aspect, stand_back
 from ..decor.font import line_height

@@ -8,8 +8,8 @@ import numpy as np
 
 from ...base.frames import Array, Bools, Ints
 from ...robots.assemble.parts import Owner
-from ...robots.assemble.robot_parts import ARROW_QUANTITIES
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from ..decor.quantities import QUANTITY_NAMES
 from ..decor.toggles import Toggles
 from ..session.torque_history import joint_name

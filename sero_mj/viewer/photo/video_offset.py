@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from ...base.errors import UsageError
 from ...base.frames import Array
 from ...data.drive.mirror import Mirror
-from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World
+from ...robots.declared.scene import Scene
 from ..headless.over import refuse_live
 from .footage import Video, at_rate
 from .photo_camera import PhotoCamera, opencv

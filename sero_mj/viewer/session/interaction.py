@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Ints
-from ...robots.assemble.robot_parts import ARROW_QUANTITIES
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from ..decor.quantities import QUANTITY_NAMES, arrow_values, joint_values
 from ..decor.toggles import Toggles
 from .input import DOUBLE_CLICK_DISTANCE, DOUBLE_CLICK_TIME

@@ -12,7 +12,7 @@ from pathlib import Path
 from platformdirs import user_state_path
 
 from ...base.errors import UsageError
-from ...robots.assemble.scene import Scene
+from ...robots.declared.scene import Scene
 from .view_state import ViewState
 
 log = logging.getLogger(__name__)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 
 from ...base.frames import Array
-from ...robots.assemble.scene import Scene
+from ...robots.declared.scene import Scene
 
 _DIGITS = 6  # of rad and m
 

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from ...base.errors import SeroError, UnknownName, UsageError, did_you_mean
-from ...robots.assemble.robot_parts import ARROW_QUANTITIES
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from ..camera import find_camera
 from ..decor.toggles import Toggles
 from .clock import Clock

@@ -13,10 +13,10 @@ import mujoco
 from ...base.errors import RenderError, UsageError, did_you_mean
 from ...data.drive.mirror import LiveWorld, Mirror
 from ...load import load_scene
-from ...robots.assemble.robot import SerialRobot
-from ...robots.assemble.scene import Scene
-from ...robots.assemble.surroundings import Look
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.robot import SerialRobot
+from ...robots.declared.scene import Scene
+from ...robots.declared.surroundings import Look
 from ...robots.external.model_world import ModelWorld
 from ..headless.backend import has_display
 from ..headless.film import Picture

@@ -24,7 +24,7 @@ import mujoco
 
 from ...base.errors import RenderError, SeroError, UsageError
 from ...data.drive.mirror import LiveWorld, Mirror, Watch
-from ...robots.assemble.scene import Scene
+from ...robots.declared.scene import Scene
 from ...robots.external.model_world import ModelWorld
 from .live import LiveHost
 from .viewer_memory import OverlayMemory, SceneMemory, ViewerMemory

@@ -22,8 +22,8 @@ import numpy as np
 
 from ...base.frames import Array
 from ...data.drive.place import follow
-from ...robots.assemble.inputs import to_array
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.inputs import to_array
 from ...robots.external.model_world import ModelWorld
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # MuJoCo takes ten times as long for the enum

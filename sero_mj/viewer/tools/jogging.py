@@ -14,8 +14,8 @@ import numpy as np
 from ...base.errors import SeroError
 from ...base.frames import Array
 from ...robots.assemble.gravity_torques import GravityTorques
-from ...robots.assemble.joint_speeds import undeclared_speeds
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.joint_speeds import undeclared_speeds
+from ...robots.declared.robot import SerialRobot
 from ..decor.toggles import Handles
 from ..panels.jog_panel import JogPanel
 from ..panels.widgets import Widgets

@@ -7,14 +7,14 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from ...base.frames import Array, frame
-from ...robots.assemble.inverse_kinematics import (
+from ...robots.declared.inverse_kinematics import (
     ITERATIONS,
     Reached,
     frame_place,
     independent_limits,
     reach,
 )
-from ...robots.assemble.robot import SerialRobot
+from ...robots.declared.robot import SerialRobot
 
 _FAR = 0.005  # m, from which on it is shown where a frame was wanted
 _TURNED = np.deg2rad(2.0)  # rad, likewise

@@ -12,8 +12,8 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.web import state_payload
 
 from ...base.frames import Bools
-from ...robots.assemble.double import OUT_OF_SIGHT
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.double import OUT_OF_SIGHT
 from ..decor.font import Font
 from ..decor.geom_buffer import GREY, MAX_GEOMS
 from ..decor.picture_view import PictureView

@@ -11,8 +11,8 @@ from imgui_bundle import ImVec2, imgui
 from PIL import Image
 
 from ...data.drive.mirror import Mirror
-from ...robots.assemble.scene import Scene
 from ...robots.assemble.world import World
+from ...robots.declared.scene import Scene
 from ..session.start_page import (
     DROP_HINT,
     MORE_HINT,
