@@ -67,7 +67,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 class Command(Protocol):
-    """What an entry point in the group `sero_mj.commands` names: a module, or any such object.
+    """The interface of a command: a module, or another object that an entry point names.
 
     Attributes:
         ORDER: in the help, lowest first; sero-mj's own have 10 to 90.
@@ -80,7 +80,7 @@ class Command(Protocol):
 
 
 def _commands(wanted: str) -> list[Command]:
-    """The command of that name, which is then all that is loaded; of another name all of them."""
+    """Loads the command of that name alone, or all commands if there is none of that name."""
     if wanted in plugins(COMMANDS):
         return [load_plugin(COMMANDS, wanted)]
     return sorted(load_all(COMMANDS).values(), key=lambda command: command.ORDER)

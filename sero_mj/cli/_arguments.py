@@ -1,4 +1,4 @@
-"""What several commands have in common: their parser, the scene they name, and how they end."""
+"""Shared by commands: parser, scene, settings, tables of output, interruption."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ T = TypeVar("T", bound=Options)
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """A parser whose errors are one line, like all others of this program."""
+    """A parser that reports an error in one line, as this program does everywhere."""
 
     def error(self, message: str) -> NoReturn:
         """Prints the line and exits with 2."""
@@ -41,7 +41,7 @@ class OneLineParser(argparse.ArgumentParser):
 
 
 def join_negative_values(arguments: list[str]) -> list[str]:
-    """Puts `--camera -90,-20,3` as `--camera=-90,-20,3`, for argparse takes -90 for an option."""
+    """Joins `--camera -90,-20,3` with `=`, because argparse reads -90 as an option."""
     joined: list[str] = []
     for argument in arguments:
         option = joined[-1] if joined else ""
@@ -55,7 +55,7 @@ def join_negative_values(arguments: list[str]) -> list[str]:
 def command(
     name: str, run: Callable[[T], int], kind: type[T], epilog: str
 ) -> Callable[[Commands], None]:
-    """Returns what adds a command to the parser of all.
+    """Returns the function that adds a command to the program's parser.
 
     Args:
         name: of the command.
@@ -85,13 +85,13 @@ def command(
 
 
 def check_ending(given: str, path: Path, endings: Collection[str]) -> None:
-    """Raises UsageError for a file name that ends otherwise; `given` is what is cited."""
+    """Raises UsageError for a file name with another ending; `given` is cited in the message."""
     if path.suffix.lower() not in endings:
         raise UsageError(f"{given}: expected a name that ends in {', '.join(endings)}")
 
 
 def check_new(paths: Iterable[Path], hint: str) -> None:
-    """Raises UsageError where one of these files is there; `hint` says what to do then."""
+    """Raises UsageError if one of these files exists; `hint` says what to do about it."""
     for path in paths:
         if path.exists():
             raise UsageError(f"{path} is there already; {hint}")
@@ -99,7 +99,7 @@ def check_new(paths: Iterable[Path], hint: str) -> None:
 
 @contextlib.contextmanager
 def writing() -> Iterator[None]:
-    """Raises UsageError for a file that cannot be written in its context."""
+    """Converts errors of writing a file, within the context, to UsageError."""
     try:
         yield
     except OSError as error:
@@ -110,12 +110,12 @@ def writing() -> Iterator[None]:
 def progress_bar(
     what: str, *, quiet: bool, stays: bool = False
 ) -> Iterator[Callable[[int, int], None]]:
-    """Shows on a terminal how much is done; yields what is told, and of how much.
+    """Shows progress on a terminal; yields a function of the amount done and the total.
 
     Args:
-        what: is done.
+        what: label of the bar.
         quiet: whether nothing is shown.
-        stays: when all is done.
+        stays: whether the bar stays visible at the end.
     """
     from rich import progress as bars
     from rich.console import Console
@@ -150,7 +150,7 @@ def offset_of_video(
     offset: float | Literal["auto"] | None = None,
     quiet: bool = False,
 ) -> float:
-    """When in a recording or scenario a video begins, s: as given, else found, and said so.
+    """Returns when a video begins in a recording or scenario, s: as given, else estimated.
 
     Args:
         scene: with the recording.
@@ -180,7 +180,7 @@ def offset_of_video(
 
 
 def overrides(settings: Sequence[str]) -> dict[str, Any]:
-    """Reads `--set robot.field=value` options: TOML, or numbers with commas; raises UsageError."""
+    """Parses `--set robot.field=value`: TOML, or numbers with commas; raises UsageError."""
     result: dict[str, Any] = {}
     wrong = []
     for setting in settings:
@@ -206,7 +206,7 @@ def _value(text: str) -> Any:
 
 
 def read_scene(name: str, settings: Sequence[str] = (), *, by_hand: bool = False) -> Scene:
-    """Returns the scene that `name` means, see `load_scene`, with what `--set` options say."""
+    """Loads a scene by name or file, see `load_scene`, and applies its `--set` options."""
     from ..load import load_scene
 
     given = overrides(settings)
@@ -216,7 +216,7 @@ def read_scene(name: str, settings: Sequence[str] = (), *, by_hand: bool = False
 
 @contextlib.contextmanager
 def named_settings(given: Mapping[str, Any], option: str = "--set") -> Iterator[None]:
-    """Names the option in problems of what was set by it."""
+    """Names the option in problems of fields that it has set."""
     try:
         yield
     except DeclarationError as error:
@@ -225,7 +225,7 @@ def named_settings(given: Mapping[str, Any], option: str = "--set") -> Iterator[
 
 
 def _as_set(problem: Problem, given: Mapping[str, Any], option: str) -> Problem:
-    """The problem as one of the option, where that is what brought it."""
+    """Returns the problem with the option named, if the option has set its field."""
     for target in given:
         field = target.partition(".")[2]
         # As keys stand in a scene, in a robot's own file, and where there is nothing to set.
@@ -242,7 +242,7 @@ def _as_set(problem: Problem, given: Mapping[str, Any], option: str) -> Problem:
 
 
 def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
-    """Lets a recording play every source of a scene that it has.
+    """Replaces every source of a scene that is in the recording by its replay.
 
     Args:
         scene: is changed.
@@ -272,7 +272,7 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
 
 
 def print_json(found: Any) -> None:
-    """Prints JSON types; null stands for NaN and infinity, which JSON does not have."""
+    """Prints JSON; NaN and infinity, which JSON does not have, become null."""
     print(json.dumps(_finite(found), indent=2))
 
 
@@ -287,7 +287,7 @@ def _finite(found: Any) -> Any:
 
 
 def print_table(table: Table) -> None:
-    """Prints a table with all of its numbers, also where the terminal or pipe is narrower."""
+    """Prints a table in full width, even if the terminal or pipe is narrower."""
     from rich.console import Console
 
     console = Console()
@@ -297,7 +297,7 @@ def print_table(table: Table) -> None:
 
 
 def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> RunLog:
-    """Reads a recording or a table, for a command that can be given the `--scene` it may lack."""
+    """Reads a recording or a table, for a command with `--scene` for recordings without one."""
     from ..simulate.runs.run_recording import read_run, read_run_table
 
     if path.suffix.lower() == ".csv":
@@ -313,7 +313,7 @@ def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> Ru
 
 
 def check_span(recording: Recording, start: float | None, stop: float | None = None) -> None:
-    """Raises UsageError for `--start` and `--stop`, s, between which a recording has nothing."""
+    """Raises UsageError if a recording has no data between `--start` and `--stop`, s."""
     from ..data.record.replay import check_start
 
     if start is not None:
@@ -327,7 +327,7 @@ def check_span(recording: Recording, start: float | None, stop: float | None = N
 
 @contextlib.contextmanager
 def until_ended() -> Iterator[None]:
-    """Ends the context, and not the command, with Ctrl-C or SIGTERM (`kill`, `timeout`)."""
+    """Lets Ctrl-C and SIGTERM (`kill`, `timeout`) end the context instead of the command."""
     if threading.current_thread() is not threading.main_thread():
         with contextlib.suppress(KeyboardInterrupt):
             yield

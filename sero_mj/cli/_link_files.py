@@ -1,4 +1,4 @@
-"""Geometry of a robot's base and links as files of VRML97, as it is drawn."""
+"""The visual geometry of a robot's base and links as VRML97 files."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Geom = mujoco.mjtGeom
 
 
 def link_files(robot: SerialRobot) -> dict[str, str]:
-    """Texts of the files of a robot's base and links, by their names, in the order of `filenames`.
+    """Returns the text of each file of base and links by name, in the order of `filenames`.
 
     Raises:
         DeclarationError: a mesh cannot be read.
@@ -44,7 +44,7 @@ def link_files(robot: SerialRobot) -> dict[str, str]:
 
 
 def _shapes(model: Any, k: int) -> list[str]:
-    """The Shapes of a geom in the frame of its link."""
+    """Returns the Shape nodes of a geom, in the frame of its link."""
     kind, size = Geom(model.geom_type[k]), model.geom_size[k]
     T = frame(rotation_from_quat(model.geom_quat[k]), model.geom_pos[k])
     rgba = model.geom_rgba[k].round(6).tolist()

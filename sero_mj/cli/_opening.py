@@ -1,4 +1,4 @@
-"""What a file means that is dropped, or typed on the start page."""
+"""Opens files that are dropped on a viewer or typed on the start page."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ._arguments import read_scene, replay_instead
 
 
 def view_of_file(path: Path, shown: str | None) -> RecentView:
-    """Returns what shows a file.
+    """Returns the view that shows a file.
 
     A recording is shown by the scene that is shown already, if it mirrors the recorded sources;
     else by the scene of the recording's name: one that was viewed lately, is beside the recording
@@ -74,5 +74,5 @@ def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
 
 
 def is_temporary(view: RecentView) -> bool:
-    """Whether files of a view end with this process: they were dropped on a page, say."""
+    """Whether a view's files end with this process, as those dropped on a page do."""
     return any(paths.is_temporary(name) for name in view)

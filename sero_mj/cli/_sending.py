@@ -1,4 +1,4 @@
-"""Where `sero-mj send` and `simulate --send` put packets, and a simulation as packets."""
+"""The receiver of `sero-mj send` and `simulate --send`, and a simulation as packets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _EVERY = 0.05  # s between two looks at the clock, where nobody waits for packet
 
 
 class SinkOptions(Options):
-    """What is sent, and where to.
+    """The structure of packets and their receiver.
 
     Attributes:
         source: which source of that scene to feed.
@@ -39,12 +39,12 @@ class SinkOptions(Options):
 
 
 def goes_to_shm(options: SinkOptions, source: Source) -> bool:
-    """Whether packets go to shared memory: by `--shm`, or for a source that reads it."""
+    """Whether packets go to shared memory: with `--shm`, or if the source reads it."""
     return options.shm is not None or (source.memory is not None and options.port is None)
 
 
 def make_sink(options: SinkOptions, source: Source, structure: Structure) -> UdpSink | ShmWriter:
-    """Where the packets go: what the command line says, else where the source receives."""
+    """Returns the receiver of packets: as in the options, else the address of the source."""
     from ..data.send.sender import ShmWriter, UdpSink
 
     if goes_to_shm(options, source):
@@ -66,7 +66,7 @@ def make_sink(options: SinkOptions, source: Source, structure: Structure) -> Udp
 
 
 def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
-    """Runs no faster than the clock; tells which rows are new."""
+    """Runs a simulation in real time; yields each range of new rows of its log."""
     timestep = simulation.scenario.run.timestep
     begin = time.perf_counter()
     while not simulation.is_done:
@@ -84,9 +84,9 @@ class Sender:
     """Sends a simulation while it runs.
 
     Args:
-        simulation: is advanced.
-        name: of the scene that is sent to.
-        options: where to.
+        simulation: advanced by `run`.
+        name: of the scene whose source receives the packets.
+        options: structure and receiver that differ from the scene's.
     """
 
     def __init__(self, simulation: Simulation, name: str, options: SinkOptions) -> None:
@@ -107,7 +107,7 @@ class Sender:
         self._sink.close()
 
     def run(self) -> Iterator[tuple[int, int]]:
-        """Sends a packet for every step; tells which rows are new."""
+        """Sends a packet for every step; yields each range of new rows of the log."""
         from ..data.send.sender import send
 
         simulation = self._simulation

@@ -1,4 +1,4 @@
-"""`sero-mj calibrate`: finds where a camera is, from points of the robot in a photo."""
+"""`sero-mj calibrate`: estimates a camera's pose from points of the robot in a photo."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ ORDER = 16  # in the help of `sero-mj`
 
 
 class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
-    """Find where a camera is, from points of the robot in a photo.
+    """Estimate a camera's pose from points of the robot in a photo.
 
     Attributes:
         photo: what the camera has taken.
@@ -77,7 +77,7 @@ class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
 
 
 def run(options: CalibrateOptions) -> int:
-    """Finds the camera; returns 0."""
+    """Estimates the pose and writes it; returns 0."""
     from ..viewer.headless.backend import has_display
 
     if options.points is None and not options.names:
@@ -134,7 +134,7 @@ add_to = command("calibrate", run, CalibrateOptions, _EPILOG)
 
 
 def _scene_of_photo(options: CalibrateOptions) -> Scene:
-    """The scene with the joint angles, or the recording, that options say."""
+    """Returns the scene with the joint angles, or the recording, given in the options."""
     scene = read_scene(options.robot, options.settings)
     if options.joint_angles is not None:
         if len(scene.robots) != 1:
@@ -152,7 +152,7 @@ def _scene_of_photo(options: CalibrateOptions) -> Scene:
 
 
 def _lens(camera_file: Path | None, size: tuple[int, int]) -> PhotoCamera:
-    """The lens that a file says; else one of which the focal length is still to be found."""
+    """Returns the lens from a file, else one whose focal length is to be estimated."""
     from ..viewer.photo.camera_file import read_intrinsics
     from ..viewer.photo.photo_camera import PhotoCamera
 
@@ -163,7 +163,7 @@ def _lens(camera_file: Path | None, size: tuple[int, int]) -> PhotoCamera:
 
 
 def _pose(scene: Scene, *, is_replayed: bool) -> tuple[World, Any]:
-    """The world and its state, as declared or as the recordings say."""
+    """Returns the world and its state: as declared, or as recorded."""
     from ..data.drive.mirror import Mirror
     from ..data.drive.place import Placer
     from ..robots.assemble.world import World
@@ -179,7 +179,7 @@ def _pose(scene: Scene, *, is_replayed: bool) -> tuple[World, Any]:
 
 
 def _points_beside(output: Path) -> Path:
-    """The file of clicked points beside a camera file."""
+    """Returns the file of clicked points that belongs to a camera file."""
     return output.with_name(f"{output.stem}_points.csv")
 
 

@@ -1,4 +1,4 @@
-"""`sero-mj check`: is a scene right, and what is in it?"""
+"""`sero-mj check`: whether a scene is valid, and what it contains."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ORDER = 52  # in the help of `sero-mj`
 
 
 class CheckOptions(SceneArgument, PackageOptions):
-    """Check a scene file and print what it holds."""
+    """Check a scene file and print its contents."""
 
 
 def run(options: CheckOptions) -> int:
@@ -85,7 +85,7 @@ add_to = command("check", run, CheckOptions, _EPILOG)
 
 
 def _kind(robot: SerialRobot) -> str:
-    """Its joints, what says where they are, and what its links look like."""
+    """Returns its number of joints, and the kinds of its kinematics and link geometry."""
     table = "frames of joints" if robot.dh is None else f"{robot.dh_convention} DH"
     look = f"shapes generated from its {'joints' if robot.dh is None else 'DH table'}"
     if robot.has_geometry:
@@ -94,7 +94,7 @@ def _kind(robot: SerialRobot) -> str:
 
 
 def _about_robot(name: str, robot: SerialRobot) -> list[str]:
-    """Lines about a robot: its joints, limbs and dynamics."""
+    """Returns lines about a robot's joints, limbs and dynamics."""
     from ..robots.assemble.robot_dynamics import about_masses, robot_dynamics
 
     lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
@@ -112,7 +112,7 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
 
 
 def _about_flange(robot: SerialRobot) -> str:
-    """On which link it is, and where, at joint values of zero."""
+    """Returns the link and the position of the flange at zero joint values."""
     link = robot.flange_link
     own = "" if robot.link_names is None else f" ({robot.link_names[link]})"
     on = f"link{link}{own}, which joint {robot.names[link - 1]} moves"
@@ -125,7 +125,7 @@ def _about_flange(robot: SerialRobot) -> str:
 
 
 def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:
-    """A line about what no route takes of a source; it is received all the same."""
+    """Returns a line about fields of a source that no route uses; they are received too."""
     if not any(of == name for of, _ in taken):
         return "            no route leads from it\n"
     if "structure" not in getattr(source, "model_fields_set", ()):

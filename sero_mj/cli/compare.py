@@ -127,7 +127,7 @@ add_to = command("compare", run, CompareOptions, _EPILOG)
 def _compared(
     options: CompareOptions,
 ) -> tuple[Pair, list[Explanation] | None, list[str]]:
-    """What is compared, what explains it, and lines about that."""
+    """Returns the compared runs, the explanations of their difference, and lines about both."""
     from ..study.align import align, choose_robot, choose_robots, pair_with_commands
     from ..study.explain import explain_run, explain_runs
     from ..study.torque_residuals import pair_with_model, torque_residuals
@@ -154,7 +154,7 @@ def _compared(
 
 
 def _about_model(found: TorqueResiduals) -> list[str]:
-    """What the explanation went by."""
+    """Returns lines about the model behind the explanation."""
     lines = ["model: inverse dynamics on the measured motion, both through a low pass of "
              f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
     if found.torque_control:
@@ -165,7 +165,7 @@ def _about_model(found: TorqueResiduals) -> list[str]:
 
 
 def _parted(pair: Pair, explanations: Sequence[Explanation]) -> list[str]:
-    """Where robot and model part first."""
+    """Returns lines about when and where robot and model first differ."""
     if not explanations:
         return [f"{pair.robot.name} and its model agree"]
     first = min(explanations, key=lambda each: (not each.from_start, each.begin))

@@ -1,4 +1,4 @@
-"""`sero-mj convert`: a scene of X3D as TOML, and the other way round."""
+"""`sero-mj convert`: an X3D scene as TOML, and the other way round."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ ORDER = 58  # in the help of `sero-mj`
 
 
 class ConvertOptions(Options):
-    """Convert a scene of X3D to TOML, or the other way round.
+    """Convert an X3D scene to TOML, or the other way round.
 
     Attributes:
         scene: a scene's file, or a shipped name.
@@ -82,7 +82,7 @@ add_to = command("convert", run, ConvertOptions, _EPILOG)
 
 
 def _as_toml(name: str, output: Path) -> str:
-    """The text of a TOML file; what the X3D has besides has been logged while it was read."""
+    """Returns the text of a TOML file; reading has logged what is left out of the X3D."""
     from ..robots.importers.toml_text import toml_text
     from ..robots.importers.x3d import read_x3d
 
@@ -99,7 +99,7 @@ def _as_toml(name: str, output: Path) -> str:
 
 
 def _relative(folder: Path, output: Path) -> str:
-    """A folder as it is written in a file, relative to that where it can be."""
+    """Returns a folder as written in a file: relative to the file's, if possible."""
     try:
         return Path(os.path.relpath(folder.absolute(), output.absolute().parent)).as_posix()
     except ValueError:  # on another drive
@@ -107,7 +107,7 @@ def _relative(folder: Path, output: Path) -> str:
 
 
 def _as_x3d(name: str, output: Path, files: dict[Path, str]) -> tuple[str, list[str]]:
-    """The text of a file of X3D, what is left out, and in `files` those of links."""
+    """Returns the text of an X3D file and what it leaves out; adds link files to `files`."""
     from ..robots.importers.x3d_text import x3d_text
 
     text, lost = x3d_text(scene_tables(read_scene(name), output, files))
@@ -117,7 +117,7 @@ def _as_x3d(name: str, output: Path, files: dict[Path, str]) -> tuple[str, list[
 
 
 def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str, Any]:
-    """The tables of a scene's file in which robots have their fields, and no model.
+    """Returns the tables of a scene file with all fields of the robots, without `model`.
 
     Args:
         scene: loaded.
@@ -150,7 +150,7 @@ def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str
 
 
 def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dict[str, Any]:
-    """The fields of a robot that have not their default, in SI units; see `scene_tables`."""
+    """Returns a robot's fields that differ from their defaults, SI units; see `scene_tables`."""
     table = _changed(robot, *_OTHER_FORMS)
     if robot.dh is not None:
         dh = robot.dh
@@ -181,13 +181,13 @@ def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dic
 
 
 def _is_vrml(part: LinkGeometry) -> bool:
-    """Whether a part of a link is nothing but a file of VRML97."""
+    """Whether a part of a link is a VRML97 file without any other field."""
     is_file = part.file is not None and Path(part.file).suffix.lower() == ".wrl"
     return is_file and not _changed(part, "file")
 
 
 def _changed(declaration: Declaration, *but: str) -> dict[str, Any]:
-    """Fields that have not their default, as a file has them."""
+    """Returns the fields that differ from their defaults, as in a file."""
     changed = {}
     for key, field in type(declaration).model_fields.items():
         value = getattr(declaration, key)
@@ -198,7 +198,7 @@ def _changed(declaration: Declaration, *but: str) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A value as `tomllib` would read it; of declarations the fields that are not their default."""
+    """Returns a value as `tomllib` would read it; of a declaration its changed fields."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):

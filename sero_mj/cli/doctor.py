@@ -117,12 +117,12 @@ def _version(distribution: str) -> str | None:
 
 
 def window_problem() -> str | None:
-    """Why no window can be opened; None when one can."""
+    """Returns why no window can be opened; None if one can."""
     return None if has_display() else "neither DISPLAY nor WAYLAND_DISPLAY is set"
 
 
 def page_problem() -> str | None:
-    """Why no web page can be served; None when one can."""
+    """Returns why no web page can be served; None if one can."""
     try:
         from ..viewer.web import studio  # noqa: F401
     except ImportError as error:
@@ -131,7 +131,7 @@ def page_problem() -> str | None:
 
 
 def frame_times(backend: str) -> dict[str, float] | None:
-    """Times of a frame of an LWR, 1280x800, s, by quality; None where it cannot be drawn."""
+    """Returns times of a frame of an LWR at 1280x800, s, by quality; None if none can be drawn."""
     try:
         done = _python(_SPEED, backend)
     except subprocess.SubprocessError:
@@ -142,7 +142,7 @@ def frame_times(backend: str) -> dict[str, float] | None:
 
 
 def _python(code: str, backend: str) -> subprocess.CompletedProcess[str]:
-    """Runs Python in a process of its own, with one backend."""
+    """Runs Python code in another process, with the given backend."""
     environment = {**os.environ, "MUJOCO_GL": backend}
     environment.pop("PYOPENGL_PLATFORM", None)
     command = [sys.executable, "-c", code]
@@ -152,7 +152,7 @@ def _python(code: str, backend: str) -> subprocess.CompletedProcess[str]:
 
 
 def _about_speed(backend: str, times: dict[str, float]) -> str:
-    """What the machine holds, and what to do about it."""
+    """Returns which frame rates the machine reaches, and what would help."""
     said = ", ".join(f"{name} {time * 1e3:.3g} ms" for name, time in times.items())
     text = f"a frame of an LWR with {backend}, 1280x800: {said}"
     if times["normal"] <= _SMOOTH:
@@ -164,7 +164,7 @@ def _about_speed(backend: str, times: dict[str, float]) -> str:
 
 
 def try_backend(name: str) -> dict[str, Any]:
-    """Renders with one backend in a process of its own."""
+    """Renders in another process, with the given backend."""
     try:
         done = _python(_TRIAL, name)
     except subprocess.TimeoutExpired:

@@ -41,7 +41,7 @@ class ExportCsvOptions(Options):
 
 
 def run(options: ExportCsvOptions) -> int:
-    """Writes; returns 0, or 1 where there are packets and none could be read."""
+    """Writes; returns 0, or 1 if there are packets and none could be decoded."""
     from ..data.record.csv_files import export_csv
     from ..data.record.recording import Recording
     from ..data.record.replay import Replay

@@ -76,7 +76,7 @@ add_to = command("fk", run, FkOptions, _EPILOG)
 
 
 def _robot_of(name: str, of: str | None) -> SerialRobot:
-    """A robot by its name or file, or one of a scene.
+    """Returns a robot by name or file, or one of a scene's.
 
     Raises:
         UsageError: the scene has several robots, or none of that name.
@@ -97,7 +97,7 @@ def _robot_of(name: str, of: str | None) -> SerialRobot:
 
 
 def compare(robot: Any, q: Any) -> dict[str, Any]:
-    """Base-to-flange of a robot by both routes, and how far they are apart (m, rad)."""
+    """Returns base-to-flange by DH and by MuJoCo, and their difference (m, rad)."""
     import mujoco
 
     from ..base import frames

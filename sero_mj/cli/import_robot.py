@@ -150,7 +150,7 @@ def _read(options: ImportOptions) -> _Source:
 
 
 def _about_joints(robot: SerialRobot) -> str:
-    """Comments: whose values packets have, in their order, and which joints follow which."""
+    """Returns comments on the order of joints in packets, and on coupled joints."""
     coupled, names = robot.coupled, robot.names
     independent = coupled.independent.tolist()
     lines = ["# The joints, in the order of packets:"]
@@ -168,14 +168,14 @@ def _about_joints(robot: SerialRobot) -> str:
 
 
 def _comment(items: Sequence[str]) -> list[str]:
-    """Lines of a comment, broken between items."""
+    """Returns the lines of a comment, wrapped between items."""
     text = ", ".join(item.replace(" ", _TIED) for item in items)
     lines = wrap(text, 100, initial_indent="#   ", subsequent_indent="#   ")
     return [line.replace(_TIED, " ") for line in lines]
 
 
 def _check_format(path: Path) -> None:
-    """Raises UsageError for what is no robot in URDF or MJCF, and says what takes it."""
+    """Raises UsageError for anything but URDF and MJCF, naming the command that reads it."""
     ending = path.suffix.lower()
     if ending in X3d.endings:
         raise UsageError(
@@ -195,7 +195,7 @@ def _check_format(path: Path) -> None:
 
 
 def _copy(mesh: Path, to: Path) -> None:
-    """Copies a mesh, and the materials and pictures that it has beside it, for their colours."""
+    """Copies a mesh with the material files and pictures beside it, which have its colours."""
     waiting, seen = [(mesh, to)], set()
     while waiting:
         source, target = waiting.pop()

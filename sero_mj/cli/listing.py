@@ -93,7 +93,7 @@ def _print_plugins() -> None:
 
 
 def _about(file: Path) -> str:
-    """What a file says of itself: its description, else its first line where that is a comment."""
+    """Returns a file's description, else its first line if that is a comment."""
     text = file.read_text(encoding="utf-8")
     described = tomllib.loads(text).get("description")
     if described is not None:
@@ -109,7 +109,7 @@ def _print_fields() -> None:
 
 
 def _print_scenario_fields() -> None:
-    """Every table of a scenario with its kinds, keys, defaults and meanings."""
+    """Prints every table of a scenario: kinds, keys, defaults, meanings."""
     from ..simulate.runs.measures import MEASURES
     from ..simulate.runs.monitor import KINDS
 
@@ -121,7 +121,7 @@ def _print_scenario_fields() -> None:
 
 
 def scene_tables() -> dict[str, type[Declaration]]:
-    """The tables of robot and scene files, by their headers."""
+    """Returns the tables of robot and scene files by header."""
     from ..robots.declared.cartesian import ReceivedFrame, SmartArrow
     from ..robots.declared.couplings import Coupling
     from ..robots.declared.double import Double
@@ -151,7 +151,7 @@ def scene_tables() -> dict[str, type[Declaration]]:
 
 
 def scenario_tables() -> dict[str, type[Declaration]]:
-    """The tables that a scenario file has beside those of a scene, by their headers."""
+    """Returns the tables that only scenario files have, by header."""
     from ..simulate.control.make_controller import controller_kinds
     from ..simulate.control.plan import target_motion_kinds
     from ..simulate.disturbances import DISTURBANCES, FAULTS
