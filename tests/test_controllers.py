@@ -179,5 +179,5 @@ def test_a_user_s_controller_is_limited_and_watched() -> None:
     sensed.time = 2.5
     with pytest.raises(SimulationError, match=r"^lwr/A3 at 2\.5000 s: the controller asks for nan"):
         control.torques(sensed, target, out)
-    with pytest.raises(DeclarationError, match=r"expected a method torques\(sensed, target, out\)"):
+    with pytest.raises(DeclarationError, match=r"with a method torques\(sensed, target, out\)"):
         make_controller(object(), MODEL, 1e-3, LIMITS)  # type: ignore[arg-type]

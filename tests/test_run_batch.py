@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sero_mj import SerialRobot
-from sero_mj.base.errors import DeclarationError, SimulationError
+from sero_mj.base.errors import DeclarationError, SimulationError, UsageError
 from sero_mj.base.paths import find_scenario
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.control.compiler import Compiler
@@ -190,3 +190,20 @@ def test_what_cannot_be_one_batch_has_other_keys() -> None:
     assert len({batch_key(scenario(**fields)) for fields in same}) == 1
     assert len({batch_key(scenario(**fields)) for fields in [{}, *others]}) == 4
     assert batch_key(scenario(faults=dry)) != batch_key(scenario(faults=dry))
+
+
+def test_a_controller_of_runs_that_are_controlled_together_is_not_changed() -> None:
+    compiler = Compiler()
+    first, second = Simulation.together([scenario(), scenario()], compiler)
+    assert isinstance(first, Simulation)
+    assert isinstance(second, Simulation)
+    stiff = scenario(controller=STIFF).controllers["lwr"]
+    with pytest.raises(UsageError, match="lwr is controlled together"):
+        first.use_controller("lwr", stiff)
+    # By itself it takes it over: the same gains from the start are the same run.
+    alone = Simulation(scenario(), compiler=compiler)
+    alone.use_controller("lwr", stiff)
+    alone.advance(20)
+    np.testing.assert_array_equal(
+        alone.rows[:21], run_alone(scenario(controller=STIFF), compiler, 20).rows[:21]
+    )

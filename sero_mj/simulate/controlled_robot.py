@@ -10,7 +10,7 @@ import numpy as np
 
 from ..base.frames import Array
 from ..robots.declared.robot import SerialRobot
-from .control.controller import ControllerDeclaration, Sensed, Target
+from .control.controller import ControllerDeclaration, LinkHolder, Sensed, Successor, Target
 from .control.make_controller import LimitedController, make_controller
 from .control.model_rows import ModelRows
 from .control.observer import MomentumObserver
@@ -136,7 +136,9 @@ class ControlledRobot(RobotControl):
         self._joint_stiffness: Array | None = None
         if robot.elastic_joints and drives is not None and drives.loop:
             self._joint_stiffness = drives.gains[robot.name].stiffness
-        self.use(scenario.controller_of(robot.name), make_model)
+        self.declared = scenario.controller_of(robot.name)
+        controller, self.hanging = self._made(self.declared, make_model)
+        self.use_limited(controller)
         self.target.has_torques = False  # no target motion has any
         planned = self.target.planned[: plan.rows.shape[1]]
         planned[...] = plan.rows[0]
@@ -160,19 +162,24 @@ class ControlledRobot(RobotControl):
         Raises:
             DeclarationError: gains or limits do not fit the robot.
         """
-        robot = self.robot
-        model = make_model(robot)
-        controller = make_controller(declared, model, self._timestep, robot.torque_limits)
-        hanging, stiffness = None, self._joint_stiffness
-        if stiffness is not None:
-            hanging = _hanging(stiffness, controller, make_model(robot), robot.home)
-        before: LimitedController | None = getattr(self, "controller", None)
-        if before is not None and type(before.controller) is type(controller.controller):
-            take_over = getattr(controller.controller, "take_over", None)
-            if take_over is not None:  # see `Successor`
-                take_over(before.controller)
+        controller, hanging = self._made(declared, make_model)
+        before, after = self.controller.controller, controller.controller
+        if type(before) is type(after) and isinstance(after, Successor):
+            after.take_over(before)
         self.declared, self.hanging = declared, hanging
         self.use_limited(controller)
+
+    def _made(
+        self, declared: Any, make_model: Callable[[SerialRobot], RobotModel]
+    ) -> tuple[LimitedController, HangingLinks | None]:
+        """Makes a controller as declared, and finds where it lets links of elastic joints rest."""
+        robot, stiffness = self.robot, self._joint_stiffness
+        controller = make_controller(
+            declared, make_model(robot), self._timestep, robot.torque_limits
+        )
+        if stiffness is None:
+            return controller, None
+        return controller, _hanging(stiffness, controller, make_model(robot), robot.home)
 
     @property
     def in_use(self) -> tuple[Any, LimitedController, HangingLinks | None]:
@@ -218,8 +225,9 @@ class ControlledRobot(RobotControl):
             stiffness = self._joint_stiffness
             bends: Array = np.zeros((2, n))  # of elastic joints: at first, and now; else zero
             if stiffness is not None:
-                hold_links = getattr(controller, "hold_links", None)
-                at_rest = model.gravity() if hold_links is None else hold_links(stiffness)
+                at_rest = model.gravity()
+                if isinstance(controller, LinkHolder):
+                    at_rest = controller.hold_links(stiffness)
                 bends[:] = model.gravity() / stiffness
             for k, joint in product(range(2), range(n)):
                 for torque, move in zip(torques, (_MOVE, -_MOVE), strict=True):
@@ -258,8 +266,8 @@ def _hanging(
     stiffness: Array, controller: LimitedController, model: RobotModel | ModelRows, angles: Array
 ) -> HangingLinks:
     """Where links rest while a controller holds them; see `HangingLinks`."""
-    hold_links = getattr(controller.controller, "hold_links", None)
-    at_rest = hold_links(stiffness) if hold_links is not None else None
+    held = controller.controller
+    at_rest = held.hold_links(stiffness) if isinstance(held, LinkHolder) else None
     return HangingLinks(stiffness, at_rest, model, angles)
 
 

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..base.errors import DeclarationError, Problem, SimulationError, collect
+from ..base.errors import DeclarationError, Problem, SimulationError, UsageError, collect
 from ..base.frames import Array, frame, rotation_from_quat
 from ..data.receive.structure import Structure
 from ..robots.declared.mounts import base_frames, unmounted
@@ -446,8 +446,14 @@ class Simulation:
         Raises:
             DeclarationError: gains that do not fit the robot, or that the step cannot hold where it
                 is; the controller is what it was then.
+            UsageError: its torques are computed together with those of other runs, see `together`.
         """
         controlled = self.controlled[list(self.robots).index(robot)]
+        if controlled.is_joined:
+            raise UsageError(
+                f"{robot} is controlled together with the same robot of other runs; expected a "
+                "Simulation of its own to change its controller"
+            )
         angles = self.plant.actual[0, controlled.joints]
         before = controlled.in_use
         try:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Protocol, Self
+from typing import Annotated, Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator
@@ -213,6 +213,7 @@ class Controller(Protocol):
         """
 
 
+@runtime_checkable
 class LinkHolder(Controller, Protocol):
     """A controller that says where the links of elastic joints would rest; all shipped ones do."""
 
@@ -264,6 +265,7 @@ def range_text(key: str, unit: str = "") -> Callable[[Mapping[str, Any]], str]:
     return text
 
 
+@runtime_checkable
 class Successor(Controller, Protocol):
     """A controller that goes on from another one, as when a gain is changed while it runs."""
 

@@ -229,25 +229,23 @@ def make_controller(
     n = model.n
     limits: Array = np.full(n, np.inf) if torque_limits is None else np.array(torque_limits, float)
     rates = None
+    found, own = f"found {controller!r}", None
     if isinstance(controller, ControllerDeclaration):
         own = controller
         controller = own.make(model, timestep)  # type: ignore[arg-type]  # those of joints take rows
-        if not callable(getattr(controller, "torques", None)):
-            found = f"{type(own).__name__}.make returned {controller!r}"
-            message = f"{found}; expected an object with a method torques(sensed, target, out)"
-            raise DeclarationError([Problem("", message)])
+        found = f"{type(own).__name__}.make returned {controller!r}"
+    if isinstance(controller, type):
+        name = controller.__name__
+        message = f"found the class {name}; expected an object: {name}()"
+        raise DeclarationError([Problem("", message)])
+    if not callable(getattr(controller, "torques", None)):
+        message = f"{found}; expected an object with a method torques(sensed, target, out)"
+        raise DeclarationError([Problem("", message)])
+    if own is not None:
         if own.torque_limits is not None:
             limits = _lower(own.per_joint("torque_limits", n), limits, model.joint_names)
         if own.torque_rate_limits is not None:
             rates = own.per_joint("torque_rate_limits", n)
-    elif isinstance(controller, type):
-        message = (
-            f"found the class {controller.__name__}; expected an object: {controller.__name__}()"
-        )
-        raise DeclarationError([Problem("", message)])
-    elif not callable(getattr(controller, "torques", None)):
-        message = f"found {controller!r}; expected a method torques(sensed, target, out)"
-        raise DeclarationError([Problem("", message)])
     return LimitedController(
         controller,
         limits,
