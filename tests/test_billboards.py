@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from conftest import examples
@@ -16,9 +17,11 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.double import Double
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
+from sero_mj.viewer.decor import cards
 from sero_mj.viewer.decor.card_names import card_names, shortened, titles
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
+from sero_mj.viewer.decor.layout import columns
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.decor.quantities import joint_values
 from sero_mj.viewer.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
@@ -512,6 +515,29 @@ def test_torques_that_are_set_at_run_time_are_on_cards_that_had_angles() -> None
     data = world.make_data()
     world.set_input(data, "lwr.torques", np.arange(7.0))
     assert said(world, data)[0] == "A1     0.000 rad"
+
+
+def test_cards_are_placed_anew_only_where_something_moves(monkeypatch) -> None:
+    world = world_of(torques=TORQUES, show_billboards=True)
+    data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
+    placed = []
+    monkeypatch.setattr(cards, "columns", lambda *a, **k: placed.append(0) or columns(*a, **k))
+
+    def times_placed(view: PictureView) -> int:
+        placed.clear()
+        rows = decor.draw(data, toggles, view).rows[: decor.buffer.count]
+        again = Decor(world).draw(data, toggles, view)
+        assert rows.tobytes() == again.rows[: again.count].tobytes()
+        return len(placed) - 1  # one is of the other decor
+
+    view = view_at()
+    assert [times_placed(view) for _ in range(3)] == [1, 1, 0]  # the first fills an empty memory
+    world.set_input(data, "lwr.torques", 1.1 * np.array(TORQUES))
+    assert times_placed(view) == 0
+    data.qpos[1] += 0.1
+    mujoco.mj_kinematics(world.model, data)
+    assert [times_placed(view) for _ in range(2)] == [1, 0]
+    assert times_placed(view_at(width=1000)) == 1
 
 
 def test_names_of_frames_cover_neither_cards_nor_each_other() -> None:

@@ -8,14 +8,13 @@ where leaders would cross, or where a robot gets behind it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
-import mujoco
 import numpy as np
 
 from ...base.frames import Array, Bools, Ints
 from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
-from ...robots.declared.double import OUT_OF_SIGHT
 from ...robots.declared.mounts import carrier
 from .geom_buffer import GeomBuffer, Kind
 from .layout import LEFT, RIGHT, columns, is_narrow, uncross, with_room
@@ -37,6 +36,7 @@ NO_SHARE = -1.0  # comes after any known share
 _MORE = (1.25, 0.02)
 _NEW_ROOM = 0.5  # of a line's height, by which robots must be farther away from a new card
 _MARGIN = 0.5  # of a line's height
+_PLACED_BY = ("anchors", "sizes", "owners", "side", "rank")  # of `Cards`
 _ROUNDS = 4  # of placing and uncrossing; panels of several sizes can need more than one
 # Dark on a light scene, light on a dark one.
 LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)}
@@ -84,11 +84,29 @@ class Cards:
         return replace(self, **parts, texts=texts, rgba=rgba)
 
 
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """Where cards are.
+
+    Attributes:
+        kept: which are shown, (k,).
+        note: how many are shown, in a list; empty if all are.
+        centres: of those that are shown, (m, 2), pixels.
+        starts: of their leaders, (m, 2), pixels.
+    """
+
+    kept: Bools
+    note: list[Panels]
+    centres: Array
+    starts: Array
+
+
 class CardLayout:
     """Places the cards of a world, and keeps their places from frame to frame.
 
     A card keeps its side and its place in the vertical order from frame to frame, until leaders
-    cross: then two cards change places. So nothing moves to and fro at a limit.
+    cross: then two cards change places. So nothing moves to and fro at a limit. While nothing moves
+    that cards depend on, they are not placed anew.
 
     Args:
         owner_group: as returned by `owner_groups`.
@@ -101,6 +119,7 @@ class CardLayout:
         self._wanted: dict[_Key, int] = {}  # side that the robots' positions give
         self._places: dict[_Key, tuple[int, float]] = {}  # side and rank
         self._chosen: set[_Key] = set()  # where there is no room for all
+        self._last: tuple[tuple[object, ...], _Placed] | None = None  # and what it followed from
 
     def lay_out(
         self,
@@ -136,24 +155,98 @@ class CardLayout:
         groups = [group for group in groups if group.texts]
         if not groups:
             return [], [], []
-        gap = _GAP * view.font.height
-        low, high = view.free
-        width, height = high - low
         pixels, depth = view.project(points)
         is_before = depth > view.near
         pixels, of_point = pixels[is_before], self._owner_group[owners[is_before]]
         radius = (radii[is_before] / view.pixel_size(depth[is_before]))[:, None]
-        covered = np.concatenate([pixels - radius, pixels + radius], axis=1) - [*low, *low]
+        keys = _keys(groups)
+        share = _of_all(groups, "share")
+        # Of shares only the order counts and what is known: most values change without it.
+        order, is_known, is_asked = self._by_share(keys, share), share > NO_SHARE, np.isinf(share)
+        arrays = [pixels, of_point, radius, order, is_known, is_asked, *view.free]
+        arrays += [getattr(group, name) for group in groups for name in _PLACED_BY]
+        arrays += [array for corner in corners for array in (corner.centres, corner.sizes)]
+        inputs = (
+            view.font,
+            *keys,
+            *(group.clear for group in groups),
+            *(array.tobytes() for array in arrays),
+        )
+        if self._last is None or self._last[0] != inputs:
+            before = self._state()
+            covered = np.concatenate([pixels - radius, pixels + radius], axis=1)
+            placed = self._place(view, groups, (pixels, of_point, covered), corners, order)
+            is_settled = self._state() == before
+            self._last = (inputs, placed) if is_settled else None
+        else:
+            placed = self._last[1]
+        if placed.note:
+            groups = _only(groups, placed.kept)
+        sizes = _of_all(groups, "sizes")
+        draw_leaders(buffer, view, placed.starts, _of_all(groups, "anchors"), leader_rgba)
+        panels = []
+        first = 0
+        for group in groups:
+            these = slice(first, first + len(group.texts))
+            panels.append(
+                Panels(
+                    placed.centres[these],
+                    sizes[these],
+                    group.texts,
+                    group.rgba,
+                    group.kind,
+                    group.items,
+                    has_values=True,
+                )
+            )
+            first += len(group.texts)
+        return groups, panels, placed.note
+
+    def _state(self) -> tuple[object, ...]:
+        """Returns a copy of what is kept from frame to frame."""
+        kept = self._middles, self._wanted, self._places, self._chosen
+        return (self._groups_in_order, *(each.copy() for each in kept))
+
+    def _by_share(self, keys: list[_Key], share: Array) -> Ints:
+        """Returns the order in which cards get room, (k,): the largest shares first."""
+        last = np.array([key in self._chosen for key in keys])
+        factor, more = _MORE
+        return np.argsort(
+            -np.where(last, np.maximum(factor * share, share) + more, share), kind="stable"
+        )
+
+    def _place(
+        self,
+        view: PictureView,
+        groups: list[Cards],
+        body: tuple[Array, Ints, Array],
+        corners: list[Panels],
+        order: Ints,
+    ) -> _Placed:
+        """Places all cards.
+
+        Args:
+            view: of the picture.
+            groups: cards of every kind.
+            body: pixels of the robots' points (m, 2), the group of each (m,), and rectangles
+                around them (m, 4), pixels.
+            corners: panels in the corners of the picture.
+            order: as returned by `_by_share`.
+        """
+        pixels, of_point, covered = body
+        gap = _GAP * view.font.height
+        low, high = view.free
+        width, height = high - low
+        covered = covered - [*low, *low]
         keys = _keys(groups)
         side, rank = self._last_places(keys, groups, pixels[:, 0], of_point, width)
-        kept, note = self._choose(view, groups, side, covered, corners)
+        kept, note = self._choose(view, groups, side, covered, corners, order)
         corners = [*corners, *note]
         if note:
             groups = _only(groups, kept)
             keys, side, rank = _keys(groups), side[kept], rank[kept]
         kept_free = _rectangles(corners, low)
-        anchors = np.concatenate([group.anchors for group in groups])
-        sizes = np.concatenate([group.sizes for group in groups])
+        anchors, sizes = _of_all(groups, "anchors"), _of_all(groups, "sizes")
         across = np.concatenate([pixels[:, 0], anchors[:, 0]]) - low[0]
 
         def place(side: Ints, rank: Array) -> Array:
@@ -181,24 +274,7 @@ class CardLayout:
                 break
             side, rank = side[changed], rank[changed]
         self._places.update(zip(keys, zip(side.tolist(), rank.tolist(), strict=True), strict=True))
-        draw_leaders(buffer, view, starts, anchors, leader_rgba)
-        panels = []
-        first = 0
-        for group in groups:
-            these = slice(first, first + len(group.texts))
-            panels.append(
-                Panels(
-                    centres[these],
-                    sizes[these],
-                    group.texts,
-                    group.rgba,
-                    group.kind,
-                    group.items,
-                    has_values=True,
-                )
-            )
-            first += len(group.texts)
-        return groups, panels, note
+        return _Placed(kept, note, centres, starts)
 
     def _choose(
         self,
@@ -207,6 +283,7 @@ class CardLayout:
         side: Ints,
         covered: Array,
         corners: list[Panels],
+        order: Ints,
     ) -> tuple[Bools, list[Panels]]:
         """Returns which cards are shown, (k,), and a note of how many, in a list; none for all.
 
@@ -215,16 +292,9 @@ class CardLayout:
         """
         low, high = view.free
         line, (width, height) = view.font.height, high - low
-        sizes = np.concatenate([group.sizes for group in groups])
-        share = np.concatenate([group.share for group in groups])
-        keys = _keys(groups)
-        last = np.array([key in self._chosen for key in keys])
-        factor, more = _MORE
-        order = np.argsort(
-            -np.where(last, np.maximum(factor * share, share) + more, share), kind="stable"
-        )
+        sizes, share, keys = _of_all(groups, "sizes"), _of_all(groups, "share"), _keys(groups)
         asked = int(np.isinf(share).sum())
-        limit = max(_most_cards(np.concatenate([group.owners for group in groups])), asked)
+        limit = max(_most_cards(_of_all(groups, "owners")), asked)
         if is_narrow(sizes, _GAP * line, width):  # leaders cross one column more than two
             limit = max(_FEWEST, asked)
         first = order[:limit]
@@ -292,9 +362,8 @@ class CardLayout:
         width: float,
     ) -> tuple[Ints, Array]:
         """Returns side and rank of every card (k,): the last ones, or those of a new card."""
-        owner = np.concatenate([group.owners for group in groups])
-        side = np.concatenate([group.side for group in groups])
-        rank = np.concatenate([group.rank for group in groups]).astype(float)
+        owner, side = _of_all(groups, "owners"), _of_all(groups, "side")
+        rank = _of_all(groups, "rank").astype(float)
         group_of = np.append(self._owner_group, -1)[owner]  # -1 for no owner
         self._sort_groups(across, of_point, width)
         robots = self._groups_in_order
@@ -347,6 +416,11 @@ def _keys(groups: list[Cards]) -> list[_Key]:
     return [(group.kind, int(item)) for group in groups for item in group.items]
 
 
+def _of_all(groups: list[Cards], name: str) -> Any:
+    """Returns an array of all groups as one."""
+    return np.concatenate([getattr(group, name) for group in groups])
+
+
 def _most_cards(owners: Ints) -> int:
     """Returns how many cards a picture has at most: of each owner with many `_MAX_LOADED`.
 
@@ -387,58 +461,6 @@ def _note(view: PictureView, count: int, corners: list[Panels]) -> Panels:
 def _note_text(shown: int, count: int, is_loaded: bool = True) -> bytes:
     which = ", the most loaded" if is_loaded else ""  # of joints without data none is
     return f"cards: {shown} of {count} joints{which}".encode()
-
-
-class Outline:
-    """Points along the links of all robots and doubles, with radii, as an outline of them.
-
-    Every geom counts as a capsule along its longest side, with a point at each end and in the
-    middle.
-
-    Args:
-        world: the compiled scene.
-    """
-
-    def __init__(self, world: WorldView) -> None:
-        model = world.model
-        owner = np.full(model.ngeom, -1)
-        for i, part in enumerate(world.owners.values()):
-            owner[np.isin(model.geom_bodyid, part.bodies)] = i
-        owner[(model.geom_group > 2) | (model.geom_rgba[:, 3] <= 0)] = -1
-        self._geoms = (owner >= 0).nonzero()[0]
-        centre, half = np.hsplit(model.geom_aabb[self._geoms], 2)
-        longest = half.argmax(axis=1)
-        self._radii = np.sort(half, axis=1)[:, 1]
-        along = np.eye(3)[longest] * (half.max(axis=1) - self._radii)[:, None]
-        self._offsets = np.stack([centre - along, centre, centre + along], axis=1)
-        self._owners = owner[self._geoms]
-        self._joints = world.joints
-
-    def points(
-        self,
-        data: mujoco.MjData,
-        hidden: Bools | None,
-        sites: Array,
-        arrows: Bools,
-    ) -> tuple[Array, Array, Ints]:
-        """Returns points (m, 3), m, radii (m,), m, and the index of their robot or double (m,).
-
-        Args:
-            data: the state of the model.
-            hidden: geoms that are not shown, (ngeom,) bool; None for none.
-            sites: positions of the world's sites, `site_xpos` of its state, m.
-            arrows: which joints have an arrow, which belongs to the outline, (N,) bool.
-        """
-        rotation = data.geom_xmat[self._geoms].reshape(-1, 1, 3, 3)
-        points = data.geom_xpos[self._geoms, None] + (rotation @ self._offsets[..., None])[..., 0]
-        is_shown = points[:, 0, 2] > OUT_OF_SIGHT[2] / 2  # doubles without a pose are far away
-        if hidden is not None:
-            is_shown &= ~hidden[self._geoms]
-        joints = self._joints
-        of_links, of_arrows = points[is_shown].reshape(-1, 3), sites[joints.centre_site[arrows]]
-        radii = np.repeat(self._radii[is_shown], 3), joints.arrow_radius[arrows]
-        owners = np.repeat(self._owners[is_shown], 3), joints.owner[arrows]
-        return np.concatenate([of_links, of_arrows]), np.concatenate(radii), np.concatenate(owners)
 
 
 def _starts(centres: Array, sizes: Array, anchors: Array, side: Ints) -> Array:

@@ -11,9 +11,10 @@ from ...base.frames import Array
 from ...base.plugins import is_own_class
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import fade_in, spread_out
-from .cards import LEADER_RGBA, CardLayout, Outline, owner_groups
+from .cards import LEADER_RGBA, CardLayout, owner_groups
 from .feature import Drawn, Frame, make_features
 from .geom_buffer import CAPACITY, GeomBuffer
+from .outline import Outline
 from .panels import Panels, clear_of, draw_panels, labels_at, panel_sizes
 from .picture_view import PictureView
 from .quantities import arrow_values, joint_values
