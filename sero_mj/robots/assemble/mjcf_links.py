@@ -15,7 +15,6 @@ import numpy as np
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import MIRROR, Array, Ints, frame, inverse, rotation_from_quat
 from ..declared.robot import SerialRobot
-from ..importers.mjcf_robot import kept_tree
 from ..importers.mjcf_tree import MjcfTree
 from .mjcf_elements import MESH, pose
 
@@ -39,6 +38,8 @@ def mjcf_tree(robot: SerialRobot) -> MjcfTree:
     Raises:
         DeclarationError: it cannot be read, or has a different number of joints.
     """
+    from ..importers.mjcf_robot import kept_tree  # most robots are not read from MJCF
+
     tree = kept_tree(robot.mjcf, Path(robot.directory))
     if len(tree.joints) != robot.n:
         message = f"found {len(tree.joints)} joints in it; expected {robot.n}, as the robot has"

@@ -9,7 +9,6 @@ from typing import Any
 import mujoco
 
 from ..declared.robot_parts import LinkGeometry
-from ..importers.urdf import read_rigid_urdf
 from .link_geometry import part_geoms
 from .mjcf_dynamics import HULL_GROUP
 from .mjcf_elements import Hull
@@ -23,6 +22,8 @@ def urdf_piece(path: Path) -> mujoco.MjSpec:
     Raises:
         DeclarationError: the file cannot be read, or has joints.
     """
+    from ..importers.urdf import read_rigid_urdf  # most scenes have none
+
     described = read_rigid_urdf(path)
     for warning in described.warnings:
         log.warning("%s: %s", path, warning)

@@ -18,7 +18,6 @@ from ...base.errors import DeclarationError
 from ...base.frames import MIRROR, Array, Bools, Ints
 from ...base.toml_file import key_lines, located
 from ..importers.mjcf_file import is_file_name
-from ..importers.mjcf_robot import mjcf_tables
 from ..importers.robot_file import read_robot_file
 from .couplings import CoupledJoints, coupled_joints
 from .dh import DhTable
@@ -124,6 +123,8 @@ class SerialRobot(RobotDeclaration):
         if isinstance(source, Path) or is_file_name(source):
             path = Path(source)
             return build_robot({"name": paths.model_name(path), **overrides}, path)
+        from ..importers.mjcf_robot import mjcf_tables  # most robots are not read from MJCF
+
         tables, warnings = mjcf_tables(source, Path())
         for warning in warnings:
             log.warning("%s", warning)

@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 from .imported_tables import ImportedTables
 from .importer import Importer
-from .xml_file import first_element
 
 
 class Urdf(Importer):
@@ -21,6 +20,8 @@ class Urdf(Importer):
     @classmethod
     def takes(cls, path: Path, head: bytes) -> bool:
         """See `Importer`: .xml files whose root element is `<robot>`."""
+        from .xml_file import first_element
+
         return path.suffix.lower() != ".xml" or first_element(head) == "robot"
 
     def read(

@@ -24,14 +24,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lxml import etree
 
 from ...base.declaration import LARGEST
 from ...base.errors import DeclarationError, Problem, reason_of
 from ...base.frames import Array, Ints
 from ...base.paths import read_file
-from .wrl import read_wrl
-from .xml_file import parse_xml
 
 # Formats of `read_mesh`; the first three are read by MuJoCo itself.
 MESH_ENDINGS = (
@@ -446,6 +443,10 @@ def _without_broken_materials(contents: bytes, known: set[str]) -> bytes:
 
     Often the picture of a material is missing.
     """
+    from lxml import etree
+
+    from .xml_file import parse_xml
+
     root = parse_xml(contents)
     for bound in [*root.iter("{*}instance_material")]:
         if bound.get("target", "").removeprefix("#") not in known:
@@ -476,6 +477,8 @@ def _collada_color(path: Path, material: Any) -> Rgba | None:
 
 
 def _wrl_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
+    from .wrl import read_wrl
+
     parts = []
     for vertices, faces, color in read_wrl(path):
         rgba: Rgba | None = None

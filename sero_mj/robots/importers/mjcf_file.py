@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import mujoco
 
@@ -83,6 +82,8 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
 
 def _included(text: str, folder: Path) -> Mapping[str, bytes]:
     """Returns the contents of the files that a text includes, recursively, by name."""
+    from xml.etree import ElementTree
+
     found: dict[str, bytes] = {}
     waiting = [text.encode()]
     while waiting:

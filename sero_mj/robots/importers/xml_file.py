@@ -15,7 +15,6 @@ _ELEMENT = re.compile(rb"<([A-Za-z_][\w.-]*)")
 # Allowed before a file's first element, and tolerated before its declaration.
 _BEFORE = rb"\s|\xef\xbb\xbf|<!--(?>.*?-->)"
 _DECLARATION = re.compile(rb"((?>%b)*+)(<\?xml\s[^>]*?\?>)" % _BEFORE, re.DOTALL)
-_ROOT = re.compile(rb"(?>%b|<\?(?>.*?\?>))*+<[A-Za-z_][^\s/>]*" % _BEFORE, re.DOTALL)
 _VERSION = re.compile(rb"version\s*=\s*[\"']1\.")
 _STATED = re.compile(rb"(?:\xef\xbb\xbf)?<\?xml\s[^>]*?encoding\s*=\s*[\"']([\w.-]+)")
 _ENCODING = re.compile(rb"encoding\s*=\s*[\"']([\w.-]+)")

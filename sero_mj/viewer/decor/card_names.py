@@ -6,8 +6,6 @@ import re
 from collections.abc import Sequence
 from itertools import takewhile
 
-import numpy as np
-
 from .picture_view import PictureView
 
 SHORTEST, _LONGEST = 14, 40  # characters to which a robot's or a joint's name is shortened
@@ -50,7 +48,7 @@ def _if_clear(names: list[str], plain: list[str]) -> list[str]:
 def longest_name(view: PictureView) -> int:
     """Returns how many characters of a name there is room for on the cards of a picture."""
     room = _SHARE * view.width / view.font.width("n")
-    return int(np.clip(room, SHORTEST, _LONGEST))
+    return int(min(max(room, SHORTEST), _LONGEST))
 
 
 def titles(

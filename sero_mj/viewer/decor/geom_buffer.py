@@ -142,6 +142,6 @@ def place_triangles(rows: NDArray[Any], corners: Array) -> None:
     rows["pos"] = corners[..., 0, :]
     rows["size"][..., :2] = sizes
     rows["mat"][..., :2] = edges.swapaxes(-1, -2)
-    (ax, ay, az), (bx, by, bz) = np.moveaxis(edges, (-2, -1), (0, 1))
+    (ax, ay, az), (bx, by, bz) = ([edges[..., k, i] for i in range(3)] for k in range(2))
     normal = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
     rows["mat"][..., 2] = normal / np.sqrt(np.einsum("...j,...j->...", normal, normal))[..., None]
