@@ -168,9 +168,9 @@ class CardLayout:
         arrays += [array for corner in corners for array in (corner.centres, corner.sizes)]
         inputs = (
             view.font,
-            *keys,
-            *(group.clear for group in groups),
-            *(array.tobytes() for array in arrays),
+            tuple(keys),
+            tuple(float(group.clear) for group in groups),
+            tuple(array.tobytes() for array in arrays),
         )
         if self._last is None or self._last[0] != inputs:
             before = self._state()
