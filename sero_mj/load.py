@@ -14,7 +14,7 @@ from .base.errors import DeclarationError, Problem, UnknownName, UsageError, did
 from .data.drive.wiring import wire
 from .robots.declared.robot import SerialRobot
 from .robots.declared.scene import Scene
-from .robots.declared.scene_file import read_scene_file
+from .robots.declared.scene_file import read_scene_file, scene_from_tables
 from .robots.importers.imported_tables import NoJoints
 from .robots.importers.importer import find_importer
 from .simulate.sections import is_scenario
@@ -65,13 +65,13 @@ def load_scene(
                 raise
             body = {importer.object_key: path.name}
             tables = {"name": own, "floor": "below", "objects": {own: body}}
-            return _checked(*read_scene_file(path, overrides, tables=tables))
+            return _checked(*scene_from_tables(path, tables, overrides))
         # The base of a robot may be its trunk.
         return Scene(robots=[robot], floor="below", name=own)
     if path.name == paths.GROUP_FILE:
         own = path.resolve().parent.name
         tables = {"name": own, "groups": {own: {"model": path}}}
-        return _checked(*read_scene_file(path, overrides, tables=tables))
+        return _checked(*scene_from_tables(path, tables, overrides))
     if is_scenario(path):
         return _load_scenario(str(path), overrides, by_hand=by_hand)
     return _checked(*read_scene_file(path, overrides))

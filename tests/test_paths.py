@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 import sero_mj
 from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError, Problem, UnknownName, did_you_mean, nearest
-from sero_mj.base.toml_file import key_lines, located
+from sero_mj.base.toml_file import located
 from sero_mj.cli import main
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
@@ -385,10 +385,9 @@ def test_an_entry_of_an_array_has_its_own_line(tmp_path: Path) -> None:
         '[robots.arm]\nlines = [\n  { value = "a", unit = "deg" },\n  # no ], and no entry\n'
         '  "b", "c",\n  [1,\n   2],\n]\na.b = [[1, 2],\n  [3, 4]]\nc = """[\n1"""\n'
     )
-    lines = key_lines(file)
 
     def line(key: str) -> int | None:
-        return located(Problem(f"robots.arm.{key}", ""), file, lines).line
+        return located([Problem(f"robots.arm.{key}", "")], file)[0].line
 
     assert line("lines") == 2
     assert [line(f"lines.{i}") for i in range(4)] == [3, 5, 5, 6]

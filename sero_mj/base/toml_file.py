@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -229,9 +230,26 @@ def _keys(value: Any, prefix: str = "") -> Iterator[str]:
             yield from _keys(inner, name)
 
 
-def located(problem: Problem, path: Path, lines: dict[str, int]) -> Problem:
-    """Returns the problem with its file, and the line of its key or of the nearest one above."""
-    key = problem.key
-    while key and key not in lines:
-        key = key.rpartition(".")[0]
-    return Problem(problem.key, problem.message, str(path), lines.get(key))
+def located(
+    problems: Iterable[Problem], path: Path, lines: Mapping[str, int] | None = None
+) -> list[Problem]:
+    """Returns problems with their file, and the line of their key or of the nearest one above.
+
+    Args:
+        problems: in the file; those that have a file already are in another one.
+        path: of the file.
+        lines: by dotted key; `key_lines` of the file when None.
+    """
+    problems = list(problems)
+    if lines is None:
+        lines = key_lines(path) if problems else {}
+
+    def line_of(key: str) -> int | None:
+        while key and key not in lines:
+            key = key.rpartition(".")[0]
+        return lines.get(key)
+
+    return [
+        each if each.file else replace(each, file=str(path), line=line_of(each.key))
+        for each in problems
+    ]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
-from functools import partial
+from functools import cache, partial
 from math import ceil
 from pathlib import Path
 from typing import Annotated, Any
@@ -34,6 +35,8 @@ from .disturbances import (
 from .expect import Expect
 from .runs.monitor import Monitor
 from .sensors import SIGNALS, SensorErrors, Sensors
+
+log = logging.getLogger(__name__)
 
 TORQUE_RATE = 3000.0  # Hz, of joint torque control on the LWR
 OBSERVER_GAIN = 50.0  # 1/s
@@ -94,6 +97,14 @@ class Run(Declaration):
     observer_gain: float = Field(OBSERVER_GAIN, gt=0, le=1e4)
     runaway_speed: float = Field(3.0, ge=0, le=1e6)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _without_jit(cls, table: dict[str, Any]) -> dict[str, Any]:
+        """Leaves out what once asked for machine code."""
+        if "jit" in table:
+            _warn_of_jit()
+        return {key: value for key, value in table.items() if key != "jit"}
+
     @model_validator(mode="after")
     def _rates_fit(self) -> Run:
         problems: list[Problem] = []
@@ -135,6 +146,11 @@ class Run(Declaration):
         if self.physics_timestep is not None:
             return max(round(self.timestep / self.physics_timestep), 1)
         return max(ceil(self.timestep * TORQUE_RATE - 1e-6), 1) if self.torque_control else 1
+
+
+@cache
+def _warn_of_jit() -> None:
+    log.warning("run.jit: has no effect any more: leave it out")
 
 
 class Scenario:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +21,15 @@ from ..base.errors import (
 )  # fmt: skip
 from ..base.frames import Array
 from ..base.paths import find_scenario, find_scene
-from ..base.toml_file import key_lines, located, read_toml
+from ..base.toml_file import located, read_toml
 from ..data.record.csv_files import read_csv
 from ..robots.declared.robot import SerialRobot
 from ..robots.declared.scene import Scene
-from ..robots.declared.scene_file import read_scene_file
+from ..robots.declared.scene_file import read_scene_file, scene_from_tables
 from .runs.monitor import Monitor
 from .runs.run_recording import read_run
 from .scenario import Run, Scenario, build_entry
 from .sections import OTHERS, SECTIONS
-
-log = logging.getLogger(__name__)
 
 # s between two rows that are kept: encoders are not that good that more would tell accelerations.
 _EVERY = 0.02
@@ -54,38 +50,14 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         DeclarationError: everything that is wrong in the file, at once.
         UnknownName: there is no such scenario.
     """
-    file, settings = find_scenario(str(path)), dict(overrides or {})
-    _drop_jit(settings, file)
-    return _read(file, settings, ())
+    return _read(find_scenario(str(path)), dict(overrides or {}), ())
 
 
 def _read(file: Path, overrides: dict[str, Any], extending: tuple[Path, ...]) -> Scenario:
     tables = read_toml(file)
-    for settings in (tables, tables.get("set")):
-        _drop_jit(settings, file)
     if "extends" in tables:
         return _read_extended(file, tables, overrides, (*extending, file.resolve()))
-    if "set" in tables:
-        message = "is for a scenario that extends another one; write it into the tables themselves"
-        raise DeclarationError(_placed([Problem("set", message)], file))
     return _read_whole(file, tables, overrides)
-
-
-def _drop_jit(settings: Any, file: Path) -> None:
-    """Takes `run.jit` out of tables or of what is set, which once asked for machine code."""
-    run = settings.get("run") if isinstance(settings, dict) else None
-    for table, key in ((settings, "run.jit"), (run, "jit")):
-        if isinstance(table, dict) and key in table:
-            del table[key]
-            _warn_of_jit(file)
-
-
-@cache
-def _warn_of_jit(file: Path) -> None:
-    """Says so, once for every file."""
-    problem = Problem("run.jit", "has no effect any more: leave it out")
-    (placed,) = _placed([problem], file)
-    log.warning("%s", placed)
 
 
 def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -> Scenario:
@@ -100,14 +72,16 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
         else:
             is_own = key.partition(".")[0] in (*SECTIONS, "run")
             (of_own if is_own else of_scene)[key] = value
-    problems: list[Problem] = []
+    message = "is for a scenario that extends another one; write it into the tables themselves"
+    problems = [Problem("set", message, str(file))] if "set" in own else []
     scene = None
     try:
         if "scene" in own:
-            scene, problems = _other_scene(file, own["scene"], tables, of_scene)
+            scene, found = _other_scene(file, own["scene"], tables, of_scene)
         else:
             known = (*SECTIONS, *OTHERS)
-            scene, problems = read_scene_file(file, of_scene, tables=tables, known=known)
+            scene, found = scene_from_tables(file, tables, of_scene, known=known)
+        problems += found
     except DeclarationError as error:
         problems += error.problems
     if scene is None or (problems and "robots" in " ".join(scene.broken)):
@@ -117,7 +91,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
         raise DeclarationError(problems)
     problems += _set_all(own, of_own, scene, file)
     scene.description = str(own.get("description", scene.description))
-    problems += _read_motions(own, scene, file)
+    problems += _read_motions(own, scene, file.parent)
     run = own.get("run", {})
     for key, expected in (("run", "a table [run]"), ("description", "a text")):
         if not isinstance(own.get(key, {} if key == "run" else ""), dict if key == "run" else str):
@@ -131,10 +105,9 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
             **(run if isinstance(run, dict) else {}),
         )
     except DeclarationError as error:
-        problems += _placed(error.problems, file)
-        raise DeclarationError(problems) from None
+        problems += error.problems
     if problems:
-        raise DeclarationError(problems)
+        raise DeclarationError(located(problems, file))
     scenario.file, scenario.settings = file, overrides
     return scenario
 
@@ -178,14 +151,12 @@ def _read_extended(
             settings |= {f"{section}.{name}": entry for name, entry in entries.items()}
     try:
         found = _extended(file, base, extending)
-    except (DeclarationError, UnknownName) as error:
-        problems.append(Problem("extends", str(error)))
-    if problems:
-        raise DeclarationError(_placed(problems, file))
-    try:
-        scenario = _read(found, {**settings, **overrides}, extending)
+        if not problems:
+            scenario = _read(found, {**settings, **overrides}, extending)
     except DeclarationError as error:
-        raise DeclarationError(_placed(_as_set_in(error.problems, settings), file)) from None
+        problems += _as_set_in(error.problems, settings)
+    if problems:
+        raise DeclarationError(located(problems, file))
     scenario.file, scenario.name, scenario.settings = file, file.stem, overrides
     return scenario
 
@@ -193,11 +164,14 @@ def _read_extended(
 def _extended(file: Path, base: Any, extending: tuple[Path, ...]) -> Path:
     """The scenario that `extends = ...` names, beside the file or a shipped one."""
     if not isinstance(base, str):
-        raise _wrong("", f"found {base!r}; expected the name or file of a scenario")
+        raise _wrong("extends", f"found {base!r}; expected the name or file of a scenario")
     beside = file.parent / base
-    path = beside if beside.is_file() else find_scenario(base)
+    try:
+        path = beside if beside.is_file() else find_scenario(base)
+    except UnknownName as error:
+        raise _wrong("extends", str(error)) from None
     if path.resolve() in extending:
-        raise _wrong("", f"found {base}, which extends this file itself")
+        raise _wrong("extends", f"found {base}, which extends this file itself")
     return path
 
 
@@ -211,7 +185,7 @@ def _as_set_in(problems: list[Problem], settings: Mapping[str, Any]) -> list[Pro
     ]
 
 
-def _read_motions(own: dict[str, Any], scene: Scene, file: Path) -> list[Problem]:
+def _read_motions(own: dict[str, Any], scene: Scene, beside: Path) -> list[Problem]:
     """Replaces motions in files by what is in them; a robot without a pose begins where they do."""
     targets = own.get("targets")
     problems: list[Problem] = []
@@ -220,21 +194,15 @@ def _read_motions(own: dict[str, Any], scene: Scene, file: Path) -> list[Problem
         if robot is None or not isinstance(table, dict):
             continue
         try:
-            found = _with_motion(table, robot, file.parent)
+            found = _with_motion(table, robot, beside)
         except DeclarationError as error:
-            wrong = [problem.inside(f"targets.{name}") for problem in error.problems]
-            problems += _placed(wrong, file)
+            problems += [problem.inside(f"targets.{name}") for problem in error.problems]
             own["targets"] = {key: value for key, value in own["targets"].items() if key != name}
             continue
         if "file" in table and "angles" in found and robot.joint_angles is None:
             robot.joint_angles = found["angles"][0]
         own["targets"] = {**own["targets"], name: found}
     return problems
-
-
-def _placed(problems: list[Problem], file: Path) -> list[Problem]:
-    lines = key_lines(file)
-    return [problem if problem.file else located(problem, file, lines) for problem in problems]
 
 
 def _other_scene(

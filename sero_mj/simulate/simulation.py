@@ -79,7 +79,8 @@ class Simulation:
         _check_size(scenario)
         self.compiler = compiler or Compiler()
         seed = scenario.run.seed if seed is None else seed
-        self._join(scenario, RunBatch([scenario], [seed], self.compiler, raises=True), 0)
+        batch = RunBatch([scenario], [seed], self.compiler, raises=True)
+        self._join(scenario, batch, 0)
         if by_hand:
             self.drag_force = DragForce(self.plant, scenario)
         if is_live:

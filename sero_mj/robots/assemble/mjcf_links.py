@@ -119,6 +119,10 @@ def _add(
     if kind in (_HFIELD, _SDF):
         return
     body = int(model.geom_bodyid[geom])
+    shape: dict[str, Any] = {"type": kind, "size": model.geom_size[geom] * shrink}
+    if kind == int(MESH):
+        mesh = int(model.geom_dataid[geom])
+        shape = {"type": MESH, "meshname": _mesh(root, robot, model, mesh, scope, shrink)}
     T = (
         inverse(tree.poses[link])
         @ tree.bodies[body]
@@ -127,10 +131,6 @@ def _add(
     if robot.mirrored:
         T = MIRROR @ T @ MIRROR
     T[:3, 3] *= shrink
-    shape: dict[str, Any] = {"type": kind, "size": model.geom_size[geom] * shrink}
-    if kind == int(MESH):
-        mesh = int(model.geom_dataid[geom])
-        shape = {"type": MESH, "meshname": _mesh(root, robot, model, mesh, scope, shrink)}
     links[link].append({**shape, **attributes, **pose(T)})
 
 

@@ -89,7 +89,7 @@ def where(problem: Problem, declared: Declared) -> Problem:
     """
     key = problem.key.partition(".")[0]
     path, prefix = next((place for place in declared if has_key(place, key)), declared[-1])
-    return located(problem.inside(prefix), path, key_lines(path))
+    return located([problem.inside(prefix)], path)[0]
 
 
 def has_key(place: tuple[Path, str], key: str) -> bool:
@@ -252,8 +252,7 @@ class _Members:
         }
         self._found.groups[name] = {**defaults, "robots": [self._full(each) for each in members]}
         self._found.declared[f"groups.{name}"] = (*self._declared, (self._path, ""))
-        lines = key_lines(self._path)
-        self._found.problems += [located(each, self._path, lines) for each in self._problems]
+        self._found.problems += located(self._problems, self._path)
 
     def _members(self, known: Mapping[str, Mapping[str, Any]]) -> list[str]:
         """Returns the names of the members in their order: by default all, each once."""

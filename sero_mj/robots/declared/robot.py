@@ -16,7 +16,7 @@ import numpy as np
 from ...base import paths
 from ...base.errors import DeclarationError
 from ...base.frames import MIRROR, Array, Bools, Ints
-from ...base.toml_file import key_lines, located
+from ...base.toml_file import located
 from ..importers.mjcf_file import is_file_name
 from ..importers.robot_file import read_robot_file
 from .couplings import CoupledJoints, coupled_joints
@@ -379,10 +379,10 @@ def build_robot(
         robot._model = model
         return robot
     except DeclarationError as error:
-        lines = key_lines(model) if described.lines is None else described.lines
+        placed = located(error.problems, model, described.lines)
         raise DeclarationError(
             [
-                problem if is_overridden(problem.key, fields) else located(problem, model, lines)
-                for problem in error.problems
+                problem if is_overridden(problem.key, fields) else there
+                for problem, there in zip(error.problems, placed, strict=True)
             ]
         ) from None

@@ -469,10 +469,7 @@ class Scene:
         if self.file is None:
             return problems
         lines = key_lines(self.file) if self._lines is None else self._lines
-        return [
-            problem if problem.file else located(problem, self.file, lines)
-            for problem in (self._in_its_model(problem, lines) for problem in problems)
-        ]
+        return located((self._in_its_model(each, lines) for each in problems), self.file, lines)
 
     def _in_its_model(self, problem: Problem, lines: Mapping[str, int]) -> Problem:
         """Returns the problem with the robot's file, for a field that is not overridden here."""

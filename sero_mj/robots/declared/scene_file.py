@@ -13,8 +13,7 @@ from ...base import paths
 from ...base.declaration import is_name
 from ...base.dotted_keys import lacking, parts_of, with_value
 from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean, nearest
-from ...base.toml_file import key_lines, located, read_toml
-from ..importers.imported_tables import ImportedTables
+from ...base.toml_file import located, read_toml
 from ..importers.importer import read_imported
 from ..importers.robot_file import read_robot_file
 from .cartesian import ReceivedFrame, SmartArrow
@@ -40,56 +39,61 @@ _OF_DYNAMICS = (
 
 
 def read_scene_file(
-    path: Path,
-    overrides: Mapping[str, Any] | None = None,
-    *,
-    tables: dict[str, Any] | None = None,
-    known: Collection[str] = (),
+    path: Path, overrides: Mapping[str, Any] | None = None
 ) -> tuple[Scene, list[Problem]]:
-    """Reads the valid parts of a scene file and reports the problems of the rest.
+    """Reads a scene file in any format; what was lost of another format is logged.
 
     Args:
-        path: a TOML file, or a scene in X3D's classic encoding.
+        path: a TOML file, or one with an importer.
+        overrides: see `scene_from_tables`, as what is returned.
+
+    Raises:
+        DeclarationError: the file cannot be read.
+    """
+    imported = read_imported(path)
+    if imported is None:
+        return scene_from_tables(path, read_toml(path), overrides)
+    for warning in imported.warnings:
+        log.warning("%s: %s", path, warning)
+    return scene_from_tables(path, imported.tables, overrides, lines=imported.lines or None)
+
+
+def scene_from_tables(
+    path: Path,
+    tables: Mapping[str, Any],
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    known: Collection[str] = (),
+    lines: dict[str, int] | None = None,
+) -> tuple[Scene, list[Problem]]:
+    """Builds the valid parts of a scene and reports the problems of the rest.
+
+    Args:
+        path: of the file with the tables.
+        tables: of the scene.
         overrides: values by dotted key, which override the file: any key that it takes
             (`view.azimuth_deg`, `sources.udp.port`, `robots.lwr.show_axes`), or the name of a
             robot, a group, an object, ... and a key of that (`lwr.dynamics.coulomb_friction[1]`).
             Routes to these are dropped.
-        tables: the tables of the file that belong to a scene; all of them when None.
         known: names of other sections of such files, suggested when one is mistyped.
+        lines: of the keys in the file; those of TOML when None.
 
     Returns:
         the scene without its invalid parts, and all problems. Sources and routes are checked in
         `sero_mj.data.drive`.
 
     Raises:
-        DeclarationError: the file cannot be read.
+        DeclarationError: there are too many entries to build.
     """
-    described = _described(path) if tables is None else ImportedTables(tables)
-    _refuse_excess(excess(described.tables), path, described)
-    reader = _Reader(path, described.tables, known, overrides or {})
-    expanded = {section: reader.tables.get(section, {}) for section in ("robots", "groups")}
-    _refuse_excess(excess(expanded), path, described)
-    reader.lines = described.lines or None
+    if not (too_many := excess(tables)):
+        reader = _Reader(path, tables, known, overrides or {}, lines)
+        expanded = {section: reader.tables.get(section, {}) for section in ("robots", "groups")}
+        too_many = excess(expanded)
+    if too_many:
+        raise DeclarationError(located(too_many, path, lines))
     scene = reader.scene()
     # An error in the mount of a group concerns all of its robots.
     return scene, list(dict.fromkeys(scene.located(reader.problems)))
-
-
-def _refuse_excess(problems: Sequence[Problem], path: Path, described: ImportedTables) -> None:
-    """Raises DeclarationError for sections that would take too long, before building them."""
-    if problems:
-        lines = described.lines or key_lines(path)
-        raise DeclarationError([located(problem, path, lines) for problem in problems])
-
-
-def _described(path: Path) -> ImportedTables:
-    """The tables of a file in any format; losses are logged."""
-    described = read_imported(path)
-    if described is None:
-        return ImportedTables(read_toml(path))
-    for warning in described.warnings:
-        log.warning("%s: %s", path, warning)
-    return described
 
 
 def group_from_model(
@@ -128,10 +132,10 @@ class _Reader:
         tables: Mapping[str, Any],
         known: Collection[str],
         overrides: Mapping[str, Any],
+        lines: dict[str, int] | None = None,
     ) -> None:
-        self.path, self.known = path, known
+        self.path, self.known, self.lines = path, known, lines
         self.tables = dict(tables)
-        self.lines: dict[str, int] | None = None  # of the keys, if the file is not TOML
         self.problems: list[Problem] = []
         self.broken: list[str] = []
         self._settings: dict[str, list[tuple[str, Any]]] = {}  # key and value, by entry

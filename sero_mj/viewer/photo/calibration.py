@@ -236,7 +236,7 @@ def _toml_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
         wrong += [Problem(f"{key}.{name}", "is required") for name in known[:2] if name not in row]
         if not wrong and not isinstance(row["point"], str):
             wrong = [Problem(f"{key}.point", f"found {row['point']!r}; expected a name")]
-        problems += [located(problem, path, lines) for problem in wrong]
+        problems += located(wrong, path, lines)
         if not wrong:
             rows.append({"offset": [0, 0, 0], **row, "key": key, "line": lines.get(key)})
     return rows
