@@ -112,12 +112,23 @@ def test_what_differs_between_runs_stays_in_its_run(shared: dict[str, Any]) -> N
         [{"kind": "joint_position", "stiffness": k} for k in (5000.0, 9000.0)],
         [{**SOFT, "feed_forward": on} for on in (True, False)],
         [{"kind": "cartesian_impedance", "damping": d} for d in (0.3, 0.7)],
+        [
+            {"kind": "cartesian_impedance", "axes": "flange", "stiffness": [k] * 3 + [50, 60, 70]}
+            for k in (500, 1500)
+        ],
         [SOFT, {"kind": "cartesian_impedance"}, {"kind": "gravity_compensation"}],
     ],
-    ids=["gravity", "torque", "position", "feed-forward", "Cartesian", "mixed"],
+    ids=["gravity", "torque", "position", "feed-forward", "Cartesian", "in flange", "mixed"],
 )
 def test_controllers_of_all_kinds(controllers: list[dict[str, Any]]) -> None:
     check([scenario(controller=each, disturbances=PUSH) for each in controllers])
+
+
+def test_cartesian_controllers_of_elastic_joints_behind_a_torque_loop() -> None:
+    kind = {"kind": "cartesian_impedance"}
+    each = [{**kind, "nullspace_stiffness": k, "nullspace_damping": 0.5} for k in (5.0, 20.0)]
+    drives: dict[str, Any] = {"elastic": True, "torque_control": True, "targets": SWING}
+    check([scenario(controller=one, disturbances=PUSH, **drives) for one in each])
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -27,6 +27,7 @@ from .controller import (
     within,
 )  # fmt: skip
 from .joint_control import damping_slider, design_damping, too_stiff, unstable_joint
+from .model_rows import ModelRows
 from .robot_model import RobotModel
 
 # Least mobility J M^-1 J^T in any direction, as a share of its trace, with lengths in units in
@@ -106,7 +107,7 @@ class CartesianImpedance(ControllerDeclaration):
                    "stiffness towards the posture, where it leaves the flange in place"),
         ]  # fmt: skip
 
-    def make(self, model: RobotModel, timestep: float) -> CartesianImpedanceController:
+    def make(self, model: RobotModel | ModelRows, timestep: float) -> CartesianImpedanceController:
         """The controller, without torque limits."""
         return CartesianImpedanceController(
             model,
@@ -145,20 +146,20 @@ class CartesianImpedanceController:
 
     Args:
         model: for itself.
-        stiffness: K, (6, 6), symmetric, N/m and Nm/rad.
-        damping: ratio.
+        stiffness: K, (6, 6) or (m, 6, 6), symmetric, N/m and Nm/rad.
+        damping: ratio; of many robots (m, 1).
         timestep: s between two calls.
         in_flange: whether K is in the axes of the target, else of the world.
-        nullspace_stiffness: (n,), Nm/rad.
-        nullspace_damping: ratio, (n,).
+        nullspace_stiffness: (n,) or (m, n), Nm/rad.
+        nullspace_damping: ratio, likewise.
         damping_every: s.
     """
 
     def __init__(
         self,
-        model: RobotModel,
+        model: RobotModel | ModelRows,
         stiffness: Array,
-        damping: float,
+        damping: float | Array,
         timestep: float,
         *,
         in_flange: bool,
@@ -174,16 +175,40 @@ class CartesianImpedanceController:
         self._every = max(round(damping_every / timestep), 1)
         self._left = 0  # steps until the damping is designed anew
         self._null_stiffness, self._null_ratio = nullspace_stiffness, nullspace_damping
-        self._null_damping: Array = np.zeros(n)
+        self._null_damping: Array = np.zeros((*model.rows, n))
         self._compliance: Array | None = None  # of elastic joints, see `hold_links`
-        self._rest, self._bends = np.zeros((2, n))
-        self._share = 1.0
-        self._arrange(n)
-        self._null_gains[:, :n] = np.diag(nullspace_stiffness)
-        vectors = [0, 1, 2, 4, 5, 6]  # of a pure quaternion the scalar is zero
-        self._spring[np.ix_(vectors, vectors)] = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
+        self._share: Array = np.ones((*model.rows, 1))
+        self._arrange(n, model.rows)
+        self._null_gains[..., :n] = nullspace_stiffness[..., None] * np.eye(n)
+        vectors = np.array([0, 1, 2, 4, 5, 6])  # of a pure quaternion the scalar is zero
+        signed = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
+        self._spring[..., vectors[:, None], vectors] = signed
 
-    def _arrange(self, n: int) -> None:
+    @classmethod
+    def joined(cls, each: Sequence[CartesianImpedanceController], model: ModelRows) -> Self | None:
+        """See `GravityCompensator`."""
+        first = each[0]
+        if len({(one._every, one._in_flange) for one in each}) > 1:
+            return None
+        stiffness, null_stiffness, null_ratio = (
+            np.array(values)
+            for values in zip(
+                *((one.stiffness, one._null_stiffness, one._null_ratio) for one in each),
+                strict=True,
+            )
+        )
+        return cls(
+            model,
+            stiffness,
+            np.array([[one._ratio] for one in each]),
+            first._timestep,
+            in_flange=first._in_flange,
+            nullspace_stiffness=null_stiffness,
+            nullspace_damping=null_ratio,
+            damping_every=first._every * first._timestep,
+        )
+
+    def _arrange(self, n: int, rows: tuple[int, ...]) -> None:
         """Lays out what a step is computed with.
 
         numpy takes longer to call, and to make arrays and views, than to compute. So sums of
@@ -194,37 +219,59 @@ class CartesianImpedanceController:
             tau    = [wrench tau_0 g] torque_gains                     with [J; 1; 1]
 
         The last term of the wrench is per unit of length, see `_BLOCKED`, as are the Jacobian J and
-        the mobility J M^-1 J^T that it is found by.
+        the mobility J M^-1 J^T that it is found by. What MuJoCo computes for one robot only is
+        asked row by row.
         """
-        self._null_gains: Array = np.zeros((n, 2 * n))
-        self._null_terms: Array = np.zeros(2 * n)
-        self._posture_error, self._null_velocities = self._null_terms.reshape(2, n)
-        self._wrench_gains: Array = np.hstack([np.zeros((6, 6)), np.eye(6), -np.eye(6)])
-        self.damping: Array = self._wrench_gains[:, :6]
-        self._wrench_terms: Array = np.zeros(18)
-        self._twist_error, self._spring_wrench, self._taken = self._wrench_terms.reshape(3, 6)
-        self._force, self._moment = self._spring_wrench[:3], self._spring_wrench[3:]
-        self._torque_gains: Array = np.vstack([np.zeros((6, n)), np.eye(n), np.eye(n)])
-        self._jacobian: Array = self._torque_gains[:6]
-        self._linear, self._angular = self._jacobian[:3], self._jacobian[3:]
-        self._torque_terms: Array = np.zeros(6 + 2 * n)
-        self._wrench: Array = self._torque_terms[:6]
-        self._inner, self._gravity = self._torque_terms[6:].reshape(2, n)
-        self._least_pivot = _BLOCKED  # of the mobility
-        self._per_length: Array = np.ones((6, 1))
-        self._scaled_jacobian, self._jacobian_over_mass = np.zeros((2, 6, n))
-        self._mobility: Array = np.zeros((6, 6))
-        self._solved: Array = np.zeros(6)
+
+        def zeros(*shape: int) -> Array:
+            return np.zeros((*rows, *shape))
+
+        # Products of a matrix with a vector, of a vector with a matrix, of two matrices.
+        self._products = (np.matvec, np.vecmat, np.matmul) if rows else (dot, dot, dot)
+        self._null_gains = zeros(n, 2 * n)
+        self._null_terms = zeros(2 * n)
+        self._posture_error = self._null_terms[..., :n]
+        self._null_velocities = self._null_terms[..., n:]
+        self._wrench_gains = zeros(6, 18)
+        self._wrench_gains[...] = np.hstack([np.zeros((6, 6)), np.eye(6), -np.eye(6)])
+        self.damping: Array = self._wrench_gains[..., :6]
+        self._wrench_terms = zeros(18)
+        self._twist_error = self._wrench_terms[..., :6]
+        self._spring_wrench = self._wrench_terms[..., 6:12]
+        taken = self._taken = self._wrench_terms[..., 12:]
+        self._force, self._moment = self._spring_wrench[..., :3], self._spring_wrench[..., 3:]
+        self._torque_gains = zeros(6 + 2 * n, n)
+        self._torque_gains[..., 6:, :] = np.vstack([np.eye(n), np.eye(n)])
+        self._jacobian: Array = self._torque_gains[..., :6, :]
+        self._torque_terms = zeros(6 + 2 * n)
+        self._wrench = self._torque_terms[..., :6]
+        self._inner = self._torque_terms[..., 6 : 6 + n]
+        self._gravity = self._torque_terms[..., 6 + n :]
+        self._per_length = zeros(6, 1) + 1.0
+        self._rest, self._bends = zeros(n), zeros(n)
+        self._scaled_jacobian, self._jacobian_over_mass = zeros(6, n), zeros(6, n)
+        self._mass_jacobian = self._jacobian_over_mass.mT
+        self._mobility, self._solved = zeros(6, 6), zeros(6)
         # From the way to the target and the quaternion to the flange to a force and a pure
         # quaternion.
-        self._spring: Array = np.zeros((7, 7))
-        self._error, self._pull = np.zeros((2, 7))
-        self._way, self._quaternion = self._error[:3], self._error[3:]
-        self._pull_of_way, self._pull_of_turn = self._pull[:3], self._pull[3:]
-        self._torque: Array = np.zeros(4)  # a quaternion
-        self._torque_vector: Array = self._torque[1:]
-        self._back, self._turn = np.zeros((2, 3, 3))  # R_target_world, and that to the flange
-        self._turn_numbers: Array = self._turn.reshape(9)
+        self._spring = zeros(7, 7)
+        self._error, self._pull = zeros(7), zeros(7)
+        self._way, quaternion = self._error[..., :3], self._error[..., 3:]
+        self._pull_of_way, pull_of_turn = self._pull[..., :3], self._pull[..., 3:]
+        torque = zeros(4)  # a quaternion
+        self._torque_vector: Array = torque[..., 1:]
+        self._back, self._turn = zeros(3, 3), zeros(3, 3)  # R_target_world, that to the flange
+        # Row by row: least pivots of the mobilities, and views of what is solved with these, and
+        # of what is turned.
+        self._least_pivots: list[float] = []
+        mobilities = self._mobility.reshape(-1, 6, 6)
+        self._solved_rows = list(zip(mobilities, self._solved.reshape(-1, 6), strict=True))
+        self._taken_rows = list(zip(mobilities, taken.reshape(-1, 6), strict=True))
+        quaternions = quaternion.reshape(-1, 4)
+        self._turn_rows = list(zip(quaternions, self._turn.reshape(-1, 9), strict=True))
+        self._torque_rows = list(
+            zip(torque.reshape(-1, 4), quaternions, pull_of_turn.reshape(-1, 4), strict=True)
+        )
 
     def hold_links(self, joint_stiffness: Array) -> Array:
         """See `LinkHolder`; the null space's soft spring stays in series with the joints.
@@ -243,30 +290,35 @@ class CartesianImpedanceController:
             self._left = self._every
         self._left -= 1
         jacobian, J, J_over_M = self._jacobian, self._scaled_jacobian, self._jacobian_over_mass
-        mobility, solved, inner = self._mobility, self._solved, self._inner
-        model.write_jacobian(self._linear, self._angular)
-        multiply(jacobian, self._per_length, J)
-        model.over_mass(J, J_over_M)
-        dot(J, J_over_M.T, mobility)
-        # L = (J M^-1 J^T)^-1 is only ever solved with
-        mju_cholFactor(mobility, self._least_pivot)
+        solved, inner, null_velocities = self._solved, self._inner, self._null_velocities
+        twist_error, taken = self._twist_error, self._taken
+        times, from_left, product = self._products
+        model.write_task_space(self._per_length, jacobian, J, J_over_M, self._gravity)
+        product(J, self._mass_jacobian, self._mobility)
 
         # tau_0 = K_0 (q_0 - q) - D_0 P^T dq, and P tau_0 = tau_0 - J^T L J M^-1 tau_0
-        mju_cholSolve(solved, mobility, J.dot(velocities))
+        times(J, velocities, solved)
+        for (mobility, row), least in zip(self._solved_rows, self._least_pivots, strict=True):
+            mju_cholFactor(mobility, least)  # L = (J M^-1 J^T)^-1 is only ever solved with
+            mju_cholSolve(row, mobility, row)
         subtract(target.posture, sensed.motor_angles, self._posture_error)
-        subtract(velocities, solved.dot(J_over_M), self._null_velocities)
-        dot(self._null_gains, self._null_terms, inner)
-        mju_cholSolve(self._taken, mobility, J_over_M.dot(inner))
-        subtract(target.twist, jacobian.dot(velocities), self._twist_error)
+        from_left(solved, J_over_M, null_velocities)
+        subtract(velocities, null_velocities, null_velocities)
+        times(self._null_gains, self._null_terms, inner)
+        times(J_over_M, inner, taken)
+        for mobility, row in self._taken_rows:
+            mju_cholSolve(row, mobility, row)
+        times(jacobian, velocities, twist_error)
+        subtract(target.twist, twist_error, twist_error)
         self.spring_wrench(target)
-        dot(self._wrench_gains, self._wrench_terms, self._wrench)
+        times(self._wrench_gains, self._wrench_terms, self._wrench)
         if target.has_torques:
             add(self._wrench, target.wrench, self._wrench)
             add(inner, target.torques, inner)
-        model.gravity(self._gravity)
-        dot(self._torque_terms, self._torque_gains, out)
+        from_left(self._torque_terms, self._torque_gains, out)
         if self._compliance is not None:
-            multiply(self._spring_wrench.dot(jacobian, self._bends), self._share, self._rest)
+            from_left(self._spring_wrench, jacobian, self._bends)
+            multiply(self._bends, self._share, self._rest)
             self._rest += self._gravity
 
     def spring_wrench(self, target: Target) -> Array:
@@ -281,25 +333,28 @@ class CartesianImpedanceController:
         Returns:
             the same array every time.
         """
-        model, back, way, quaternion = self.model, self._back, self._way, self._quaternion
+        model, back, way = self.model, self._back, self._way
         force, moment = self._force, self._moment
-        back[...] = target.rotation.T
+        times, from_left, product = self._products
+        back[...] = target.rotation.mT
         subtract(target.position, model.flange_position, way)
         if self._in_flange:
-            way[...] = back.dot(way)
-            dot(back, model.flange_rotation, self._turn)
+            way[...] = times(back, way)
+            product(back, model.flange_rotation, self._turn)
         else:
-            dot(model.flange_rotation, back, self._turn)
-        mju_mat2Quat(quaternion, self._turn_numbers)
-        if quaternion[0] < 0.0:
-            negative(quaternion, quaternion)
-        dot(self._spring, self._error, self._pull)
-        mju_mulQuat(self._torque, quaternion, self._pull_of_turn)
+            product(model.flange_rotation, back, self._turn)
+        for quaternion, turn in self._turn_rows:
+            mju_mat2Quat(quaternion, turn)
+            if quaternion[0] < 0.0:
+                negative(quaternion, quaternion)
+        times(self._spring, self._error, self._pull)
+        for torque, quaternion, pull in self._torque_rows:
+            mju_mulQuat(torque, quaternion, pull)
         force[...] = self._pull_of_way
         moment[...] = self._torque_vector
         if self._in_flange:
-            force[...] = force.dot(back)
-            moment[...] = moment.dot(back)
+            force[...] = from_left(force, back)
+            moment[...] = from_left(moment, back)
         return self._spring_wrench
 
     def check(self, angles: Array) -> None:
@@ -308,10 +363,11 @@ class CartesianImpedanceController:
         model.update(angles, np.zeros(model.n))
         jacobian, mass, rotation = model.jacobian(), model.mass(), model.flange_rotation
         self._design(rotation)
-        if self._share < 1.0:
+        share = float(self._share.min())
+        if share < 1.0:
             message = (
                 f"is more than {100 * SOFTEST:g} % of what the elastic joints have at the flange; "
-                f"expected at most {99 * self._share:.2g} % of it"
+                f"expected at most {99 * share:.2g} % of it"
             )
             raise DeclarationError([Problem("stiffness", message)])
         back = np.linalg.solve(mass, jacobian.T)
@@ -329,8 +385,9 @@ class CartesianImpedanceController:
         """K in the world's axes, (6, 6)."""
         if not self._in_flange:
             return self.stiffness
-        axes = np.kron(np.eye(2), rotation)
-        return np.asarray(axes @ self.stiffness @ axes.T)
+        axes: Array = np.zeros(self.stiffness.shape)
+        axes[..., :3, :3] = axes[..., 3:, 3:] = rotation
+        return np.asarray(axes @ self.stiffness @ axes.mT)
 
     def _inertia(self, mobility: Array, least: float) -> Array:
         """L, (6, 6): what the flange feels, its mobility being raised to a least one.
@@ -339,27 +396,30 @@ class CartesianImpedanceController:
             mobility: J M^-1 J^T, (6, 6).
             least: as a share of the trace.
         """
-        per_length = self._per_length * self._per_length.T
+        per_length = self._per_length * self._per_length.mT
         values, vectors = np.linalg.eigh(mobility * per_length)
-        bounded = np.maximum(values, least * values.sum())
-        return np.asarray((vectors / bounded) @ vectors.T * per_length)
+        bounded = np.maximum(values, least * values.sum(axis=-1, keepdims=True))
+        return np.asarray((vectors / bounded[..., None, :]) @ vectors.mT * per_length)
 
     def _design(self, rotation: Array) -> None:
-        jacobian = self.model.jacobian()
-        mobility = jacobian @ np.linalg.solve(self.model.mass(), jacobian.T)
-        of_moving, of_turning = np.diagonal(mobility).reshape(2, 3).sum(axis=1).tolist()
-        if of_moving > 0 and of_turning > 0:  # a robot may do one of them only
-            self._per_length[:3] = np.sqrt(of_turning / of_moving)
-        self._wrench_gains[:, 12:] = np.diag(-self._per_length[:, 0])
-        self._least_pivot = _BLOCKED * max(2.0 * of_turning, of_moving)
+        n, jacobian, mass = self.model.n, self.model.jacobian(), self.model.mass()
+        mobility = jacobian @ np.linalg.solve(mass, jacobian.mT)
+        of_axes = np.diagonal(mobility, axis1=-2, axis2=-1)
+        of_moving, of_turning = of_axes[..., :3].sum(axis=-1), of_axes[..., 3:].sum(axis=-1)
+        # A robot may do one of them only.
+        does_both = (of_moving > 0) & (of_turning > 0)
+        ratio = np.divide(of_turning, of_moving, out=np.ones(does_both.shape), where=does_both)
+        self._per_length[..., :3, 0] = np.sqrt(ratio)[..., None]
+        self._wrench_gains[..., 12:] = -self._per_length * np.eye(6)
+        least = _BLOCKED * np.maximum(2.0 * of_turning, of_moving)
+        self._least_pivots = np.atleast_1d(least).tolist()
         felt = self._inertia(mobility, _LIMP)
-        self.damping[:] = design_damping(felt, self._in_world(rotation), self._ratio)
+        self.damping[...] = design_damping(felt, self._in_world(rotation), self._ratio)
         stiffness = np.maximum(self._null_stiffness, _MIN_STIFFNESS)
-        inertia = np.diagonal(self.model.mass())
-        self._null_damping[:] = 2.0 * self._null_ratio * np.sqrt(inertia * stiffness)
-        n = self.model.n
-        np.fill_diagonal(self._null_gains[:, n:], -self._null_damping)
+        inertia = np.diagonal(mass, axis1=-2, axis2=-1)
+        self._null_damping[...] = 2.0 * self._null_ratio * np.sqrt(inertia * stiffness)
+        self._null_gains[..., n:] = -self._null_damping[..., None] * np.eye(n)
         if self._compliance is not None:
             root = jacobian * np.sqrt(self._compliance)
-            most = float(np.linalg.eigvalsh(root.T @ self._in_world(rotation) @ root)[-1])
-            self._share = min(1.0, SOFTEST / max(most, SOFTEST))
+            most = np.linalg.eigvalsh(root.mT @ self._in_world(rotation) @ root)[..., -1:]
+            self._share[...] = SOFTEST / np.maximum(most, SOFTEST)

@@ -219,7 +219,7 @@ def make_controller(
     Args:
         controller: a declaration, or any object with the method `torques` of `Controller`.
         model: what the controller knows of its robot; for it alone. Of many equal robots for
-            controllers of joints.
+            controllers with a form for them.
         timestep: s between two calls.
         torque_limits: the robot's, (n,), Nm or N; None where it has none.
 
@@ -232,7 +232,7 @@ def make_controller(
     found, own = f"found {controller!r}", None
     if isinstance(controller, ControllerDeclaration):
         own = controller
-        controller = own.make(model, timestep)  # type: ignore[arg-type]  # those of joints take rows
+        controller = own.make(model, timestep)  # type: ignore[arg-type]  # some take rows
         found = f"{type(own).__name__}.make returned {controller!r}"
     if isinstance(controller, type):
         name = controller.__name__

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -26,6 +26,8 @@ class ModelRows:
         name: of it, for messages.
         joint_names: of every joint, without the robot's name before it.
         motor_inertia: (n,), kg m2 or kg, of all of them.
+        flange_position: (m, 3), m, in the world; those of the last `write_task_space`.
+        flange_rotation: (m, 3, 3), R_world_flange, likewise.
     """
 
     def __init__(self, model: RobotModel, m: int) -> None:
@@ -33,6 +35,7 @@ class ModelRows:
         self.name = model.name
         self.joint_names, self.motor_inertia = model.joint_names, model.motor_inertia
         self._angles, self._velocities, self._gravity = np.zeros((3, m, model.n))
+        self.flange_position, self.flange_rotation = np.zeros((m, 3)), np.zeros((m, 3, 3))
 
     def update(self, angles: Array, velocities: Array) -> None:
         """Moves the models, (m, n) each; both are kept, not copied, until the next update."""
@@ -46,18 +49,29 @@ class ModelRows:
 
     def mass(self, which: Iterable[int] | None = None) -> Array:
         """M(q) of k of the robots, or of all, (k, n, n), in an array of its own."""
-        found = []
+        return np.array([model.mass().copy() for model in self._each(which)])
+
+    def jacobian(self) -> Array:
+        """J(q), (m, 6, n), in an array of its own."""
+        return np.array([model.jacobian().copy() for model in self._each()])
+
+    def write_task_space(self, *arrays: Array) -> None:
+        """See `RobotModel`; with m as first axis each."""
+        model, poses = self._model, (self.flange_position, self.flange_rotation)
+        for _, position, rotation, *row in zip(self._each(), *poses, *arrays, strict=True):
+            model.write_task_space(*row)
+            position[...], rotation[...] = model.flange_position, model.flange_rotation
+
+    def _each(self, which: Iterable[int] | None = None) -> Iterator[RobotModel]:
+        """The model, moved to where each of some of the robots, or of all, is."""
         for row in range(self.rows[0]) if which is None else which:
             self._model.update(self._angles[row], self._velocities[row])
-            found.append(self._model.mass().copy())
-        return np.array(found)
+            yield self._model
 
     def write_inverse_dynamics(
         self, velocities: Array, accelerations: Array, torques: Array, less: Array
     ) -> None:
         """See `RobotModel`; (m, n) each."""
-        for row in range(self.rows[0]):
-            self._model.update(self._angles[row], self._velocities[row])
-            self._model.write_inverse_dynamics(
-                velocities[row], accelerations[row], torques[row], less[row]
-            )
+        rows = (velocities, accelerations, torques, less)
+        for model, *row in zip(self._each(), *rows, strict=True):
+            model.write_inverse_dynamics(*row)

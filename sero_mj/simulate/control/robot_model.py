@@ -320,6 +320,23 @@ class RobotModel:
         """Writes both halves of J(q), (3, n) each, to where they are wanted."""
         mj_jacSite(self._model, self._data, linear, angular, 0)
 
+    def write_task_space(
+        self, scale: Array, jacobian: Array, scaled: Array, over_mass: Array, gravity: Array
+    ) -> None:
+        """Writes what control of the flange takes.
+
+        Args:
+            scale: s, (6, 1), a factor for every axis.
+            jacobian: J(q), (6, n), to be written, as all that follows.
+            scaled: s J, (6, n).
+            over_mass: s J M^-1, (6, n).
+            gravity: g(q), (n,).
+        """
+        self.write_jacobian(jacobian[:3], jacobian[3:])
+        np.multiply(jacobian, scale, scaled)
+        self.over_mass(scaled, over_mass)
+        self.gravity(gravity)
+
     def flange(self) -> Array:
         """T_world_flange, (4, 4), m; a new array."""
         return frame(self.flange_rotation, self.flange_position)
