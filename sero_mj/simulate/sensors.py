@@ -222,7 +222,7 @@ class Sensors:
         one.reset(actual)
         self.measured[row], self._rngs[row] = one.measured, one._rngs[0]
         self._speeds[row], self._read_angles[row] = one._speeds, one._read_angles
-        self._has_read = one._has_read
+        self._has_read |= one._has_read  # of rows without a filter it does not matter
         for signal, past in enumerate(one._past):
             own = self._past[signal]
             for age in range(len(past)):
