@@ -240,6 +240,8 @@ FAULTS = {
     "offset": {"kind": "encoder_offset", "offset": 0.01, "joints": ["A2"], "begin": 0.02},
     "loud": {"kind": "sensor", "signal": "velocities", "noise": 0.01, "begin": 0.03, "end": 0.08},
     "late": {"kind": "sensor", "signal": "angles", "delay_ms": 3, "begin": 0.05, "end": 0.09},
+    "dry": {"kind": "friction", "added_coulomb": 2.0, "joints": ["A4"], "begin": 0.03, "end": 0.06},
+    "worn": {"kind": "friction", "coulomb": 0.0, "joints": ["A2"], "begin": 0.08},
     "weak": {"kind": "controller", "gain": 0.5, "joints": ["A4"], "begin": 0.04, "end": 0.08},
 }
 

@@ -14,7 +14,6 @@ from ..base.errors import DeclarationError, Problem, did_you_mean
 from ..base.frames import Array
 from ..robots.declared.dynamics import inertia_problem, tensors_from
 from ..robots.declared.robot import SerialRobot
-from .plant import Plant
 from .plant_rows import PlantRow
 from .sensors import Signal
 
@@ -346,7 +345,6 @@ class FrictionFault(Fault):
 
     def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
         """Changes the friction."""
-        assert isinstance(plant, Plant)
         first = 0
         for name, part in plant.world.robots.items():
             mine = [row - first for row in rows if first <= row < first + part.robot.n]

@@ -7,7 +7,6 @@ from functools import partial
 from ..base.frames import Array
 from .disturbances import Fault
 from .due_actions import DueActions
-from .plant import Plant
 from .plant_rows import PlantRow
 from .scenario import Scenario
 
@@ -60,7 +59,6 @@ class FaultSchedule:
         if fault.part == "drives":
             self._gains[:] = 1.0
         else:
-            assert isinstance(self._plant, Plant)
             for name, (viscous, coulomb) in self._friction.items():
                 self._plant.set_friction(name, viscous, coulomb)
         apply_others()

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 
 from ..base.frames import Array, Ints
@@ -135,8 +136,9 @@ class JointModel:
         return watched
 
     def refresh(self) -> None:
-        """Reads inertia, friction and stiffness anew from the model, after they were changed."""
-        model = self._model
+        """Reads inertia, friction and stiffness anew from the models, after they were changed."""
+        model, rows = self._model, self._rows
+        models = [rows.model_of(row) for row in rows.indices]
         for name, part in self._world.robots.items():
             if part.robot.elastic_joints:
                 damping = spring_damping(self._world.dynamics[name], model.opt.timestep)
@@ -146,14 +148,19 @@ class JointModel:
                 for joint, value in zip(dofs, damping, strict=True):
                     model.dof_damping[joint.dofadr[0]] = value
         self._spring_stiffness = model.jnt_stiffness[model.dof_jntid[self._spring_dofs]]
-        friction: Array = np.zeros((*self._rows.shape, model.nv))
+        friction: Array = np.zeros((*rows.shape, model.nv))
         friction[..., self._dofs_with_friction] = self._friction
-        self._dofs_with_friction = np.flatnonzero(model.dof_frictionloss > 0)
-        self._arrange()
+        losses = np.array([each.dof_frictionloss for each in models])
+        self._dofs_with_friction = np.flatnonzero((losses > 0).any(axis=0))
+        self._arrange(models)
         self._friction[:] = friction[..., self._dofs_with_friction]
 
-    def _arrange(self) -> None:
-        """Lays out what the sensors feel: [q, dq; torques; q, dq after; couplings; friction]."""
+    def _arrange(self, models: Sequence[mujoco.MjModel]) -> None:
+        """Lays out what the sensors feel: [q, dq; torques; q, dq after; couplings; friction].
+
+        Args:
+            models: of all rows.
+        """
         model, n = self._model, self.n
         kinds = [model.nq, model.nv, n, model.nq, model.nv, len(self._coupled_dofs)]
         sizes = np.array([*kinds, len(self._dofs_with_friction)])
@@ -168,14 +175,20 @@ class JointModel:
         self.motor_torques, self._coupling, self._friction = motor_torques, coupling, friction
         self._inner = self._terms[..., ends[4] :]
         self._after = slice(ends[2], ends[4])
-        self._readings_of: Array = np.zeros((3 * n, ends[-1]))
-        self._fill(self._readings_of.reshape(3, n, -1), (ends - sizes).tolist())
+        first = (ends - sizes).tolist()
+        found = {id(each): np.zeros((3 * n, ends[-1])) for each in models}
+        for each in {id(each): each for each in models}.values():
+            self._fill(each, found[id(each)].reshape(3, n, -1), first)
+        # Rows with a friction of their own have a matrix of their own.
+        self._readings_of: Array = np.array([found[id(each)] for each in models])
+        if len(found) == 1:
+            self._readings_of = self._readings_of[0]
         self._states = q_before, dq_before, q_after, dq_after
 
-    def _fill(self, readings: Array, first: Sequence[int]) -> None:
-        """Fills the matrix (3, n, terms) by the columns at which the kinds of terms begin."""
+    def _fill(self, model: mujoco.MjModel, readings: Array, first: Sequence[int]) -> None:
+        """Fills a model's matrix (3, n, terms) by the columns at which the kinds of terms begin."""
         q_before, dq_before, motor_torques, q_after, dq_after, coupling, friction = first
-        model, dofs, springs = self._model, self.sensor_dofs, self._elastic_rows
+        dofs, springs = self.sensor_dofs, self._elastic_rows
         angles, velocities, torques = readings
         rows = np.arange(self.n)
         rigid = np.setdiff1d(rows, springs)  # other motors are on the far side of a spring

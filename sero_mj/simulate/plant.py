@@ -6,7 +6,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ..base.declaration import numbers
 from ..base.frames import Array, RowIndex
@@ -108,38 +107,3 @@ class Plant(PlantRows, PlantRow):
         Of pushes, contacts and stops; a payload is a part of its robot.
         """
         return self.joints.external(self.pushed)
-
-    def set_friction(
-        self, robot: str, viscous: ArrayLike | None = None, coulomb: ArrayLike | None = None
-    ) -> None:
-        """Changes a robot's friction from now on.
-
-        Args:
-            robot: its name.
-            viscous: one number or (n,), Nm s/rad; as it is when None.
-            coulomb: likewise, Nm.
-
-        Raises:
-            UnknownName: no such robot.
-            ValueError: a friction below zero, or neither one nor n.
-        """
-        dofs = self._part(robot).dofs
-        for name, value, target in (
-            ("viscous", viscous, self.model.dof_damping),
-            ("coulomb", coulomb, self.model.dof_frictionloss),
-        ):
-            if value is not None:
-                friction = np.atleast_1d(numbers(value))
-                if friction.shape not in ((1,), dofs.shape):
-                    raise ValueError(
-                        f"{name}: found {friction.size} numbers; expected 1 or {len(dofs)}"
-                    )
-                if (friction < 0).any():
-                    raise ValueError(f"{name}: found {friction.tolist()}; expected 0 or more")
-                target[dofs] = friction
-        self.refresh()
-
-    def refresh(self) -> None:
-        """Recomputes what depends on `model` and `data` after they were changed; no time passes."""
-        self.joints.refresh()
-        self.rows.refresh(...)

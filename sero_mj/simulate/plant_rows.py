@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..base.declaration import numbers
 from ..base.errors import SimulationError, UnknownName
 from ..base.frames import Array, RowIndex
 from ..robots.assemble.parts import RobotPart
@@ -145,7 +146,8 @@ class PlantRows:
     def place(self, row: int, plant: PlantRows) -> None:
         """Puts one of many rows where a plant by itself is, at rest, with the seed of its noise."""
         assert isinstance(self.rows, ManyRows) and isinstance(plant.rows, OneRow)
-        self.rows.place(row, plant.world.model, plant.rows.data)
+        if self.rows.place(row, plant.world.model, plant.rows.data):
+            self.joints.refresh()
         self.joints.update_motors()
         self.actual[row] = plant.actual
         self.sensors.reset_row(row, plant.actual, plant.sensors.seed)
@@ -285,6 +287,41 @@ class PlantRow:
         """
         self._part(robot)
         detach_payload(self.rows.own_model(self.index), robot)
+        self.rows.refresh(self.index)
+
+    def set_friction(
+        self, robot: str, viscous: ArrayLike | None = None, coulomb: ArrayLike | None = None
+    ) -> None:
+        """Changes a robot's friction from now on.
+
+        Args:
+            robot: its name.
+            viscous: one number or (n,), Nm s/rad; as it is when None.
+            coulomb: likewise, Nm.
+
+        Raises:
+            UnknownName: no such robot.
+            ValueError: a friction below zero, or neither one nor n.
+        """
+        dofs, model = self._part(robot).dofs, self.rows.own_model(self.index)
+        for name, value, target in (
+            ("viscous", viscous, model.dof_damping),
+            ("coulomb", coulomb, model.dof_frictionloss),
+        ):
+            if value is not None:
+                friction = np.atleast_1d(numbers(value))
+                if friction.shape not in ((1,), dofs.shape):
+                    raise ValueError(
+                        f"{name}: found {friction.size} numbers; expected 1 or {len(dofs)}"
+                    )
+                if (friction < 0).any():
+                    raise ValueError(f"{name}: found {friction.tolist()}; expected 0 or more")
+                target[dofs] = friction
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Recomputes what depends on `model` and `data` after they were changed; no time passes."""
+        self._plant.joints.refresh()
         self.rows.refresh(self.index)
 
     def flange(self, robot: str) -> Array:

@@ -154,10 +154,19 @@ class ManyRows:
         self.is_ahead = True
         self.begin(np.ones(m, bool))
 
-    def place(self, k: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Puts row k where a world is that is as its own."""
+    def place(self, k: int, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
+        """Puts row k where a world is that is as its own.
+
+        Returns:
+            whether it had a model of its own, which is forgotten.
+        """
         mujoco.mj_getState(model, data, self.batch.state[k], _STATE)
-        self.look_ahead([k])
+        if self._models[k] is self.model:
+            self.look_ahead([k])
+            return False
+        self._models[k] = self.model
+        self.refresh(k)
+        return True
 
     def begin(self, which: Bools) -> None:
         """Lets some of the rows take part in the next steps, (m,)."""
@@ -233,8 +242,16 @@ class ManyRows:
         hidden = self._which & (self._constraints != self._frictions)
         if hidden.any():  # friction acts among other constraints
             for k in np.flatnonzero(hidden).tolist():
-                self.batch.get_data(k, self._scratch)
-                _read_inner_forces(self._scratch, couplings, len(dofs_with_friction), out[k])
+                data, row = self.batch.get_data(k, self._scratch), out[k]
+                if self._models[k] is self.model:
+                    _read_inner_forces(data, couplings, len(dofs_with_friction), row)
+                    continue
+                # Of joints without friction in this row there is no force.
+                rubs = self._models[k].dof_frictionloss[dofs_with_friction] > 0
+                inner = np.zeros(len(couplings) + int(rubs.sum()))
+                _read_inner_forces(data, couplings, int(rubs.sum()), inner)
+                row[: len(couplings)], row[len(couplings) :] = inner[: len(couplings)], 0.0
+                row[len(couplings) :][rubs] = inner[len(couplings) :]
 
 
 def _read_inner_forces(data: mujoco.MjData, couplings: Ints, rubs: int, out: Array) -> None:

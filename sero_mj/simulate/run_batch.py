@@ -67,11 +67,8 @@ def batch_key(scenario: Scenario) -> object:
     """A hashable value; scenarios with equal ones can be simulated as one batch.
 
     They have the same robots and surroundings, duration, rates and drives. Controllers, targets,
-    sensors, disturbances, faults and what is expected may differ. Faults of friction change what
-    the torque sensors of all rows read by: a scenario with one is alone with its value.
+    sensors, disturbances, faults and what is expected may differ.
     """
-    if any(fault.part == "friction" for fault in scenario.faults.values()):
-        return id(scenario)
     scene, run = scenario.scene, scenario.run
     shared = {key: getattr(run, key) for key in type(run).model_fields if key not in _OWN}
     declared = [scene.robots, scene.groups, scenario.obstacles, scene.floor, shared]

@@ -332,8 +332,6 @@ def _task_of_many(environment: Environment, m: int) -> ManyEpisodes:
         reason = "found robots that carry others, or whose base moves; expected one robot"
     elif scenario.disturbances or task is None:
         reason = "found a scenario; expected a robot with a task"
-    elif any(fault.part == "friction" for fault in scenario.faults.values()):
-        reason = "found a fault of friction; expected faults of sensors and drives"
     elif scenario.run.runaway_speed:
         reason = "found run.runaway_speed; expected 0, for none"
     if reason is not None or task is None:
