@@ -264,7 +264,7 @@ UR = """<robot name="ur" xmlns:xacro="http://www.ros.org/wiki/xacro">
 </robot>"""
 
 
-def test_xacro_takes_arguments(folder: Path, capsys, caplog) -> None:
+def test_xacro_takes_arguments(folder: Path, capsys) -> None:
     pytest.importorskip("xacro")
     path = write(folder, UR, "ur.urdf.xacro")
     assert run("check", "ur.urdf.xacro") == 2
@@ -287,9 +287,13 @@ def test_xacro_takes_arguments(folder: Path, capsys, caplog) -> None:
         with pytest.raises(DeclarationError, match=re.escape(message)):
             load_scene(write(folder, f"[robots.x]\n{wrong}", "wrong.toml"))
     # Last, as an option holds for all that is read after it.
-    assert run("check", "ur.urdf.xacro", "--arg", "ur_type=ur10e", "--arg", "fats=true") == 0
+    assert run("check", "ur.urdf.xacro", "--arg", "ur_type=ur10e") == 0
     assert "reach 0.6 m" in capsys.readouterr().out
-    assert "xacro has no argument 'fats'; did you mean 'fast'?" in caplog.text
+    for file in ("tree.urdf", "ur.urdf.xacro"):
+        assert run("check", file, "--arg", "fats=true") == 2
+    told = capsys.readouterr().err
+    assert "arguments.fats: is for xacro; this file is plain URDF" in told
+    assert "arguments.fats: xacro has no argument 'fats'; did you mean 'fast'?" in told
 
 
 @pytest.mark.gl

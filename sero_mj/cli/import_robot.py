@@ -135,7 +135,7 @@ def _read(options: ImportOptions) -> _Source:
 
         return _Source(described, write_geoms, "geoms of MJCF stand in the frames of its joints")
     file = UrdfFile(path, convention=options.convention or "craig")
-    file.check_joints()
+    file.check()
 
     def write_meshes(folder: Path, limbs: _Limbs) -> str:
         tables = copied_meshes(

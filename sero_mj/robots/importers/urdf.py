@@ -74,10 +74,11 @@ def read_urdf(
 
     Raises:
         NoJoints: it has no movable joint; `read_rigid_urdf` reads it.
-        DeclarationError: everything that is wrong in it, with lines.
+        DeclarationError: everything that is wrong in it, with lines, and arguments that it does
+            not ask for.
     """
     file = UrdfFile(Path(path), packages, arguments)
-    file.check_joints()
+    file.check()
     return file.described
 
 
@@ -147,7 +148,7 @@ class UrdfFile:
         self._packages = {name: Path(folder) for name, folder in (packages or {}).items()}
         self._problems: list[Problem] = []
         self._warnings: list[str] = []
-        self._has_lines = True
+        self._is_xacro, self._has_lines = False, True
         self._lost: dict[str, list[str]] = {}  # missing mesh files, and their links
         self._found: dict[str, Path | None] = {}  # the file of each name
         self._last_found: dict[str, Path] = {}  # the folder of a package
@@ -190,8 +191,20 @@ class UrdfFile:
         lines = {"name": root.sourceline, **self.tree.lines} if self._has_lines else {}
         self.described = ImportedTables(tables, {k: v for k, v in lines.items() if v}, warnings)
 
-    def check_joints(self) -> None:
-        """Raises NoJoints if no joint is movable."""
+    def check(self) -> None:
+        """Refuses what an object may be and no robot.
+
+        Raises:
+            NoJoints: no joint is movable.
+            DeclarationError: it was given arguments that it does not ask for.
+        """
+        given, asked = self._arguments.given, self._arguments.asked
+        for name in sorted(given - asked):
+            message = f"xacro has no argument '{name}'{did_you_mean(name, asked)}"
+            if not self._is_xacro:
+                message = "is for xacro; this file is plain URDF"
+            self._problem(None, f"arguments.{name}", message)
+        self._stop()
         if not self.tree.joints:
             message = (
                 "has no joint that moves; expected one or more: what is rigid is an object, "
@@ -260,7 +273,7 @@ class UrdfFile:
         except ImportError:
             self._problem(None, "", _NO_XACRO.format(name=self.path.name))
             self._stop()
-        self._has_lines = False  # xacro keeps none
+        self._is_xacro, self._has_lines = True, False  # xacro keeps no lines
 
         def find(package: str) -> str:
             folders = package_folders(package, self.path, self._packages)
@@ -283,9 +296,6 @@ class UrdfFile:
             self._stop()
         finally:
             substitution_args._eval_find = own
-        for name in self._arguments.given - self._arguments.asked:
-            near = did_you_mean(name, self._arguments.asked)
-            self._warnings.append(f"xacro has no argument '{name}'{near}")
         return parse_xml(text.encode())
 
     def _colors(self, root: Element) -> dict[str, Array]:
