@@ -23,6 +23,8 @@ class ScriptedWidgets:
         ticks: of the last slider.
     """
 
+    points, interval = 980, 0.0
+
     def __init__(
         self, does: Mapping[str, Any] | None = None, size: tuple[float, float] = (40.0, 40.0)
     ) -> None:

@@ -179,7 +179,7 @@ with Mirror(Scene(robots=[SerialRobot.from_model("lwr")])) as mirror:
     decor.lay_out(mirror.data, view_at())
     before = decor.buffer.count
     helped = [row for column in help_columns(tool_keys()) for row in column]
-    print(tool_keys()["g"], any("measure" in words for _, words in helped))
+    print(tool_keys()["g"][:2], any("measure" in words for _, words in helped))
     print(tool.actions()["measure"]())
     at = [tuple(decor.view.project(mirror.data.site_xpos[s])[0])
           for s in mirror.world.joints.centre_site[[2, 5]]]

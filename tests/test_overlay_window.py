@@ -48,7 +48,7 @@ with Window(watch, size=(640, 480)) as window:
     at = window.decor.view.project(watch.data.geom("upper").xpos)[0]
     picked = window.decor.pick(watch.data, at)
     assert picked.owner in ("arm", "goal"), picked
-    window.shows_plot = True
+    window.tools["plot"].shows_area = True
     window.frame()
     assert "follows" in window.navigator.follow(watch.data, "arm/fore")
     window.frame()

@@ -199,13 +199,13 @@ def test_a_film_is_as_long_as_it_was_filmed(window: Driven) -> None:
 
     folder: Path = window.folder  # type: ignore[attr-defined]
     window.key("F3")
-    window.until("w.capture.seconds > 1.0")
+    window.until("w.tools['pictures'].capture.seconds > 1.0")
     window.key("F3")
     window.until("'film of' in w.notice.text and 'saved' in w.notice.text")
     (film,) = folder.glob("lwr_*.mp4")
     with av.open(str(film)) as container:
         frames = sum(1 for _ in container.decode(video=0))
-    assert frames / 30 == pytest.approx(window.ask("w.capture.seconds"), abs=0.3)
+    assert frames / 30 == pytest.approx(window.ask("w.tools['pictures'].capture.seconds"), abs=0.3)
 
 
 def test_the_window_takes_another_size(window: Driven) -> None:
@@ -226,7 +226,7 @@ def test_full_screen_and_back(window: Driven) -> None:
 
 def test_the_plot_shows_the_selected_joint(window: Driven) -> None:
     window.key("p")
-    window.until("w.shows_plot")
+    window.until("w.tools['plot'].shows_area")
     window.until("places.get('##joint')")
     joint = window.ask("w.joint")
     window.key("bracketright")

@@ -352,7 +352,7 @@ def test_packets_that_are_lost_are_found_once_while_they_are(lwr: SerialRobot) -
     world = World(scene)
     data = world.make_data()
     mirror: Any = SimpleNamespace(world=world, data=data, sources={"arm": None})
-    clock: Any = SimpleNamespace(begin=0.0)
+    clock: Any = SimpleNamespace(begin=0.0, is_live=True)
     bookmarks = Bookmarks(bare(mirror, clock))
     counts = {"age": 0.0, "lost": 0, "malformed": 0}
     for step in range(400):
@@ -531,8 +531,8 @@ def test_files_get_names_that_are_free(tmp_path: Path) -> None:
 def test_no_key_means_two_things_and_each_is_done() -> None:
     assert not set(KEYS) & {*HOST_KEYS, *MORE_KEYS}
     assert not set(HOST_KEYS) & set(MORE_KEYS)
-    assert {*MORE_KEYS.values()} - {"last_joint", "last_event", "redo"} <= {
-        name for name, _ in HOST_KEYS.values()
+    assert {key.action for key in MORE_KEYS.values()} - {"last_joint"} <= {
+        key.action for key in HOST_KEYS.values()
     }
 
 
@@ -606,7 +606,7 @@ def test_the_help_says_everything_that_the_tables_hold() -> None:
         for key, (meaning, _) in table.items():
             if key[0] != "shift" and key[1:] not in (("double",), ("check",)):
                 assert meaning in words, key
-    assert {meaning for _, meaning in HOST_KEYS.values()} <= words
+    assert {key.text for key in HOST_KEYS.values()} <= words
     assert set(HOST_MOUSE.values()) <= words
 
 
@@ -620,9 +620,9 @@ def test_the_help_has_all_rows_at_any_width(width: float) -> None:
 
 
 @pytest.mark.parametrize("size", [(1280, 800), (640, 480), (320, 240)])
-@pytest.mark.parametrize("has_plot", [False, True])
-def test_no_part_of_a_window_covers_another(size: tuple[int, int], has_plot: bool) -> None:
-    places = arrange(size, 18, has_status=True, has_time=True, has_plot=has_plot)
+@pytest.mark.parametrize("has_area", [False, True])
+def test_no_part_of_a_window_covers_another(size: tuple[int, int], has_area: bool) -> None:
+    places = arrange(size, 18, has_status=True, has_time=True, has_area=has_area)
     covered = np.zeros(size[::-1], int)
     for rect in places:
         if rect is not None:
@@ -630,8 +630,8 @@ def test_no_part_of_a_window_covers_another(size: tuple[int, int], has_plot: boo
             upper, right = rect.bottom + rect.height, rect.left + rect.width
             covered[rect.bottom : upper, rect.left : right] += 1
     assert (covered == 1).all()
-    assert places.picture.bottom == 52 or (has_plot and size[0] < 1000)
-    bare = arrange(size, 18, has_status=False, has_time=False, has_plot=False)
+    assert places.picture.bottom == 52 or (has_area and size[0] < 1000)
+    bare = arrange(size, 18, has_status=False, has_time=False, has_area=False)
     assert bare.picture == (0, 0, *size)
 
 

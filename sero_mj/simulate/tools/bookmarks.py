@@ -15,6 +15,7 @@ from ...data.record.replay import Replay
 from ...robots.declared.inputs import SOURCE_FIELDS
 from ...viewer.decor.quantities import joint_values
 from ...viewer.session.clock import time_text
+from ...viewer.session.interaction import Key
 from ...viewer.session.tool import Action, Shown, Tool
 from ...viewer.session.torque_history import joint_name
 from ..runs.monitor import Monitor
@@ -56,10 +57,10 @@ class Bookmarks(Tool):
     """
 
     order: ClassVar[int] = 60
-    keys: ClassVar[Mapping[str, tuple[str, str]]] = {
-        "m": ("mark", "mark this moment"),
-        "e": ("next_event", "next mark or fault, w the last one"),
-        "w": ("last_event", ""),
+    keys: ClassVar[Mapping[str, Key]] = {
+        "m": Key("mark", "mark this moment"),
+        "e": Key("next_event", "next mark or fault, w the last one", repeats=True),
+        "w": Key("last_event", repeats=True),
     }
 
     def __init__(self, shown: Shown) -> None:
@@ -98,7 +99,9 @@ class Bookmarks(Tool):
         return f"marked {time_text(self._clock.time)}: e and w go from mark to mark"
 
     def watch(self) -> None:
-        """Looks for faults in the live state that the data has now."""
+        """Looks for faults in the state that the data has now, if it is live."""
+        if not self._clock.is_live:
+            return
         world, data = self._mirror.world, self._mirror.data
         for name in self._mirror.sources:
             slot = data.userdata[world.slots[f"sources.{name}"]]

@@ -33,6 +33,8 @@ class ImguiWidgets:
         implot: ImPlot likewise.
     """
 
+    points, interval = 980, 0.0
+
     def __init__(self, imgui: Any, implot: Any) -> None:
         self._imgui, self._implot = imgui, implot
         # What is the same there.

@@ -1,12 +1,10 @@
-"""What hosts tell their user over the picture: messages, and that a film is recorded."""
+"""`Message`: what hosts tell their user over the picture for a few seconds."""
 
 from __future__ import annotations
 
 import time
 from typing import NamedTuple
 
-from ..session.capture import Capture
-from ..session.clock import time_text
 from ..session.status_line import Piece
 
 
@@ -26,8 +24,3 @@ class Message(NamedTuple):
     def piece(self) -> Piece:
         """Its words and mood: red for an error."""
         return self.text, "bad" if self.is_bad else "plain"
-
-
-def filming_piece(capture: Capture) -> Piece:
-    """Returns what is said while a film is recorded: for how long."""
-    return f"filming {time_text(capture.seconds)}", "bad"

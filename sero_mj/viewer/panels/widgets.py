@@ -53,7 +53,15 @@ class Plot(NamedTuple):
 
 
 class Widgets(Protocol):
-    """What panels are made of; lengths are in units of the text's height."""
+    """What panels are made of; lengths are in units of the text's height.
+
+    Attributes:
+        points: of a line of a plot, at most, about.
+        interval: between two updates of a plot, s.
+    """
+
+    points: int
+    interval: float
 
     def room(self) -> tuple[float, float]:
         """Returns the width that is left in this line, and the height below its upper edge."""

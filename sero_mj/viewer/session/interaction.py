@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -252,40 +252,53 @@ KEYS: dict[str, KeyAction] = {
     **_toggle_keys("dvcls"),
     "r": ("reset to what the scene declares", Toggles.reset),
 }
-# Keys for camera, clock and window of a live host: name and description of the action by key.
-# A host has a function for each name, or other controls for it.
-HOST_KEYS: dict[str, tuple[str, str]] = {
-    " ": ("pause", "pause or continue"),
-    ".": ("step", "single step"),
-    ",": ("step_back", "single step back"),
-    "-": ("slower", "slower"),
-    "+": ("faster", "faster"),
-    "backspace": ("reset", "back to the start"),
-    "left": ("back", "1 s back"),
-    "right": ("on", "1 s on"),
-    "end": ("end", "to the end; what is live again"),
-    "0": ("camera", "0 initial view, 1 to 9 cameras"),
-    "f": ("follow", "follow the item under the pointer"),
-    "p": ("plot", "torques of the selected joint"),
-    "]": ("next_joint", "select the next joint, [ the previous"),
-    "t": ("status_line", "status line on or off"),
-    "tab": ("panel", "panel with switches and sizes on or off"),
-    "f2": ("screenshot", "screenshot of the scene"),
-    "f3": ("film", "film on or off"),
-    "f11": ("full_screen", "full screen"),
-    "h": ("help", "this help"),
+
+
+class Key(NamedTuple):
+    """What a key does.
+
+    Attributes:
+        action: name of the action.
+        text: for the help; empty to omit it from the help.
+        repeats: whether the action is repeated while the key is held down.
+    """
+
+    action: str
+    text: str = ""
+    repeats: bool = False
+
+
+# Keys for camera, clock and window of a live host.
+# A host has a function for each action, or other controls for it.
+HOST_KEYS: dict[str, Key] = {
+    " ": Key("pause", "pause or continue"),
+    ".": Key("step", "single step", repeats=True),
+    ",": Key("step_back", "single step back", repeats=True),
+    "-": Key("slower", "slower", repeats=True),
+    "+": Key("faster", "faster", repeats=True),
+    "backspace": Key("reset", "back to the start"),
+    "left": Key("back", "1 s back", repeats=True),
+    "right": Key("on", "1 s on", repeats=True),
+    "end": Key("end", "to the end; what is live again"),
+    "0": Key("camera", "0 initial view, 1 to 9 cameras"),
+    "f": Key("follow", "follow the item under the pointer"),
+    "]": Key("next_joint", "select the next joint, [ the previous", repeats=True),
+    "t": Key("status_line", "status line on or off"),
+    "tab": Key("panel", "panel with switches and sizes on or off"),
+    "f11": Key("full_screen", "full screen"),
+    "h": Key("help", "this help"),
 }
 # Actions that a browser provides itself.
 OF_BROWSER = ("tab", "f11")
 # Alternative keys, which the help does not list.
-MORE_KEYS: dict[str, str] = {
-    "?": "help",
-    "f1": "help",
-    "=": "faster",
-    "_": "slower",
-    "[": "last_joint",
-    "home": "reset",
-    **{str(number): "camera" for number in range(1, 10)},
+MORE_KEYS: dict[str, Key] = {
+    "?": Key("help"),
+    "f1": Key("help"),
+    "=": Key("faster", repeats=True),
+    "_": Key("slower", repeats=True),
+    "[": Key("last_joint", repeats=True),
+    "home": Key("reset"),
+    **{str(number): Key("camera") for number in range(1, 10)},
 }
 # Effect of the mouse on the camera of a live host.
 HOST_MOUSE: dict[str, str] = {
@@ -361,23 +374,21 @@ _KINDS = {
 }
 
 
-def help_columns(
-    of_tools: Mapping[str, tuple[str, str]], *, on_page: bool = False
-) -> list[list[Row]]:
+def help_columns(of_tools: Mapping[str, Key], *, on_page: bool = False) -> list[list[Row]]:
     """Returns columns of rows of input and effect; headings have no effect.
 
     Args:
         of_tools: see `tool.tool_keys`.
         on_page: whether to omit actions that a browser provides itself.
     """
-    of_host = {**HOST_KEYS, **{key: entry for key, entry in of_tools.items() if entry[1]}}
+    of_host = {**HOST_KEYS, **{key: entry for key, entry in of_tools.items() if entry.text}}
     if on_page:
         of_host = {key: action for key, action in of_host.items() if key not in OF_BROWSER}
-        of_host |= {"t": ("panel", "panel on or off")}
+        of_host |= {"t": Key("panel", "panel on or off")}
     view: list[Row] = [("View", "")]
     view += [(how, words) for how, words in HOST_MOUSE.items()]
     view += [("", ""), ("Page and time" if on_page else "Window and time", "")]
-    view += [(_KEY_NAMES.get(key, key), words) for key, (_, words) in of_host.items()]
+    view += [(_KEY_NAMES.get(key, key), entry.text) for key, entry in of_host.items()]
     view += [] if on_page else [("Ctrl+Q", "close")]
     shown: list[Row] = [("What is shown", "")]
     shown += [(key, words) for key, (words, _) in KEYS.items()]

@@ -17,23 +17,21 @@ from ...base.errors import SeroError
 from ...base.frames import Array
 from ...base.paths import without_temporary
 from ...data.drive.mirror import LiveWorld, Mirror
-from ...data.receive.mailbox import Packets
 from ..decor.toggles import Toggles
 from ..headless.film import Pixels
 from ..panels.message import Message
 from ..panels.robot_panel import RobotPanel
 from ..panels.status_line import SourcesPanel
 from ..panels.widgets import Widgets
-from . import live_history
-from .capture import Capture
 from .clock import Clock
 from .dragging import Dragging
 from .input import Clicked, Moved
-from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, press_toggle
+from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, Key, press_toggle
 from .picking import Picked, Pixel
 from .scene_decor import SceneDecor
+from .status_line import Piece
 from .tool import Action, DrawnTool, Tool, Tools
-from .torque_history import SPAN, TorqueHistory, joint_name
+from .torque_history import joint_name
 from .view_state import ViewState, view_state_of
 
 log = logging.getLogger(__name__)
@@ -41,18 +39,6 @@ log = logging.getLogger(__name__)
 OnClick = Callable[[Picked | None, str], None]
 
 _OF_JOINTS = ("link", "double", "arrow", "billboard")  # kinds of items
-_REPEATED = (
-    "step",
-    "step_back",
-    "back",
-    "on",
-    "slower",
-    "faster",
-    "next_joint",
-    "last_joint",
-    "next_event",
-    "last_event",
-)
 _JUMP = 1.0  # s
 _MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
 
@@ -70,21 +56,17 @@ class LiveHost(ABC):
         data: its state.
         toggles: visibility of features.
         clock: pause, speed and time line.
-        history: the torques of the last seconds.
         tools: by name.
         opener: returns the mirror of a dropped file; None if files cannot be opened.
         offers: other scenes to show, by the label of a button; None for non-scenes.
         next_mirror: chosen by the user to be shown after this host has ended.
         folder: as given.
-        capture: writes screenshots and films.
-        wants_picture: whether the next frame is to be a screenshot.
-        joint: the joint of the world whose torques are plotted.
+        joint: the selected joint, its index in the world.
         command: arguments of a command that shows this scene: its name or file, and options; from
             the scene when None.
         decor: of the last frame; pixels of the pointer are those of its picture, y up.
         notice: the last message to the user.
         shows_status: whether status line or panel are shown.
-        shows_plot: whether torques are plotted.
         shows_help: whether the help is shown.
         work: time spent by sero-mj for the last frame, s: input, sources, decor, plots and panels,
             without rendering.
@@ -99,22 +81,16 @@ class LiveHost(ABC):
         self.toggles = Toggles(world)
         self.clock = clock = Clock(mirror)
         if clock.is_live:
-            clock.on_moment = self._sample
-        # Live sources receive packets between frames; otherwise the clock provides samples.
-        kept = SPAN + live_history.SPAN if clock.is_live and clock.can_go_back else SPAN
-        self.history = TorqueHistory(world, mirror.routes if mirror.is_live else (), kept)
-        if mirror.is_live:
-            mirror.listen(self._hear, to_all=True)
+            clock.on_moment = self._watch
         # A requested scene to show instead of this one, and its offers.
         self.next_mirror: Mirror | None = None
         self.offers: dict[str, Callable[[], Mirror | None]] = {}
         self.opener: Callable[[Path], Mirror] | None = None
         self.folder = folder
-        self.capture, self.wants_picture = Capture(world.scene.name, folder), False
         self.joint = 0
         self.command: Sequence[str] | None = None
         self.notice = Message()
-        self.shows_status, self.shows_plot, self.shows_help = True, False, False
+        self.shows_status, self.shows_help = True, False
         self.work = 0.0
         self.on_click: OnClick | None = None
         self._advanced = time.monotonic()
@@ -138,14 +114,10 @@ class LiveHost(ABC):
             "next_joint": lambda: self._select(1),
             "last_joint": lambda: self._select(-1),
             "follow": self._follow_under_pointer,
-            "plot": self.toggle_plot,
             "help": self.toggle_help,
             "status_line": self.toggle_status,
-            "screenshot": self._take_screenshot,
-            "film": self._toggle_film,
         }
-        self._keys = {key: name for key, (name, _) in HOST_KEYS.items()} | MORE_KEYS
-        self._keys |= dict.fromkeys(KEYS, "")
+        self._keys = {**HOST_KEYS, **MORE_KEYS, **dict.fromkeys(KEYS, Key(""))}
         for tool in self.tools.values():
             for action, act in (self.tools.call(tool, lambda tool: tool.actions()) or {}).items():
                 self._actions.setdefault(action, partial(self._act, tool, act))
@@ -154,12 +126,13 @@ class LiveHost(ABC):
 
     def _take_keys(self, name: str, tool: Tool) -> None:
         """Lets keys do what a tool does; reports those that are in use, or have no action."""
-        for key, (action, _) in tool.keys.items():
+        for key, entry in tool.keys.items():
+            action = entry[0]
             if key in self._keys:
                 log.warning("the key %s of the tool %s is taken; it does nothing", key, name)
             elif action not in self._actions:
                 log.warning("the tool %s has the key %s, but no action %s", name, key, action)
-            self._keys.setdefault(key, action)
+            self._keys.setdefault(key, Key(*entry))
 
     def _act(self, tool: Tool, act: Action) -> str | None:
         return self.tools.call(tool, lambda _: act())
@@ -230,9 +203,8 @@ class LiveHost(ABC):
         """Requests to close after the next frame."""
 
     def close(self) -> None:
-        """Closes the host, after pictures and films are written."""
+        """Closes the host, after its tools have."""
         self.tools.ask(lambda tool: tool.close())
-        self.capture.close()
 
     @abstractmethod
     def _pointer(self) -> Pixel | None:
@@ -256,27 +228,23 @@ class LiveHost(ABC):
         passed, self._advanced = now - self._advanced, now
         self._dragging.advance()
         self.tools.ask(lambda tool: tool.advance(passed))
+        if not self.clock.is_live:
+            is_close = any(self.tools.ask(lambda tool: tool.watches_closely))
+            self.clock.on_moment = self._watch if is_close else None
         try:
             advance()
         except SeroError as error:  # for example a deleted file; the display does not change
             self.clock.is_paused = True
             self.say(str(error), is_bad=True)
         if not (self.clock.is_live or self.clock.is_paused):
-            self._sample()
+            self._watch()
         found = self.tools.first(lambda tool: tool.next_message())
-        message = self.capture.next_message() if found is None else found[1]
-        if message is not None:
-            self.say(message[0], is_bad=message[1])
-        self.history.until = self.clock.time if self.clock.is_past else None
+        if found is not None:
+            text, is_bad = found[1]
+            self.say(text, is_bad=is_bad)
 
-    def _hear(self, source: str, packets: Packets) -> None:
-        now = self.mirror.sources[source].now()
-        self.history.add_packets(self.data, source, packets, now)
-
-    def _sample(self) -> None:
-        self.history.add(self.data)
-        if self.clock.is_live:
-            self.tools.ask(lambda tool: tool.watch())
+    def _watch(self) -> None:
+        self.tools.ask(lambda tool: tool.watch())
 
     @property
     def ticks(self) -> list[tuple[float, bool]]:
@@ -289,11 +257,6 @@ class LiveHost(ABC):
         """Shows a message for a few seconds; errors are shown longer, an empty one not at all."""
         seconds = (_ERROR_TIME if is_bad else _MESSAGE_TIME) if text else 0.0
         self.notice = Message(without_temporary(text), is_bad, time.monotonic() + seconds)
-
-    def toggle_plot(self) -> str:
-        """Shows or hides the torques."""
-        self.shows_plot = not self.shows_plot
-        return "" if self.world.joints.names else "no joint to plot"
 
     def toggle_help(self) -> None:
         """Shows or hides the help."""
@@ -309,9 +272,15 @@ class LiveHost(ABC):
         return self.clock.is_playing and self.clock.can_go_back
 
     @property
-    def has_plot(self) -> bool:
-        """Whether torques are plotted and there are joints."""
-        return self.shows_plot and len(self.world.joints.names) > 0
+    def areas(self) -> list[Tool]:
+        """The tools that show an area of their own, in their order."""
+        return [tool for tool in self.tools.values() if tool.area and tool.shows_area]
+
+    @property
+    def ongoing(self) -> Piece | None:
+        """Words over the picture of what goes on, and their mood; None for none."""
+        found = self.tools.first(lambda tool: tool.ongoing())
+        return None if found is None else found[1]
 
     def build_panel(self, ui: Widgets, *, unfolds_sources: bool) -> None:
         """Builds what the panels of all hosts have in common.
@@ -335,8 +304,8 @@ class LiveHost(ABC):
             key: see `input.Event`.
             is_repeat: whether it is an automatic repetition.
         """
-        name = self._keys.get(key)
-        if is_repeat and name not in _REPEATED:
+        name, _, repeats = self._keys.get(key, Key(""))
+        if is_repeat and not repeats:
             return
         if key in KEYS:
             self.say(press_toggle(key, self.world, self.data, self.toggles))
@@ -366,23 +335,20 @@ class LiveHost(ABC):
         """Selects a joint: it is highlighted, and its torques are plotted."""
         self.joint = self.toggles.selected = joint
 
-    def _take_screenshot(self) -> None:
-        self.wants_picture = True
+    @property
+    def takes_pictures(self) -> bool:
+        """Whether a tool takes pictures at this time."""
+        return any(self.tools.ask(lambda tool: tool.takes_pictures))
 
-    def _toggle_film(self) -> str:
-        if self.capture.is_filming:
-            self.capture.stop()
-            return "the film is complete"
-        return self.capture.start(self.picture_size, time.monotonic())
-
-    def _take_pictures(self, now: float, draw: Callable[[], Pixels]) -> None:
-        """Passes on the current picture if a screenshot or film needs it now, s."""
-        if self.wants_picture or self.capture.wants(now):
+    def _give_picture(self, draw: Callable[[], Pixels]) -> None:
+        """Gives the current picture to the tools that want it."""
+        now = time.monotonic()
+        wants = self.tools.ask(lambda tool: tool if tool.wants_picture(now) else None)
+        wanting = [tool for tool in wants if tool is not None]
+        if wanting:
             pixels = draw()
-            if self.wants_picture:
-                self.capture.picture(pixels)
-            self.capture.add(pixels, now)
-            self.wants_picture = False
+            for each in wanting:
+                self.tools.call(each, lambda tool: tool.take_picture(pixels, now))
 
     # ---- other scenes
 
@@ -408,12 +374,14 @@ class LiveHost(ABC):
     @property
     def layout(self) -> dict[str, bool]:
         """Visible parts of the window or page, by name."""
-        return {"status": self.shows_status, "plot": self.shows_plot}
+        areas = {name: tool.shows_area for name, tool in self.tools.items() if tool.area}
+        return {"status": self.shows_status, **areas}
 
     def show_layout(self, layout: Mapping[str, bool]) -> None:
         """Restores the visible parts."""
         self.shows_status = layout.get("status", self.shows_status)
-        self.shows_plot = layout.get("plot", self.shows_plot)
+        for name, tool in self.tools.items():
+            tool.shows_area = layout.get(name, tool.shows_area)
 
     def view_state(self) -> ViewState:
         """The user's settings of the view, as text; a free camera to 0.1 mm and 1e-4 deg."""

@@ -10,7 +10,7 @@ in its pyproject.toml:
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeVar
@@ -24,11 +24,14 @@ from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
 from ..decor.feature import Frame
 from ..decor.toggles import Toggles
+from ..headless.film import Pixels
 from ..panels.widgets import Widgets
 from ..tools.joint_goal import JointGoal
 from .clock import Clock
+from .interaction import Key
 from .picking import Picked, Pixel
 from .scene_decor import SceneDecor
+from .status_line import Piece
 from .view_state import ViewState
 
 log = logging.getLogger(__name__)
@@ -48,6 +51,7 @@ class Shown(Protocol):
         clock: pause, speed and time line.
         decor: of the last frame: items at pixels, and the camera's view.
         folder: of the user's files; the current folder when None.
+        joint: the selected joint, its index in the world.
         view_camera: the camera; can be changed.
         is_following: whether the camera follows a frame.
         picture_size: width and height of screenshots, pixels.
@@ -68,6 +72,8 @@ class Shown(Protocol):
     def decor(self) -> SceneDecor: ...  # noqa: D102
     @property
     def folder(self) -> Path | None: ...  # noqa: D102
+    @property
+    def joint(self) -> int: ...  # noqa: D102
     @property
     def view_camera(self) -> mujoco.MjvCamera: ...  # noqa: D102
     @property
@@ -116,11 +122,15 @@ class Tool:
     Attributes:
         order: of panels from top to bottom, and of priority for drags and keys. Those of sero-mj
             have 10 to 90.
-        keys: name of an action and text for the help, by key; no text to omit it from the help.
+        keys: what keys do: `Key`, or name of an action and text for the help.
+        area: title of an area of its own beside the picture; empty for none.
+        shows_area: whether that is shown; users see it again at the next start.
     """
 
     order: ClassVar[int] = 100
-    keys: ClassVar[Mapping[str, tuple[str, str]]] = {}
+    keys: ClassVar[Mapping[str, Key | tuple[str, str]]] = {}
+    area: str = ""
+    shows_area: bool = False
 
     def __init__(self, shown: Shown) -> None:
         self.shown = shown
@@ -128,6 +138,11 @@ class Tool:
     def actions(self) -> Mapping[str, Action]:
         """Actions of keys and menus, by the names in `keys`."""
         return {}
+
+    @property
+    def active(self) -> Collection[str]:
+        """Names of the actions that are switched on, which menus mark."""
+        return ()
 
     # ---- the pointer
 
@@ -180,7 +195,12 @@ class Tool:
         """Acts before the world advances, `passed` s of real time after the last frame."""
 
     def watch(self) -> None:
-        """Examines a new live state."""
+        """Examines a new state, of a live source, a recording or a simulation."""
+
+    @property
+    def watches_closely(self) -> bool:
+        """Whether it needs states of recordings and simulations between frames, too."""
+        return False
 
     def lay_out(self, frame: Frame) -> None:
         """Adds panels to a frame, see `decor.feature.Feature`."""
@@ -191,6 +211,13 @@ class Tool:
     def build(self, ui: Widgets) -> None:
         """Builds its part of the panel."""
 
+    def build_area(self, ui: Widgets) -> None:
+        """Builds the area of its own."""
+
+    def ongoing(self) -> Piece | None:
+        """Words over the picture while something goes on, and their mood; None for none."""
+        return None
+
     def ticks(self) -> Sequence[tuple[float, bool]]:
         """Marks on the time line: their times, s, and whether the user has set them."""
         return ()
@@ -198,6 +225,20 @@ class Tool:
     def next_message(self) -> tuple[str, bool] | None:
         """A message about background work, and whether it is an error; None for none."""
         return None
+
+    # ---- pictures
+
+    @property
+    def takes_pictures(self) -> bool:
+        """Whether it takes pictures at this time: they are drawn in full, as without panels."""
+        return False
+
+    def wants_picture(self, now: float) -> bool:
+        """Whether it takes the picture of this frame, at a time of `time.monotonic`, s."""
+        return False
+
+    def take_picture(self, pixels: Pixels, now: float) -> None:
+        """Takes the picture of this frame, (height, width, 3), and its time, s."""
 
     # ---- what is kept
 
@@ -311,6 +352,6 @@ def tool_kinds() -> dict[str, type[Tool]]:
     return dict(sorted(load_all(TOOLS, Tool).items(), key=lambda each: (each[1].order, each[0])))
 
 
-def tool_keys() -> dict[str, tuple[str, str]]:
-    """Name of the action and text for the help, by key, of all tools in their order."""
-    return {key: entry for kind in tool_kinds().values() for key, entry in kind.keys.items()}
+def tool_keys() -> dict[str, Key]:
+    """What keys do, of all tools in their order."""
+    return {key: Key(*entry) for kind in tool_kinds().values() for key, entry in kind.keys.items()}

@@ -75,7 +75,6 @@ class WebHost(LiveHost):
         super().__init__(mirror, folder)
         self._renderer: HeadlessRenderer | None = None  # of the film
         world = self.world
-        self.clock.on_moment = self._sample
         self.decor = WebDecor(world, self.toggles)
         self._use(self.decor)
         self._is_closed = False
@@ -189,8 +188,8 @@ class WebHost(LiveHost):
         self._greying.show(self.decor.buffer.grey)
         viewer.sync()
         self.work = time.monotonic() - begin
-        self._take_pictures(time.monotonic(), self.picture)
-        if not self.capture.is_filming:
+        self._give_picture(self.picture)
+        if not self.takes_pictures:
             self._end_renderer()
         return self.is_open
 
@@ -294,10 +293,7 @@ class WebHost(LiveHost):
             self._renderer = HeadlessRenderer(self.world, *self.picture_size)
         renderer = self._renderer
         renderer.camera, renderer.toggles = self.viewer.camera, self.toggles
-        pixels = renderer.render(self.data).copy()
-        if not self.capture.is_filming:
-            self._end_renderer()
-        return pixels
+        return renderer.render(self.data).copy()
 
     def _end_renderer(self) -> None:
         if self._renderer is not None:

@@ -1,4 +1,4 @@
-"""The windows of the page: sources, robots, time, torques, help."""
+"""The windows of the page: sources, robots, time, areas of tools, help."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ from mujoco.studio.dear_imgui import dear_imgui as imgui
 
 from ..decor.geom_buffer import MAX_GEOMS
 from ..panels import help as help_panel
-from ..panels.message import filming_piece
 from ..panels.robot_panel import build_handle
 from ..panels.time_line import build_time_line
-from ..panels.torque_plots import TorquePlots
 from ..session.interaction import help_columns
 from ..session.live import LiveHost
-from ..session.tool import tool_keys
+from ..session.tool import Tool, tool_keys
 from .studio_controls import StudioApp
 from .studio_decor import CUT_OFF, WebDecor
 from .studio_widgets import StudioWidgets
@@ -35,8 +33,6 @@ _BAR_FLAGS = _flags(
 _HANDLE_FLAGS = _BAR_FLAGS | _flags("AlwaysAutoResize", "NoBackground", "NoFocusOnAppearing")
 _NOTE_FLAGS = _BAR_FLAGS | _flags("NoInputs", "NoFocusOnAppearing")
 _PANEL_FLAGS = _flags("AlwaysAutoResize", "NoSavedSettings")
-# Limits of points and update rate: plots would be most of the data sent to the browser.
-_POINTS, _INTERVAL = 320, 1.0 / 15.0  # s
 _NARROW = 3.2 * _WIDTH  # width below which panel and billboards would cover the robot
 # Labels of Studio's menus, which are empty, and of ours: their key and action.
 _CLOCK_MENU = {
@@ -77,7 +73,6 @@ class PageWindows(plugin.ViewerPlugin):
     def __init__(self, host: LiveHost, decor: WebDecor, studio: StudioApp) -> None:
         self._host, self._decor, self._studio = host, decor, studio
         self.widgets = StudioWidgets()
-        self._plots = TorquePlots(host.world, _POINTS, _INTERVAL)
         self._is_narrow = False
         # Page sizes, and what is docked there, for which windows were placed.
         self._pages: dict[str, tuple[float, ...]] = {}
@@ -100,8 +95,8 @@ class PageWindows(plugin.ViewerPlugin):
             self._panel(size)
         else:
             self._handle()
-        if host.has_plot:
-            self._torques(size)
+        for tool in host.areas:
+            self._area(tool, size)
         if host.shows_help:
             self._help(size)
         self._message(size)
@@ -117,10 +112,10 @@ class PageWindows(plugin.ViewerPlugin):
         lit = {
             "pause": host.clock.is_paused,
             "status_line": host.shows_status,
-            "plot": host.shows_plot,
-            "film": host.capture.is_filming,
             "help": host.shows_help,
         }
+        for active in host.tools.ask(lambda tool: tool.active):
+            lit |= dict.fromkeys(active, True)
         if not imgui.BeginMainMenuBar():
             return
         for menu, items in (("Simulation", _CLOCK_MENU), ("Robot", _ROBOT_MENU)):
@@ -195,19 +190,17 @@ class PageWindows(plugin.ViewerPlugin):
         build_time_line(self.widgets, self._host.clock, self._host.ticks)
         imgui.End()
 
-    def _torques(self, size: imgui.Vec2) -> None:
+    def _area(self, tool: Tool, size: imgui.Vec2) -> None:
+        """Builds the area of a tool as a window."""
         width = min(460.0, max(0.31 * size.x, 240.0))
-        height, when = min(520.0, max(size.y - 220.0, 240.0)), self._when("torques", size)
+        height, when = min(520.0, max(size.y - 220.0, 240.0)), self._when(tool.area, size)
         left = size.x - self._studio.docked[1] - width - _MARGIN
         imgui.SetNextWindowPos(imgui.Vec2(left, _TOP + 80.0), when)
         imgui.SetNextWindowSize(imgui.Vec2(width, height), when)
-        host = self._host
-        shown, host.shows_plot = imgui.Begin("Torques###torques", host.shows_plot)
+        shown, tool.shows_area = imgui.Begin(f"{tool.area}###{tool.area.lower()}", tool.shows_area)
         self._cover(size.y)
         if shown:
-            joint = self._plots.build(self.widgets, host.history, host.joint)
-            if joint != host.joint:
-                host.select(joint)
+            self._host.tools.call(tool, lambda tool: tool.build_area(self.widgets))
         imgui.End()
 
     def _help(self, size: imgui.Vec2) -> None:
@@ -227,8 +220,8 @@ class PageWindows(plugin.ViewerPlugin):
         host = self._host
         if host.notice.is_shown:
             piece = host.notice.piece
-        elif host.capture.is_filming:
-            piece = filming_piece(host.capture)
+        elif (ongoing := host.ongoing) is not None:
+            piece = ongoing
         else:
             return
         # Above the picture: the legend and what is said of a robot are below.

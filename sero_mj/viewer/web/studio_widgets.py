@@ -51,11 +51,13 @@ class _Imgui(_Spelled):
 
 
 class StudioWidgets(ImguiWidgets):
-    """See `Widgets`.
+    """See `Widgets`; plots would be most of the data sent to the browser.
 
     Attributes:
         to_clipboard: takes a text to the clipboard of the browser in control.
     """
+
+    points, interval = 320, 1.0 / 15.0
 
     def __init__(self) -> None:
         super().__init__(_Imgui(dear_imgui), _Spelled(implot))

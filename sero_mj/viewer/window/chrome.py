@@ -9,11 +9,9 @@ import mujoco
 from imgui_bundle import ImVec2, imgui
 
 from ..panels import help as help_panel
-from ..panels.message import filming_piece
 from ..panels.robot_panel import build_handle
 from ..panels.status_line import build_status_line
 from ..panels.time_line import build_time_line
-from ..panels.torque_plots import TorquePlots
 from ..session.interaction import Row
 from ..session.live import LiveHost
 from ..session.status_line import Piece
@@ -23,10 +21,9 @@ from .places import Places, Rect, arrange
 
 _HINT = "H help"
 # Below the picture's upper edge, in lines of the window's text.
-_MESSAGE_TOP, _FILMING_TOP, _HANDLE_TOP = 2.5, 0.5, 0.8
+_MESSAGE_TOP, _ONGOING_TOP, _HANDLE_TOP = 2.5, 0.5, 0.8
 _BESIDE_HANDLE = 1.2  # that numbers leave to it at the left edge, likewise
 _PANEL = 21.5  # width, of the text's height
-_POINTS = 980  # of a line of a plot, at most
 _TALLEST = 0.97  # of the window's height
 _FLAGS = imgui.WindowFlags_
 _STILL = _FLAGS.no_move | _FLAGS.no_resize | _FLAGS.no_collapse | _FLAGS.no_saved_settings
@@ -54,7 +51,6 @@ class Chrome(ImguiLayer):
     def __init__(self, gl: GlWindow, host: LiveHost, columns: Sequence[Sequence[Row]]) -> None:
         super().__init__(gl)
         self._host, self._columns = host, columns
-        self._torques = TorquePlots(host.world, _POINTS)
         self.shows_panel = False
         self.covered = 0.0
 
@@ -66,7 +62,7 @@ class Chrome(ImguiLayer):
             self._line,
             has_status=host.shows_status,
             has_time=host.shows_status and host.has_time_line,
-            has_plot=host.has_plot,
+            has_area=bool(host.areas),
         )
 
     @property
@@ -92,11 +88,10 @@ class Chrome(ImguiLayer):
 
     def _build(self, places: Places, picture: mujoco.MjrRect, pieces: Sequence[Piece]) -> None:
         host, ui = self._host, self.widgets
-        if places.plots is not None:
-            with self._part("plots", places.plots, 0.5, 0.4):
-                joint = self._torques.build(ui, host.history, host.joint)
-            if joint != host.joint:
-                host.select(joint)
+        if places.area is not None and host.areas:
+            first = host.areas[0]
+            with self._part(first.area, places.area, 0.5, 0.4):
+                host.tools.call(first, lambda tool: tool.build_area(ui))
         if places.time is not None:
             with self._part("time", places.time, 0.45, 0.1):
                 build_time_line(ui, host.clock, host.ticks)
@@ -107,11 +102,11 @@ class Chrome(ImguiLayer):
         top = self.size[1] - picture.bottom - picture.height
         if host.notice.is_shown:
             self._note("message", host.notice.piece, picture, top + _MESSAGE_TOP * self._line)
-        if host.capture.is_filming:
-            piece = filming_piece(host.capture)
-            self._note("filming", piece, picture, top + _FILMING_TOP * self._line)
+        ongoing = host.ongoing
+        if ongoing is not None:
+            self._note("ongoing", ongoing, picture, top + _ONGOING_TOP * self._line)
         if self.shows_panel:
-            self._panel(places.picture.bottom if places.plots is None else places.plots.bottom)
+            self._panel(places.picture.bottom if places.area is None else places.area.bottom)
         else:
             self._handle()
         if host.shows_help:

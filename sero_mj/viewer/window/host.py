@@ -285,17 +285,14 @@ class Window(LiveHost):
                 self._pace.act(begin)
             self._take(event, height)
         self.gamepad.update()
-        if not self.clock.is_live:
-            self.clock.on_moment = self._sample if self.has_plot else None
         self._advance(lambda: self.clock.advance(passed))
         self.navigator.advance(self.data)
         chrome = self._chrome
         places = chrome.places((width, height))
         rect = mujoco.MjrRect(*places.picture)
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
-        # Pictures and films are as without chrome.
-        is_kept = self.wants_picture or self.capture.is_filming
-        covered = 0.0 if is_kept else chrome.covered
+        is_kept = self.takes_pictures
+        covered = 0.0 if is_kept else chrome.covered  # pictures are as without chrome
         self.decor.update(self.data, self.navigator.camera, rect, typesetter, covered)
         at = self._mouse.position
         is_over_chrome = at is not None and chrome.is_over(*at)
@@ -324,7 +321,7 @@ class Window(LiveHost):
 
     def _draw(self) -> None:
         self.decor.render(self.gl, quickly=self.is_quick)
-        self._take_pictures(time.monotonic(), lambda: self.gl.read(self.decor.rect))
+        self._give_picture(lambda: self.gl.read(self.decor.rect))
         self._chrome.draw()
 
     @property
@@ -464,7 +461,7 @@ class Window(LiveHost):
         self.gl.request_close()
 
     def close(self) -> None:
-        """Closes the window after pictures and films are written."""
+        """Closes the window, after its tools."""
         super().close()
         self._chrome.close()
         self.gl.close()
