@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ...base.frames import Array
-from ...viewer.panels.jog_panel import FlangeFields, JointSliders, build_each
+from ...viewer.panels.jog_panel import JointSliders, build_each, build_flange
 from ...viewer.panels.widgets import Widgets
 from ...viewer.tools.joint_goal import JointGoal
 from ..control.controller import Slider
@@ -42,7 +42,7 @@ class SteeringPanel:
 
     def __init__(self, steering: Steered, say: Callable[[str], None]) -> None:
         self._steering, self._say = steering, say
-        self._sliders, self._flange = JointSliders(), FlangeFields()
+        self._sliders = JointSliders()
         self._refused: dict[str, str] = {}
         self._asked: Any = None  # what was refused last: a slider asks for it in every frame
 
@@ -87,20 +87,8 @@ class SteeringPanel:
         ui.tip("the target is where the robot is now")
         if ui.tree("target's joints"):
             self._sliders.build(ui, goal)
-            ui.width(4.2)
-            changed, unit = ui.choose("##unit", self._sliders.unit, ("deg", "rad"))
-            if changed:
-                self._sliders.unit = unit
-            if ui.button("home"):
-                goal.set_all(goal.robot.home)
             ui.end_tree()
-        if ui.tree("target's flange"):
-            base = steering.base(name)
-            pose = self._flange.build(ui, goal, base)
-            if pose is not None:
-                goal.hold_posture()
-                goal.move_flange(base, pose, at_once=True)
-            ui.end_tree()
+        build_flange(ui, "target's flange", goal, steering.base(name))
 
     def _sliders_of(self, ui: Widgets, name: str, robot: LiveRobot) -> None:
         """Builds the sliders of a robot's controller, those of a group in a tree."""

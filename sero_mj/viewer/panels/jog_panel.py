@@ -47,6 +47,8 @@ def build_each(
 class JointSliders:
     """Sliders and number fields of the joints of a robot, in a tree of its limbs if it branches.
 
+    Below them are a button for the declared pose and the choice of the unit.
+
     Attributes:
         unit: of angles, index in `UNITS`, the same for all robots.
     """
@@ -57,13 +59,18 @@ class JointSliders:
     def build(self, ui: Widgets, goal: JointGoal) -> None:
         """Builds them; what is changed is a wish to the goal."""
         limbs = goal.robot.limb_joints
-        if len(limbs) == 1:
-            self._joints(ui, goal, *limbs.values())
-            return
         for limb, joints in limbs.items():
-            if ui.tree(f"{limb}##sliders"):
+            if len(limbs) == 1:
+                self._joints(ui, goal, joints)
+            elif ui.tree(f"{limb}##sliders"):
                 self._joints(ui, goal, joints)
                 ui.end_tree()
+        if ui.button("home"):
+            goal.set_all(goal.robot.home)
+        ui.tip("the declared pose")
+        ui.same_line()
+        ui.width(4.2)
+        _, self.unit = ui.choose("##unit", self.unit, UNITS)
 
     def _joints(self, ui: Widgets, goal: JointGoal, joints: Sequence[int]) -> None:
         robot, angles = goal.robot, goal.angles
@@ -98,29 +105,38 @@ class JointSliders:
         ui.end_table()
 
 
-class FlangeFields:
-    """Number fields of the pose of a flange from its base, m and degrees."""
+def build_flange(ui: Widgets, label: str, goal: JointGoal, base: Array) -> None:
+    """Builds a tree with the pose of a flange from its base, m and degrees, in number fields.
 
-    def build(self, ui: Widgets, goal: JointGoal, base: Array) -> Array | None:
-        """Builds them; returns T_world_flange (4, 4) where one was typed."""
-        T = inverse(base) @ goal.flange(base)
-        xyz, rpy = T[:3, 3].copy(), np.rad2deg(rpy_from_rotation(T[:3, :3]))
-        is_new = False
-        if not ui.table("##flange", (0, 0, 0)):
-            return None
-        for number, (label, index) in enumerate(_POSE):
+    Args:
+        ui: takes them.
+        label: of the tree.
+        goal: moves to the pose that is typed.
+        base: T_world_base (4, 4), m.
+    """
+    if not ui.tree(label):
+        return
+    T = inverse(base) @ goal.flange(base)
+    xyz, rpy = T[:3, 3].copy(), np.rad2deg(rpy_from_rotation(T[:3, :3]))
+    is_new = False
+    if ui.table("##flange", (0, 0, 0)):
+        for number, (name, index) in enumerate(_POSE):
             values, unit = (xyz, "m") if number < 3 else (rpy, "deg")
             if number % 3 == 0:
                 ui.row()
             ui.cell()
             ui.width(0.0)
-            shown = f"{label} %.3f" if number < 3 else f"{label} %.1f"
-            typed, value = ui.number(f"##{label}", float(values[index]), shown)
-            ui.tip(f"{label} of the flange from the base, {unit}: type a number, then Enter")
+            shown = f"{name} %.3f" if number < 3 else f"{name} %.1f"
+            typed, value = ui.number(f"##{name}", float(values[index]), shown)
+            ui.tip(f"{name} of the flange from the base, {unit}: type a number, then Enter")
             if typed:
                 values[index], is_new = value, True
         ui.end_table()
-        return base @ frame(rotation_from_rpy(np.deg2rad(rpy)), xyz) if is_new else None
+    if is_new:
+        goal.hold_posture()
+        pose = base @ frame(rotation_from_rpy(np.deg2rad(rpy)), xyz)
+        goal.move_flange(base, pose, at_once=True)
+    ui.end_tree()
 
 
 class JogPanel:
@@ -136,7 +152,7 @@ class JogPanel:
         self, world: WorldView, goals: Mapping[str, JointGoal], base: Callable[[str], Array]
     ) -> None:
         self._world, self._goals, self._base = world, goals, base
-        self._sliders, self._flange = JointSliders(), FlangeFields()
+        self._sliders = JointSliders()
         self._copied = ""
 
     def build(self, ui: Widgets, note: str) -> None:
@@ -151,25 +167,11 @@ class JogPanel:
 
     def _robot(self, ui: Widgets, name: str, goal: JointGoal, note: str) -> None:
         self._sliders.build(ui, goal)
-        if ui.button("home"):
-            goal.set_all(goal.robot.home)
-        ui.tip("the declared pose")
-        ui.same_line()
-        ui.width(4.2)
-        changed, unit = ui.choose("##unit", self._sliders.unit, UNITS)
-        if changed:
-            self._sliders.unit = unit
         if goal.trouble:
             ui.text(goal.trouble, "bad")
         if note:
             ui.text(note, "quiet")
-        if ui.tree("flange"):
-            base = self._base(name)
-            pose = self._flange.build(ui, goal, base)
-            if pose is not None:
-                goal.hold_posture()
-                goal.move_flange(base, pose, at_once=True)
-            ui.end_tree()
+        build_flange(ui, "flange", goal, self._base(name))
         if ui.tree("copy the pose"):
             self._copy(ui, name, goal)
             ui.end_tree()
