@@ -1,7 +1,8 @@
 """Chooses the OpenGL backend before anything imports mujoco, and holds what tests share.
 
 `--no-skips` (in `.ci/run`) makes a failure of a test that is skipped because a tool is missing.
-`--hypothesis-profile=thorough` (likewise) runs all examples of property tests; else a quarter.
+`--hypothesis-profile=thorough` (likewise) runs all examples of property tests, else a quarter, and
+what is marked `thorough`, which else runs where a test is named.
 `--hypothesis-profile=everything` (in `make mutations`) tries all mutations of scenarios.
 """
 
@@ -17,7 +18,7 @@ import importlib.util
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -79,6 +80,20 @@ def examples(thorough: int) -> int:
     return max(thorough * settings().max_examples // 100, 5)
 
 
+def sampled(cases: Iterable[Any], kept: int) -> list[Any]:
+    """The cases of a test, of which all but the first are for thorough runs.
+
+    A case is a list where a test has several arguments.
+    """
+    return [
+        pytest.param(
+            *(case if isinstance(case, list) else [case]),
+            marks=[pytest.mark.thorough] if k >= kept else [],
+        )
+        for k, case in enumerate(cases)
+    ]
+
+
 def import_script(path: Path) -> ModuleType:
     """A script that is in no package, as a module."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -117,7 +132,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--no-skips", action="store_true", help="a skipped test has failed")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if settings().max_examples < settings.get_profile("thorough").max_examples and not any(
+        "::" in name for name in config.args
+    ):
+        left_out = [item for item in items if item.get_closest_marker("thorough")]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if not item.get_closest_marker("thorough")]
     for item in items:
         if item.path.name.startswith(_LIVE):
             item.add_marker(pytest.mark.live)

@@ -158,6 +158,7 @@ def test_pushes_change_its_momentum_by_their_impulse() -> None:
     np.testing.assert_allclose(impulse, -pushes, atol=0.4)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "over",
     [

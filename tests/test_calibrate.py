@@ -75,6 +75,7 @@ def test_a_camera_is_found_from_exact_points(lens: str, points: Array) -> None:
     assert np.abs(found.camera.T_world_camera - by.T_world_camera).max() < 1e-5
 
 
+@pytest.mark.thorough
 def test_clicks_that_are_a_pixel_off_give_the_errors_that_are_told(points: Array) -> None:
     by = camera("barrel", (1280, 800))
     off, told = [], []

@@ -338,6 +338,7 @@ def test_the_command_works_from_any_directory(tmp_path) -> None:
     assert json.loads(done.stdout)["position_difference"] < 1e-12
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_doctor_tries_every_backend_and_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -281,6 +281,7 @@ def test_in_the_picture_arrows_show_the_difference_and_a_double_the_other(
             assert (np.abs(a.of("lwr", "joint_angles")[near] - shown).max(axis=1) == 0.0).any()
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_the_film_lasts_as_long_as_the_runs(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     import av

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import sampled
 from runs import HOME, record_packets, record_run, two_joints
 
 from sero_mj.base.errors import SimulationError, UsageError
@@ -145,7 +146,7 @@ def test_a_payload_is_found_by_all_joints_with_its_centre_and_its_end() -> None:
         assert {"A2", "A3"} < set(found.joints)
 
 
-@pytest.mark.parametrize("loop", [False, True])
+@pytest.mark.parametrize("loop", sampled([False, True], 1))
 def test_other_masses_than_declared_are_no_payload(loop: bool) -> None:
     log = swing(loop=loop)
     robot = log.robots["lwr"]
@@ -188,7 +189,7 @@ def with_drive(
     return finished(simulation).log
 
 
-@pytest.mark.parametrize(("joint", "share"), [("A1", 2.0), ("A2", 1.7), ("A3", 2.3)])
+@pytest.mark.parametrize(("joint", "share"), sampled([["A2", 1.7], ["A1", 2.0], ["A3", 2.3]], 1))
 def test_a_drive_off_by_twice_what_gravity_asks_for_has_no_wrong_sign(
     joint: str, share: float
 ) -> None:
@@ -200,7 +201,8 @@ def test_a_drive_off_by_twice_what_gravity_asks_for_has_no_wrong_sign(
 
 
 @pytest.mark.parametrize(
-    ("joint", "delay", "begin"), [("A6", 0.06, BEGIN), ("A3", 0.1, 0.0), ("A2", 0.06, 0.0)]
+    ("joint", "delay", "begin"),
+    sampled([["A6", 0.06, BEGIN], ["A3", 0.1, 0.0], ["A2", 0.06, 0.0]], 1),
 )
 def test_a_drives_delay_is_named_also_where_it_makes_the_arm_shake(
     joint: str, delay: float, begin: float
@@ -217,7 +219,9 @@ def test_a_drives_delay_is_named_also_where_it_makes_the_arm_shake(
     assert found.begin == pytest.approx(begin, abs=0.11)
 
 
-@pytest.mark.parametrize("fault", [{}, {"kind": "sensor", "bias": -4.0, "joints": ["A2"]}])
+@pytest.mark.parametrize(
+    "fault", sampled([{}, {"kind": "sensor", "bias": -4.0, "joints": ["A2"]}], 1)
+)
 def test_packets_that_come_in_bunches_are_no_contact(fault: dict[str, Any], tmp_path: Path) -> None:
     log, size = swing(json.dumps(fault)), 4
     signals = ("joint_angles", "torques", "commanded_torques")
@@ -229,6 +233,7 @@ def test_packets_that_come_in_bunches_are_no_contact(fault: dict[str, Any], tmp_
     assert found == ([("A2", "bias")] if fault else [])
 
 
+@pytest.mark.thorough
 def test_several_faults_are_told_apart() -> None:
     fault = json.dumps({"kind": "sensor", "bias": 5.0, "joints": ["A3"]})
     load = json.dumps({"kind": "payload", "robot": "lwr", "mass": 2.0, "begin": 1.9})
@@ -238,6 +243,7 @@ def test_several_faults_are_told_apart() -> None:
     assert found[FLANGE, "payload"].size == pytest.approx(2.0, abs=0.05)
 
 
+@pytest.mark.thorough
 def test_a_push_is_no_fault_of_the_robot() -> None:
     push = {"kind": "force", "at": "lwr/flange", "force": [0, 25, 0], "end": 2.2,
             "profile": "half_sine"}  # fmt: skip
@@ -261,6 +267,7 @@ def test_runs_are_told_apart_by_what_only_one_of_them_has() -> None:
     assert moved.begin == pytest.approx(BEGIN, abs=0.03)
 
 
+@pytest.mark.thorough
 def test_of_two_gains_the_difference_is_told_as_such() -> None:
     runs = [
         swing(json.dumps({"kind": "sensor", "gain": gain, "joints": ["A2"]}), seed=seed)

@@ -23,6 +23,7 @@ def test_page_and_pictures_are_those_of_the_list(gallery):
     assert gallery.PAGE.read_text("utf-8") == gallery.make_page(), "run make gallery"
 
 
+@pytest.mark.thorough
 def test_every_shot_can_be_made_and_every_shipped_robot_is_shown(gallery):
     shown = set()
     for shot in gallery.SHOTS:

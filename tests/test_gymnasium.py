@@ -157,6 +157,7 @@ def test_fields_of_a_robot_s_file_can_be_given_with_its_name() -> None:
     assert robot["model"] == "lwr"
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_windows_and_pictures_pass_gymnasium_s_checker() -> None:
     if MISSING:

@@ -90,6 +90,7 @@ def grasp(friction: float | None = None) -> Simulation:
     return simulation
 
 
+@pytest.mark.thorough
 def test_the_arm_carries_the_weight_of_the_hand() -> None:
     simulation = grasp()
     robots, log = simulation.robots, simulation.log

@@ -130,6 +130,7 @@ def test_picking_agrees_with_a_render_of_the_segmentation(world) -> None:
     assert wrong / asked < 0.005  # between two surfaces that are a pixel apart
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_picking_agrees_for_doubles_smart_arrows_and_received_frames() -> None:
     shown = {"show_arrows": True, "show_axes": True, "torques": [90, -60, 30, -20, 14, -9, 4]}

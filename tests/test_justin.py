@@ -207,6 +207,7 @@ def test_one_packet_has_all_angles_torques_and_the_platforms_pose() -> None:
         np.testing.assert_allclose(wheel, at, atol=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["justin", "space_justin"])
 def test_nothing_goes_through_itself_for_a_minute_of_motion(name: str) -> None:
     scene = load_scene(name)

@@ -330,6 +330,7 @@ def test_waiting_names_the_silent_and_ends_in_time(sender: Send) -> None:
         assert 0.1 <= time.monotonic() - start < 0.19
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_memory_does_not_grow(sender: Send) -> None:
     with mirror_of(arm()) as mirror:

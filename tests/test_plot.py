@@ -301,6 +301,7 @@ def test_peak_and_rms_leave_out_what_is_unknown() -> None:
     assert peak(np.full(3, np.nan)) is None and np.isnan(rms(np.full(3, np.nan)))
 
 
+@pytest.mark.thorough
 def test_many_joints_are_pages_or_the_most_loaded(tmp_path: Path, figures: list[Figure]) -> None:
     robots, signals, times = {}, {}, np.arange(5) * 0.1
     for name, n, scale in (("a", 5, 1.0), ("b", 9, 5.0), ("c", 9, 2.0)):

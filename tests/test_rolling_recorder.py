@@ -41,6 +41,7 @@ def has_ended(process: int, seconds: float = 30.0) -> bool:
         os.close(handle)
 
 
+@pytest.mark.thorough
 def test_films_are_made_one_after_the_other_and_told(tmp_path: Path) -> None:
     films = Films()
     paths = [tmp_path / f"{k}.mp4" for k in range(3)]
@@ -78,6 +79,7 @@ def test_what_is_not_finished_ends_with_the_viewer_and_leaves_nothing(
     assert all(": sero-mj render lwr --size 640x480" in text for text in told)
 
 
+@pytest.mark.thorough
 def test_films_are_finished_where_that_is_asked_for(tmp_path: Path) -> None:
     films = Films()
     for k in range(2):

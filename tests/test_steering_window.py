@@ -94,6 +94,7 @@ def test_a_dragged_handle_moves_the_target_and_the_robot_follows(
         assert window.ask("w.tools['steering'].error") == ""
 
 
+@pytest.mark.thorough
 def test_the_button_simulates_what_is_shown_from_where_it_is(display: str, tmp_path: Path) -> None:
     environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
     environment.pop("WAYLAND_DISPLAY", None)

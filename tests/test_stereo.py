@@ -135,6 +135,7 @@ def test_pictures_and_films_of_a_scene_are_written_for_two_eyes(tmp_path: Path) 
     assert (tmp_path / "a.mp4").stat().st_size > 1000
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 def test_a_window_shows_both_eyes_and_takes_clicks_of_either(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import sampled
 
 from sero_mj.base.errors import CsvError, DeclarationError, UsageError
 from sero_mj.base.paths import find_scenario
@@ -193,6 +194,7 @@ def test_a_key_that_no_variant_can_have_is_told_at_once(file: Path) -> None:
         sweep(file, "run.seed=0:3", fixed={"run.seed": 1})
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_results_do_not_depend_on_how_many_run_at_once(file: Path, tmp_path: Path) -> None:
     runs = sweep(file, f"{STIFFNESS}=log:50:9000", "run.seed=0:99", samples=7)
@@ -341,6 +343,7 @@ def test_the_picture_has_units_and_a_legend_of_what_it_shows(
         assert f">{part}<" in text, part
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_the_command_writes_table_and_picture_and_says_what_came_of_it(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -411,7 +414,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("how", sampled([signal.SIGKILL, signal.SIGINT], 1))
 def test_the_command_goes_on_where_it_was_stopped(
     file: Path, tmp_path: Path, how: int, whole: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:

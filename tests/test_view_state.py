@@ -316,6 +316,7 @@ def test_a_dropped_file_is_opened_and_a_wrong_one_changes_nothing(tmp_path: Path
     assert (session.options.scene, session.plain) == (str(urdf), scene)
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.live
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")

@@ -276,6 +276,7 @@ def test_long_nonsense_takes_no_longer_than_its_length(text: str) -> None:
     assert time.process_time() - began < 4.0  # 5 s, and more, where it takes the square
 
 
+@pytest.mark.thorough
 def test_uses_of_uses_and_protos_of_protos_end(tmp_path: Path) -> None:
     uses = ["DEF a0 Group { children Shape { geometry Box {} } }"]
     uses += [f"DEF a{i} Group {{ children [ USE a{i - 1} USE a{i - 1} ] }}" for i in range(1, 40)]

@@ -362,6 +362,7 @@ class Website:
         self._thread.join()
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.timeout(200)
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")

@@ -275,6 +275,7 @@ def test_a_drag_of_a_window_does_not_turn_the_view(
     assert viewer.camera.azimuth == (before if is_over_window else before + 40.0)
 
 
+@pytest.mark.thorough
 def test_screenshots_and_films_are_made_of_pages_too(tmp_path: Path) -> None:
     with Mirror(load_scene("impedance_push")) as mirror, WebHost(mirror, folder=tmp_path) as page:
         said: list[str] = []

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from conftest import examples
 from monkeys import Monkey, PageHand
 from web_tools import MISSING, SIZE, Served, Visitor
 
@@ -20,7 +21,7 @@ _BLACK_PICTURES = """[setattr(type(w), "picture_size", (64, 48)),
     setattr(type(w), "picture", lambda self: np.zeros((48, 64, 3), np.uint8))] and None""".replace(
     "\n", " "
 )
-EVENTS, AT_ONCE = 2000, 40
+EVENTS, AT_ONCE = examples(2000), 40
 # The menu of a page without what ends it, as it should.
 _WITHOUT_QUIT = """setattr(imgui, "MenuItem", lambda label, *rest, build=imgui.MenuItem:
     label != "Quit" and build(label, *rest))""".replace("\n", " ")

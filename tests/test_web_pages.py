@@ -19,6 +19,7 @@ pytestmark = [
 ]
 
 
+@pytest.mark.thorough
 def test_a_second_browser_watches_and_takes_over(browser: Any, tmp_path: Path) -> None:
     settings, small = (POSE, TORQUES, "lwr.show_arrows=true"), (280, 240)
     with Served(tmp_path, "lwr", settings=settings) as served:
@@ -43,6 +44,7 @@ def test_a_second_browser_watches_and_takes_over(browser: Any, tmp_path: Path) -
         third.close()
 
 
+@pytest.mark.thorough
 def test_control_is_released_and_asked_back_with_a_button_that_was_let_go_of_elsewhere(
     browser: Any, tmp_path: Path
 ) -> None:
@@ -59,6 +61,7 @@ def test_control_is_released_and_asked_back_with_a_button_that_was_let_go_of_els
         visitor.close()
 
 
+@pytest.mark.thorough
 def test_a_restarted_server_is_found_again(browser: Any, tmp_path: Path) -> None:
     port = free_port(socket.SOCK_STREAM)
     options: dict[str, Any] = {"settings": (POSE, TORQUES), "port": port}
@@ -115,6 +118,7 @@ def _light_pixels(pixels: np.ndarray) -> int:
     return on_page((pixels[..., 0] > 150) & (warm > 8) & (warm < 60))
 
 
+@pytest.mark.thorough
 def test_a_finger_taps_once_and_two_zoom(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", settings=(POSE,)) as served:
         served.ask("setattr(w, 'shows_status', False)")
@@ -197,6 +201,7 @@ def test_a_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path
         visitor.close()
 
 
+@pytest.mark.thorough
 def test_windows_of_the_page_stay_on_it_and_beside_studios(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr") as served:
         visitor = Visitor(browser, served, (600, 380))

@@ -81,6 +81,7 @@ print(robot.names + 1)
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_a_downstream_project_s_type_checker_sees_our_types(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(_DOWNSTREAM)

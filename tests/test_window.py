@@ -299,6 +299,7 @@ def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path:
         sender.wait()
 
 
+@pytest.mark.thorough
 def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
     display: str, tmp_path: Path
 ) -> None:
@@ -471,6 +472,7 @@ def test_pictures_of_a_window_are_as_smooth_as_the_window(window: Driven) -> Non
     assert differ > 100  # along the edges
 
 
+@pytest.mark.thorough
 def test_on_a_slow_machine_a_moving_view_is_drawn_quickly_and_comes_back(window: Driven) -> None:
     picture = "w.picture()[::4, ::4].astype(int)"
     before = np.array(window.ask(picture))

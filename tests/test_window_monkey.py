@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from conftest import examples
 from window_tools import MISSING, Driven, screen
 
 pytestmark = [
@@ -15,7 +16,7 @@ pytestmark = [
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
 ]
 _TESTS = str(Path(__file__).parent)
-EVENTS, AT_ONCE = 2000, 50
+EVENTS, AT_ONCE = examples(2000), 50
 
 
 @pytest.fixture(scope="module")

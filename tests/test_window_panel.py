@@ -91,6 +91,7 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
     window.until(f"w.navigator.camera.azimuth != {was[0]}")
 
 
+@pytest.mark.thorough
 def test_films_and_pictures_without_a_window_load_no_panel() -> None:
     code = "import sys, sero_mj.cli, sero_mj.viewer.headless.render, sero_mj.viewer.window.host\n"
     code += "print('imgui_bundle' in sys.modules)"

@@ -85,6 +85,7 @@ print(loaded())
     assert run_on_server(code, tmp_path) == "[]\n"
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.slow
 def test_demo_simulation_and_environment_need_no_dm_control(tmp_path: Path) -> None:
