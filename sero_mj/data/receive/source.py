@@ -10,27 +10,25 @@ import threading
 import time as clock
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
+from pydantic import Field, PrivateAttr
 
-from ...base.declaration import Declaration, kind_of
+from ...base.declaration import kind_of
 from ...base.errors import (
     DeclarationError,
     PluginError,
     Problem,
-    StructureError,
     UnknownName,
-    did_you_mean,
 )
 from ...base.frames import Array, Ints
 from ...base.plugins import SOURCES, load_plugin, plugin_name, plugins
 from ._tracking import Timing
 from .intake import Counters, Intake, pad_packets
 from .mailbox import Mailbox, Packet, Packets
-from .structure import Alignment, Rows, Structure
+from .packet_declaration import PacketDeclaration
+from .structure import Rows
 
 log = logging.getLogger(__name__)
 
@@ -39,16 +37,11 @@ log = logging.getLogger(__name__)
 SIGNALS: dict[str, tuple[int, ...]] = {"receiving": (1,), "receive_trigger": (1,)}
 QUIET_AFTER = 0.5  # s without a packet until a source counts as silent
 _WARN_INTERVAL = 10.0  # s
-# The fields that determine the meaning of packets, not their origin.
-_DECODING = (
-    "is_double", "column_major", "alignment", "scale", "structure", "sequence", "time",
-    "time_scale",
-)  # fmt: skip
 # Receives raw packets: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
 Tap = Callable[[Rows, Ints, Array], object]
 
 
-class Source(Declaration):
+class Source(PacketDeclaration):
     """A source of packets of one structure; also the base of sources in other packages.
 
     A subclass calls `reset` in `open`, passes packets to `accept` on its own thread, and in `close`
@@ -56,98 +49,29 @@ class Source(Declaration):
 
     Attributes:
         name: the source's name in routes.
-        structure: layout of the packets, e.g. `7F1M`; see STRUCTURE.md.
-        is_double: `F`, `V`, `M` and `T` are float64, else float32 (`double` in files).
-        column_major: matrices are column-major, else row-major.
-        alignment: of items, bytes: 1, 2, 4 or 8.
-        scale: factor of every floating-point number, of matrices the position; not `sequence`,
-            `time`.
         only_latest_packet: the newest packet wins; when false every packet is handed on in order.
-        sequence: event that numbers the packets, of any type (also 1d), to detect loss.
-        time: event with a packet's send time, to measure jitter and delay.
-        time_scale: s per unit of `time`.
         debug_level: what is logged: 0 nothing, 1 faults, 2 restarts and loss too, 3 every batch.
     """
 
     name: str = "source"
-    is_double: bool = Field(True, alias="double")  # before structure, whose size depends on them
-    column_major: bool = True
-    alignment: Alignment = 1
-    scale: float = Field(1.0, gt=0, lt=1e100)
-    structure: str
     only_latest_packet: bool = True
-    sequence: str = ""
-    time: str = ""
-    time_scale: float = Field(1.0, gt=0, lt=1e100)
     debug_level: int = Field(1, ge=0, le=3)
 
-    # The protocol of its sender in addition to the structure: `fri`, or none.
-    protocol: ClassVar[str] = ""
-    # The origin of the structure, for kinds whose structure cannot be declared.
-    _structure_is: ClassVar[str] = ""
     _intake: Intake | None = PrivateAttr(None)
-    _nan_allowed: frozenset[str] = PrivateAttr(frozenset())
     _kept: Mailbox | None = PrivateAttr(None)
     _callbacks: list[Callable[[], None]] = PrivateAttr(default_factory=list)
     _tap: Tap | None = PrivateAttr(None)
     _warned: float = PrivateAttr(-np.inf)
-
-    @field_validator("structure")
-    @classmethod
-    def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
-        if cls._structure_is:
-            if text:
-                raise ValueError(f"is {cls._structure_is}; leave it out")
-            return text
-        try:
-            _structure_of(text, info)
-        except StructureError as error:
-            raise ValueError(str(error)) from None
-        return text
-
-    @field_validator("sequence", "time")
-    @classmethod
-    def _is_one_number(cls, event: str, info: ValidationInfo) -> str:
-        if not event or "structure" not in info.data:
-            return event
-        events = _structure_of(info.data["structure"], info).events
-        if event not in events:
-            raise ValueError(f"no event '{event}' in the structure{did_you_mean(event, events)}")
-        if events[event] != (1,):
-            found = " x ".join(map(str, events[event]))
-            raise ValueError(f"'{event}' has {found} numbers; expected one, as in {event}:1I")
-        return event
 
     def __reduce__(self) -> tuple[Callable[..., Source], tuple[type[Source], dict[str, Any]]]:
         """Pickles the declaration only, not what it has received or opened."""
         fields = {key: self.__dict__[key] for key in type(self).model_fields}
         return _declared_again, (type(self), fields)
 
-    @cached_property
-    def layout(self) -> Structure:
-        """The decoder."""
-        return Structure(
-            self.structure,
-            is_double=self.is_double,
-            column_major=self.column_major,
-            alignment=self.alignment,
-            scale=self.scale,
-        )
-
     @property
     def kind(self) -> str:
         """The name of its kind in files."""
         return plugin_name(SOURCES, type(self))
-
-    def decoding_fields(self) -> dict[str, Any]:
-        """The fields that determine the meaning of packets, as JSON types; for recordings.
-
-        Required fields (such as `block`) are included.
-        """
-        required = {key for key, field in type(self).model_fields.items() if field.is_required()}
-        kept = required.union(_DECODING)
-        fields = self.model_dump(mode="json", include=kept, exclude_defaults=True)
-        return {key: value for key, value in fields.items() if value != ""}
 
     @property
     def intake(self) -> Intake:
@@ -156,12 +80,11 @@ class Source(Declaration):
             self._intake = self._new_intake()
         return self._intake
 
-    def _new_intake(self, *, follows: bool = True) -> Intake:
-        """A new intake; it `follows` sequence numbers, or checks each packet separately."""
+    def _new_intake(self) -> Intake:
         return Intake(
             self.layout,
-            sequence=self.sequence if follows else "",
-            time=self.time if follows else "",
+            sequence=self.sequence,
+            time=self.time,
             time_scale=self.time_scale,
             lossless=not self.only_latest_packet,
             nan_allowed=self._nan_allowed,
@@ -182,16 +105,6 @@ class Source(Declaration):
     def timing(self) -> Timing:
         """Rate, jitter and delay since it was opened."""
         return self.intake.timing
-
-    @property
-    def events(self) -> Mapping[str, tuple[int, ...]]:
-        """Event name to its shape: (n,) values, (n, 3) vectors, (n, 4, 4) matrices."""
-        return self.layout.events
-
-    @property
-    def size(self) -> int:
-        """Bytes of a packet."""
-        return self.layout.size
 
     @property
     def about(self) -> str:
@@ -254,14 +167,6 @@ class Source(Declaration):
         """Time step of a simulation, whose `advance_to` is slow, s; None for all others."""
         return None
 
-    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """State of the robot's controller and quality of the link to it; -1 where unknown.
-
-        Args:
-            values: event name to its array, of one packet.
-        """
-        return self.layout.link_state(values)
-
     def now(self) -> float:
         """The time on the clock of arrivals, s: that of `time.monotonic`, or of a recording."""
         return clock.monotonic()
@@ -288,30 +193,6 @@ class Source(Declaration):
     def on_receive(self, callback: Callable[[], None]) -> None:
         """Registers a callback, on the source's thread, for the arrival of good packets."""
         self._callbacks.append(callback)
-
-    def decode(self, packet: bytes) -> dict[str, Array] | None:
-        """Decodes one packet without counting it; None if it would not be applied."""
-        judge = self._new_intake(follows=False)
-        judge.on_fault = lambda _: None
-        rows, _ = judge.take(*pad_packets([packet], self.size), np.zeros(1))
-        if not len(rows):
-            return None
-        return {event: array[0] for event, array in judge.decode(rows).items()}
-
-    def decode_rows(self, rows: Rows, lengths: Ints) -> tuple[dict[str, Array], Ints]:
-        """Decodes packets separately, without counting them.
-
-        Args:
-            rows: (n, bytes), a packet each, as passed to taps.
-            lengths: of the packets, (n,).
-
-        Returns:
-            event name to its arrays (m, ...), and the indices of their rows, (m,).
-        """
-        judge = self._new_intake(follows=False)
-        judge.on_fault = lambda _: None
-        good, numbers = judge.take(rows, lengths, np.arange(len(rows), dtype=float))
-        return judge.decode(good), numbers.astype(np.intp)
 
     def record_to(self, tap: Tap | None) -> None:
         """Passes all packets, malformed ones included, to `tap` as they arrive; None ends that."""
@@ -479,9 +360,3 @@ def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
     except PluginError as error:
         raise DeclarationError([Problem("kind", str(error))]) from error
     return source
-
-
-def _structure_of(text: str, info: ValidationInfo) -> Structure:
-    """The structure of a declaration, given its previously validated fields."""
-    is_double, alignment = info.data.get("is_double", True), info.data.get("alignment", 1)
-    return Structure(text, is_double=is_double, alignment=alignment)

@@ -186,8 +186,8 @@ class Replay(Source):
         super().allow_nan(events)
         self.original.allow_nan(events)  # whose decoder this is
 
-    def _new_intake(self, *, follows: bool = True) -> Intake:
-        intake = self.original._new_intake(follows=follows)
+    def _new_intake(self) -> Intake:
+        intake = self.original._new_intake()
         intake.nan_allowed = self._nan_allowed
         return intake
 

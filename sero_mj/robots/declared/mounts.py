@@ -67,15 +67,6 @@ def mount_order(robots: Mapping[str, SerialRobot]) -> list[str]:
     return list(TopologicalSorter(after).static_order())
 
 
-def carried_by(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
-    """Returns the names of the robots carried by a robot, directly or indirectly."""
-    found = {name}
-    for each in mount_order(robots):
-        if carrier(robots[each]) in found:
-            found.add(each)
-    return [each for each in robots if each in found - {name}]
-
-
 def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, int]:
     """Returns the name of a mounted robot's carrier, and the link, 0 for its base."""
     below, _, label = (robots[name].mount or "").partition("/")

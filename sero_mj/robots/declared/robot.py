@@ -198,11 +198,6 @@ class SerialRobot(RobotDeclaration):
         return [MIRROR @ frame @ MIRROR for frame in frames] if self.mirrored else frames
 
     @property
-    def mesh_scales(self) -> Array:
-        """M per unit of the mesh files, (3,), along x, y and z; negative where mirrored."""
-        return self.mesh_scale * (MIRROR.diagonal()[:3] if self.mirrored else np.ones(3))
-
-    @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.dh_params if self.joint_frames is None else self.joint_frames)
