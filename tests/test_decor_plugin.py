@@ -13,7 +13,7 @@ import pytest
 from decor_tools import GEOM, of_kind, view_at
 from plugin_tools import install
 
-from sero_mj import Scene, SerialRobot, World
+from sero_mj import DeclarationError, Scene, SerialRobot, World, load_scene
 from sero_mj.base.plugins import forget_plugins
 from sero_mj.viewer.decor import feature
 from sero_mj.viewer.decor.draw import Decor
@@ -56,6 +56,33 @@ def test_a_gauge_stands_at_every_joint_that_has_a_temperature(
     np.testing.assert_allclose(boxes["mat"][:12, :, 2], np.tile(axes[:, 2], (12, 1)), atol=1e-6)
 
 
+def test_a_scene_has_settings_of_its_features(installed: Path, tmp_path: Path) -> None:
+    file = tmp_path / "warm.toml"
+
+    def scene(text: str) -> Scene:
+        file.write_text(f'floor = false\n[robots.lwr]\nmodel = "lwr"\n{text}')
+        return load_scene(file)
+
+    warm = World(scene('inputs = ["temperatures"]\n[decor.temperature]\nfull = 40.0'))
+    data, decor = warm.make_data(), Decor(warm)
+    warm.set_input(data, "lwr.temperatures", [20.0, *[np.nan] * 6])
+    buffer = decor.draw(data, Toggles(warm), view_at())
+    boxes = of_kind(buffer.rows[: buffer.count], GEOM.mjGEOM_BOX)
+    assert (boxes["rgba"][:, 3] == 1.0).sum() == 6
+    hidden = Decor(
+        World(scene("[decor.temperature]\nshow = false\n[decor.selection]\nshow = false"))
+    )
+    assert len(hidden.features) == len(decor.features) - 2
+    for text, key in (
+        ("[decor.temperature]\nfull = -1", "decor.temperature.full"),
+        ("[decor.selection]\nful = 1", "decor.selection.ful"),
+        ("[decor.temperatur]\nfull = 1", "decor.temperatur"),
+    ):
+        with pytest.raises(DeclarationError) as error:
+            scene(text)
+        assert [problem.key for problem in error.value.problems] == [key]
+
+
 def test_it_is_listed_with_its_package(installed: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "sero_mj", "list"],
@@ -76,7 +103,7 @@ def test_one_that_cannot_be_imported_is_told_and_left(
     assert (
         "sero_mj.decor: 'temperature' of temperature-gauge 0.1 "
         "(temperature_gauge:TemperatureGauge) cannot be loaded: "
-        "ModuleNotFoundError: No module named 'no_such_module'; not shown"
+        "ModuleNotFoundError: No module named 'no_such_module'; left out"
     ) in caplog.text
 
 

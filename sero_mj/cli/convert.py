@@ -141,6 +141,7 @@ def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str
         "lights": {key: _changed(light) for key, light in scene.lights.items()},
         "view": _changed(scene.view),
         "toggles": _changed(scene.toggles),
+        "decor": {key: dict(table) for key, table in scene.decor.items()},
         "groups": scene.groups,
         "doubles": scene.doubles,
         "arrows": scene.arrows,

@@ -204,6 +204,7 @@ def _scene_sections(definitions: _Definitions) -> dict[str, Schema]:
         "lights": _each(table("Light"), "lights"),
         "view": table("View"),
         "toggles": table("SceneToggles"),
+        "decor": _each({"type": "object", "properties": {"show": {"type": "boolean"}}}, "decor"),
     }  # fmt: skip
 
 

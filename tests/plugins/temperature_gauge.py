@@ -1,7 +1,7 @@
 """An external package: a round gauge at every joint that shows its motor's temperature.
 
-A robot declares the input `temperatures`, and a route leads a source's values to it; no line of
-sero-mj is changed. Its pyproject.toml has:
+A robot declares the input `temperatures`, and a route leads a source's values to it. A scene may
+have a table [decor.temperature] with its settings. Its pyproject.toml has:
 
     [project.entry-points."sero_mj.decor"]
     temperature = "temperature_gauge:TemperatureGauge"
@@ -11,16 +11,28 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from pydantic import Field
 
-from sero_mj.viewer.decor.feature import Feature, Frame
+from sero_mj.viewer.decor.feature import Feature, FeatureSettings, Frame
 
-FULL = 80.0  # degrees Celsius: the whole circle
 SEGMENTS = 12
 COLD, HOT = np.array([0.20, 0.55, 0.90, 1.0]), np.array([0.90, 0.15, 0.10, 1.0])
 
 
+class GaugeSettings(FeatureSettings):
+    """Settings of a scene.
+
+    Attributes:
+        full: temperature of the whole circle, degrees Celsius.
+    """
+
+    full: float = Field(80.0, gt=0)
+
+
 class TemperatureGauge(Feature):
     """A ring of boxes about each joint, filled and coloured by its temperature."""
+
+    settings_kind = GaugeSettings
 
     def draw(self, frame: Frame) -> None:
         """Draws the rings of all joints that have a temperature."""
@@ -37,7 +49,7 @@ class TemperatureGauge(Feature):
         angle = np.linspace(0.0, 2.0 * np.pi, SEGMENTS, endpoint=False)[:, None]
         outward = np.cos(angle) * axes[..., 0] + np.sin(angle) * axes[..., 1]
         along = np.cos(angle) * axes[..., 1] - np.sin(angle) * axes[..., 0]
-        share = np.clip(temperatures[index] / FULL, 0.0, 1.0)[:, None]
+        share = np.clip(temperatures[index] / self.settings.full, 0.0, 1.0)[:, None]
         filled = np.arange(SEGMENTS) < np.ceil(share * SEGMENTS)
 
         grid = rows.reshape(len(index), SEGMENTS)

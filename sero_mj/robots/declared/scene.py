@@ -81,6 +81,7 @@ class Scene:
             MJCF, whose base may be its trunk, else at 0.
         view: the default view.
         toggles: initial toggles of the whole scene.
+        decor: settings of visual features, by the name of the feature.
         description: one line about it, for `sero-mj list` and `check`.
         note: about its data, shown with the legend.
         name: shown in titles and messages.
@@ -108,6 +109,7 @@ class Scene:
         floor: bool | Literal["below"] | None = None,
         view: View | None = None,
         toggles: SceneToggles | None = None,
+        decor: Mapping[str, Mapping[str, Any]] | None = None,
         description: str = "",
         note: str = "",
         name: str = "scene",
@@ -126,7 +128,7 @@ class Scene:
             *_not_of_type(Object, objects=objects),
             *_not_of_type(Camera, Mapping, cameras=cameras),
             *_not_of_type(Light, Mapping, lights=lights),
-            *_not_of_type(object, Mapping, sources=sources, routes=routes),
+            *_not_of_type(object, Mapping, sources=sources, routes=routes, decor=decor),
             *_not_of_type(View, None, view=view),
             *_not_of_type(SceneToggles, None, toggles=toggles),
             *_floor_problems(floor),
@@ -158,6 +160,7 @@ class Scene:
         self.floor: bool | Literal["below"] = True if floor is None else floor
         self.view = view or View()
         self.toggles = toggles or SceneToggles()
+        self.decor = dict(decor or {})
         self.description = description
         self.note = note
         self.name = name

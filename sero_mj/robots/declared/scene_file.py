@@ -12,7 +12,16 @@ from typing import Any, TypeVar
 from ...base import paths
 from ...base.declaration import is_name
 from ...base.dotted_keys import lacking, parts_of, with_value
-from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean, nearest
+from ...base.errors import (
+    DeclarationError,
+    PluginError,
+    Problem,
+    UnknownName,
+    collect,
+    did_you_mean,
+    nearest,
+)
+from ...base.plugins import DECOR, load_plugin
 from ...base.toml_file import located, read_toml
 from ..importers.importer import read_imported
 from ..importers.robot_file import read_robot_file
@@ -177,6 +186,7 @@ class _Reader:
             "lights": lambda: self._each("lights", _nameless(Light)),
             "view": lambda: View(**self._table("view")),
             "toggles": lambda: SceneToggles(**self._table("toggles")),
+            "decor": lambda: self._each("decor", self._decor),
             "floor": self._floor,
             "name": lambda: self._typed("name", str, "a text"),
             "description": lambda: self._typed("description", str, "a text"),
@@ -492,6 +502,15 @@ class _Reader:
         _check_name(name)
         file = table.get("file")
         return {**table, "file": str(self.path.parent / file)} if isinstance(file, str) else table
+
+    def _decor(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
+        """Returns the settings of a visual feature, checked."""
+        try:
+            kind = load_plugin(DECOR, name)
+        except (UnknownName, PluginError) as error:
+            raise DeclarationError([Problem("", str(error))]) from error
+        kind.settings_kind(**table)
+        return table
 
     def _object(self, name: str, table: dict[str, Any]) -> Object:
         fields = {**table, "name": name}

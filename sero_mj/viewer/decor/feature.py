@@ -8,13 +8,13 @@ A package adds a feature by an entry point in the group `sero_mj.decor`:
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol
 
-from ...base.errors import PluginError
+from ...base.declaration import Declaration
+from ...base.errors import UnknownName
 from ...base.frames import Array, Bools
-from ...base.plugins import DECOR, load_plugin, plugins
+from ...base.plugins import DECOR, load_all
 from ...robots.assemble.world_view import WorldView
 from .cards import Cards
 from .geom_buffer import GeomBuffer
@@ -22,8 +22,6 @@ from .panels import Panels
 from .picture_view import PictureView
 from .staleness import stale_mask
 from .toggles import Shown, Toggles
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
@@ -78,6 +76,16 @@ class Drawn(Protocol):
         """Adds geoms to the frame's buffer."""
 
 
+class FeatureSettings(Declaration):
+    """Settings of a feature in a scene, `[decor.NAME]`; subclasses add their own.
+
+    Attributes:
+        show: whether it is shown.
+    """
+
+    show: bool = True
+
+
 class Feature:
     """A visual feature of a world.
 
@@ -89,9 +97,13 @@ class Feature:
 
     Attributes:
         order: position in both passes, lowest first; built-in features have 10 to 90.
+        settings_kind: declaration of its settings.
+        settings: those of the scene, once it is made.
     """
 
     order: ClassVar[int] = 100
+    settings_kind: ClassVar[type[FeatureSettings]] = FeatureSettings
+    settings: Any
 
     def __init__(self, world: WorldView) -> None:
         self.world = world
@@ -104,13 +116,21 @@ class Feature:
 
 
 def make_features(world: WorldView) -> list[Feature]:
-    """Returns all installed features for a world; logs those that cannot be loaded."""
-    found: list[tuple[int, str, type[Feature]]] = []
-    for name in plugins(DECOR):
-        try:
-            kind: type[Feature] = load_plugin(DECOR, name)
-        except PluginError as error:
-            log.warning("%s; not shown", error)
-            continue
-        found.append((kind.order, name, kind))
-    return [kind(world) for _, _, kind in sorted(found, key=lambda entry: entry[:2])]
+    """Returns all installed features that a world shows; logs those that cannot be loaded.
+
+    Raises:
+        UnknownName: the scene has settings of a feature that is not installed.
+        DeclarationError: settings are wrong.
+    """
+    kinds, tables = load_all(DECOR, Feature), world.scene.decor
+    for name in tables:
+        if name not in kinds:
+            raise UnknownName("visual feature", name, kinds)
+    made = []
+    for name, kind in sorted(kinds.items(), key=lambda each: (each[1].order, each[0])):
+        settings = kind.settings_kind(**tables.get(name, {}))
+        if settings.show:
+            feature = kind(world)
+            feature.settings = settings
+            made.append(feature)
+    return made
