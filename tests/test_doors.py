@@ -127,6 +127,36 @@ print(np.abs(moved - np.where(times > 0, 0.1 * (1 - (1 + 20*times) * np.exp(-20*
     assert 'kind = "pd"' in run(pd, "", "list", "--fields", "scenarios")
 
 
+def test_a_target_motion_is_followed_and_declared_like_ours(tmp_path: Path) -> None:
+    install(tmp_path, "nodding", "sero_mj.target_motions", "nod", "Nod")
+    (tmp_path / "nod.toml").write_text("""
+[robots.lwr]
+model = "lwr"
+[run]
+duration = 2.5
+[controllers.lwr]
+kind = "joint_position"
+[targets.lwr]
+kind = "nod"
+amplitude = [0, 0.2, 0, 0, 0, 0.1, 0]
+period = 1.0
+count = 2
+""")
+    printed = run(tmp_path, """
+import numpy as np
+from sero_mj.simulate.scenario_file import read_scenario
+from sero_mj.simulate.simulation import Simulation
+simulation = Simulation(read_scenario("nod.toml"))
+simulation.advance(simulation.steps)
+log = simulation.log
+target = log.of("lwr", "target_angles") - simulation.scenario.scene.robots["lwr"].home
+print([float(np.interp(t, log.times, target[:, 1]).round(3)) for t in (0, 0.25, 0.5, 1.5, 2.2)])
+print(np.abs(log.of("lwr", "joint_angles") - log.of("lwr", "target_angles")).max() < 0.02)
+""")  # fmt: skip
+    assert printed.splitlines() == ["[0.0, 0.1, 0.2, 0.2, 0.0]", "True"]
+    assert 'kind = "nod"' in run(tmp_path, "", "list", "--fields", "scenarios")
+
+
 def test_a_controller_is_chosen_and_tuned_while_a_robot_is_played_with(pd: Path) -> None:
     printed = run(pd, """
 import sero_mj
