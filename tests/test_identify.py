@@ -149,7 +149,7 @@ def test_the_lines_are_those_of_a_robots_file() -> None:
     before = robot_dynamics(SerialRobot.from_model("lwr"))
     np.testing.assert_allclose(again.coulomb_friction, before.coulomb_friction, atol=0.02)
     np.testing.assert_array_equal(again.viscous_friction[[5, 6]], before.viscous_friction[[5, 6]])
-    assert "# not told by the run, as it was before: " in text
+    assert "# not identifiable from the run, unchanged: " in text
     # The rest is a scenario's, once it is no comment.
     text = as_toml(identify(log_of(0), "lwr"))
     rest = text[text.index("# [sensors") :].replace("# standard", "#standard").replace("# ", "")

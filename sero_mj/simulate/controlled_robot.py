@@ -21,7 +21,7 @@ from .drives import Drives
 from .plant_rows import PlantRow, PlantRows
 from .scenario import Scenario
 
-_ROUNDS = 30  # of `HangingLinks`: what is left of the first is less than 0.2 %
+_ROUNDS = 30  # of `HangingLinks`, until less than 0.2 % of the first deviation is left
 _MOVE = 1e-5  # rad and rad/s, between which controllers are linear
 
 
@@ -71,14 +71,14 @@ class RobotControl:
         self.moving: list[tuple[Array, Array]] = []
 
     def sense(self) -> None:
-        """Lets the controller see what was measured."""
+        """Passes the measurements on to the controller."""
         for sensed, measured in self._copies:
             sensed[...] = measured
         if self.hanging is not None:
             self.sensed.motor_angles[...] = self.hanging.link_angles(self.sensed.motor_angles)
 
     def command(self, k: int, time: float) -> None:
-        """Computes `commanded` for the step that leads on from row k of the log.
+        """Computes `commanded` for the step after row k of the log.
 
         Args:
             k: the row.
@@ -94,7 +94,7 @@ class RobotControl:
         self.controller.torques(self.sensed, self.target, self.commanded)
 
     def use_limited(self, controller: LimitedController) -> None:
-        """Controls it by this controller from now on."""
+        """Replaces the controller."""
         controller.requested = self.requested
         self.controller = controller
 
@@ -153,7 +153,7 @@ class ControlledRobot(RobotControl):
         self._observer.update(self.sensed)
 
     def use(self, declared: Any, make_model: Callable[[SerialRobot], RobotModel]) -> None:
-        """Controls the robot by another controller from now on.
+        """Replaces the controller of the robot.
 
         Args:
             declared: see `Scenario.controllers`.
@@ -172,7 +172,7 @@ class ControlledRobot(RobotControl):
     def _made(
         self, declared: Any, make_model: Callable[[SerialRobot], RobotModel]
     ) -> tuple[LimitedController, HangingLinks | None]:
-        """Makes a controller as declared, and finds where it lets links of elastic joints rest."""
+        """Makes a declared controller, and finds where links of elastic joints rest under it."""
         robot, stiffness = self.robot, self._joint_stiffness
         controller = make_controller(
             declared, make_model(robot), self._timestep, robot.torque_limits
@@ -198,7 +198,7 @@ class ControlledRobot(RobotControl):
     def linearised(
         self, make_model: Callable[[SerialRobot], RobotModel], angles: Array
     ) -> tuple[Array, Array, Array]:
-        """The robot and its controller about a pose at rest, in which its target is.
+        """Linearises the robot and its controller about a target pose at rest.
 
         Args:
             make_model: as for `use`.
@@ -265,7 +265,7 @@ class ControlledRobot(RobotControl):
 def _hanging(
     stiffness: Array, controller: LimitedController, model: RobotModel | ModelRows, angles: Array
 ) -> HangingLinks:
-    """Where links rest while a controller holds them; see `HangingLinks`."""
+    """The resting positions of links held by a controller; see `HangingLinks`."""
     held = controller.controller
     at_rest = held.hold_links(stiffness) if isinstance(held, LinkHolder) else None
     return HangingLinks(stiffness, at_rest, model, angles)
@@ -274,7 +274,7 @@ def _hanging(
 def join(
     each: Sequence[ControlledRobot], plant: PlantRows, drive: Array, model: RobotModel
 ) -> RobotControl | None:
-    """One control for a robot in all rows of a plant, which have made no step.
+    """One control for a robot in all rows of a plant, before their first step.
 
     Args:
         each: the robot in every row.

@@ -255,7 +255,7 @@ class SensorFault(Fault):
 
 
 class EncoderOffset(Fault):
-    """Angles that are off by a constant.
+    """An encoder with a constant offset.
 
     Attributes:
         offset: rad or m.
@@ -283,13 +283,13 @@ class DeadSensor(Fault):
     signal: Signal = "torques"
 
     def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
-        """Lets it read zero."""
+        """Sets its readings to zero."""
         for row in rows:
             plant.sensors.kill(self.signal, row)
 
 
 class FrozenSensor(Fault):
-    """A sensor that goes on reading what it has read last.
+    """A sensor that keeps its last reading.
 
     Attributes:
         signal: `angles`, `velocities` or `torques`.
@@ -299,7 +299,7 @@ class FrozenSensor(Fault):
     signal: Signal = "torques"
 
     def apply(self, plant: PlantRow, rows: Sequence[int], gains: Array) -> None:
-        """Lets it keep its last value."""
+        """Freezes its last reading."""
         for row in rows:
             plant.sensors.freeze(self.signal, row)
 

@@ -30,7 +30,7 @@ _NAME = "by_hand"
 
 @dataclass
 class Pull:
-    """What was pulled at one point, from one grab until it was let go.
+    """A pull at one point, from grab to release.
 
     Attributes:
         at: the frame.
@@ -102,7 +102,7 @@ class DragForce:
         """
         plant = self._plant
         push = _SpringPush(self, plant, frame, point)
-        now = copy.copy(plant.data)  # the plant's own goes on as if nobody had looked
+        now = copy.copy(plant.data)  # leaves the plant's own data unchanged
         mujoco.mj_forward(plant.model, now)
         mobility = push.mobility(plant.model, now)
         if mobility < _LIGHTEST:
@@ -133,7 +133,7 @@ class DragForce:
         return {event_of(self.name, "force"): "1V", event_of(self.name, "frame"): "1M"}
 
     def begin(self, columns: dict[str, slice], rows: Array) -> None:
-        """Forgets what was pulled, and writes into another log from now on.
+        """Discards all pulls, and continues with another log.
 
         Args:
             columns: of every event.
@@ -145,7 +145,7 @@ class DragForce:
         rows[:, frame] = np.eye(4).ravel()
 
     def drop_oldest(self, dropped: int, kept: int) -> None:
-        """Forgets what was pulled in rows that the log has forgotten.
+        """Discards pulls in rows that the log has discarded.
 
         Args:
             dropped: how many rows.
@@ -162,7 +162,7 @@ class DragForce:
         self._rows[kept:, force], self._rows[kept:, frame] = 0.0, np.eye(4).ravel()
 
     def before(self, k: int) -> None:
-        """Grabs and lets go what was asked for, before the step that leads on from row k."""
+        """Applies requested grabs and releases before the step after row k."""
         if self._wanted is not self._push:
             if self._push is not None:
                 self._plant.release(self._push)
@@ -176,7 +176,7 @@ class DragForce:
             self._push.is_due = True
 
     def after(self, k: int) -> None:
-        """Writes what acted in the step that led to row k, for as long as it may go on."""
+        """Writes the pull of the step before row k, as long as it lasts."""
         if self._push is None:
             return
         self.force = self._push.force.copy()
@@ -189,7 +189,7 @@ class DragForce:
 
 
 class _SpringPush(Push):
-    """A push whose force is that of the pointer's spring, anew in every step of the controllers.
+    """A push by the pointer's spring, updated in every step of the controllers.
 
     It is computed where pushes act, not before: what a step computes, and in which order, is then
     the same as where the scenario repeats it.

@@ -1,4 +1,4 @@
-"""`Drives`: what is between controllers and motors, where that is more than a wire.
+"""`Drives`: torque control, delays and saturation between controllers and motors.
 
 Gains of faulty controllers, joint torque control at the rate of the physics, a delay, and torque
 limits, in that order. One step of the drives is one of the controllers, and as many of the plant as
@@ -22,7 +22,7 @@ from .scenario import Run
 
 
 class Drives:
-    """Steps a plant with what its controllers command.
+    """Steps a plant with the commands of its controllers.
 
     Args:
         plant: whose timestep divides that of the controllers.
@@ -35,7 +35,7 @@ class Drives:
         substeps: of the plant in one of the controllers.
 
     Raises:
-        DeclarationError: a loop that the step cannot hold, or that a robot cannot have.
+        DeclarationError: a loop that is unstable at this step, or that a robot cannot have.
     """
 
     def __init__(self, plant: PlantRows, robots: dict[str, SerialRobot], run: Run) -> None:
@@ -71,7 +71,7 @@ class Drives:
     def check(
         self, name: str, mass: Array, stiffness: Array, damping: Array, *, has_springs: bool = True
     ) -> None:
-        """Refuses a loop, or a controller before it, that the steps cannot hold.
+        """Refuses a loop, or a controller before it, that is unstable at this time step.
 
         Args:
             name: of the robot.
@@ -120,7 +120,7 @@ class Drives:
             raise DeclarationError([Problem(f"controllers.{name}.{what}", message)])
 
     def reset(self, which: Any = ...) -> None:
-        """Begins anew with a plant at rest, which the motors hold.
+        """Restarts with a plant at rest, held by its motors.
 
         Args:
             which: of its rows; all by default.
@@ -162,7 +162,7 @@ class Drives:
             plant.step_given()
 
     def _delayed(self, torques: Array) -> Array:
-        """What acts while `torques` are asked for."""
+        """The delayed torques that act while `torques` are commanded."""
         pending = self._pending
         if len(pending) == 1:
             return torques

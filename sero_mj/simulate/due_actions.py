@@ -1,4 +1,4 @@
-"""`DueActions`: what is to be done at steps of a run, in their order."""
+"""`DueActions`: actions scheduled at steps of a run."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 
 class DueActions:
-    """Actions by the step at which they are due; of one step in the order in which they came.
+    """Actions by the step at which they are due, in the order in which they were added.
 
     Args:
         timestep: s.
@@ -23,7 +23,7 @@ class DueActions:
         self._due.sort(key=lambda entry: entry[0])
 
     def act(self, k: int) -> None:
-        """Does what is due at row k, before the step that leads on from it."""
+        """Runs the actions that are due at row k, before the step after it."""
         while self._next < len(self._due) and self._due[self._next][0] <= k:
             self._due[self._next][1]()
             self._next += 1

@@ -1,4 +1,4 @@
-"""`endless_scene`: robots simulated without an end, pulled, steered and tuned while they run."""
+"""`endless_scene`: robots simulated without an end time, pulled, steered and tuned meanwhile."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _HEIGHTS = (0.2, 0.6)  # of the reach, of the flange above the base
 
 
 class EndlessRun(RunSource):
-    """A simulation that goes on when its log is full: the oldest third is forgotten then.
+    """A simulation without an end time; when its log is full, the oldest third is discarded.
 
     So it takes no more memory than its log of 90 s, and at least the last 60 s can be seen again.
     """
@@ -54,7 +54,7 @@ class EndlessRun(RunSource):
         return str(self.run.about)
 
     def start_again(self) -> None:
-        """Begins anew with the declared pose and the controllers of now; errors are forgotten."""
+        """Restarts in the declared pose with the current controllers; clears errors."""
         simulation = self.run
         simulation.restart(simulation._start, simulation.plant.sensors.seed)
         self._error = None
@@ -65,7 +65,7 @@ class EndlessRun(RunSource):
         return row - 1
 
     def advance_to(self, time: float) -> None:
-        """Hands on the rows until then, s; simulates those that are not there yet."""
+        """Passes on the rows up to a time, s; simulates missing ones."""
         run = self.run
         while time > run.times[-1] and self._error is None:
             super().advance_to(float(run.times[-1]))

@@ -52,17 +52,17 @@ class EventSchedule:
 
     @property
     def carries(self) -> bool:
-        """Whether objects are ever carried, so that `after` has something to write."""
+        """Whether any object is carried during the run."""
         return bool(self._objects)
 
     def before(self, k: int) -> None:
-        """Applies what is due at row k, before the step that leads on from it."""
+        """Applies the events due at row k, before the step after it."""
         self._due.act(k)
         for push, forces in self._varying:
             push.force[:], push.torque[:] = forces[k]
 
     def after(self, k: int) -> None:
-        """Writes where carried objects are into row k of the log."""
+        """Writes the poses of carried objects into row k of the log."""
         for name, (robot, grasp) in self._carried.items():
             self._objects[name] = self.plant.flange(robot) @ grasp
             self._log[k, self._columns[event_of(name, "frame")]] = self._objects[name].ravel()
@@ -77,7 +77,7 @@ class EventSchedule:
         return events
 
     def fill(self, columns: dict[str, slice], rows: Array) -> None:
-        """Writes what is known before the run into its log, and keeps it for `after`.
+        """Writes events known in advance into the log, and keeps the log for `after`.
 
         Args:
             columns: of every event.

@@ -20,7 +20,7 @@ from .runs.run_log import RunLog
 
 
 class RunContext(Protocol):
-    """What an expectation has to know of the scenario that was run."""
+    """What an expectation needs of its scenario."""
 
     scene: Scene
     disturbances: dict[str, Disturbance]
@@ -32,10 +32,10 @@ class RunContext(Protocol):
 
     @property
     def has_surroundings(self) -> bool:
-        """Whether there is something that robots can touch."""
+        """Whether robots can touch anything."""
 
     def has_target(self, robot: str) -> bool:
-        """Whether a robot is to be somewhere."""
+        """Whether a robot has a target pose."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Expect(Declaration):
         return self
 
     def _check_sign(self) -> None:
-        """Looks whether what is signed has a sign, and whether bounds of sizes can be kept."""
+        """Checks that signed measures have a sign, and that bounds of magnitudes can be met."""
         if self.signed and self.measure not in SIGNED:
             raise ValueError(f"signed: is for {', '.join(SIGNED)}; found {self.measure}")
         if self.signed and self.of == "rms":
@@ -145,7 +145,7 @@ class Expect(Declaration):
                 raise ValueError(f"{key}: found {value:g}, but no size is below 0{near}")
 
     def _check_whose(self) -> None:
-        """Looks whether a measure is one of the joints, robot or object that are named."""
+        """Checks that the measure exists for the joints, robot or object."""
         if self.joints and self.measure is not None and self.measure not in PER_JOINT:
             whole = "an object" if self.object is not None else "a robot as a whole"
             raise ValueError(f"joints: found {self.measure}, of {whole}; expected no joints")
@@ -239,7 +239,7 @@ class Expect(Declaration):
     def judge(
         self, name: str, log: RunLog, findings: Sequence[Finding], scenario: RunContext
     ) -> Outcome:
-        """Says whether it held in a run.
+        """Judges a run.
 
         Args:
             name: of the expectation.

@@ -16,7 +16,7 @@ from ..robots.declared.dynamics import inertia_problem, principal_moments, tenso
 
 
 class Push:
-    """A force and a torque at a frame, which go with it; change them while time passes.
+    """A force and a torque that move with a frame; both can be changed at any time.
 
     For arguments and errors see `Plant.push`.
 
@@ -45,7 +45,7 @@ class Push:
         self._axes = None if expressed_in == "world" else _site(world, expressed_in)
 
     def apply(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array) -> None:
-        """Adds the joint torques that it causes.
+        """Adds its joint torques.
 
         Args:
             model: of the world.
@@ -133,7 +133,7 @@ def _set(
 
 
 class Contacts:
-    """Sums up what touches robots from outside; a robot's own links against each other are not.
+    """Sums the contact forces on robots from outside, without contacts among their own links.
 
     Args:
         world: compiled with `dynamic`.

@@ -44,7 +44,7 @@ class FaultSchedule:
             fault.apply(self._plant, fault.rows(self._scenario.scene.robots), self._gains)
 
     def _end(self, fault: Fault) -> None:
-        """Ends a fault; others of the same part go on, in the order in which they began."""
+        """Ends a fault; others of the same part are applied again in their order."""
         self._active = [other for other in self._active if other is not fault]
         others = [other for other in self._active if other.part == fault.part]
 

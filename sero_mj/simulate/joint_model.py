@@ -209,7 +209,7 @@ class JointModel:
         torques[:, friction:] = self._friction_at = dofs[:, None] == self._dofs_with_friction
 
     def load_springs(self) -> None:
-        """Lets the springs hold the links where they are, at rest; `data` has its bias torques."""
+        """Deflects the springs so that they hold the links at rest; `data` has its bias torques."""
         deflection = -self._data.qfrc_bias[self._spring_dofs] / self._spring_stiffness
         motors = self._motor_q[self._elastic_rows]
         angles = self._qpos[motors] + self._qpos[self._spring_q]

@@ -40,7 +40,7 @@ def kind_of_control(name: str) -> str:
 
 @dataclass(eq=False)
 class LiveRobot:
-    """What is changed of one robot, and by what.
+    """The controller and target of one robot, and how they are changed.
 
     Attributes:
         robot: as it stands in the world at first.
@@ -86,7 +86,7 @@ class LiveRobot:
         return self.controllers[self.control]
 
     def choose(self, control: str) -> str:
-        """Changes the controller; the target is where the robot is then.
+        """Changes the controller, and sets the target to the current pose.
 
         Args:
             control: its kind, one of `controllers`, or the short name of that.
@@ -154,7 +154,7 @@ class LiveRobot:
         return ""
 
     def _stand(self) -> None:
-        """Puts the target to where the robot is, at its velocity, and lets it come to rest."""
+        """Sets the target to the robot's angles and velocities, and decelerates it to rest."""
         target = self.target
         target.angles[:] = target.posture[:] = self.measured
         target.velocities[:] = self.speeds
@@ -164,7 +164,7 @@ class LiveRobot:
         self._is_moving = True
 
     def before(self, k: int) -> None:
-        """Moves the target for the step that leads on from row k of the log."""
+        """Moves the target for the step after row k of the log."""
         target = self.target
         if not self.controller.needs_target:
             self.goal = self.measured.copy()
@@ -211,7 +211,7 @@ class LiveControl:
         self.robots: dict[str, LiveRobot] = {}
 
     def begin(self, robots: dict[str, LiveRobot]) -> None:
-        """Goes on with a simulation that has begun anew, and the controllers of before."""
+        """Continues with a restarted simulation, keeping the controllers."""
         before, self.robots = self.robots, robots
         for name, robot in robots.items():
             if name in before:
@@ -220,7 +220,7 @@ class LiveControl:
             robot.choose(robot.control)
 
     def before(self, k: int) -> None:
-        """Moves all targets for the step that leads on from row k of the log."""
+        """Moves all targets for the step after row k of the log."""
         for robot in self.robots.values():
             robot.before(k)
 

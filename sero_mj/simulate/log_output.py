@@ -1,4 +1,4 @@
-"""Hands on the log of a simulation: as a recording, and as signals of packets that are sent."""
+"""Outputs of a simulation's log: a recording, and the signals of sent packets."""
 
 from __future__ import annotations
 

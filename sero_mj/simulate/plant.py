@@ -91,7 +91,7 @@ class Plant(PlantRows, PlantRow):
         self._settle()
 
     def _settle(self) -> None:
-        """Computes all that follows from a state at rest, in which the joints hold the links."""
+        """Computes kinematics and sensor readings of a state at rest."""
         mujoco.mj_forward(self.model, self.data)
         self.rows.is_ahead = True
         if self.joints.elastic:

@@ -62,7 +62,7 @@ class PlantRows:
             raise ValueError(f"found sensors of {self.sensors.n} joints; expected {self.n}")
         self.measured = self.sensors.measured
         self._actual: Array = np.zeros_like(self.measured)
-        self._is_measured = False  # whether what perfect sensors measured is what is
+        self._is_measured = False  # whether `measured` has the true values
         column = (*rows.shape, -1, 1)
         self._readings = self._actual.reshape(column)
         self._measured_readings = self.measured.reshape(column)
@@ -108,7 +108,7 @@ class PlantRows:
         return self.step_given()
 
     def _refuse_torques(self) -> None:
-        """Raises the only row's error; of many those concerned take no further part."""
+        """Raises the error of a single row; of many rows, drops those concerned."""
         for row in self.rows.indices:
             torques = self.joints.motor_torques[row]
             if not np.vdot(torques, torques) < MAX_TORQUE**2:
@@ -121,7 +121,7 @@ class PlantRows:
         self.rows.drop(row)
 
     def step_given(self) -> Array:
-        """Simulates one timestep with what is in `joints.motor_torques`, which is not looked at.
+        """Simulates one timestep with `joints.motor_torques`, unchecked.
 
         Returns:
             `measured`, (3, n): the same array every time.
@@ -144,7 +144,7 @@ class PlantRows:
         return sensors.measure(self._actual)
 
     def place(self, row: int, plant: PlantRows) -> None:
-        """Puts one of many rows where a plant by itself is, at rest, with the seed of its noise."""
+        """Sets one of many rows to the state of a single plant at rest, with a seed of noise."""
         assert isinstance(self.rows, ManyRows) and isinstance(plant.rows, OneRow)
         if self.rows.place(row, plant.world.model, plant.rows.data):
             self.joints.refresh()
@@ -153,7 +153,7 @@ class PlantRows:
         self.sensors.reset_row(row, plant.actual, plant.sensors.seed)
 
     def _gather_pushes(self) -> Array | None:
-        """What pushes do at the joints now, (nv,), Nm; None where none do."""
+        """Joint torques of all pushes, (nv,), Nm; None without pushes."""
         if not self.has_pushes:
             return None
         self.rows.applied[...] = self.pushed[...] = 0.0
@@ -344,7 +344,7 @@ class PlantRow:
         return names[row]
 
     def torque_error(self) -> SimulationError:
-        """What is wrong with the motor torques, which are zero afterwards."""
+        """The error of invalid motor torques, which are set to zero."""
         torques = self._plant.joints.motor_torques[self.index]
         joint = int(np.argmax(~(np.abs(torques) < MAX_TORQUE / np.sqrt(self.n))))
         reason = f"found a motor torque of {torques[joint]:g} Nm; expected a finite one, below 1e9"
@@ -352,7 +352,7 @@ class PlantRow:
         return SimulationError(float(self.data.time), self._joint_name(joint), reason)
 
     def motion_error(self) -> SimulationError:
-        """In which joint the motion has become unstable, and how."""
+        """The error of an unstable motion, with its joint."""
         time, accelerations = self.rows.broken_at(self.index)
         found = accelerations[self._plant.joints.motor_dofs]
         broken = ~(np.abs(found) < mujoco.mjMAXVAL)

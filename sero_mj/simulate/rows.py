@@ -66,7 +66,7 @@ class OneRow:
         return not (warned[_ACCELERATION] or warned[_SPEED] or warned[_POSITION])
 
     def look_ahead(self, rows: Sequence[RowIndex] = (...,)) -> None:
-        """Computes what follows from the state, if that has not been done."""
+        """Computes kinematics and bias torques of the state, if not done yet."""
         if not self.is_ahead:
             mj_step1(self.model, self.data)
             self.is_ahead = True
@@ -92,7 +92,7 @@ class OneRow:
         return self.model
 
     def refresh(self, row: RowIndex) -> None:
-        """Computes what follows from the state and a model that was changed."""
+        """Computes kinematics and bias torques after a change of the model."""
         self.is_ahead = False
         self.look_ahead()
 
@@ -136,7 +136,7 @@ class ManyRows:
     """
 
     def __init__(self, model: mujoco.MjModel, m: int, *, is_pushed: bool = False) -> None:
-        # Data are kept for the forces of constraints, which a batch tells of no other way.
+        # Persistent data have the constraint forces, which a batch cannot bind.
         self.model, self.batch = model, Batch(model, m, 1, persistent=True)
         self.shape, self.indices = (m,), range(m)
         self._stage = _VELOCITY if is_pushed else _NOTHING
@@ -155,7 +155,7 @@ class ManyRows:
         self.begin(np.ones(m, bool))
 
     def place(self, k: int, model: mujoco.MjModel, data: mujoco.MjData) -> bool:
-        """Puts row k where a world is that is as its own.
+        """Sets row k to the state of an equal world.
 
         Returns:
             whether it had a model of its own, which is forgotten.
@@ -169,14 +169,14 @@ class ManyRows:
         return True
 
     def begin(self, which: Bools) -> None:
-        """Lets some of the rows take part in the next steps, (m,)."""
+        """Selects the rows of the next steps, (m,)."""
         self._choose(which)
         self._before: Array = self.batch.state.copy()
         self._broken_at: dict[RowIndex, tuple[float, Array]] = {}
         self.unstable[:] = False
 
     def drop(self, k: RowIndex) -> None:
-        """Lets row k take no part in further steps until the next `begin`."""
+        """Excludes row k from further steps until the next `begin`."""
         which = self._which.copy()
         which[k] = False
         self._choose(which)
@@ -186,7 +186,7 @@ class ManyRows:
         self._ids = None if which.all() else np.flatnonzero(which)
 
     def step(self) -> bool:
-        """Simulates a step of those that take part; returns whether their motion is stable."""
+        """Simulates a step of the selected rows; returns whether their motion is stable."""
         self.batch.step(self._ids, stage=self._stage)
         if not self._warnings.any():
             return True
@@ -201,12 +201,12 @@ class ManyRows:
         return not broken.any()
 
     def look_ahead(self, rows: Sequence[RowIndex] = ()) -> None:
-        """Computes what follows from the states of rows; where it matters to all, `step` has."""
+        """Computes kinematics and bias torques of rows, unless `step` has done so for all."""
         if rows:
             self.batch.forward(rows, stage=_VELOCITY)
 
     def data_of(self, row: RowIndex) -> mujoco.MjData:
-        """What is known of a row since its last step or `look_ahead`, until the next call."""
+        """Data of a row after its last step or `look_ahead`; valid until the next call."""
         return self.batch.get_data(row, self._scratch)
 
     def model_of(self, row: RowIndex) -> mujoco.MjModel:

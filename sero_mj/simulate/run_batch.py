@@ -57,10 +57,10 @@ class BatchedRun(Protocol):
         """Begins to write a log, (T, width)."""
 
     def prepare(self, k: int) -> None:
-        """Lets controllers and events act in the step that leads on from row k of the log."""
+        """Applies controllers and events for the step after row k of the log."""
 
     def finish(self, k: int) -> None:
-        """Ends the step that has led to row k of the log."""
+        """Completes the step before row k of the log."""
 
 
 def batch_key(scenario: Scenario) -> object:
@@ -154,10 +154,10 @@ class RunBatch:
         return plant
 
     def _limit_speeds(self, share: float) -> None:
-        """Finds at which speeds a joint has run away, that many times its limit; 0 for none."""
+        """Computes the speeds at which joints run away, `share` times their limits; 0 for none."""
         limits = [joint_speeds(robot, "runaway") for robot in self.robots.values()]
         self._runaway, self._fastest = share, np.concatenate(limits) * (share or np.inf)
-        # While all speeds together, squared, are below this none can be above its own limit.
+        # While the sum of all squared speeds is below this, no joint exceeds its limit.
         self._surely_slow = float(self._fastest.min()) ** 2
         self._motor_speeds = self.plant.motor_velocities if self.plant.joints.elastic else None
 
@@ -182,7 +182,7 @@ class RunBatch:
         self._joined = self._join({run.plant.index: run for run in runs})
 
     def _join(self, runs: dict[RowIndex, BatchedRun]) -> list[RobotControl]:
-        """Controls robots in all rows at once where their controllers have a form for that."""
+        """Joins the controllers of robots in all rows where their kind supports it."""
         plant, rows = self.plant, self.plant.rows
         # What mounted robots know of each other is asked for row by row.
         if isinstance(rows, OneRow) or WholeBody.is_needed(plant.world):
@@ -195,7 +195,7 @@ class RunBatch:
         return [one for one in found if one is not None]
 
     def advance(self, to_step: int) -> None:
-        """Simulates all runs that go on until a step, see `Simulation.advance`.
+        """Simulates all active runs up to a step, see `Simulation.advance`.
 
         Raises:
             SimulationError: a run cannot go on; see `raises`.

@@ -1,4 +1,4 @@
-"""Saves what was done by drag: the run as a recording, and a scenario that repeats its pushes."""
+"""Saves a run with drags: as a recording, and as a scenario that repeats its pushes."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ class Run(Declaration):
     @model_validator(mode="before")
     @classmethod
     def _without_jit(cls, table: dict[str, Any]) -> dict[str, Any]:
-        """Leaves out what once asked for machine code."""
+        """Drops `jit`, which once selected machine code, with a warning."""
         if "jit" in table:
             _warn_of_jit()
         return {key: value for key, value in table.items() if key != "jit"}
@@ -256,7 +256,7 @@ class Scenario:
                 expect.check(self)
 
     def _check_starts(self) -> None:
-        """Looks whether robots begin within their position limits."""
+        """Checks that robots start within their position limits."""
         for name, robot in self.scene.robots.items():
             if robot.position_limits is None:
                 continue
@@ -270,7 +270,7 @@ class Scenario:
                 self.problems.append(Problem(f"robots.{name}.joint_angles", message))
 
     def _check_disturbance(self, place: str, disturbance: Disturbance) -> None:
-        """Looks whether what it happens to is there."""
+        """Checks that its frame, robot or object exists."""
         known: list[tuple[str, str, list[str]]] = []
         if isinstance(disturbance, Force):
             frames = [*self.scene.named_frames(), "world"]
@@ -292,14 +292,14 @@ class Scenario:
 
     @property
     def obstacles(self) -> list[Object]:
-        """What robots can run into: all objects that are not carried."""
+        """The objects that robots can collide with: all that are not carried."""
         payloads = [each for each in self.disturbances.values() if isinstance(each, Payload)]
         carried = {payload.object for payload in payloads}
         return [each for each in self.scene.objects if each.name not in carried]
 
     @property
     def has_surroundings(self) -> bool:
-        """Whether there is something that robots can touch: objects, a floor, each other."""
+        """Whether robots can touch anything: objects, a floor, each other."""
         return bool(self.obstacles or self.scene.floor) or len(self.scene.robots) > 1
 
     @property
@@ -316,7 +316,7 @@ class Scenario:
             for problem in self.problems
             for each in sections
         ):
-            return True  # what is declared wrongly is told; that nothing is declared would be wrong
+            return True  # its declaration is invalid, which is reported, not missing
         return robot in self.targets or getattr(self.controller_of(robot), "needs_target", True)
 
     def controller_of(self, robot: str) -> Controller | ControllerDeclaration:

@@ -85,7 +85,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
     except DeclarationError as error:
         problems += error.problems
     if scene is None or (problems and "robots" in " ".join(scene.broken)):
-        # All that is said of robots would be wrong as well, but for what is set elsewhere.
+        # References to robots would be reported as wrong as well, except in other sections.
         if of_scene and of_own:
             problems += _problems_without(file, whole, of_own)
         raise DeclarationError(problems)
@@ -248,7 +248,7 @@ def _set_all(
             if not parts:
                 own[key] = value
             elif not isinstance(tables, dict):
-                continue  # told where it is read
+                continue  # reported where it is read
             elif section in ("run", "monitor"):
                 built = (Run if section == "run" else Monitor)()
                 own[str(section)] = with_value(tables, parts, value, built=built)
@@ -299,7 +299,7 @@ def _with_setting(
     if not parts:
         return value
     if not isinstance(table, Mapping):
-        return table  # told where it is read
+        return table  # reported where it is read
     counts = {scene.robots[robot].n for robot in robots if robot in scene.robots}
     n = counts.pop() if len(counts) == 1 else 0
     built = None

@@ -183,7 +183,7 @@ class Sensors:
 
     @contextmanager
     def only(self, row: RowIndex) -> Iterator[None]:
-        """Lets what is changed in its context concern one row alone; `...` is the only one."""
+        """Limits the changes in its context to one row; `...` is the single one."""
         self._changed.add(row)
         before, self._of = self._of, row
         try:
@@ -192,7 +192,7 @@ class Sensors:
             self._of = before
 
     def reset(self, actual: Array) -> None:
-        """Begins anew: the noise from its seed, and delays as if all had stood still before.
+        """Restarts the noise from its seed, and delays as if everything had been at rest.
 
         Args:
             actual: (3, n), the true values now.
@@ -206,7 +206,7 @@ class Sensors:
             self.measure(actual)
 
     def reset_row(self, row: int, actual: Array, seed: int) -> None:
-        """Begins one of the rows anew, without faults, as sensors by themselves would.
+        """Resets one of the rows, without faults.
 
         Args:
             row: from 0.
@@ -260,7 +260,7 @@ class Sensors:
     def delay(
         self, signal: Signal, steps: int, joints: int | Sequence[int] | slice | None = None
     ) -> None:
-        """Delays a signal by so many steps from now on.
+        """Sets the delay of a signal, in steps.
 
         What was read before is kept; before the first delay only what was read last.
 
@@ -297,7 +297,7 @@ class Sensors:
         self._past[row] = past
 
     def end_faults(self, reapply: Callable[[], None]) -> None:
-        """Ends all faults and changes but those that go on.
+        """Ends all faults and changes, and applies the remaining ones again.
 
         Args:
             reapply: makes these once more; for them it is as if nothing had been.
@@ -320,7 +320,7 @@ class Sensors:
         self._plan()
 
     def freeze(self, signal: Signal, joint: int) -> None:
-        """A sensor that goes on reading what it has read last."""
+        """A sensor that keeps its last reading."""
         row = _row(signal)
         of = self._of
         self._frozen[of][..., row, joint] = True
@@ -328,7 +328,7 @@ class Sensors:
         self._plan()
 
     def _plan(self) -> None:
-        """Finds out what there is to do in every step."""
+        """Determines the operations of every step."""
         errors = self._errors
         self._gain = errors["gain"]
         self._scaled = bool((self._gain != 1).any())

@@ -23,7 +23,7 @@ _SHOWN = ("joint_angles", "torques", "commanded_torques", "base_frame")
 
 
 def simulated_scene(simulation: Simulation, source: RunSource | None = None) -> Scene:
-    """Returns the scene of a simulation, which is simulated while it is shown.
+    """Returns a scene that shows a simulation and advances it.
 
     Rows of doubles stand along the targets' paths where `[run]` asks for them.
 
@@ -147,7 +147,7 @@ def _add_arrow(scene: Scene, name: str, key: str, force: Force) -> str:
 
 
 def _free(scene: Scene, name: str) -> str:
-    """The name, or one like it that nothing has yet."""
+    """The name, with a number if it is taken."""
     taken = {*scene.robots, *scene.doubles, *scene.arrows, *scene.frames, *scene.cameras}
     taken |= {each.name for each in scene.objects}
     while name in taken:

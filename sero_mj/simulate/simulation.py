@@ -155,7 +155,7 @@ class Simulation:
         return _begun_again, (self.scenario, self._start, seed, by_hand, self.live is not None)
 
     def restart(self, joint_angles: Array, seed: int) -> None:
-        """Begins anew with other joint angles and noise; what was changed about the plant stays.
+        """Restarts with other joint angles and noise; changes of the plant persist.
 
         Args:
             joint_angles: (n,), of all robots together, rad or m.
@@ -171,7 +171,7 @@ class Simulation:
         self._batch.begin([self])
 
     def _check_gains(self, start: Array) -> None:
-        """Refuses gains, of controllers and of the torque loop, that the time steps cannot hold."""
+        """Refuses gains of controllers and torque loop that are unstable at the time step."""
         robots = dict(zip(self.robots, self.controlled, strict=True))
         self._of_robots(
             "controllers", lambda name: robots[name].controller.check(start[robots[name].joints])
@@ -186,7 +186,7 @@ class Simulation:
                     )
 
     def _plan(self, start: Array) -> None:
-        """Computes targets and makes controllers that remember nothing, for a plant at rest.
+        """Computes targets and makes new controllers for a plant at rest.
 
         Args:
             start: (n,), of all robots together, rad or m.
@@ -203,7 +203,7 @@ class Simulation:
         def plan(name: str) -> Plan:
             controller, times = self.scenario.controller_of(name), self.times
             robot, target = standing[name], self.scenario.targets.get(name)
-            if self.live is not None:  # what is planned is replaced, but has its place in the log
+            if self.live is not None:  # the plan is replaced, but keeps its columns in the log
                 return make_plan(robot, None, times[:1], self.compiler, angles[name])
             return make_plan(
                 robot,
@@ -276,7 +276,7 @@ class Simulation:
         )
 
     def _of_robots(self, section: str, make: Callable[[str], T]) -> dict[str, T]:
-        """What is made for every robot, by name; tells all that is wrong in a section at once."""
+        """Makes one object per robot, by name; reports all problems of a section together."""
         made: dict[str, T] = {}
         problems: list[Problem] = []
         for name in self.robots:
@@ -381,7 +381,7 @@ class Simulation:
         self._batch.advance(min(to_step, self.steps))
 
     def prepare(self, k: int) -> None:
-        """Lets controllers and events act in the step that leads on from row k of the log."""
+        """Applies controllers and events for the step after row k of the log."""
         for act in self._before:
             act(k)
         if self.whole_body is not None:
@@ -391,7 +391,7 @@ class Simulation:
                 robot.command(k, float(self.times[k]))
 
     def finish(self, k: int) -> None:
-        """Writes what the step that led to row k of the log has done, but what is written of all.
+        """Writes row k of the log, except for the columns that the batch writes.
 
         Args:
             k: the row, in which measured, actual and driven torques are.
@@ -416,7 +416,7 @@ class Simulation:
             self._estimated[k : k + every, robot.joints] = estimate
 
     def drop_oldest(self, keep: int) -> int:
-        """Forgets all rows of the log but the last ones, so that as many can be simulated anew.
+        """Discards all but the last rows of the log, which makes room for new ones.
 
         Args:
             keep: how many rows, at least; a few more are kept.
@@ -468,7 +468,7 @@ class Simulation:
             raise
 
     def _write_free(self, k: int) -> None:
-        """Writes where free bases and objects are into row k."""
+        """Writes the poses of free bases and objects into row k."""
         for event, free in self._free.items():
             pose = self.plant.qpos[free]
             T = frame(rotation_from_quat(pose[3:]), pose[:3])
@@ -508,7 +508,7 @@ def _begun_again(
 
 
 def _check_size(scenario: Scenario) -> None:
-    """Refuses a run whose log would not fit into memory, before anything is computed for it."""
+    """Refuses a run whose log would not fit into memory."""
     joints = sum(robot.n for robot in scenario.scene.robots.values())
     signals = len((*MEASURED, *ACTUAL, *DRIVEN, *TARGETS, *ESTIMATED))
     size = 8 * (scenario.run.steps + 1) * signals * joints

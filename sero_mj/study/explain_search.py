@@ -528,7 +528,7 @@ class Search:
         return sorted(made, key=lambda each: order[each.joint])
 
     def explains(self, sign: Explanation) -> bool:
-        """Whether an apparent wrong sign of a drive is better explained otherwise.
+        """Whether another explanation fits better than a drive with a wrong sign.
 
         That is so where it fits far better, or acts before or after as well.
 

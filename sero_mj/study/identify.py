@@ -375,7 +375,7 @@ def as_toml(found: Identified) -> str:
         kept = [joint.joint for joint, each in zip(found.joints, estimates, strict=True)
                 if each.value is None]  # fmt: skip
         if kept:
-            lines.append(f"# not told by the run, as it was before: {', '.join(kept)}")
+            lines.append(f"# not identifiable from the run, unchanged: {', '.join(kept)}")
     offsets = [each.torque_offset for each in found.joints]
     if any(each.value is not None for each in offsets):
         errors = ", ".join("-" if each.error is None else f"{each.error:.1g}" for each in offsets)

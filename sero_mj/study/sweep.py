@@ -24,7 +24,7 @@ from ..simulate.scenario_file import read_scenario
 from .variant import VariantRunner, outcome_columns
 from .workers import Result, run_in_processes
 
-_TRIED = 20  # variants that are read beforehand: if none can be, a key is wrong
+_TRIED = 20  # variants that are read in advance: if none is valid, a key is wrong
 MAX_VARIANTS = 200_000  # their values and results are kept in memory, not their logs
 # Variants that are run together, and steps and joints of theirs: 100 MB of logs.
 _BATCH, _BATCH_STEPS = 32, 1_000_000
@@ -114,7 +114,7 @@ class Vary:
         return [self._between(float(share)) for share in shares]
 
     def grid(self, count: int) -> list[Any]:
-        """So many values from end to end; of a list all of them."""
+        """Equidistant values over the range; of a list all of them."""
         if not self.is_range:
             return list(self.values)
         shares = np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
@@ -153,7 +153,7 @@ def latin_hypercube(varied: Sequence[Vary], samples: int, seed: int) -> list[dic
 
 
 def full_grid(varied: Sequence[Vary], count: int) -> list[dict[str, Any]]:
-    """Every value of every key with every value of all others; `count` in each range.
+    """All combinations of the keys' values; `count` in each range.
 
     Raises:
         UsageError: that are more than `MAX_VARIANTS`.
@@ -241,7 +241,7 @@ class Sweep:
 
     @cached_property
     def columns(self) -> list[str]:
-        """What is known of each: its number, its values, and what came of it."""
+        """The columns of results: number, values, outcomes."""
         return ["variant", *(vary.key for vary in self.varied), *outcome_columns(self.base)]
 
     def _check_variants(self) -> None:

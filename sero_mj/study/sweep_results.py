@@ -97,7 +97,7 @@ class SweepTable:
             raise UsageError(f"--resume {path}: it belongs to another sweep: {text}")
 
     def _read(self, path: Path) -> None:
-        """Takes over the rows that are whole; half a row, of a process that was killed, goes."""
+        """Takes over complete rows, and drops a partial row of a killed process."""
         contents = path.read_bytes()
         whole = contents[: contents.rfind(b"\n") + 1]
         if len(whole) < len(contents):
@@ -122,7 +122,7 @@ class SweepTable:
             self.rows[variant] = {**row, "error": cells[self._columns.index("error")], **given}
 
     def add(self, number: int, result: Mapping[str, Any]) -> None:
-        """Adds what came of a variant.
+        """Adds the results of a variant.
 
         Raises:
             CsvError: the disk is full, say; what was written before stays.
@@ -139,7 +139,7 @@ class SweepTable:
             raise CsvError(self._path, f"cannot be written: {error.strerror}") from error
 
     def close(self) -> None:
-        """Puts the rows in order when all are there."""
+        """Sorts the rows when all variants are done."""
         if self._file is None or self._path is None:
             return
         self._file.close()
@@ -382,7 +382,7 @@ def _legend(sweep: Sweep, shown: list[str], rows: Mapping[int, Mapping[str, Any]
 
 
 def _places(vary: Vary, rows: list[Mapping[str, Any]]) -> Any:
-    """Where on the axis variants are: at their value, or at its number in the list."""
+    """Positions of variants on the axis: their value, or its index in the list."""
     values = [row[vary.key] for row in rows]
     if vary.values and not _are_numbers(vary.values):
         values = [vary.values.index(value) for value in values]

@@ -1,4 +1,4 @@
-"""Runs variants of a sweep, as many together as can be."""
+"""Runs variants of a sweep in batches."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UNITS = {"peak_torque_error": "Nm", "rms_torque_error": "Nm", "peak_torque_share
 
 
 def outcome_columns(scenario: Scenario) -> list[str]:
-    """Columns of the results of a variant.
+    """The columns of a variant's results.
 
     `held`: whether all that is expected did and nothing stopped the run. `error`: what stopped it.
     `ended`: s of simulated time. For every expectation whether it held and the value found;
@@ -89,7 +89,7 @@ class VariantRunner:
 
 @contextmanager
 def _error_in(found: dict[str, Any]) -> Iterator[None]:
-    """Catches everything that goes wrong in its context: it is what a variant's row says."""
+    """Catches all errors in its context, for the variant's row."""
     try:
         yield
     except DeclarationError as error:
@@ -105,7 +105,7 @@ def _error_in(found: dict[str, Any]) -> Iterator[None]:
 
 
 def _judge(simulation: Simulation, scenario: Scenario, found: dict[str, Any]) -> None:
-    """Fills in what came of a run, which may have ended early."""
+    """Fills in the results of a run, which may have ended early."""
     found["error"] = str(simulation.error or "")
     found["ended"] = simulation.time
     log, findings = simulation.log, simulation.findings()

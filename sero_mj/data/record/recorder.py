@@ -182,7 +182,7 @@ class Recorder(PacketWorker):
             raise
 
     def _finish(self, error: Exception | None) -> None:
-        if not isinstance(error, RecordingError):  # else there is no more of the file to be saved
+        if not isinstance(error, RecordingError):  # else the file cannot be completed
             with self._writing:
                 self._writer.close(lost=self._lost)
 

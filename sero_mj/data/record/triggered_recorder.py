@@ -214,7 +214,7 @@ class TriggeredRecorder(PacketWorker):
         self._packets = 0
         self._last_seen = math.nan  # arrival of the last packet
         self._held: dict[str, bool] = {}  # whether the last packet of a source fulfilled it
-        self._asked: list[str] = []  # what is to be recorded whatever the condition
+        self._asked: list[str] = []  # events to be recorded regardless of the condition
         super().__init__("triggered recorder")
 
     def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:

@@ -178,7 +178,7 @@ class MotionPackets:
         shapes = self.structure.events
         values = {event: np.reshape(value, shapes[event]) for event, value in values.items()}
         for event in self.structure.matrices:
-            # What nothing leads from has to be a frame, or the packet is malformed.
+            # Events without a route still need valid frames, or the packet is malformed.
             frames = values.setdefault(event, np.zeros(shapes[event]))
             values[event] = np.where(frames.any(axis=(1, 2), keepdims=True), frames, np.eye(4))
         return self.structure.encode(values)

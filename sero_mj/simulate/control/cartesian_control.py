@@ -261,8 +261,7 @@ class CartesianImpedanceController:
         torque = zeros(4)  # a quaternion
         self._torque_vector: Array = torque[..., 1:]
         self._back, self._turn = zeros(3, 3), zeros(3, 3)  # R_target_world, that to the flange
-        # Row by row: least pivots of the mobilities, and views of what is solved with these, and
-        # of what is turned.
+        # For each row: the least pivot of its mobility, and views for the calls of MuJoCo.
         self._least_pivots: list[float] = []
         mobilities = self._mobility.reshape(-1, 6, 6)
         self._solved_rows = list(zip(mobilities, self._solved.reshape(-1, 6), strict=True))

@@ -157,7 +157,7 @@ class LimitedController:
 
     def is_finite(self, row: RowIndex = ...) -> bool:
         """Whether the torques that are asked for in a row are numbers, and not too large to be."""
-        requested = self.requested[row]  # one number tells of NaN and inf in any joint
+        requested = self.requested[row]  # a single product detects NaN and inf in any joint
         return bool(requested.dot(requested) < math.inf)
 
     def not_finite(self, sensed: Sensed, row: RowIndex = ...) -> SimulationError:

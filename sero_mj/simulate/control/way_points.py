@@ -36,7 +36,7 @@ TimeScaling = Literal["quintic", "trapezoidal"]
 _QUINTIC_SPEED = 15.0 / 8.0  # its greatest speed, for a way of one in a time of one
 _QUINTIC_ACCELERATION = 10.0 / np.sqrt(3.0)
 _THIRD = 1.0 / 3.0  # of the time a trapezoid speeds up where nothing else says how long
-_NOTHING = 1e-12  # s: ways that no joint needs more for are none
+_NOTHING = 1e-12  # s; shorter ways count as none
 
 
 def _rising(times: Array | None) -> Array | None:

@@ -74,7 +74,7 @@ class WholeBody:
         own.qpos[self._free] = positions[self._free]
         mujoco.mj_kinematics(model, own)
         mujoco.mj_comPos(model, own)
-        mujoco.mj_makeM(model, own)  # of which the composite inertias are taken
+        mujoco.mj_makeM(model, own)  # which computes the composite inertias
 
     def mounting(self, name: str) -> Mounting:
         """Returns where a robot's base is and what it carries, now and after every `update`."""

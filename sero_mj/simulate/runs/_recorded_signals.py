@@ -96,7 +96,7 @@ def series_of(receiver: Source, events: Mapping[str, Array], arrivals: Array) ->
         sent = events[receiver.time][:, 0] * receiver.time_scale
         if np.isfinite(sent).all() and (np.diff(sent) > 0).all():
             times = sent - sent[0] + arrivals[0]
-    # Of packets that came at once the last is what was shown.
+    # Of packets with one arrival, the last was shown.
     later = np.minimum.accumulate(times[::-1])[::-1]
     keep = np.append(times[:-1] < later[1:], True)
     return Series(times[keep], {event: values[keep] for event, values in events.items()})
@@ -231,7 +231,7 @@ def follow_routes(
 def _possible(
     routes: Mapping[str, str], owners: Collection[str], sources: Collection[str]
 ) -> dict[str, str]:
-    """Routes to values of joints from what was recorded, or from each other."""
+    """Routes to joint values from recorded events, or from each other."""
     inputs = {target for target in routes if target.partition(".")[0] in owners
               and target.rpartition(".")[2] in (*_SIGNALS, "joint_accelerations",
                                                "billboard_values")}  # fmt: skip

@@ -1,4 +1,4 @@
-"""Measures of a run: errors, speeds, torques and forces over time; where what is free has gone."""
+"""Measures of a run over time: errors, speeds, torques, forces, and poses of free bodies."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ SIGNED = (
     *(name for name in PER_JOINT if name != "saturated"), "height", "flange_x", "flange_y",
     "flange_z",
 )  # fmt: skip
-# Those of what is free: a base, or an object.
+# Measures of free bodies: a base, or an object.
 OF_FREE = ("height", "displacement", "tilt")
 # Those that ask for a target.
 NEED_TARGET = ("position_error", "velocity_error", "flange_error", "orientation_error")

@@ -130,7 +130,7 @@ class Finding:
 def _onsets(
     log: RunLog, robot: str, kind: str, values: Array, limits: Array, steps: int
 ) -> list[Finding]:
-    """A finding for every stretch of rows in which a value is above its limit for long enough."""
+    """A finding for every interval in which a value exceeds its limit for long enough."""
     bad = values > limits
     if not bad.any():
         return []
@@ -152,7 +152,7 @@ def _onsets(
 
 
 def _since(flags: Bools) -> Ints:
-    """For how many rows in a row each column has been true, (T, n); 0 where it is false."""
+    """The number of consecutive true rows up to each row, (T, n)."""
     rows = np.arange(1, len(flags) + 1)[:, None]
     last = np.maximum.accumulate(np.where(flags, 0, rows), axis=0)
     return np.asarray(np.where(flags, rows - last, 0))

@@ -53,7 +53,7 @@ class Run(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """A run of which all rows are there.
+    """A complete run.
 
     Attributes:
         about: what it is, for people.
@@ -78,7 +78,7 @@ class FinishedRun:
         return len(self.rows) - 1
 
     def advance(self, to_step: int) -> None:
-        """Nothing is left to be computed."""
+        """Does nothing: all rows exist."""
 
     def findings(self) -> list[Finding]:
         """None: its rows alone do not say what they are."""
@@ -86,7 +86,7 @@ class FinishedRun:
 
 
 class RunSource(Source):
-    """The rows of a run as packets, handed on when the clock reaches their times.
+    """The rows of a run as packets, passed on when the clock reaches their times.
 
     It has no thread: whoever drives it says what time it is, so a film is the same however long
     rendering takes. A simulation that cannot go on stays where it is: `error` says why.
@@ -154,7 +154,7 @@ class RunSource(Source):
 
     @property
     def is_live(self) -> bool:
-        """Packets come when they are wanted."""
+        """False: packets follow `advance_to`."""
         return False
 
     def now(self) -> float:
@@ -168,18 +168,18 @@ class RunSource(Source):
         self.advance_to(0.0)
 
     def close(self) -> None:
-        """Nothing is to be freed."""
+        """Does nothing: there is nothing to free."""
 
     def wait(self, timeout: float) -> bool:
         """Whether there are packets at all; nothing is to be waited for."""
         return True
 
     def _before(self, row: int) -> int:
-        """Returns the row behind which packets are handed on anew, when the clock went back."""
+        """Returns the row after which packets are passed on again, when the clock went back."""
         return -1
 
     def advance_to(self, time: float) -> None:
-        """Hands on all rows until then, s; computes those that are not there yet."""
+        """Passes on all rows up to a time, s; computes missing ones."""
         run = self.run
         times = run.times
         row = int(np.searchsorted(times, time + 1e-9, side="right")) - 1

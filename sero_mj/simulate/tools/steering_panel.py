@@ -44,7 +44,7 @@ class SteeringPanel:
         self._steering, self._say = steering, say
         self._sliders = JointSliders()
         self._refused: dict[str, str] = {}
-        self._asked: Any = None  # what was refused last: a slider asks for it in every frame
+        self._asked: Any = None  # the value last refused, which a slider repeats in every frame
 
     def build(self, ui: Widgets) -> None:
         """Builds a section for every robot."""

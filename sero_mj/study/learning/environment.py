@@ -330,7 +330,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             angles[self._robot.name] = start
             self.simulation.restart(np.concatenate(list(angles.values())), seed)
         if self._mirror is not None:
-            self._mirror.open()  # forgets what was shown
+            self._mirror.open()  # discards the state shown
 
     def step(self, action: Any) -> dm_env.TimeStep:
         """Simulates a control step; after the end of an episode the next one begins.

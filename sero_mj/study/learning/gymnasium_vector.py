@@ -99,7 +99,7 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
         if many.episodes[0] < 0:
             raise gymnasium.error.ResetNeeded("found no episode; expected reset() before step()")
         wanted = np.asarray(actions, np.float64)
-        if wanted.shape == self.action_space.shape:  # else `step` tells
+        if wanted.shape == self.action_space.shape:  # else `step` reports it
             wanted = wanted * self._scale
         begun = many.is_over.copy()
         seen, rewards, terminated, truncated = many.step(wanted)

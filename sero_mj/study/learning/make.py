@@ -66,7 +66,7 @@ class RobotSettings(Settings):
         """
         steps = max(round(self.time_limit / self.control_timestep), 1)
         name = robot.name
-        # Pictures show what is true, not what is measured.
+        # Pictures show true values, not measured ones.
         actual = {"joint_angles": "actual_angles", "torques": "actual_torques"}
         scene = Scene(
             robots=[robot.model_copy(update={"joint_angles": self._home(robot)})],
