@@ -48,6 +48,10 @@ for name in ("button", "checkbox", "combo", "slider_float", "input_double", "col
              "tree_node"):
     setattr(imgui, name, noted(getattr(imgui, name)))
 clicks = []
+if "stereo" in options:
+    from functools import partial
+    from sero_mj.viewer.window.stereo_viewport import StereoViewport
+    options["make_viewport"] = partial(StereoViewport, stereo=options.pop("stereo"))
 if "over" in options:  # a camera and its file
     from functools import partial
     from sero_mj.viewer.photo.camera_feed import CameraFeed

@@ -6,7 +6,7 @@ import copy
 import logging
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -350,11 +350,17 @@ class Session:
 
     def _open_window(self, mirror: Mirror) -> Mirror | None:
         from ..viewer.session.restoring import restore
-        from ..viewer.window.host import Window
+        from ..viewer.window.host import Viewport, Window
 
         options = self.options
         with ExitStack() as stack:
-            make_viewport = None
+            make_viewport: Callable[..., Viewport] = Viewport
+            if options.stereo is not None:
+                from ..viewer.window.stereo_viewport import StereoViewport
+
+                make_viewport = partial(
+                    StereoViewport, stereo=options.stereo, eye_distance=options.eye_distance
+                )
             if options.over is not None:
                 from ..viewer.window.photo_viewport import PhotoViewport
 
@@ -367,8 +373,6 @@ class Session:
                 size=options.size or _SIZE,
                 camera=options.camera,
                 full_screen=options.full_screen,
-                stereo=options.stereo,
-                eye_distance=options.eye_distance,
                 make_viewport=make_viewport,
             )
             stack.enter_context(window)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -16,12 +15,12 @@ from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
 from ..added_surroundings import added_surroundings
-from ..camera import Navigator, bounding_sphere, stand_back, standing_back
+from ..camera import Navigator, stand_back, standing_back
 from ..decor.geom_buffer import CAPACITY
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..headless.film import Pixels
-from ..headless.picture_options import DEFAULT_SIZE, EYE_DISTANCE, Stereo
+from ..headless.picture_options import DEFAULT_SIZE
 from ..session.input import Clicked, Event, Mouse, Moved
 from ..session.interaction import help_columns
 from ..session.live import LiveHost
@@ -29,7 +28,6 @@ from ..session.picking import Pixel
 from ..session.scene_decor import SceneDecor
 from ..session.status_line import Piece, status_pieces
 from ..session.tool import tool_keys
-from ..stereo import check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter
 from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
 from .glfw_window import GlWindow
@@ -46,26 +44,14 @@ class Viewport(SceneDecor):
         world: the compiled scene.
         toggles: what is shown.
         context: of the window, current.
-        stereo: see `Window`.
-        eye_distance: likewise.
 
     Attributes:
         rect: of the last picture in the window.
         needed: see `camera.needed_aspect`.
     """
 
-    def __init__(
-        self,
-        world: WorldView,
-        toggles: Toggles,
-        context: mujoco.MjrContext,
-        stereo: Stereo | None = None,
-        eye_distance: float = EYE_DISTANCE,
-    ) -> None:
+    def __init__(self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext) -> None:
         super().__init__(world, toggles, with_text=False)
-        self._stereo, self._eye_distance = stereo, eye_distance
-        self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
-        self._distance = 1.0  # m, of what the camera looks at
         self.needed = 0.0
         self._surroundings = added_surroundings(world, context)
         self.rect = mujoco.MjrRect(0, 0, 1, 1)
@@ -102,54 +88,40 @@ class Viewport(SceneDecor):
         if self._surroundings is not None:
             self._surroundings.add(scene)
         self.rect, self._typesetter = rect, typesetter
-        stand_back(scene, camera, self._width, rect.height, self.needed)
-        if self._stereo is not None:
-            self._distance = looked_at(scene, camera, self._centre)
-        inset = (min(covered, 0.6 * self._width), 0.0, 0.0, 0.0)
-        view = PictureView.of_scene(scene, self._width, rect.height, typesetter.font, inset)
+        stand_back(scene, camera, self.width, rect.height, self.needed)
+        inset = (min(covered, 0.6 * self.width), 0.0, 0.0, 0.0)
+        view = PictureView.of_scene(scene, self.width, rect.height, typesetter.font, inset)
         self.draw(data, view, scene)
 
     @property
-    def _width(self) -> int:
-        """Of what one eye sees, pixels."""
-        return int(self.rect.width) // (2 if self._stereo == "side-by-side" else 1)
+    def width(self) -> int:
+        """Width of what one eye sees, pixels."""
+        return int(self.rect.width)
 
     def render(self, gl: GlWindow, *, quickly: bool = False) -> None:
-        """Renders the picture in a window, in stereo for one eye after the other.
+        """Renders the picture in a window.
 
         Args:
             gl: the window.
-            quickly: whether without multisampling and shadows; not in stereo.
+            quickly: whether without multisampling and shadows.
         """
-        rect, scene = self.rect, self._scene
-        lefts = [int(rect.left)]
-        if self._stereo is None and quickly:
-            gl.render_quickly(rect, scene)
-        elif self._stereo is None:
-            mujoco.mjr_render(rect, scene, gl.context)
-        elif self._stereo == "anaglyph":
-            # MuJoCo sets all colours where something is reflected, so no mask holds meanwhile.
-            for eye, _ in enumerate(each_eye(scene, self._eye_distance, self._distance)):
-                mujoco.mjr_render(rect, scene, gl.context)
-                if eye == 0:
-                    left = gl.read(rect)
-            gl.blender.draw_red(np.ascontiguousarray(left[::-1]), rect.left, rect.bottom)
+        if quickly:
+            gl.render_quickly(self.rect, self._scene)
         else:
-            lefts = [int(rect.left), int(rect.left) + self._width]
-            for eye, _ in enumerate(each_eye(scene, self._eye_distance, self._distance)):
-                half = mujoco.MjrRect(lefts[eye], rect.bottom, self._width, rect.height)
-                mujoco.mjr_render(half, scene, gl.context)
+            mujoco.mjr_render(self.rect, self._scene, gl.context)
+        self._draw_panels(gl, int(self.rect.left))
+
+    def _draw_panels(self, gl: GlWindow, left: int) -> None:
+        """Draws the panels over the picture that begins at a pixel of the window."""
         if self._typesetter is not None:
-            panels = self._typesetter.place(self.panels)
-            for start in lefts:
-                gl.blender.draw(panels, start, rect.bottom)
+            gl.blender.draw(self._typesetter.place(self.panels), left, self.rect.bottom)
 
     def to_picture(self, x: float, y: float) -> Pixel | None:
         """Converts a pixel of the window to one of the picture; None outside of it."""
         x, y = x - self.rect.left, y - self.rect.bottom
         if not (0 <= x < self.rect.width and 0 <= y < self.rect.height):
             return None
-        return x % self._width, y
+        return x % self.width, y
 
 
 class Pace:
@@ -192,10 +164,7 @@ class Window(LiveHost):
         camera: see `find_camera`.
         full_screen: whether it covers the screen.
         folder: where screenshots and films go; the current one when None.
-        stereo: `side-by-side` for a half of the picture for each eye, or `anaglyph` for red-cyan
-            glasses.
-        eye_distance: between the eyes, m.
-        make_viewport: makes another viewport of world, toggles and OpenGL context.
+        make_viewport: makes the picture's viewport of world, toggles and OpenGL context.
 
     Attributes:
         navigator: moves the camera.
@@ -204,7 +173,7 @@ class Window(LiveHost):
             view moves, or the user acts, and the machine is slow.
 
     Raises:
-        RenderError: there is no display, no OpenGL, no Dear ImGui, or no such stereo.
+        RenderError: there is no display, no OpenGL or no Dear ImGui.
         UnknownName: no camera of that name.
     """
 
@@ -218,11 +187,8 @@ class Window(LiveHost):
         camera: str | None = None,
         full_screen: bool = False,
         folder: Path | None = None,
-        stereo: Stereo | None = None,
-        eye_distance: float = EYE_DISTANCE,
-        make_viewport: Callable[[WorldView, Toggles, mujoco.MjrContext], Viewport] | None = None,
+        make_viewport: Callable[[WorldView, Toggles, mujoco.MjrContext], Viewport] = Viewport,
     ) -> None:
-        check_stereo(stereo, eye_distance)
         try:  # here, so that who renders pictures loads no user interface
             from .chrome import Chrome
         except ImportError as error:  # of a library of the system, say
@@ -234,9 +200,7 @@ class Window(LiveHost):
         self.navigator = Navigator(world, camera)
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
-        made = (world, self.toggles, self.gl.context)
-        make = make_viewport or partial(Viewport, stereo=stereo, eye_distance=eye_distance)
-        self.decor = make(*made)
+        self.decor = make_viewport(world, self.toggles, self.gl.context)
         self._use(self.decor)
         self.decor.needed = self.navigator.needed
         self._mouse = Mouse()

@@ -105,5 +105,4 @@ class PhotoViewport(Viewport):
         over = painter.over(photo, self._scene, draw)
         mujoco.mjr_rectangle(mujoco.MjrRect(0, 0, *gl.size), *_BESIDE)
         mujoco.mjr_drawPixels(over[::-1].ravel(), None, rect, gl.context)
-        if self._typesetter is not None:
-            gl.blender.draw(self._typesetter.place(self.panels), rect.left, rect.bottom)
+        self._draw_panels(gl, int(rect.left))
