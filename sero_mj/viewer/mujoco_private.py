@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import socket
 import types
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -92,7 +93,7 @@ class Server(Protocol):
     def update_model(self, bundle: bytes, crc32: int) -> None: ...  # noqa: D102
 
 
-class PrivateViewer:
+class PrivateViewer(ABC):
     """Replaces private parts of Studio's `WebViewer`, before which it stands in a class's bases.
 
     Studio 4.0 listens on all interfaces, with a server of its own, and cannot be told otherwise.
@@ -111,6 +112,7 @@ class PrivateViewer:
     _model_crc32: int
     _http_port: int
 
+    @abstractmethod
     def make_server(self, http: socket.socket, tcp: socket.socket) -> Server:
         """Returns the server.
 
@@ -118,11 +120,10 @@ class PrivateViewer:
             http: listens for browsers.
             tcp: for Studio's own user interface.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def guarded(self, tcp: socket.socket) -> socket.socket:
         """Returns the socket for Studio's own user interface as it is to be used."""
-        raise NotImplementedError
 
     @property
     def _host(self) -> str:
@@ -131,6 +132,7 @@ class PrivateViewer:
     @_host.setter
     def _host(self, value: str) -> None:
         """Ignores the value of Studio's constructor, which is all interfaces."""
+        del value
 
     @property
     def _http_sock(self) -> socket.socket:
