@@ -88,25 +88,25 @@ def test_a_live_robot_is_scrubbed_too_and_then_shown_as_it_is() -> None:
         page.frame()
         assert page.clock.is_paused
         assert 0.1 < page.data.qpos[0] < 0.7
-        page.press("end")
+        page.actions.press("end")
         page.frame()
         assert page.data.qpos[0] == pytest.approx(0.78)  # the latest packet, sent long ago
 
 
 def test_keys_of_the_table_act_on_the_page(page: WebHost) -> None:
-    page.press("a")
+    page.actions.press("a")
     assert not page.toggles.arrows.any()
     assert page.notice.text == "arrows: off"
-    page.press("]")
+    page.actions.press("]")
     assert page.joint == 1
     assert page.notice.text == "selected: lwr/A2"
-    page.press("9")
+    page.actions.press("9")
     assert page.notice.text.startswith("no camera 9: the scene has ")
-    page.press("f")
+    page.actions.press("f")
     assert page.notice.text == "follows nothing"
-    page.press("-")
+    page.actions.press("-")
     assert page.clock.speed == 0.5
-    page.press("f11")  # a browser's own
+    page.actions.press("f11")  # a browser's own
 
 
 def test_a_page_says_where_it_is_and_keeps_its_port(page: WebHost) -> None:
@@ -281,12 +281,12 @@ def test_screenshots_and_films_are_made_of_pages_too(tmp_path: Path) -> None:
         said: list[str] = []
         page.say = lambda text, is_bad=False: said.append(text)  # type: ignore[method-assign]
         page.frame()
-        page.press("f2")
-        page.press("f3")
+        page.actions.press("f2")
+        page.actions.press("f3")
         assert said[-1].startswith("filming to ")
         for _ in range(6):
             page.frame()
-        page.press("f3")
+        page.actions.press("f3")
         assert said[-1] == "the film is complete"
         assert until(lambda: page.frame() and sum("saved: " in each for each in said) == 2)
         expected = page.picture()

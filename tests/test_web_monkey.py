@@ -38,7 +38,7 @@ def test_random_events_do_not_end_a_page(own_browser: Any, tmp_path: Path) -> No
     ):
         served.ask(_BLACK_PICTURES)
         served.ask(_WITHOUT_QUIT)
-        served.ask("w.perform('plot')")
+        served.ask("w.actions.perform('plot')")
         visitor = Visitor(own_browser, served)
         page, faults = visitor.page, list[str]()
         page.on("pageerror", lambda error: faults.append(str(error)))

@@ -531,9 +531,8 @@ def test_files_get_names_that_are_free(tmp_path: Path) -> None:
 def test_no_key_means_two_things_and_each_is_done() -> None:
     assert not set(KEYS) & {*HOST_KEYS, *MORE_KEYS}
     assert not set(HOST_KEYS) & set(MORE_KEYS)
-    assert {key.action for key in MORE_KEYS.values()} - {"last_joint"} <= {
-        key.action for key in HOST_KEYS.values()
-    }
+    more = {key.action for key in MORE_KEYS.values() if not key.action.startswith("camera_")}
+    assert more - {"last_joint"} <= {key.action for key in HOST_KEYS.values()}
 
 
 class FakeClock:
@@ -559,7 +558,7 @@ class Host(LiveHost):
         super().__init__(mirror)  # type: ignore[arg-type]
         self.said: list[str] = []
         self.helped = 0
-        self._actions["help"] = self.help
+        self.actions.add({"help": self.help})
 
     def help(self) -> None:
         self.helped += 1
@@ -584,19 +583,19 @@ def test_keys_do_what_the_tables_say_in_every_host(
     monkeypatch.setattr("sero_mj.viewer.session.live.Clock", lambda mirror: clock)
     host = Host(lwr_world)
     for key in (" ", ".", ",", "-", "+", "backspace", "left", "right", "home", "_"):
-        host.press(key)
+        host.actions.press(key)
     assert clock.asked == [
         ("pause",), ("step",), ("step", -1), ("faster", -1), ("faster", 1), ("reset",),
         ("seek", 4.0), ("seek", 6.0), ("reset",), ("faster", -1),
     ]  # fmt: skip
     for key in ("3", "f", "h", "[", "]", "]", "l", "f2", "y", "escape"):
-        host.press(key)  # F2 is not of this host, y of none
+        host.actions.press(key)  # F2 is not of this host, y of none
     selected = [f"selected: lwr/{joint}" for joint in ("A6", "A1", "A2")]
     assert host.said == ["camera 3", "follows None", *selected, "legend: off"]
     assert (host.joint, host.helped, host.toggles.legend) == (1, 1, False)
     clock.asked.clear()
     for key in (".", " ", "l"):
-        host.press(key, is_repeat=True)  # held down: only what goes on in steps does
+        host.actions.press(key, is_repeat=True)  # held down: only what goes on in steps does
     assert clock.asked == [("step",)] and host.toggles.legend is False
 
 

@@ -36,7 +36,7 @@ def test_random_events_do_not_end_a_window(display: str, tmp_path: Path) -> None
         window.ask(f"sys.path.append({_TESTS!r})")
         window.ask("globals().update(hand=__import__('monkeys').WindowHand(w, places, seed=1))")
         window.ask("setattr(w, '_draw', draw)")  # every frame
-        window.ask("w.perform('plot') or w.toggle_panel()")
+        window.ask("w.actions.perform('plot') or w.toggle_panel()")
         places = random.Random(1)
         for _ in range(EVENTS // AT_ONCE):
             assert window.ask(f"hand.run({AT_ONCE})") > 0, window.ask("[*hand.monkey.last]")
@@ -45,7 +45,7 @@ def test_random_events_do_not_end_a_window(display: str, tmp_path: Path) -> None
         window.tool("search", "--name", "lwr", "windowsize", 320, 240)
         window.until("w.gl.size == (320, 240)")
         # Wherever the camera has gone, and whatever was switched off: as the scene declares it.
-        window.ask("[w.press(key) for key in ('escape', '0', 'r', 'backspace')] and None")
+        window.ask("[w.actions.press(key) for key in ('escape', '0', 'r', 'backspace')] and None")
         window.until("(w.picture().max(axis=(0, 1)) > 100).all()")
     assert window.process.returncode == 0
     assert errors.read_text() == ""

@@ -280,7 +280,7 @@ HOST_KEYS: dict[str, Key] = {
     "left": Key("back", "1 s back", repeats=True),
     "right": Key("on", "1 s on", repeats=True),
     "end": Key("end", "to the end; what is live again"),
-    "0": Key("camera", "0 initial view, 1 to 9 cameras"),
+    "0": Key("camera_0", "0 initial view, 1 to 9 cameras"),
     "f": Key("follow", "follow the item under the pointer"),
     "]": Key("next_joint", "select the next joint, [ the previous", repeats=True),
     "t": Key("status_line", "status line on or off"),
@@ -298,7 +298,7 @@ MORE_KEYS: dict[str, Key] = {
     "_": Key("slower", repeats=True),
     "[": Key("last_joint", repeats=True),
     "home": Key("reset"),
-    **{str(number): Key("camera") for number in range(1, 10)},
+    **{str(number): Key(f"camera_{number}") for number in range(1, 10)},
 }
 # Effect of the mouse on the camera of a live host.
 HOST_MOUSE: dict[str, str] = {

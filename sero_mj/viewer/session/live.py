@@ -23,10 +23,11 @@ from ..panels.message import Message
 from ..panels.robot_panel import RobotPanel
 from ..panels.status_line import SourcesPanel
 from ..panels.widgets import Widgets
+from .actions import Actions
 from .clock import Clock
 from .dragging import Dragging
 from .input import Clicked, Moved
-from .interaction import HOST_KEYS, KEYS, MORE_KEYS, ClickDetector, Key, press_toggle
+from .interaction import KEYS, ClickDetector, press_toggle
 from .picking import Picked, Pixel
 from .scene_decor import SceneDecor
 from .status_line import Piece
@@ -57,6 +58,7 @@ class LiveHost(ABC):
         toggles: visibility of features.
         clock: pause, speed and time line.
         tools: by name.
+        actions: of keys and menus.
         opener: returns the mirror of a dropped file; None if files cannot be opened.
         offers: other scenes to show, by the label of a button; None for non-scenes.
         next_mirror: chosen by the user to be shown after this host has ended.
@@ -99,9 +101,8 @@ class LiveHost(ABC):
         self._robots = RobotPanel(world, self.toggles)
         self._robots.on_select = self.select
         self.tools = Tools(self)
-        self._dragging = Dragging(self.tools, lambda text, is_bad: self.say(text, is_bad=is_bad))
-        # By the names in `interaction.HOST_KEYS` and of tools; hosts add their own.
-        self._actions: dict[str, Action] = {
+        self._dragging = Dragging(self.tools, self._tell)
+        own: dict[str, Action] = {
             "pause": clock.pause,
             "step": clock.step,
             "step_back": lambda: clock.step(-1),
@@ -116,26 +117,13 @@ class LiveHost(ABC):
             "follow": self._follow_under_pointer,
             "help": self.toggle_help,
             "status_line": self.toggle_status,
+            **{f"camera_{number}": partial(self.choose_camera, number) for number in range(10)},
+            **{f"switch_{key}": partial(self._switch, key) for key in KEYS},
         }
-        self._keys = {**HOST_KEYS, **MORE_KEYS, **dict.fromkeys(KEYS, Key(""))}
-        for tool in self.tools.values():
-            for action, act in (self.tools.call(tool, lambda tool: tool.actions()) or {}).items():
-                self._actions.setdefault(action, partial(self._act, tool, act))
-        for name, tool in self.tools.items():
-            self._take_keys(name, tool)
+        self.actions = Actions(own, self.tools, self._tell)
 
-    def _take_keys(self, name: str, tool: Tool) -> None:
-        """Lets keys do what a tool does; reports those that are in use, or have no action."""
-        for key, entry in tool.keys.items():
-            action = entry[0]
-            if key in self._keys:
-                log.warning("the key %s of the tool %s is taken; it does nothing", key, name)
-            elif action not in self._actions:
-                log.warning("the tool %s has the key %s, but no action %s", name, key, action)
-            self._keys.setdefault(key, Key(*entry))
-
-    def _act(self, tool: Tool, act: Action) -> str | None:
-        return self.tools.call(tool, lambda _: act())
+    def _tell(self, text: str, is_bad: bool) -> None:
+        self.say(text, is_bad=is_bad)
 
     @property
     @abstractmethod
@@ -297,32 +285,8 @@ class LiveHost(ABC):
         self.tools.ask(lambda tool: tool.build(ui))
         self._robots.build(ui)
 
-    def press(self, key: str, *, is_repeat: bool = False) -> None:
-        """Performs the action of a key, if it has one.
-
-        Args:
-            key: see `input.Event`.
-            is_repeat: whether it is an automatic repetition.
-        """
-        name, _, repeats = self._keys.get(key, Key(""))
-        if is_repeat and not repeats:
-            return
-        if key in KEYS:
-            self.say(press_toggle(key, self.world, self.data, self.toggles))
-        elif name == "camera":
-            self.say(self.choose_camera(int(key)))
-        elif name in self._actions:
-            self.perform(name)
-
-    def perform(self, action: str) -> None:
-        """Performs an action by its name; an error is shown."""
-        try:
-            message = self._actions[action]()
-        except SeroError as error:
-            self.say(str(error), is_bad=True)
-            return
-        if message:
-            self.say(message)
+    def _switch(self, key: str) -> str:
+        return press_toggle(key, self.world, self.data, self.toggles)
 
     def _select(self, places: int) -> str:
         names = self.world.joints.names

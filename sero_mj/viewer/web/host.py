@@ -84,7 +84,7 @@ class WebHost(LiveHost):
         self._back = 1.0  # by how much farther away the camera stands, see `standing_back`
         self._app = StudioApp(self)
         self._panels = PageWindows(self, self.decor, self._app)
-        self._actions["link"] = self._copy_link
+        self.actions.add({"link": self._copy_link})
         is_private = is_loopback(check_address(host))
         self.token: str | None = None
         if token or not is_private:

@@ -124,7 +124,7 @@ class PageWindows(plugin.ViewerPlugin):
             for label, (key, action) in items.items():
                 is_possible = host.clock.can_go_back or action not in _NEEDS_PAST
                 if is_possible and imgui.MenuItem(label, key, lit.get(action, False)):
-                    host.perform(action)
+                    host.actions.perform(action)
             imgui.EndMenu()
         imgui.EndMainMenuBar()
 

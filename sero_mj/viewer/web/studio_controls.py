@@ -158,16 +158,16 @@ class StudioApp(studio_app.App):
             for letter in "zyc":
                 if imgui.IsKeyPressed(_LETTERS[letter], False):
                     redo = letter == "z" and io.KeyShift
-                    self._host.press("ctrl+y" if redo else f"ctrl+{letter}")
+                    self._host.actions.press("ctrl+y" if redo else f"ctrl+{letter}")
             return
         for name, key in IMGUI_KEYS.items():
             if imgui.IsKeyPressed(key, name in _HELD):
                 if name == "=" and io.KeyShift:
-                    self._host.press("+")
+                    self._host.actions.press("+")
                 elif name == "?" and not io.KeyShift:
                     continue
                 else:
-                    self._host.press(name)
+                    self._host.actions.press(name)
 
     def apply_perturb(self) -> None:
         """Does nothing: a mirrored robot is not simulated by this model."""

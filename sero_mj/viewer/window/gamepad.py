@@ -147,7 +147,7 @@ class Gamepad:
             what = "nothing here has a target" if goal is None else "moves the view"
             self._host.say(f"gamepad: {f'moves {goal[0]}' if self.steers and goal else what}")
         elif name in PAD_KEYS:
-            self._host.press(PAD_KEYS[name][0])
+            self._host.actions.press(PAD_KEYS[name][0])
 
     def _goal(self) -> tuple[str, JointGoal, Array] | None:
         """What the sticks move: the target of a simulated robot, else a robot without data."""

@@ -204,10 +204,7 @@ class Window(LiveHost):
         self._use(self.decor)
         self.decor.needed = self.navigator.needed
         self._mouse = Mouse()
-        self._actions |= {
-            "full_screen": self.gl.toggle_full_screen,
-            "panel": self.toggle_panel,
-        }
+        self.actions.add({"full_screen": self.gl.toggle_full_screen, "panel": self.toggle_panel})
         self.gamepad = Gamepad(self, self._turn)
         columns = help_columns(tool_keys())
         columns.append([("Gamepad", ""), *PAD_STICKS.items(),
@@ -371,7 +368,7 @@ class Window(LiveHost):
 
     def _press(self, event: Event) -> None:
         if event.key != "escape":
-            self.press(event.key, is_repeat=event.is_repeat)
+            self.actions.press(event.key, is_repeat=event.is_repeat)
         elif self.shows_help:
             self.shows_help = False
         elif self.gl.is_full_screen:
