@@ -65,7 +65,7 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
 
 
 def bounding_sphere(world: WorldView) -> tuple[Array, float]:
-    """Returns centre (3,), m, and radius, m, of a sphere about all but the floor, as declared.
+    """Returns centre (3,), m, and radius, m, of a sphere about the scene without its floor.
 
     Objects that a route attaches to a robot's flange count at the flange.
     """
@@ -226,8 +226,8 @@ def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]
 def needed_aspect(world: WorldView, camera: mujoco.MjvCamera) -> float:
     """Returns the width of a picture over its height that a free camera needs, at most 4/3.
 
-    It shows a sphere about all but the floor, as declared. Distances are those of pictures that are
-    as wide; in narrower ones the camera stands back.
+    It shows a sphere about the declared scene without its floor. Distances are those of pictures
+    that are as wide; in narrower ones the camera stands back.
     """
     centre, radius = bounding_sphere(world)
     radius = _MARGIN * radius + float(np.linalg.norm(centre - camera.lookat))

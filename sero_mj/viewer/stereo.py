@@ -1,7 +1,7 @@
 """Pictures for two eyes: side by side, or in one as a red-cyan anaglyph.
 
-Both eyes look in the same direction with frustums that are shifted, so that what is as far away as
-the point that is looked at is at the same pixel for both. There stands all text.
+Both eyes look in the same direction, with off-axis frustums: points at the distance of the look-at
+point are at the same pixel for both. All text is drawn at that distance.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Pixels = NDArray[np.uint8]
 
 
 def check_stereo(stereo: str | None, eye_distance: float) -> None:
-    """Raises RenderError for a way of stereo that there is not, or a distance out of range."""
+    """Raises RenderError for an unknown kind of stereo, or a distance out of range."""
     if stereo is not None and stereo not in STEREO:
         raise RenderError(f"found stereo {stereo!r}; expected {' or '.join(STEREO)}")
     if not 0 < eye_distance <= _MOST_APART:
@@ -42,7 +42,7 @@ def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> It
     Args:
         scene: that `mjv_updateScene` and decor have filled; afterwards it is as before.
         eye_distance: between the eyes, m.
-        distance: along the viewing direction, m, at which things are at the same pixel for both.
+        distance: along the viewing direction, m, of points at the same pixel for both.
     """
     first = scene.camera[0]
     middle = (np.array(first.pos, np.float64) + np.array(scene.camera[1].pos)) / 2
@@ -71,12 +71,12 @@ def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> It
 def looked_at(
     scene: mujoco.MjvScene, camera: mujoco.MjvCamera, centre: NDArray[np.float64]
 ) -> float:
-    """How far away is what a camera looks at, m.
+    """Returns the distance of what a camera looks at, m.
 
     Args:
         scene: that `mjv_updateScene` has filled with this camera.
         camera: free, or one of the model.
-        centre: of what there is to see, (3,), m; for a camera of the model.
+        centre: of the scene, (3,), m; used for a camera of the model.
     """
     near = float(scene.camera[0].frustum_near)
     is_free = camera.type == mujoco.mjtCamera.mjCAMERA_FREE

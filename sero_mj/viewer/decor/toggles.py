@@ -23,7 +23,7 @@ class Shown:
     Attributes:
         joints: whether a joint has a pose, (N,) bool.
         arrows: arrows of the joints, (N,) bool.
-        billboards: billboards of the joints, including those with an arrow's precise values,
+        billboards: billboards of the joints, including those with an arrow's exact values,
             (N,) bool.
         axes: axes of the frames, (M,) bool.
         frame_names: names of the frames, (M,) bool.
@@ -63,7 +63,7 @@ class Toggles:
         arrow_quantity: quantity of the arrows, index in `ARROW_QUANTITIES`, (N,).
         billboards: billboards of the joints, (N,) bool.
         clicked: joints whose billboards are shown before others where not all are, (N,) bool.
-        details: whether a joint's billboard has the precise values of its arrow, (N,) bool.
+        details: whether a joint's billboard has the exact values of its arrow, (N,) bool.
         frame_names: names of the frames, (M,) bool.
         axes: axes of the frames, (M,) bool.
         vectors: smart arrows, (K,) bool.

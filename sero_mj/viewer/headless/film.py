@@ -18,7 +18,7 @@ from PIL import Image
 from ...base.errors import RenderError, reason_of
 from .film_kinds import FILMS
 
-if TYPE_CHECKING:  # it takes 0.1 s to import, which pictures need not wait for
+if TYPE_CHECKING:  # importing it takes 0.1 s, and only films need it
     import av
 
 Pixels = NDArray[np.uint8]
@@ -57,7 +57,7 @@ def save_picture(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
 
 @contextlib.contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Says which file could not be written, and not by which other one."""
+    """Reports errors by the name of the final file, not of the temporary one."""
     try:
         yield
     except (OSError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""Which files are films and pictures, by how their names end."""
+"""File name extensions of films and pictures."""
 
 from __future__ import annotations
 

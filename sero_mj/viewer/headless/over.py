@@ -47,7 +47,7 @@ class PhotoRenderer(Painter):
         quality: see `HeadlessRenderer`.
 
     Attributes:
-        photo: what is drawn over, where `render` is given none.
+        photo: the photo to draw over if `render` gets none.
 
     Raises:
         RenderError: no OpenGL, or the photos are too large.

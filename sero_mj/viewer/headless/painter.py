@@ -1,4 +1,4 @@
-"""What pictures of a world and pictures over photos have in common: they can be clicked on."""
+"""`Painter`: base class of renderers of a world, with or without a photo behind it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 
 class Painter(ABC):
-    """What draws a world into pictures, and can be clicked on; a context manager.
+    """Draws a world into pictures, and handles clicks on them; a context manager.
 
     Attributes:
         world: the world.

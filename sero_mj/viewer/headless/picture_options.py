@@ -1,4 +1,4 @@
-"""What can be chosen of pictures and films, in Python and in commands."""
+"""Options of pictures and films, in Python and in commands."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _GivenClick = Annotated[
 
 
 class SizeOptions(Options):
-    """How large and how fine pictures are.
+    """Size and quality of pictures.
 
     Attributes:
         size: width and height, pixels.
@@ -75,7 +75,7 @@ class StereoOptions(Options):
 
 
 class CameraOptions(Options):
-    """From where a scene is seen.
+    """The camera of pictures.
 
     Attributes:
         camera: name of a camera, or azimuth,elevation,distance in degrees and m.
@@ -85,7 +85,7 @@ class CameraOptions(Options):
 
 
 class PictureOptions(SizeOptions, StereoOptions, CameraOptions):
-    """What can be chosen of a picture of a scene; its fields are keywords of `render_picture`.
+    """Options of a picture of a scene; the fields are keywords of `render_picture`.
 
     Attributes:
         clicks: click on a pixel, counted from the upper left, before rendering; HOW is shift,
@@ -103,7 +103,7 @@ class PictureOptions(SizeOptions, StereoOptions, CameraOptions):
 
 
 class FilmOptions(PictureOptions):
-    """What can be chosen of a film of a scene; its fields are keywords of `render_film`.
+    """Options of a film of a scene; the fields are keywords of `render_film`.
 
     Attributes:
         duration: length of a film, s.

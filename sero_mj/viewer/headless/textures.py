@@ -1,8 +1,8 @@
-"""Makes the smaller versions of textures here instead of by OpenGL, for drafts.
+"""Computes the mipmaps of textures without OpenGL, for drafts.
 
-Mesa's software renderer makes them by programs that it compiles anew for each context: 50 ms for
-the floor and 50 ms for the sky, longer than the whole picture of a small robot. Its versions are
-rounded in another way, by at most 3 of 255 in a picture.
+Mesa's software renderer generates mipmaps by shaders that it compiles for every context: 50 ms for
+the floor and 50 ms for the sky, longer than the whole picture of a small robot. Its mipmaps are
+rounded differently, by at most 3 of 255 in a picture.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ def without_textures(model: mujoco.MjModel) -> Iterator[Ints]:
     """Leaves textures out of the OpenGL contexts that are created in this context.
 
     Args:
-        model: changed temporarily; of such a texture one pixel is uploaded, which has no smaller
-            version.
+        model: changed temporarily; one pixel of such a texture is uploaded, which has no mipmaps.
 
     Yields:
         ids of the textures that `upload_textures` has to upload: those whose sides are powers of
@@ -45,7 +44,7 @@ def without_textures(model: mujoco.MjModel) -> Iterator[Ints]:
 
 
 def upload_textures(model: mujoco.MjModel, context: mujoco.MjrContext, textures: Ints) -> None:
-    """Uploads textures with all their smaller versions.
+    """Uploads textures with all their mipmaps.
 
     Args:
         model: compiled.

@@ -326,7 +326,7 @@ class Tools(Mapping[str, Tool]):
 
 
 class DrawnTool:
-    """A tool as something that is drawn: one that fails is told and taken out.
+    """Lets a tool draw in every frame; one that fails is reported and removed.
 
     Args:
         tool: of these.

@@ -36,7 +36,7 @@ _CLOSE_TIMEOUT = 5.0  # s after which it ends, even if the host does not come ba
 
 
 def main() -> None:
-    """Shows what it is told to, and ends the process."""
+    """Shows the scene or overlay of its arguments, and ends the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     user = _User()
     status = 0

@@ -1,4 +1,4 @@
-"""`Chrome`: where what the panels declare is in a window, beside its picture and over it."""
+"""`Chrome`: status line, time line, areas, panel and help of a window."""
 
 from __future__ import annotations
 

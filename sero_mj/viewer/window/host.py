@@ -32,7 +32,7 @@ from ..typesetting import Typesetter
 from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
 from .glfw_window import GlWindow
 
-_RESTS = 0.3  # s after which a view that does not move rests, where its user does nothing
+_RESTS = 0.3  # s without motion or action after which frames have full quality
 _SAME_VIEW = 1e-6  # m, and of the unit vector of its direction
 _MORE = 1000  # additional capacity for geoms that MuJoCo adds to those of the model
 
@@ -125,10 +125,10 @@ class Viewport(SceneDecor):
 
 
 class Pace:
-    """Says when frames are to be drawn quickly: while the user acts, on a slow machine.
+    """Decides when frames are drawn at reduced quality: while the user acts, on a slow machine.
 
     Attributes:
-        slow: s from which on a frame of full quality is slow.
+        slow: time from which a frame of full quality counts as slow, s.
     """
 
     def __init__(self) -> None:
@@ -138,15 +138,15 @@ class Pace:
         self._moved = float("-inf")  # when the view did, or the user did anything
 
     def took(self, seconds: float) -> None:
-        """Notes what a frame of full quality took, s; one late frame does not make a difference."""
+        """Adds the time of a frame of full quality, s, to a running mean."""
         self._time += 0.15 * (seconds - self._time)
 
     def act(self, now: float) -> None:
-        """Notes that the user does something, s: what comes of it is to be seen at once."""
+        """Notes an action of the user, s: its effect is to be visible at once."""
         self._moved = now
 
     def is_quick(self, view: tuple[float, ...], now: float) -> bool:
-        """Whether the frame of a view, where the camera is and looks, is to be drawn quickly."""
+        """Whether to reduce the quality of a frame, by the camera's position and direction."""
         if self._view and not np.allclose(view, self._view, rtol=0.0, atol=_SAME_VIEW):
             self._moved = now
         self._view = view
