@@ -18,7 +18,8 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene, View
 from sero_mj.viewer.headless.film import FilmWriter, default_fps, save_picture
-from sero_mj.viewer.headless.render import _states, render_film, render_picture
+from sero_mj.viewer.headless.render import render_film, render_picture
+from sero_mj.viewer.sampling import sampled_states
 
 # The default view depends on where the scene declares the robot.
 VIEW = View(distance=2.0, look_at=[0.0, 0.0, 0.5])
@@ -198,7 +199,7 @@ def test_states_of_a_live_film_are_taken_at_its_rate_however_slow_rendering_is()
         try:
             assert mirror.wait(20) == []
             angles = []
-            for k, state in enumerate(_states(mirror, 8, 10.0)):
+            for k, state in enumerate(sampled_states(mirror, 8, 10.0)):
                 if k < 4:  # rendering of the first frames takes three times as long as they last
                     mirror.sources["udp"].wait(0)
                     subprocess.run(["sleep", "0.3"], check=True)

@@ -8,9 +8,6 @@ any speed.
 from __future__ import annotations
 
 import logging
-import queue
-import threading
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,7 +18,6 @@ import numpy as np
 from PIL import Image
 
 from ...base.errors import RenderError
-from ...base.frames import Array
 from ...data.drive.mirror import Mirror, restore
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
@@ -30,6 +26,7 @@ from ..camera import bounding_sphere, find_camera, needed_aspect, stand_back
 from ..decor.font import line_height
 from ..decor.picture_view import PictureView
 from ..mujoco_private import context_of
+from ..sampling import sampled_states
 from ..session.picking import Pixel
 from ..session.scene_decor import SceneDecor
 from ..session.view_state import apply_switches
@@ -384,42 +381,8 @@ def _frames(
     """Draws the state at the time of every frame, always into the same array."""
     data = mirror.world.make_data()
     pixels = np.empty((*renderer.size[::-1], 3), np.uint8)
-    for k, state in enumerate(_states(mirror, count, fps)):
+    for k, state in enumerate(sampled_states(mirror, count, fps)):
         restore(mirror.world, data, state)
         if k == 0:
             perform_clicks(renderer, data, clicks)
         yield renderer.render(data, out=pixels)
-
-
-def _states(mirror: Mirror, count: int, fps: float) -> Iterator[Array]:
-    """Yields the state at the time of every frame, sampled on a thread if sources are live."""
-    if not mirror.is_live:
-        for k in range(count):
-            mirror.advance(k / fps)
-            yield mirror.state()
-        return
-    taken: queue.SimpleQueue[Array | BaseException] = queue.SimpleQueue()
-    stop = threading.Event()
-
-    def sample() -> None:
-        try:
-            start = time.monotonic()
-            for k in range(count):
-                if stop.wait(max(start + k / fps - time.monotonic(), 0.0)):
-                    return
-                mirror.advance(k / fps)
-                taken.put(mirror.state())
-        except BaseException as error:  # raised again on the caller's thread
-            taken.put(error)
-
-    sampler = threading.Thread(target=sample, name="film sampler", daemon=True)
-    sampler.start()
-    try:
-        for _ in range(count):
-            state = taken.get()
-            if isinstance(state, BaseException):
-                raise state
-            yield state
-    finally:
-        stop.set()
-        sampler.join()

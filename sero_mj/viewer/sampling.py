@@ -1,0 +1,54 @@
+"""States of a mirror at a fixed rate, in real time where its sources are live."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Iterator
+
+from ..base.frames import Array
+from ..data.drive.mirror import Mirror
+
+
+def sampled_states(mirror: Mirror, count: int, fps: float, begin: float = 0.0) -> Iterator[Array]:
+    """Yields the state at the time of every frame, sampled on a thread if sources are live.
+
+    What is done with them may take longer than the time between two.
+
+    Args:
+        mirror: open.
+        count: of the frames.
+        fps: frames per second.
+        begin: time of the first frame, s; ignored where sources are live.
+    """
+    if not mirror.is_live:
+        for k in range(count):
+            mirror.advance(begin + k / fps)
+            yield mirror.state()
+        return
+    taken: queue.SimpleQueue[Array | BaseException] = queue.SimpleQueue()
+    stop = threading.Event()
+
+    def sample() -> None:
+        try:
+            start = time.monotonic()
+            for k in range(count):
+                if stop.wait(max(start + k / fps - time.monotonic(), 0.0)):
+                    return
+                mirror.advance(k / fps)
+                taken.put(mirror.state())
+        except BaseException as error:  # raised again on the caller's thread
+            taken.put(error)
+
+    sampler = threading.Thread(target=sample, name="film sampler", daemon=True)
+    sampler.start()
+    try:
+        for _ in range(count):
+            state = taken.get()
+            if isinstance(state, BaseException):
+                raise state
+            yield state
+    finally:
+        stop.set()
+        sampler.join()
