@@ -15,7 +15,7 @@ from ...robots.assemble.parts import DoublePart, Owner
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import BillboardLine
 from ...robots.declared.scene import Scene
-from .card_names import card_names, longest_name, titles
+from .card_names import LONGEST, card_names, longest_name, titles
 from .cards import NO_SHARE, SMALL, Cards, heights_in_order, owner_groups
 from .feature import Feature, Frame
 from .geom_buffer import Kind
@@ -82,7 +82,7 @@ class Billboards(Feature):
             ],
             bool,
         )
-        self._formats: dict[int, _Formats] = {}
+        self._formats: dict[int, Formats] = {}
         self._side = np.concatenate(
             [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
         ).astype(np.intp)
@@ -98,11 +98,11 @@ class Billboards(Feature):
         self._rgba = np.array([_tinted(part) for part in parts]).reshape(-1, 4)[joints.owner]
         self._widths: dict[tuple[int, int], int] = {}
 
-    def _formats_for(self, view: PictureView) -> _Formats:
+    def _formats_for(self, view: PictureView) -> Formats:
         """Returns the lines of all joints, with names as long as the picture has room for."""
         longest = longest_name(view)
         if longest not in self._formats:
-            self._formats[longest] = _formats(self.world, self._declared, longest)
+            self._formats[longest] = joint_formats(self.world, longest)
         return self._formats[longest]
 
     def lay_out(self, frame: Frame) -> None:
@@ -211,7 +211,7 @@ class Billboards(Feature):
 
 
 @dataclass(frozen=True)
-class _Formats:
+class Formats:
     """The lines of every joint's billboard.
 
     Attributes:
@@ -227,9 +227,10 @@ class _Formats:
     details: list[list[Line]]
 
 
-def _formats(world: WorldView, declared: list[list[BillboardLine]], longest: int) -> _Formats:
+def joint_formats(world: WorldView, longest: int = LONGEST) -> Formats:
     """Returns the lines of all joints, with names of at most `longest` characters."""
     joints, parts = world.joints, list(world.owners.values())
+    declared = [declared_lines(part, world.scene) for part in parts]
     # With several robots, joint names alone are ambiguous.
     is_ambiguous = [len(world.robots) > 1 or isinstance(part, DoublePart) for part in parts]
     names = titles(
@@ -239,7 +240,7 @@ def _formats(world: WorldView, declared: list[list[BillboardLine]], longest: int
         longest,
     )
     full = np.where(np.isfinite(joints.torque_limit), joints.torque_limit, joints.arrow_load)
-    found = _Formats([], [], [], [])
+    found = Formats([], [], [], [])
     for k, (name, owner) in enumerate(zip(names, joints.owner, strict=True)):
         kind = (not joints.revolute[k], float(full[k]))
         lines = declared[owner]

@@ -8,7 +8,7 @@ from itertools import takewhile
 
 from .picture_view import PictureView
 
-SHORTEST, _LONGEST = 14, 40  # characters to which a robot's or a joint's name is shortened
+SHORTEST, LONGEST = 14, 40  # characters to which a robot's or a joint's name is shortened
 _SHARE = 0.25  # of the picture's width, that a name may take
 _BETWEEN = r"[_\-\s/:.]+"  # words of a name
 _WORD = r"[^_\-\s/:.]*"
@@ -48,7 +48,7 @@ def _if_clear(names: list[str], plain: list[str]) -> list[str]:
 def longest_name(view: PictureView) -> int:
     """Returns how many characters of a name there is room for on the cards of a picture."""
     room = _SHARE * view.width / view.font.width("n")
-    return int(min(max(room, SHORTEST), _LONGEST))
+    return int(min(max(room, SHORTEST), LONGEST))
 
 
 def titles(
