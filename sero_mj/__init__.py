@@ -64,6 +64,8 @@ if TYPE_CHECKING:
     from .viewer.headless.render import render_picture as render_picture
     from .viewer.overlay import Overlay as Overlay
     from .viewer.overlay import overlay as overlay
+    from .viewer.player.capture import Mark as Mark
+    from .viewer.player.page import export_html as export_html
     from .viewer.session.viewer import Viewer as Viewer
     from .viewer.session.viewer import view as view
 
@@ -117,6 +119,8 @@ _HOME = {
     "render_film": "viewer.headless.render",
     "render_picture": "viewer.headless.render",
     "HeadlessRenderer": "viewer.headless.render",
+    "export_html": "viewer.player.page",
+    "Mark": "viewer.player.capture",
     "Overlay": "viewer.overlay",
     "overlay": "viewer.overlay",
     "Viewer": "viewer.session.viewer",

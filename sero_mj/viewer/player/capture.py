@@ -1,0 +1,399 @@
+"""Collects what a player shows of a scene: poses, values and decor of every frame, without OpenGL.
+
+Bodies, joints and decor are those that windows draw. What depends on the camera, such as places of
+cards, is left to the player.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+
+from ...base.errors import RenderError
+from ...base.frames import Array, Ints
+from ...data.drive.mirror import Mirror, restore
+from ...robots.assemble.world import World
+from ...robots.declared.double import OUT_OF_SIGHT
+from ...robots.declared.scene import Scene
+from ..camera import find_camera, needed_aspect
+from ..decor.billboards import Line, joint_formats
+from ..decor.draw import Decor
+from ..decor.feature import Frame
+from ..decor.geom_buffer import GEOM, Kind
+from ..decor.picture_view import PictureView
+from ..decor.toggles import Toggles
+from ..sampling import sampled_states
+from ..session.torque_history import joint_name
+
+DEFAULT_FPS = 30.0
+DEFAULT_SECONDS = 10.0  # of what has no end
+MAX_BYTES = 128_000_000  # of a run in a browser's memory
+_ARROW_GEOMS = 24  # of round arrows at frames; those of joints are made by the player
+_SIZE = (1280, 800)  # pixels; some decor asks for a picture
+_GROUPS = 3  # of geoms and sites, that MuJoCo shows unless told otherwise
+_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)  # of geoms whose material has the colour
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Something on the time line.
+
+    Attributes:
+        begin: s since the start of the page.
+        end: s; the same for a moment.
+        text: what.
+        kind: `push` and `fault` were done, `finding` was found by a monitor, `bookmark` was set by
+            a user, an expectation has `held` or `failed`.
+    """
+
+    begin: float
+    end: float
+    text: str
+    kind: Literal["push", "fault", "finding", "bookmark", "held", "failed"]
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """A geom of decor through all frames.
+
+    Attributes:
+        kind: of what it shows.
+        item: index of that, see `Kind`.
+        rows: the geom in every frame, (F,) of `GEOM`.
+        visible: whether it is drawn, (F,) bool.
+    """
+
+    kind: Kind
+    item: int
+    rows: np.ndarray
+    visible: np.ndarray
+
+
+@dataclass(eq=False)
+class Capture:
+    """What a player shows of a scene, F frames long.
+
+    Attributes:
+        world: the compiled scene.
+        fps: frames per second.
+        begin: time of the first frame, s.
+        toggles: as declared.
+        camera: of the first picture.
+        lines: of the card of every joint, (N,).
+        details: lines of the values of every joint, (N,).
+        bodies: ids of the bodies that carry something visible, (B,).
+        positions: of the bodies, (F, B, 3), m.
+        rotations: of the bodies, unit quaternions (F, B, 4).
+        opacity: of the bodies, 0 where they are out of sight, (F, B).
+        grey: whether bodies are drawn grey, because their data are stale, (F, B) bool.
+        values: of the joints by name, (F, N); NaN for no data.
+        arrows: what the round arrows show, (F, N).
+        limit: value of an arrow of full width, (N,); inf for none.
+        stale: joints without fresh data, (F, N) bool.
+        items: decor besides round arrows of joints, and text.
+        notes: text in the corners, by frame.
+        cards: of the smart arrows: index to text by frame, empty where there is none.
+        marks: on the time line.
+        silent: names of the sources without data.
+    """
+
+    world: World
+    fps: float
+    begin: float
+    toggles: Toggles
+    camera: mujoco.MjvCamera
+    lines: list[list[Line]]
+    details: list[list[Line]]
+    bodies: Ints
+    positions: Array
+    rotations: Array
+    opacity: Array
+    grey: np.ndarray
+    values: dict[str, Array]
+    arrows: Array
+    limit: Array
+    stale: np.ndarray
+    items: list[Item]
+    notes: list[str]
+    cards: dict[int, list[str]]
+    marks: Sequence[Mark] = ()
+    silent: list[str] = field(default_factory=list)
+
+    @property
+    def frames(self) -> int:
+        """How many frames there are."""
+        return len(self.positions)
+
+    @property
+    def joint_names(self) -> list[str]:
+        """Name of every joint with its robot, `lwr/A4`, (N,)."""
+        return [joint_name(self.world, i) for i in range(len(self.world.joints.names))]
+
+    @property
+    def geoms(self) -> Ints:
+        """Ids of the geoms of the model that are drawn, without planes."""
+        return visible_geoms(self.world.model)
+
+
+def visible_geoms(model: mujoco.MjModel) -> Ints:
+    """Returns the ids of the geoms that MuJoCo draws unless told otherwise, without planes."""
+    shown = (model.geom_group < _GROUPS) & (geom_colours(model)[:, 3] > 0)
+    is_plane = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
+    known = model.geom_type <= int(mujoco.mjtGeom.mjGEOM_MESH)
+    is_field = model.geom_type == int(mujoco.mjtGeom.mjGEOM_HFIELD)
+    found: Ints = (shown & ~is_plane & known & ~is_field).nonzero()[0]
+    return found
+
+
+def geom_colours(model: mujoco.MjModel) -> Array:
+    """Returns the colours of all geoms (ngeom, 4): their own, else their material's."""
+    colours = np.array(model.geom_rgba)
+    of_material = (model.geom_matid >= 0) & (colours == _DEFAULT_RGBA).all(axis=1)
+    colours[of_material] = model.mat_rgba[model.geom_matid[of_material]]
+    return colours
+
+
+class _Collector:
+    """The last feature of a world's decor: collects what the others have made."""
+
+    def __init__(self) -> None:
+        self.frames: list[Frame] = []
+        self.rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+        self.notes: list[str] = []
+        self.cards: list[dict[int, str]] = []
+
+    def lay_out(self, frame: Frame) -> None:
+        """Takes texts; places of panels are left to the player."""
+        texts = [text for group in frame.corners for text in group.texts]
+        self.notes.append("\n\n".join("\n".join(map(_text, lines)) for lines in texts))
+        self.cards.append(
+            {
+                int(item): "\n".join(map(_text, lines))
+                for group in frame.cards
+                if group.kind == Kind.CARD
+                for item, lines in zip(group.items, group.texts, strict=True)
+            }
+        )
+        for groups in (frame.corners, frame.cards, frame.panels):
+            groups.clear()
+
+    def draw(self, frame: Frame) -> None:
+        """Takes geoms and values."""
+        buffer, revolute = frame.buffer, self._revolute
+        kinds, items = buffer.kinds[: buffer.count], buffer.items[: buffer.count]
+        is_arrow = kinds == Kind.ARROW
+        kept = ~is_arrow
+        kept[is_arrow] = ~revolute[items[is_arrow]]
+        kept &= buffer.rows["type"][: buffer.count] != int(mujoco.mjtGeom.mjGEOM_LABEL)
+        index = kept.nonzero()[0]
+        self.rows.append((buffer.rows[index], kinds[index], items[index]))
+        self.frames.append(frame)
+
+    _revolute: np.ndarray = np.zeros(0, bool)
+
+    def of(self, world: World) -> _Collector:
+        """Tells which joints have round arrows, which the player draws itself."""
+        self._revolute = world.joints.revolute
+        return self
+
+
+def _text(line: bytes) -> str:
+    return line.decode("latin-1").rstrip()
+
+
+def capture(
+    scene: Scene,
+    *,
+    seconds: float | None = None,
+    begin: float = 0.0,
+    fps: float = DEFAULT_FPS,
+    camera: str | None = None,
+    wait: float = 2.0,
+    marks: Sequence[Mark] = (),
+    on_progress: Callable[[int, int], None] | None = None,
+) -> Capture:
+    """Collects a scene as it moves; live sources in real time, others as fast as it goes.
+
+    Args:
+        scene: what to show.
+        seconds: how long; to the end of its sources when None.
+        begin: time of the first frame, s; 0 for live sources.
+        fps: frames per second.
+        camera: see `find_camera`.
+        wait: how long to wait for the first packet of every source, s.
+        marks: on the time line.
+        on_progress: called with the number of frames until now, and of all frames.
+
+    Raises:
+        SeroError: a problem of the scene, its sources or the camera; or it is too long for a page.
+    """
+    with Mirror(scene) as mirror:
+        world = mirror.world
+        count = _frame_count(mirror, seconds, begin, fps)
+        toggles, collector = Toggles(world), _Collector().of(world)
+        seen = Toggles(world)
+        seen.billboards[:] = False
+        seen.doubles[:] = seen.cards[:] = True
+        decor = Decor(world, arrow_geoms=_ARROW_GEOMS)
+        decor.features.append(collector)
+        view = _view(world, find_camera(world, camera))
+        model, data = world.model, world.make_data()
+        bodies = _bodies(world)
+        poses = np.zeros((count, len(bodies), 7))
+        opacity = np.ones((count, len(bodies)))
+        silent = mirror.wait(wait)
+        for k, state in enumerate(sampled_states(mirror, count, fps, begin)):
+            restore(world, data, state)
+            buffer = decor.draw(data, seen, view)
+            poses[k, :, :3], poses[k, :, 3:] = data.xpos[bodies], data.xquat[bodies]
+            if buffer.opacity is not None:
+                factors = np.ones(model.nbody)
+                np.minimum.at(factors, model.geom_bodyid, buffer.opacity)
+                opacity[k] = factors[bodies]
+            if on_progress is not None:
+                on_progress(k + 1, count)
+    _hide_far_away(poses, opacity)
+    frames = collector.frames
+    values = {key: np.array([f.values[key] for f in frames]) for key in frames[0].values}
+    lines, details = _lines(world, values)
+    grey = np.zeros((count, len(bodies)), bool)
+    stale = np.array([f.stale_joints for f in frames], bool)
+    for part in world.robots.values():
+        if part.robot.n:
+            is_stale = np.all(stale[:, part.joints], axis=1)
+            grey[:, np.isin(bodies, part.bodies)] = np.asarray(is_stale)[:, None]
+    return Capture(
+        world=world,
+        fps=fps,
+        begin=begin,
+        toggles=toggles,
+        camera=find_camera(world, camera),
+        lines=lines,
+        details=details,
+        bodies=bodies,
+        positions=poses[..., :3],
+        rotations=_continuous(poses[..., 3:]),
+        opacity=opacity,
+        grey=grey,
+        values={key: each for key, each in values.items() if np.isfinite(each).any()},
+        arrows=np.array([f.arrow_values for f in frames]),
+        limit=frames[0].arrow_limit,
+        stale=stale,
+        items=_items(collector.rows),
+        notes=collector.notes,
+        cards=_cards(collector.cards),
+        marks=marks,
+        silent=silent,
+    )
+
+
+def longest(world: World, fps: float) -> float:
+    """Returns how long a page of a world may be, s."""
+    return MAX_BYTES / (28 * len(_bodies(world)) + 32 * len(world.joints.names) + 64) / fps
+
+
+def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float) -> int:
+    """How many frames there are; raises RenderError where they are too many."""
+    if seconds is None:
+        ends = [source.end for source in mirror.sources.values() if source.end is not None]
+        seconds = max(ends) - begin if ends else DEFAULT_SECONDS if mirror.sources else 0.0
+        if ends and seconds <= 0:
+            raise RenderError(f"found a begin at {begin:g} s; it ends at {max(ends):g} s")
+    if seconds > (most := longest(mirror.world, fps)):
+        raise RenderError(
+            f"found {seconds:g} s; expected at most {most:.0f} s of this scene at {fps:g} frames "
+            "per second: export a part of it, or fewer frames per second"
+        )
+    return int(np.floor(seconds * fps + 1e-9)) + 1
+
+
+def _view(world: World, camera: mujoco.MjvCamera) -> PictureView:
+    scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + 64)
+    data = world.make_data()
+    mujoco.mj_forward(world.model, data)
+    everything = int(mujoco.mjtCatBit.mjCAT_ALL)
+    option, perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
+    mujoco.mjv_updateScene(world.model, data, option, perturb, camera, everything, scene)
+    return PictureView.of_scene(scene, *_SIZE)
+
+
+def _bodies(world: World) -> Ints:
+    """The bodies that something is drawn at."""
+    model = world.model
+    sites = world.joints.centre_site
+    own = [model.geom_bodyid[visible_geoms(model)], model.site_bodyid[sites], model.cam_bodyid]
+    return np.unique(np.concatenate(own)).astype(np.intp)
+
+
+def _hide_far_away(poses: Array, opacity: Array) -> None:
+    """Hides bodies without a pose, which stay at their last or next one instead of far away."""
+    far = np.asarray(poses[..., 2] < OUT_OF_SIGHT[2] / 2)
+    opacity[far] = 0.0
+    for b in np.flatnonzero(far.any(axis=0)):
+        there = np.flatnonzero(~far[:, b])
+        if not len(there):
+            poses[:, b] = (0, 0, 0, 1, 0, 0, 0)
+            continue
+        last = np.searchsorted(there, np.arange(len(poses)), side="right") - 1
+        poses[:, b] = poses[there[np.maximum(last, 0)], b]
+
+
+def _continuous(rotations: Array) -> Array:
+    """Quaternions with signs such that none jumps from frame to frame."""
+    signs = np.where((rotations[1:] * rotations[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
+    rotations[1:] *= np.cumprod(signs, axis=0)[..., None]
+    return rotations
+
+
+def _lines(world: World, values: dict[str, Array]) -> tuple[list[list[Line]], list[list[Line]]]:
+    """The lines of the cards of all joints; angles give way to torques where there are some."""
+    formats = joint_formats(world)
+    declared = list(formats.declared)
+    came = np.atleast_1d(np.isfinite(values["torques"]).any(axis=0))
+    for part in world.owners.values():
+        has_own = part.declared.billboard_lines is not None or part.billboard_lines is not None
+        if came[part.joints].any() and not has_own:
+            for j in range(part.joints.start, part.joints.stop):
+                if [line.key for line in declared[j]] == ["joint_angles"]:
+                    declared[j] = formats.torques[j]
+    return declared, formats.details
+
+
+def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[Item]:
+    """Sorts the geoms of all frames by what they show, so that each has a place of its own."""
+    found: dict[tuple[int, int, int, int], Item] = {}
+    for k, (geoms, kinds, items) in enumerate(rows):
+        count: dict[tuple[int, int, int], int] = {}
+        for row, kind, item in zip(geoms, kinds.tolist(), items.tolist(), strict=True):
+            key = (kind, item, int(row["type"]))
+            number = count[key] = count.get(key, -1) + 1
+            place = found.get((*key, number))
+            if place is None:
+                place = Item(Kind(kind), item, np.zeros(len(rows), GEOM), np.zeros(len(rows), bool))
+                found[*key, number] = place
+            place.rows[k], place.visible[k] = row, True
+    return list(found.values())
+
+
+def _cards(cards: list[dict[int, str]]) -> dict[int, list[str]]:
+    items = sorted({item for each in cards for item in each})
+    return {item: [each.get(item, "") for each in cards] for item in items}
+
+
+def eye(capture: Capture) -> dict[str, Any]:
+    """Returns the first camera of a page, as JSON."""
+    camera, world = capture.camera, capture.world
+    fixed = int(camera.fixedcamid) if camera.type == mujoco.mjtCamera.mjCAMERA_FIXED else -1
+    return {
+        "lookAt": np.round(camera.lookat, 5).tolist(),
+        "distance": round(float(camera.distance), 5),
+        "azimuth": round(float(camera.azimuth), 3),
+        "elevation": round(float(camera.elevation), 3),
+        "fovy": round(float(world.model.vis.global_.fovy), 3),
+        "aspect": round(needed_aspect(world, camera), 4),
+        "fixed": fixed,
+    }

@@ -1,0 +1,192 @@
+"""`write_glb`: a run as a glTF animation, for programs that know nothing of robots."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.errors import UsageError
+from ...base.frames import Array
+from .capture import Capture, geom_colours
+from .encode import mesh_corners
+
+_FLOAT, _UINT = 5126, 5125
+_GAMMA = 2.2  # glTF's colours are linear
+_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # glTF's y points up, ours is z
+_RADIAL, _MIDDLE = 24, 1.0
+_SMALLEST = 1e-6  # scale of what is out of sight: glTF has no switch for it
+
+
+class _Blob:
+    """The binary part and what describes it."""
+
+    def __init__(self, gltf: Any) -> None:
+        self.gltf, self.data = gltf, bytearray()
+
+    def put(self, array: np.ndarray, component: int, kind: str, *, bounds: bool = False) -> int:
+        """Adds an array; returns the number of its accessor."""
+        import pygltflib
+
+        self.data += bytes(-len(self.data) % 4)
+        gltf, raw = self.gltf, array.tobytes()
+        view = pygltflib.BufferView(buffer=0, byteOffset=len(self.data), byteLength=len(raw))
+        gltf.bufferViews.append(view)
+        self.data += raw
+        accessor = pygltflib.Accessor(
+            bufferView=len(gltf.bufferViews) - 1, componentType=component, count=len(array),
+            type=kind,
+        )  # fmt: skip
+        if bounds:
+            accessor.min = np.atleast_1d(array.min(axis=0)).tolist()
+            accessor.max = np.atleast_1d(array.max(axis=0)).tolist()
+        gltf.accessors.append(accessor)
+        return len(gltf.accessors) - 1
+
+
+def write_glb(captured: Capture, path: Path) -> None:
+    """Writes bodies and their motion; arrows and text are for pages and films.
+
+    Args:
+        captured: the run.
+        path: the file; .glb.
+
+    Raises:
+        UsageError: pygltflib is not installed, or the file cannot be written.
+    """
+    try:
+        import pygltflib
+    except ModuleNotFoundError:
+        raise UsageError("glTF needs pygltflib: pip install 'sero-mj[gltf]'") from None
+
+    model, colours = captured.world.model, geom_colours(captured.world.model)
+    gltf = pygltflib.GLTF2(scene=0)
+    blob = _Blob(gltf)
+    meshes: dict[Any, int] = {}
+    bodies: list[list[int]] = [[] for _ in captured.bodies]
+    for i in captured.geoms.tolist():
+        corners = _corners(model, i)
+        if corners is None:
+            continue
+        key = (int(model.geom_dataid[i]), model.geom_size[i].tobytes(), int(model.geom_type[i]),
+               colours[i].tobytes())  # fmt: skip
+        if key not in meshes:
+            meshes[key] = _add_mesh(blob, corners, colours[i])
+        w, x, y, z = model.geom_quat[i].tolist()
+        gltf.nodes.append(
+            pygltflib.Node(
+                mesh=meshes[key], translation=model.geom_pos[i].tolist(), rotation=[x, y, z, w]
+            )
+        )
+        at = int(np.searchsorted(captured.bodies, model.geom_bodyid[i]))
+        bodies[at].append(len(gltf.nodes) - 1)
+    animation = pygltflib.Animation(name="run")
+    times = (np.arange(captured.frames) / captured.fps).astype(np.float32)
+    clock = blob.put(times, _FLOAT, "SCALAR", bounds=True) if captured.frames > 1 else -1
+    roots = [
+        _add_body(captured, blob, animation, clock, b, children)
+        for b, children in enumerate(bodies)
+        if children
+    ]
+    gltf.nodes.append(pygltflib.Node(name="world", rotation=_UP, children=roots))
+    gltf.scenes.append(pygltflib.Scene(nodes=[len(gltf.nodes) - 1]))
+    if animation.channels:
+        gltf.animations.append(animation)
+    gltf.buffers.append(pygltflib.Buffer(byteLength=len(blob.data)))
+    gltf.set_binary_blob(bytes(blob.data))
+    try:
+        gltf.save_binary(str(path))
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}") from error
+
+
+def _add_body(
+    captured: Capture, blob: _Blob, animation: Any, clock: int, body: int, children: list[int]
+) -> int:
+    """Adds the node of a body, and how it moves; returns its number."""
+    import pygltflib
+
+    positions = captured.positions[:, body].astype(np.float32)
+    rotations = captured.rotations[:, body][:, [1, 2, 3, 0]].astype(np.float32)
+    visible = captured.opacity[:, body] > 0.0
+    gltf, number = blob.gltf, len(blob.gltf.nodes)
+    name = captured.world.model.body(int(captured.bodies[body])).name
+    gltf.nodes.append(
+        pygltflib.Node(
+            name=name, translation=positions[0].tolist(), rotation=rotations[0].tolist(),
+            children=children, scale=[_MIDDLE if visible[0] else _SMALLEST] * 3,
+        )
+    )  # fmt: skip
+    scales = np.where(visible, _MIDDLE, _SMALLEST)[:, None].repeat(3, axis=1).astype(np.float32)
+    moving = (("translation", positions, "VEC3"), ("rotation", rotations, "VEC4"),
+              ("scale", scales, "VEC3"))  # fmt: skip
+    for path, values, kind in moving:
+        if clock < 0 or np.ptp(values, axis=0).max() < 1e-6:
+            continue
+        way = "STEP" if path == "scale" else "LINEAR"
+        animation.samplers.append(
+            pygltflib.AnimationSampler(
+                input=clock, output=blob.put(values, _FLOAT, kind), interpolation=way
+            )
+        )
+        target = pygltflib.AnimationChannelTarget(node=number, path=path)
+        channel = pygltflib.AnimationChannel(sampler=len(animation.samplers) - 1, target=target)
+        animation.channels.append(channel)
+    return number
+
+
+def _add_mesh(blob: _Blob, corners: tuple[Array, Array, Any], rgba: Array) -> int:
+    import pygltflib
+
+    points, normals, index = corners
+    gltf = blob.gltf
+    gltf.materials.append(
+        pygltflib.Material(
+            pbrMetallicRoughness=pygltflib.PbrMetallicRoughness(
+                baseColorFactor=[*(np.asarray(rgba[:3], float) ** _GAMMA).tolist(), float(rgba[3])],
+                metallicFactor=0.1,
+                roughnessFactor=0.5,
+            ),
+            alphaMode="BLEND" if rgba[3] < 1 else "OPAQUE",
+        )
+    )
+    primitive = pygltflib.Primitive(
+        attributes=pygltflib.Attributes(
+            POSITION=blob.put(points.astype(np.float32), _FLOAT, "VEC3", bounds=True),
+            NORMAL=blob.put(normals.astype(np.float32), _FLOAT, "VEC3"),
+        ),
+        indices=blob.put(np.asarray(index, np.uint32), _UINT, "SCALAR"),
+        material=len(gltf.materials) - 1,
+    )
+    gltf.meshes.append(pygltflib.Mesh(primitives=[primitive]))
+    return len(gltf.meshes) - 1
+
+
+def _corners(model: mujoco.MjModel, geom: int) -> tuple[Array, Array, Any] | None:
+    """Vertices, normals and triangles of a geom in its own frame; None for an unknown shape."""
+    import trimesh
+
+    kind, (a, b, c) = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        points, normals, index = mesh_corners(model, int(model.geom_dataid[geom]))
+        lengths = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        return points, normals / lengths, index
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        shape = trimesh.creation.icosphere(radius=a)
+    elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        shape = trimesh.creation.icosphere()
+        shape.apply_scale((a, b, c))
+    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        shape = trimesh.creation.capsule(height=2 * b, radius=a)
+        shape.apply_translation((0, 0, -shape.bounds.mean(axis=0)[2]))
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        shape = trimesh.creation.cylinder(radius=a, height=2 * b, sections=_RADIAL)
+        shape.unmerge_vertices()
+    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
+        shape = trimesh.creation.box(extents=(2 * a, 2 * b, 2 * c))
+        shape.unmerge_vertices()
+    else:
+        return None
+    return np.array(shape.vertices), np.array(shape.vertex_normals), shape.faces.ravel()

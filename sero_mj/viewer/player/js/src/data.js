@@ -1,0 +1,193 @@
+/** The bytes of a run, as `encode.py` writes them. */
+
+/** @typedef {[number, string, number]} Part number of the array, type of its numbers, how many */
+/** @typedef {{title: string, label: string, key: string, scale: number, decimals: number,
+ *   unit: string}} Line */
+/** @typedef {{on: boolean, round: boolean, radius: number, opacity: number, scale: number,
+ *   band: number, limit: number | null, widest: number}} Arrow */
+/** @typedef {{name: string, unit: string, angleUnit: string, double: number, body: number,
+ *   pos: number[], quat: number[], torqueLimit: number | null, lines: Line[], details: Line[],
+ *   card: boolean, arrow: Arrow}} Joint */
+/** @typedef {{body: number, type: number, pos: number[], quat: number[], size: number[],
+ *   rgba: number[], mesh?: number}} Geom */
+/** @typedef {{begin: number, end: number, text: string, kind: string}} Mark */
+/** @typedef {{positions: Float32Array, normals: Float32Array, triangles: Uint32Array}} MeshData */
+/** @typedef {{texts: string[], at: Float32Array}} Texts */
+/** @typedef {{name: string, body: number, pos: number[], quat: number[], fovy: number}} Camera */
+/** @typedef {{lookAt: number[], distance: number, azimuth: number, elevation: number,
+ *   fovy: number, aspect: number, fixed: number}} Eye */
+
+/** @type {Record<string, {new (bytes: ArrayBuffer): any, BYTES_PER_ELEMENT: number}>} */
+const KINDS = {
+  u1: Uint8Array, i1: Int8Array, u2: Uint16Array, u4: Uint32Array, f8: Float64Array,
+};
+const VERSION = 1;
+
+/** A small number of either sign from its folded one. @param {number} folded */
+export const unfold = (folded) => (folded >>> 1) ^ -(folded & 1);
+
+/**
+ * Inflates base64 of a raw deflate stream.
+ * @param {string} text
+ * @returns {Promise<ArrayBuffer>}
+ */
+export async function inflate(text) {
+  const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate-raw"));
+  return new Response(stream).arrayBuffer();
+}
+
+/** Reads the arrays behind a head. */
+class Arrays {
+  /** @param {ArrayBuffer} bytes @param {number[]} lengths @param {number} begin */
+  constructor(bytes, lengths, begin) {
+    this.bytes = bytes;
+    /** @type {number[]} */
+    this.starts = [];
+    for (const length of lengths) {
+      this.starts.push(begin);
+      begin += length;
+    }
+  }
+
+  /** An array whose bytes of one significance stand together. @param {Part} part */
+  get([part, kind, count]) {
+    const Kind = KINDS[kind];
+    const size = Kind.BYTES_PER_ELEMENT;
+    const planes = new Uint8Array(this.bytes, this.starts[part], count * size);
+    const bytes = new Uint8Array(count * size);
+    for (let k = 0; k < size; k++) {
+      for (let i = 0; i < count; i++) bytes[i * size + k] = planes[k * count + i];
+    }
+    return new Kind(bytes.buffer);
+  }
+
+  /**
+   * Channels (C, F) from their differences in time.
+   * @param {Part} part @param {number} frames @param {number} step
+   */
+  moving(part, frames, step) {
+    const folded = this.get(part), numbers = new Float32Array(folded.length);
+    for (let i = 0, sum = 0; i < folded.length; i++) {
+      sum = (i % frames ? sum : 0) + unfold(folded[i]);
+      numbers[i] = sum * step;
+    }
+    return numbers;
+  }
+
+  /** @param {any} mesh @returns {MeshData} */
+  mesh(mesh) {
+    const places = this.get(mesh.vertices), square = this.get(mesh.normals);
+    const count = places.length / 3;
+    const positions = new Float32Array(3 * count), normals = new Float32Array(3 * count);
+    for (let axis = 0; axis < 3; axis++) {
+      for (let i = 0, at = 0; i < count; i++) {
+        at = (at + places[axis * count + i]) & 65535;
+        positions[3 * i + axis] = mesh.low[axis] + at * mesh.step;
+      }
+    }
+    for (let i = 0; i < count; i++) normals.set(normalOf(square[i], square[count + i]), 3 * i);
+    const folded = this.get(mesh.triangles), triangles = new Uint32Array(folded.length);
+    for (let i = 0, at = 0; i < folded.length; i++) triangles[i] = at += unfold(folded[i]);
+    return { positions, normals, triangles };
+  }
+}
+
+/** The unit vector of a place on the unfolded octahedron. @param {number} u @param {number} v */
+export function normalOf(u, v) {
+  let x = u / 127, y = v / 127;
+  const z = 1 - Math.abs(x) - Math.abs(y);
+  if (z < 0) {
+    [x, y] = [(1 - Math.abs(y)) * (x < 0 ? -1 : 1), (1 - Math.abs(x)) * (y < 0 ? -1 : 1)];
+  }
+  const length = Math.hypot(x, y, z) || 1;
+  return [x / length, y / length, z / length];
+}
+
+/**
+ * Reads a run.
+ * @param {ArrayBuffer} bytes
+ */
+export function decode(bytes) {
+  const size = new DataView(bytes).getUint32(0, true);
+  const head = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, size)));
+  if (head.version !== VERSION) throw new Error(`found format ${head.version}`);
+  const arrays = new Arrays(bytes, head.lengths, 4 + size);
+  /** @type {number} */
+  const frames = head.frames;
+  const [metre, turn] = head.steps;
+  /** @param {Part} part @param {number} [step] */
+  const moving = (part, step = 1) => arrays.moving(part, frames, step);
+  /** @type {Record<string, Float64Array>} */
+  const values = {};
+  for (const [key, part] of Object.entries(head.values)) values[key] = arrays.get(part);
+  const { torques, commanded_torques: commanded } = values;
+  if (torques && commanded) values.torque_error = commanded.map((each, i) => each - torques[i]);
+  const items = head.items.of.length && {
+    visible: moving(head.items.visible),
+    positions: moving(head.items.positions, metre),
+    rotations: moving(head.items.rotations, turn),
+    sizes: moving(head.items.sizes, metre),
+    colours: moving(head.items.colours, 1 / 255),
+  };
+  /** @param {any} texts @returns {Texts} */
+  const read = (texts) => ({ texts: texts.texts, at: moving(texts.at) });
+  return {
+    title: /** @type {string} */ (head.title),
+    look: /** @type {"light" | "dark"} */ (head.look),
+    fps: /** @type {number} */ (head.fps),
+    begin: /** @type {number} */ (head.begin),
+    frames,
+    eye: /** @type {Eye} */ (head.eye),
+    cameras: /** @type {Camera[]} */ (head.cameras),
+    bodies: /** @type {{name: string, joint: number, double: number}[]} */ (head.bodies),
+    positions: moving(head.positions, metre),
+    rotations: moving(head.rotations, turn),
+    opacity: moving(head.opacity, 1 / 255),
+    grey: moving(head.grey),
+    greyRgb: /** @type {number[]} */ (head.greyRgb),
+    meshes: /** @type {MeshData[]} */ (head.meshes.map((/** @type {any} */ m) => arrays.mesh(m))),
+    geoms: /** @type {Geom[]} */ (head.geoms),
+    floor: /** @type {number | null} */ (head.floor),
+    joints: /** @type {Joint[]} */ (head.joints),
+    values,
+    arrows: {
+      ...head.arrows,
+      stale: moving(head.arrows.stale),
+      values: /** @type {Float64Array | undefined} */ (
+        head.arrows.values ? arrays.get(head.arrows.values) : torques),
+    },
+    items: { of: /** @type {[number, number, number][]} */ (head.items.of), ...(items || null) },
+    notes: read(head.notes),
+    cards: /** @type {{item: number, name: string, texts: string[], at: Float32Array}[]} */ (
+      head.cards.map((/** @type {any} */ card) => ({ ...card, ...read(card) }))),
+    vectors: /** @type {string[]} */ (head.vectors),
+    marks: /** @type {Mark[]} */ (head.marks),
+    switches: /** @type {Record<string, boolean>} */ (head.switches),
+    silent: /** @type {string[]} */ (head.silent),
+  };
+}
+
+/** @typedef {ReturnType<typeof decode>} Run */
+
+/**
+ * The value of a line of a card, as it is received; of limits and shares as well.
+ * @param {Run} run @param {number} joint @param {string} key @param {number} frame
+ */
+export function valueOf(run, joint, key, frame) {
+  const limit = run.joints[joint].torqueLimit ?? Infinity;
+  if (key === "torque_limit") return limit;
+  const of = run.values[key === "torque_share" ? "torques" : key];
+  if (!of) return NaN;
+  const value = of[joint * run.frames + frame];
+  return key === "torque_share" ? 100 * Math.abs(value) / limit : value;
+}
+
+/** The number of a line, as Python writes it. @param {Line} line @param {number} value */
+export function textOf(line, value) {
+  if (!Number.isFinite(value)) return line.key === "torque_limit" ? "none" : "no data";
+  const scaled = value * line.scale;
+  const text = Math.abs(scaled) < 1e6 ? scaled.toFixed(line.decimals) : scaled.toExponential(3);
+  const number = /^-[0.]+$/.test(text) ? text.slice(1) : text;
+  return line.unit ? `${number} ${line.unit}` : number;
+}

@@ -1,0 +1,30 @@
+/** Heights of cards in a column: none overlap, and all are as near to their places as can be. */
+
+/**
+ * The middles of boxes, one below the other.
+ * @param {number[]} wanted middles in ascending order @param {number[]} heights of the boxes
+ * @param {number} gap between two @param {number} low @param {number} high bounds of the column
+ * @returns {number[]}
+ */
+export function stacked(wanted, heights, gap, low, high) {
+  /** How far each middle is below the first one where all touch. */
+  const below = heights.map((_, k) =>
+    heights.slice(0, k).reduce((sum, each) => sum + each + gap, 0) + (heights[k] - heights[0]) / 2);
+  /** Neighbours that touch move as one, at the mean of what they want. */
+  /** @type {{sum: number, count: number}[]} */
+  const pools = [];
+  wanted.forEach((middle, k) => {
+    let pool = { sum: middle - below[k], count: 1 };
+    while (pools.length) {
+      const last = pools[pools.length - 1];
+      if (last.sum / last.count <= pool.sum / pool.count) break;
+      pools.pop();
+      pool = { sum: pool.sum + last.sum, count: pool.count + last.count };
+    }
+    pools.push(pool);
+  });
+  const first = low + heights[0] / 2, end = heights.length - 1;
+  const most = Math.max(high - heights[end] / 2 - below[end], first);
+  const bases = pools.flatMap(({ sum, count }) => Array(count).fill(sum / count));
+  return bases.map((base, k) => Math.min(Math.max(base, first), most) + below[k]);
+}

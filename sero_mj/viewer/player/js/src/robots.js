@@ -1,0 +1,186 @@
+/** The model: one geometry for all that is opaque, one for doubles; bodies' poses in a texture. */
+
+import * as THREE from "three";
+
+/** @typedef {import("./data.js").Run} Run */
+/** @typedef {import("./data.js").Geom} Geom */
+
+const ONE = new THREE.Vector3(1, 1, 1);
+const TEXELS = 5; // of a body: its pose, and opacity and greyness
+
+/** A pose as a matrix. @param {number[]} pos @param {number[]} quat w first */
+export function matrixOf(pos, quat) {
+  const turn = new THREE.Quaternion(quat[1], quat[2], quat[3], quat[0]);
+  return new THREE.Matrix4().compose(new THREE.Vector3(pos[0], pos[1], pos[2]), turn, ONE);
+}
+
+/** The shape of a geom, in its own frame. @param {Geom} geom @param {Run} run */
+function shapeOf(geom, run) {
+  const [a, b, c] = geom.size;
+  switch (geom.type) {
+    case 2: return new THREE.SphereGeometry(a, 24, 16);
+    case 3: return new THREE.CapsuleGeometry(a, 2 * b, 8, 20).rotateX(Math.PI / 2);
+    case 4: return new THREE.SphereGeometry(1, 24, 16).scale(a, b, c);
+    case 5: return new THREE.CylinderGeometry(a, a, 2 * b, 28).rotateX(Math.PI / 2);
+    case 6: return new THREE.BoxGeometry(2 * a, 2 * b, 2 * c);
+    default: {
+      const mesh = run.meshes[geom.mesh ?? 0], shape = new THREE.BufferGeometry();
+      shape.setAttribute("position", new THREE.BufferAttribute(mesh.positions, 3));
+      shape.setAttribute("normal", new THREE.BufferAttribute(mesh.normals, 3));
+      return shape.setIndex(new THREE.BufferAttribute(mesh.triangles, 1));
+    }
+  }
+}
+
+/**
+ * Geoms as one geometry, in the frames of their bodies.
+ * @param {Geom[]} geoms @param {Run} run
+ */
+function merged(geoms, run) {
+  const shapes = geoms.map((geom) => shapeOf(geom, run));
+  const vertices = shapes.reduce((sum, each) => sum + each.attributes.position.count, 0);
+  const corners = shapes.reduce((sum, each) => sum + (each.index ? each.index.count : 0), 0);
+  const position = new Float32Array(3 * vertices), normal = new Int8Array(3 * vertices);
+  const color = new Uint8Array(4 * vertices), body = new Uint16Array(vertices);
+  const index = new Uint32Array(corners), vector = new THREE.Vector3();
+  const turn = new THREE.Matrix3();
+  let vertex = 0, corner = 0;
+  geoms.forEach((geom, k) => {
+    const shape = shapes[k], at = matrixOf(geom.pos, geom.quat), first = vertex;
+    const { position: places, normal: normals } = shape.attributes;
+    turn.setFromMatrix4(at);
+    for (const each of shape.index ? shape.index.array : []) index[corner++] = each + first;
+    for (let i = 0; i < places.count; i++, vertex++) {
+      vector.fromBufferAttribute(places, i).applyMatrix4(at).toArray(position, 3 * vertex);
+      vector.fromBufferAttribute(normals, i).applyMatrix3(turn).multiplyScalar(127).round()
+        .toArray(normal, 3 * vertex);
+      color.set(geom.rgba, 4 * vertex);
+      body[vertex] = geom.body;
+    }
+  });
+  const geometry = new THREE.BufferGeometry();
+  geometry.setAttribute("position", new THREE.BufferAttribute(position, 3));
+  geometry.setAttribute("normal", new THREE.BufferAttribute(normal, 3, true));
+  geometry.setAttribute("color", new THREE.BufferAttribute(color, 4, true));
+  geometry.setAttribute("body", new THREE.BufferAttribute(body, 1));
+  return geometry.setIndex(new THREE.BufferAttribute(index, 1));
+}
+
+/** All bodies of a run. */
+export class Robots {
+  /** @param {Run} run */
+  constructor(run) {
+    this.run = run;
+    this.group = new THREE.Group();
+    this.matrices = run.bodies.map(() => new THREE.Matrix4());
+    this.texels = new Float32Array(4 * TEXELS * run.bodies.length);
+    this.texture = new THREE.DataTexture(
+      this.texels, TEXELS, run.bodies.length, THREE.RGBAFormat, THREE.FloatType);
+    const isGhost = (/** @type {Geom} */ geom) =>
+      geom.rgba[3] < 255 || run.bodies[geom.body].double >= 0;
+    this.solidGeoms = run.geoms.filter((geom) => !isGhost(geom));
+    const ghosts = run.geoms.filter(isGhost);
+    this.solid = this.#mesh(merged(this.solidGeoms, run), {}, false);
+    this.solid.castShadow = this.solid.receiveShadow = true;
+    // Depth first, then colour where it is nearest, so that no inside shines through.
+    const shape = merged(ghosts, run);
+    this.depth = this.#mesh(shape, { colorWrite: false }, true);
+    this.ghosts = this.#mesh(shape, { transparent: true, depthWrite: false }, true);
+    this.depth.renderOrder = 1;
+    this.ghosts.renderOrder = 2;
+    this.depth.visible = this.ghosts.visible = ghosts.length > 0;
+  }
+
+  /**
+   * @param {THREE.BufferGeometry} geometry @param {object} look @param {boolean} isBehind whether
+   * it is drawn a little farther away, so that it does not flicker where it coincides with a robot
+   */
+  #mesh(geometry, look, isBehind) {
+    const material = new THREE.MeshPhongMaterial({
+      specular: 0x303030, shininess: 40, vertexColors: true, ...look,
+    });
+    const grey = this.run.greyRgb.join(",");
+    /** @param {THREE.WebGLProgramParametersWithUniforms} shader */
+    const place = (shader) => {
+      shader.uniforms.poses = { value: this.texture };
+      const texel = (/** @type {number} */ k) => `texelFetch(poses, ivec2(${k}, at), 0)`;
+      shader.vertexShader = "attribute float body; uniform highp sampler2D poses;"
+        + "varying vec2 state;\n" + shader.vertexShader
+        .replace("void main() {", `void main() { int at = int(body + .5);
+          mat4 own = mat4(${[0, 1, 2, 3].map(texel)}); state = ${texel(4)}.xy;`)
+        .replace("#include <beginnormal_vertex>", "vec3 objectNormal = mat3(own) * normal;")
+        .replace("#include <begin_vertex>", "vec3 transformed = (own * vec4(position, 1.)).xyz;")
+        .replace("#include <project_vertex>", "#include <project_vertex>\n" + (isBehind
+          ? "gl_Position = projectionMatrix * vec4(mvPosition.xyz * 1.002, 1.);" : ""));
+      shader.fragmentShader = "varying vec2 state;\n" + shader.fragmentShader
+        .replace("void main() {", "void main() { if (state.x < .004) discard;")
+        .replace("#include <color_fragment>", `#include <color_fragment>
+          diffuseColor.a *= state.x;
+          diffuseColor.rgb = mix(diffuseColor.rgb, vec3(${grey}), .8 * state.y);`);
+    };
+    material.onBeforeCompile = place;
+    material.customProgramCacheKey = () => `body ${isBehind}`;
+    const mesh = new THREE.Mesh(geometry, material);
+    mesh.frustumCulled = false;
+    mesh.customDepthMaterial = new THREE.MeshDepthMaterial();
+    mesh.customDepthMaterial.onBeforeCompile = place;
+    this.group.add(mesh);
+    return mesh;
+  }
+
+  /** Places the bodies. @param {number} at frame, with a fraction @param {boolean} hasDoubles */
+  place(at, hasDoubles) {
+    const { run, texels } = this, { frames } = run;
+    const before = Math.floor(at), after = Math.min(before + 1, frames - 1), part = at - before;
+    const position = new THREE.Vector3(), turn = new THREE.Quaternion();
+    /** @param {Float32Array} of @param {number} channel */
+    const mix = (of, channel) =>
+      of[channel * frames + before] * (1 - part) + of[channel * frames + after] * part;
+    const { positions: P, rotations: R } = run;
+    for (let b = 0; b < run.bodies.length; b++) {
+      position.set(mix(P, 3 * b), mix(P, 3 * b + 1), mix(P, 3 * b + 2));
+      turn.set(mix(R, 4 * b + 1), mix(R, 4 * b + 2), mix(R, 4 * b + 3), mix(R, 4 * b)).normalize();
+      this.matrices[b].compose(position, turn, ONE).toArray(texels, 4 * TEXELS * b);
+      const isOff = run.bodies[b].double >= 0 && !hasDoubles;
+      texels[4 * TEXELS * b + 16] = isOff ? 0 : mix(run.opacity, b);
+      texels[4 * TEXELS * b + 17] = run.grey[b * frames + before];
+    }
+    this.texture.needsUpdate = true;
+  }
+
+  /** The nearest geom on a ray, with the point there. @param {THREE.Ray} ray */
+  pick(ray) {
+    const own = new THREE.Ray(), pose = new THREE.Matrix4(), point = new THREE.Vector3();
+    const [a, b, c] = [new THREE.Vector3(), new THREE.Vector3(), new THREE.Vector3()];
+    /** @type {{geom: Geom, point: THREE.Vector3, distance: number} | null} */
+    let best = null;
+    for (const geom of this.solidGeoms) {
+      const shape = this.#shape(geom);
+      pose.multiplyMatrices(this.matrices[geom.body], matrixOf(geom.pos, geom.quat));
+      own.copy(ray).applyMatrix4(pose.clone().invert());
+      if (!shape.boundingSphere) shape.computeBoundingSphere();
+      if (shape.boundingSphere && !own.intersectsSphere(shape.boundingSphere)) continue;
+      const places = shape.attributes.position, index = shape.index ? shape.index.array : [];
+      for (let k = 0; k < index.length; k += 3) {
+        a.fromBufferAttribute(places, index[k]);
+        b.fromBufferAttribute(places, index[k + 1]);
+        c.fromBufferAttribute(places, index[k + 2]);
+        if (!own.intersectTriangle(a, b, c, true, point)) continue;
+        const distance = point.distanceTo(own.origin);
+        if (best && distance >= best.distance) continue;
+        best = { geom, point: point.clone().applyMatrix4(pose), distance };
+      }
+    }
+    return best;
+  }
+
+  /** @type {Map<Geom, THREE.BufferGeometry>} */
+  #shapes = new Map();
+
+  /** @param {Geom} geom */
+  #shape(geom) {
+    let shape = this.#shapes.get(geom);
+    if (!shape) this.#shapes.set(geom, shape = shapeOf(geom, this.run));
+    return shape;
+  }
+}

@@ -1,0 +1,227 @@
+/** The picture: camera, lights, floor, and what stands on it. */
+
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { RoundArrows } from "./arrows.js";
+import { Items } from "./items.js";
+import { Robots, matrixOf } from "./robots.js";
+
+/** @typedef {import("./data.js").Run} Run */
+
+const RADIANS = Math.PI / 180;
+const SLOW = 60; // ms a picture, above which shadows are left out, then the doubles' depth
+const FLOOR_RGB = { light: [0.8, 0.84, 0.88], dark: [0.22, 0.26, 0.31] };
+
+/** Everything that WebGL draws. */
+export class Stage {
+  /** @param {Run} run @param {HTMLCanvasElement} canvas */
+  constructor(run, canvas) {
+    this.run = run;
+    this.canvas = canvas;
+    // MuJoCo's classic renderer computes with colours as they are displayed.
+    THREE.ColorManagement.enabled = false;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = THREE.PCFShadowMap;
+    this.scene = new THREE.Scene();
+    this.camera = new THREE.PerspectiveCamera(run.eye.fovy, 1, 0.01, 100);
+    this.camera.up.set(0, 0, 1);
+    this.orbit = new OrbitControls(this.camera, canvas);
+    this.fixed = -1;
+    this.robots = new Robots(run);
+    this.arrows = new RoundArrows(run);
+    this.items = new Items(run);
+    this.sites = run.joints.map(() => new THREE.Matrix4());
+    this.own = run.joints.map((joint) => matrixOf(joint.pos, joint.quat));
+    this.ink = { value: new THREE.Color() };
+    this.sun = this.#lights();
+    this.floor = this.#floor();
+    this.scene.add(this.robots.group, this.arrows.mesh, this.items.group, this.floor, this.camera);
+    this.size = { width: 1, height: 1 };
+    this.spent = 0; // ms of a picture, smoothed
+    this.chooseCamera(run.eye.fixed);
+  }
+
+  #lights() {
+    const { lookAt: [x, y, z], azimuth } = this.run.eye, reach = 0.6 * this.run.eye.distance;
+    const sky = new THREE.HemisphereLight(0xffffff, 0x9aa5b5, 1.25);
+    const head = new THREE.DirectionalLight(0xffffff, 0.9);
+    head.target.position.set(0, 0, -1);
+    this.camera.add(head, head.target);
+    const sun = new THREE.DirectionalLight(0xffffff, 1.35), angle = (azimuth + 135) * RADIANS;
+    sun.position.set(x + reach * Math.cos(angle), y + reach * Math.sin(angle), z + 1.5 * reach);
+    sun.target.position.set(x, y, z);
+    sun.castShadow = true;
+    sun.shadow.mapSize.set(1024, 1024);
+    Object.assign(sun.shadow.camera, {
+      left: -reach, right: reach, top: reach, bottom: -reach, near: 0.1, far: 5 * reach,
+    });
+    sun.shadow.bias = -0.0006;
+    sun.shadow.normalBias = 0.006;
+    this.scene.add(sky, sun, sun.target);
+    /** @type {THREE.Light[]} */
+    this.lights = [sky, head, sun];
+    for (const light of this.lights) light.userData.full = light.intensity;
+    return sun;
+  }
+
+  #floor() {
+    const { lookAt: [x, y], distance } = this.run.eye, { ink } = this;
+    const size = 6 * distance, tile = distance > 6 ? 1 : 0.5;
+    const material = new THREE.MeshLambertMaterial({ transparent: true, depthWrite: false });
+    material.onBeforeCompile = (shader) => {
+      shader.uniforms.ink = ink;
+      shader.vertexShader = "varying vec2 spot; varying vec2 away;\n" + shader.vertexShader.replace(
+        "#include <begin_vertex>", `#include <begin_vertex>
+        spot = (modelMatrix * vec4(position, 1.)).xy; away = position.xy;`);
+      shader.fragmentShader = "varying vec2 spot; varying vec2 away; uniform vec3 ink;\n"
+        + shader.fragmentShader.replace("#include <color_fragment>", `
+        vec2 tile = abs(fract(spot / ${tile.toFixed(3)} - .5) - .5) / fwidth(spot / ${tile.toFixed(3)});
+        float line = 1. - min(min(tile.x, tile.y), 1.);
+        diffuseColor.rgb = mix(ink, ink * .72, line * .5);
+        diffuseColor.a *= smoothstep(.36, .08, length(away) / ${size.toFixed(3)});`);
+    };
+    const floor = new THREE.Mesh(new THREE.PlaneGeometry(size, size), material);
+    floor.position.set(x, y, this.run.floor ?? 0);
+    floor.visible = this.run.floor !== null;
+    floor.receiveShadow = true;
+    floor.renderOrder = -1;
+    return floor;
+  }
+
+  /** Sees with a camera of the scene, or -1 for its view. @param {number} number */
+  chooseCamera(number) {
+    const { eye, cameras } = this.run;
+    this.fixed = number < cameras.length ? number : -1;
+    this.orbit.enabled = true;
+    if (this.fixed >= 0) return;
+    this.camera.fov = eye.fovy;
+    const { azimuth, elevation } = eye, flat = Math.cos(elevation * RADIANS);
+    const back = Math.max(eye.aspect * this.size.height / this.size.width, 1) * eye.distance;
+    const target = new THREE.Vector3().fromArray(eye.lookAt);
+    this.camera.position.set(
+      target.x - back * Math.cos(azimuth * RADIANS) * flat,
+      target.y - back * Math.sin(azimuth * RADIANS) * flat,
+      target.z - back * Math.sin(elevation * RADIANS));
+    this.orbit.target.copy(target);
+    this.camera.updateProjectionMatrix();
+    this.orbit.update();
+  }
+
+  /** Lets the user turn what a camera of the scene has seen until now. */
+  free() {
+    if (this.fixed < 0) return;
+    this.fixed = -1;
+    const ahead = new THREE.Vector3(0, 0, -this.run.eye.distance);
+    this.orbit.target.copy(ahead.applyQuaternion(this.camera.quaternion).add(this.camera.position));
+    this.orbit.update();
+  }
+
+  /** @param {number} width @param {number} height pixels of the page */
+  resize(width, height) {
+    const isFirst = this.size.width === 1;
+    this.size = { width, height };
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / Math.max(height, 1);
+    this.camera.updateProjectionMatrix();
+    if (isFirst) this.chooseCamera(this.fixed);
+  }
+
+  /** @param {"light" | "dark"} look */
+  setLook(look) {
+    const [r, g, b] = FLOOR_RGB[look];
+    this.ink.value.setRGB(r, g, b);
+    for (const light of this.lights) light.intensity = light.userData.full * (look === "dark" ? 0.82 : 1);
+  }
+
+  /**
+   * Places everything.
+   * @param {number} at frame, with a fraction @param {Record<string, boolean>} switches
+   * @param {(joint: number) => boolean} hasArrow
+   */
+  place(at, switches, hasArrow) {
+    const { run, robots } = this;
+    robots.place(at, switches.doubles);
+    run.joints.forEach((joint, j) =>
+      this.sites[j].multiplyMatrices(robots.matrices[joint.body], this.own[j]));
+    this.arrows.place(at, this.sites, hasArrow);
+    this.items.place(Math.round(at));
+    this.items.group.visible = switches.arrows;
+    this.sun.castShadow = switches.shadows;
+    if (this.fixed >= 0) {
+      const { body, pos, quat, fovy } = run.cameras[this.fixed];
+      const pose = robots.matrices[body].clone().multiply(matrixOf(pos, quat));
+      pose.decompose(this.camera.position, this.camera.quaternion, new THREE.Vector3());
+      if (this.camera.fov !== fovy) {
+        this.camera.fov = fovy;
+        this.camera.updateProjectionMatrix();
+      }
+    }
+    this.camera.updateMatrixWorld();
+  }
+
+  /** Draws. @returns {number} draw calls */
+  draw() {
+    this.renderer.render(this.scene, this.camera);
+    return this.renderer.info.render.calls;
+  }
+
+  /**
+   * Leaves out what is expensive where pictures take long.
+   * @param {number} spent ms since the last picture, while it plays @returns {boolean} whether
+   * shadows are to go
+   */
+  notePace(spent) {
+    this.spent += 0.1 * (Math.min(spent, 500) - this.spent);
+    if (this.spent < SLOW) return false;
+    this.spent = 0;
+    if (this.sun.castShadow) return true;
+    this.robots.depth.visible = false;
+    return false;
+  }
+
+  /** Pixel of a place, y down, and whether it is in front. @param {THREE.Vector3} place */
+  pixel(place) {
+    const { x, y, z } = place.clone().project(this.camera), { width, height } = this.size;
+    return { x: (x + 1) / 2 * width, y: (1 - y) / 2 * height, isSeen: z < 1 };
+  }
+
+  /** What is at a pixel, y down. @param {number} x @param {number} y */
+  pick(x, y) {
+    const { width, height } = this.size, ray = new THREE.Raycaster();
+    ray.setFromCamera(new THREE.Vector2(2 * x / width - 1, 1 - 2 * y / height), this.camera);
+    const geom = this.robots.pick(ray.ray), item = this.items.pick(ray), arrow = this.#arrow(x, y);
+    if (item && (!geom || item.distance < geom.distance)) return { kind: item.of[0], item: item.of[1] };
+    if (arrow >= 0) return { joint: arrow };
+    if (!geom) return null;
+    const body = this.run.bodies[geom.geom.body];
+    return { body: body.name, joint: body.joint };
+  }
+
+  /** The joint whose round arrow is at a pixel: one whose ring passes within some pixels; else -1. */
+  #arrow(/** @type {number} */ x, /** @type {number} */ y) {
+    const place = new THREE.Vector3();
+    for (const [k, j] of this.arrows.joints.entries()) {
+      if (!this.arrows.how.getX(k)) continue;
+      const { radius } = this.run.joints[j].arrow, half = this.arrows.how.getY(k) / 2;
+      for (let i = 0; i < 48; i++) {
+        const angle = i / 24 * Math.PI;
+        for (const z of [-half, 0, half]) {
+          place.set(radius * Math.cos(angle), radius * Math.sin(angle), z).applyMatrix4(this.sites[j]);
+          const pixel = this.pixel(place), away = Math.hypot(pixel.x - x, pixel.y - y);
+          if (pixel.isSeen && away < 6 && this.#isFree(place)) return j;
+        }
+      }
+    }
+    return -1;
+  }
+
+  /** Whether nothing of the robots is before a place. @param {THREE.Vector3} place */
+  #isFree(place) {
+    const from = this.camera.position, way = place.clone().sub(from), far = way.length();
+    const hit = this.robots.pick(new THREE.Ray(from.clone(), way.normalize()));
+    return !hit || hit.distance > far - 0.01;
+  }
+}

@@ -1,0 +1,231 @@
+"""A run's page in Chromium, from disk, offline: numbers, clicks, pictures, what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from web_tools import MISSING
+
+import sero_mj
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.load import load_scene
+from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.player.capture import Mark, capture
+from sero_mj.viewer.player.page import write_page
+
+pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
+
+FPS = 20
+HOSTILE = "</script><script>globalThis.bad=1</script><img src=x onerror='globalThis.bad=2'>"
+SIZE = (640, 400)
+# What the robots cover, without decor: alpha of the picture, one digit a pixel, top row first.
+SILHOUETTE = """([width, height, time]) => {
+    const { stage } = player;
+    player.seek(time);
+    stage.resize(width, height);
+    stage.renderer.setPixelRatio(1);
+    stage.renderer.setSize(width, height, false);
+    stage.chooseCamera(-1);
+    player.switches.shadows = false;
+    player.draw();
+    const { robots, arrows, items, floor } = stage;
+    for (const each of [robots.depth, robots.ghosts, arrows.mesh, items.group, floor])
+        each.visible = false;
+    stage.draw();
+    const gl = stage.renderer.getContext(), bytes = new Uint8Array(4 * width * height);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+    for (const each of [robots.depth, robots.ghosts, arrows.mesh, items.group, floor])
+        each.visible = true;
+    let digits = "";
+    for (let y = height - 1; y >= 0; y--)
+        for (let x = 0; x < width; x++) digits += bytes[4 * (y * width + x) + 3] > 127 ? "1" : "0";
+    return digits;
+}"""
+
+
+@pytest.fixture(scope="module")
+def scene() -> sero_mj.Scene:
+    return load_scene("impedance_push")
+
+
+@pytest.fixture(scope="module")
+def file(scene: sero_mj.Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("page") / "push.html"
+    marks = [Mark(0.5, 1.5, HOSTILE, "push"), Mark(1.0, 1.0, "it settles", "failed")]
+    sero_mj.export_html(scene, path, title=HOSTILE, marks=marks, fps=FPS, seconds=2.0)
+    return path
+
+
+def opened(browser: Any, file: Path, *, at: float = 1.0, before: str = "", **options: Any) -> Any:
+    options = {"viewport": {"width": 900, "height": 640}, **options}
+    page = browser.new_context(offline=True, **options).new_page()
+    page.said, page.asked = [], []
+    page.on("console", lambda message: page.said.append(message.text))
+    page.on("pageerror", lambda error: page.said.append(str(error)))
+    page.on("request", lambda request: page.asked.append(request.url))
+    if before:
+        page.add_init_script(before)
+    page.goto(f"{file.as_uri()}#t={at}")
+    page.locator("html[data-ready]").wait_for(state="attached")
+    return page
+
+
+@pytest.fixture(scope="module")
+def page(browser: Any, file: Path) -> Any:
+    return opened(browser, file)
+
+
+def test_a_page_opens_alone_and_draws_in_few_calls(page: Any, file: Path) -> None:
+    assert page.said == []
+    assert [url for url in page.asked if not url.startswith(("blob:", "data:"))] == [
+        file.as_uri()
+    ]
+    assert 0 < page.evaluate("player.calls") <= 20
+
+
+def test_numbers_are_those_of_the_run(page: Any, scene: sero_mj.Scene) -> None:
+    log = scene.sources["simulation"].run.log
+    frames = (0, 7, 20, 33, 40)
+    rows = [int(np.argmin(np.abs(log.times - frame / FPS))) for frame in frames]
+    for key in ("torques", "commanded_torques", "joint_angles"):
+        found = page.evaluate(
+            "([key, frames]) => frames.map(f => [0,1,2,3,4,5,6].map(j =>"
+            " player.run.values[key][j * player.run.frames + f]))",
+            [key, list(frames)],
+        )
+        assert np.array_equal(found, log.of("lwr", key)[rows])
+
+
+def test_names_of_others_stay_text(page: Any) -> None:
+    assert page.locator("h1").inner_text() == HOSTILE.replace("_", " ")
+    assert page.locator(".mark.push").get_attribute("title").endswith(HOSTILE)
+    assert page.evaluate("globalThis.bad") is None
+
+
+def test_the_page_says_that_an_expectation_failed(page: Any) -> None:
+    assert "1 of 1" in page.locator("#about").inner_text()
+    page.locator(".mark.failed").click()
+    assert page.evaluate("player.clock.time") == 1.0
+
+
+def test_a_click_on_a_card_a_link_and_an_arrow_gives_their_numbers(page: Any) -> None:
+    page.evaluate("player.seek(1.5)")
+    page.locator(".card", has_text="A3").click()
+    page.locator("#details h2", has_text="lwr/A3").wait_for()
+    torque = page.evaluate("player.run.values.torques[3 * player.run.frames + 30]")
+    details = page.locator("#details").inner_text()
+    assert "lwr/A3" in details
+    assert f"{torque:.1f} Nm" in details
+
+    pixels = page.evaluate("""() => {
+        const { stage } = player, place = stage.camera.position.clone(), found = {};
+        for (let y = 60; y < stage.size.height; y += 4)
+            for (let x = 200; x < 700; x += 4) {
+                const hit = stage.pick(x, y);
+                if (!hit) continue;
+                found[hit.kind ? "vector" : hit.body ? hit.body : "arrow"] ??= [x, y];
+            }
+        return found;
+    }""")
+    assert {"lwr/link2", "arrow", "vector"} <= pixels.keys()
+    for what, word in (("lwr/link2", "lwr/link2"), ("arrow", "lwr/A"), ("vector", "push")):
+        page.mouse.click(*pixels[what])
+        page.locator("#details h2", has_text=word).wait_for()
+
+
+def test_keys_are_those_of_windows(page: Any) -> None:
+    page.evaluate("document.activeElement.blur(); player.seek(1.0)")
+    joint = page.evaluate("player.chosen")
+    page.keyboard.press(".")
+    page.keyboard.press("]")
+    page.keyboard.press("a")
+    found = page.evaluate("[player.clock.frame, player.chosen, player.switches.arrows]")
+    assert found == [FPS + 1, (joint + 1) % 14, False]
+    page.keyboard.press("a")
+    page.keyboard.press("w")
+    assert page.evaluate("player.clock.time") == 1.0
+    page.keyboard.press(" ")
+    # The policy refuses what `wait_for_function` evaluates.
+    page.evaluate("""() => new Promise(resolve => {
+        const look = () => player.clock.frame !== 20 ? resolve() : requestAnimationFrame(look);
+        look();
+    })""")
+    page.keyboard.press(" ")
+
+
+def test_the_policy_refuses_every_request(page: Any) -> None:
+    # From a timer: what a debugger evaluates may do more than the page.
+    refused = page.evaluate("""() => new Promise(resolve => setTimeout(async () => {
+        const tries = [
+            () => fetch("https://a.example/"),
+            () => new Promise((good, bad) => {
+                const socket = new WebSocket("wss://a.example/");
+                socket.onerror = bad;
+            }),
+            () => (0, eval)("1"),
+        ];
+        const found = [];
+        for (const each of tries) try { await each(); found.push(1); } catch { found.push(0); }
+        resolve(found);
+    }))""")
+    assert refused == [0, 0, 0]
+
+
+def test_the_robot_covers_the_pixels_that_it_covers_in_our_pictures(
+    page: Any, scene: sero_mj.Scene
+) -> None:
+    width, height = SIZE
+    digits = page.evaluate(SILHOUETTE, [width, height, 1.5])
+    seen = np.frombuffer(digits.encode(), np.uint8).reshape(height, width) == ord("1")
+    with Mirror(scene) as mirror, HeadlessRenderer(mirror.world, *SIZE, quality="draft") as drawn:
+        mirror.advance(1.5)
+        drawn.render(mirror.data)
+        model = mirror.world.model
+        own = mujoco.Renderer(model, height, width)
+        own.update_scene(mirror.data, drawn.camera)
+        own.enable_segmentation_rendering()
+        found = own.render()
+        own.close()
+        doubles = np.concatenate([part.bodies.ravel() for part in mirror.world.doubles.values()])
+        is_plane = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
+        opaque = ~is_plane & ~np.isin(model.geom_bodyid, doubles)
+        is_geom = (found[..., 1] == int(mujoco.mjtObj.mjOBJ_GEOM)) & (found[..., 0] >= 0)
+        wanted = np.zeros((height, width), bool)
+        wanted[is_geom] = opaque[found[..., 0][is_geom]]
+        # Doubles hide parts of robots here; they are compared where no double is.
+        free = ~is_geom | wanted
+    assert (seen & wanted & free).sum() / ((seen | wanted) & free).sum() >= 0.99
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_phone_shows_all_in_its_width(browser: Any, file: Path, scheme: str) -> None:
+    phone = {"viewport": {"width": 390, "height": 844}, "color_scheme": scheme, "has_touch": True}
+    page = opened(browser, file, **phone)
+    assert page.evaluate("document.documentElement.dataset.look") == scheme
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    outside = page.evaluate("""() => [...document.querySelectorAll(".card, button, select")]
+        .map(e => e.getBoundingClientRect())
+        .filter(r => r.width && (r.left < -1 || r.right > 391)).length""")
+    assert outside == 0
+    page.context.close()
+
+
+def test_a_browser_without_webgl_says_so(browser: Any, file: Path) -> None:
+    page = opened(browser, file, before="HTMLCanvasElement.prototype.getContext = () => null")
+    assert page.locator("#problem").is_visible()
+    assert "WebGL" in page.locator("#problem").inner_text()
+    page.context.close()
+
+
+def test_a_robot_alone_is_a_still_page(browser: Any, tmp_path: Path) -> None:
+    found = capture(load_scene("lwr"))
+    assert found.frames == 1
+    write_page(found, tmp_path / "lwr.html")
+    page = opened(browser, tmp_path / "lwr.html")
+    assert page.said == []
+    assert not page.locator("#bar").is_visible()
+    page.context.close()
