@@ -1,0 +1,142 @@
+"""What a player is given of a run: frames, lengths, marks, files; without a browser."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import zlib
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run_command as run_in_folder
+
+from sero_mj.base.errors import RenderError, UsageError
+from sero_mj.load import load_scene
+from sero_mj.study.run_marks import marks_of
+from sero_mj.viewer.player import capture as capture_module
+from sero_mj.viewer.player.capture import capture
+from sero_mj.viewer.player.encode import encode
+from sero_mj.viewer.player.gltf import write_glb
+from sero_mj.viewer.player.page import write_page
+
+JS = Path(capture_module.__file__).parent / "js"
+
+
+def run_command(*arguments: str, folder: Path) -> tuple[int, str]:
+    return run_in_folder(arguments, folder, dict(os.environ))
+
+
+def test_a_capture_has_the_poses_of_the_model_and_hides_doubles_without_a_pose() -> None:
+    found = capture(load_scene("impedance_push"), fps=10, seconds=1.0)
+    assert found.frames == 11
+    assert np.allclose(np.linalg.norm(found.rotations, axis=2), 1.0)
+    turns = (found.rotations[1:] * found.rotations[:-1]).sum(axis=2)
+    assert (turns > 0).all()
+    assert np.abs(found.positions).max() < 10
+
+
+def test_a_part_of_a_run_begins_where_it_is_asked_to() -> None:
+    whole = capture(load_scene("impedance_push"), fps=10, seconds=1.0)
+    part = capture(load_scene("impedance_push"), fps=10, begin=0.5, seconds=0.3)
+    assert part.frames == 4
+    assert np.array_equal(part.values["torques"], whole.values["torques"][5:9], equal_nan=True)
+
+
+def test_a_run_of_hours_is_refused_before_it_is_collected_with_how_long_it_may_be() -> None:
+    with pytest.raises(RenderError) as error:
+        capture(load_scene("impedance_push"), seconds=36_000.0)
+    most = float(str(error.value).split("at most ")[1].split(" s")[0])
+    assert 600 < most < 36_000
+
+
+def test_poses_are_stored_within_half_a_step() -> None:
+    found = capture(load_scene("impedance_push"), fps=10, seconds=1.0)
+    data = encode(found, "push")
+    size = int.from_bytes(data[:4], "little")
+    head = json.loads(data[4 : 4 + size])
+    part, kind, count = head["positions"]
+    start = 4 + size + sum(head["lengths"][:part])
+    planes = np.frombuffer(data, np.uint8, head["lengths"][part], start)
+    folded = planes.reshape(-1, count).T.copy().view(f"<{kind}").ravel().astype(np.int64)
+    steps = np.cumsum(((folded >> 1) ^ -(folded & 1)).reshape(-1, found.frames), axis=1)
+    stored = (steps * head["steps"][0]).T.reshape(found.positions.shape)
+    assert np.abs(stored - found.positions).max() <= head["steps"][0] / 2 + 1e-9
+    assert len(zlib.compress(data)) < 100_000
+
+
+def test_marks_are_what_was_done_found_and_expected() -> None:
+    scene = load_scene("impedance_push")
+    capture(scene, fps=10)
+    marks = marks_of(scene)
+    assert [(m.begin, m.end, m.text) for m in marks if m.kind == "push"] == [(1.0, 3.0, "push")]
+    expected = scene.sources["simulation"].run.scenario.expect
+    assert {m.kind for m in marks if ": " in m.text} <= {"held", "failed", "finding"}
+    assert len([m for m in marks if m.kind in ("held", "failed")]) == len(expected)
+    assert marks_of(scene, 3.5) != marks
+
+
+def test_a_glb_has_a_node_for_each_body_that_is_seen_and_moves_them(tmp_path: Path) -> None:
+    pygltflib = pytest.importorskip("pygltflib")
+    found = capture(load_scene("impedance_push"), fps=10, begin=1.0, seconds=0.5)
+    write_glb(found, tmp_path / "push.glb")
+    gltf = pygltflib.GLTF2().load(str(tmp_path / "push.glb"))
+    names = {node.name for node in gltf.nodes}
+    assert {"world", "lwr/link1", "lwr/link7"} <= names
+    moved = {gltf.nodes[c.target.node].name for c in gltf.animations[0].channels}
+    assert "lwr/link3" in moved and "world" not in moved
+    assert gltf.accessors[gltf.animations[0].samplers[0].input].count == found.frames
+
+
+def test_a_page_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError) as error:
+        write_page(capture(load_scene("lwr")), tmp_path / "none" / "lwr.html")
+    assert "lwr.html" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["lwr"], "-o"),
+        (["lwr", "a.html", "-o", "b.html"], "-o"),
+        (["lwr", "-o", "a.pdf"], ".html"),
+        (["lwr", "-o", "a.xml", "--fps", "3"], "--fps"),
+        (["impedance_push", "-o", "a.html", "--from", "3", "--to", "2"], "--to"),
+        (["impedance_push", "-o", "a.html", "--seconds", "3", "--to", "2"], "--seconds"),
+    ],
+)
+def test_export_refuses_what_does_not_go_together(
+    arguments: list[str], word: str, tmp_path: Path
+) -> None:
+    status, said = run_command("export", *arguments, folder=tmp_path)
+    assert status == 2
+    assert word in said
+
+
+def test_a_recording_is_exported_by_the_scene_in_it_also_when_it_is_torn(tmp_path: Path) -> None:
+    whole, torn = tmp_path / "run.mcap", tmp_path / "torn.mcap"
+    run_command("simulate", "impedance_push", "--record", str(whole), folder=tmp_path)
+    torn.write_bytes(whole.read_bytes()[: int(0.8 * whole.stat().st_size)])
+    for file in (whole, torn):
+        page = file.with_suffix(".html")
+        status, said = run_command("export", str(file), "-o", str(page), folder=tmp_path)
+        assert status == 0, said
+        assert page.stat().st_size < 600_000
+
+
+def test_the_bundle_is_what_its_sources_make(tmp_path: Path) -> None:
+    if shutil.which("npm") is None:
+        pytest.skip("npm is not installed")
+    copy = tmp_path / "player" / "js"
+    shutil.copytree(JS, copy, ignore=shutil.ignore_patterns("node_modules"))
+    (copy.parent / "static").mkdir()
+    for step in (["ci", "--no-audit", "--no-fund"], ["test"], ["run", "check"], ["run", "build"]):
+        done = subprocess.run(["npm", *step], cwd=copy, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+    shipped = files("sero_mj.viewer.player") / "static"
+    for name in ("player.js", "player.css"):
+        made = (copy.parent / "static" / name).read_bytes()
+        assert made == (shipped / name).read_bytes(), f"run npm run build in {JS.name}/"
