@@ -91,7 +91,7 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         ),
         (["send", "lwr_udp", "--rate", "0"], "expected a number above 0"),
         (["send", "lwr_udp", "--port", "70000"], "expected a port from 1 to 65535"),
-        (["export", "lwr", "lwr.urdf"], "expected a name that ends in .xml"),
+        (["export", "lwr", "lwr.urdf"], "expected a name that ends in .html, .glb, .xml"),
         (["check", "nothing.toml"], "nothing.toml: no such file"),
         (["render", "lwr", "-o", "x.mp4", "--size", "1x1"], "expected at least 2x2 pixels"),
         (["render", "lwr", "-o", "x.png", "--wait", "-1"], "expected 0 or a number above"),

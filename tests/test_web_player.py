@@ -81,9 +81,7 @@ def page(browser: Any, file: Path) -> Any:
 
 def test_a_page_opens_alone_and_draws_in_few_calls(page: Any, file: Path) -> None:
     assert page.said == []
-    assert [url for url in page.asked if not url.startswith(("blob:", "data:"))] == [
-        file.as_uri()
-    ]
+    assert [url for url in page.asked if not url.startswith(("blob:", "data:"))] == [file.as_uri()]
     assert 0 < page.evaluate("player.calls") <= 20
 
 
