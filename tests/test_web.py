@@ -80,12 +80,10 @@ def test_a_click_on_an_arrow_shows_its_precise_numbers(served: Served, page: Vis
     )
     served.ask("setattr(w.clock, 'is_paused', True)")  # an arrow that turns moves away
     served.settle()
-    height = served.ask("w.decor.view.height")
-    seen = [
-        (x, height - y)
-        for x, y in served.ask(place)
-        if served.ask(f"getattr(w.decor.pick(w.data, ({x}, {y})), 'kind', '')") == "arrow"
-    ]
+    seen = served.until(
+        f"[(x, w.decor.view.height - y) for x, y in {place}"
+        " if getattr(w.decor.pick(w.data, (x, y)), 'kind', '') == 'arrow']"
+    )
     page.click(*seen[len(seen) // 2])
     assert served.until("w.toggles.details.nonzero()[0].tolist()") == [1]
     served.ask("setattr(w.clock, 'is_paused', False)")
