@@ -1,8 +1,9 @@
-"""Installs an example package of `tests/plugins`, as pip would."""
+"""Installs example packages of `tests/plugins`, and ones that tests write, as pip would."""
 
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 PLUGINS = Path(__file__).parent / "plugins"
@@ -19,9 +20,28 @@ def install(folder: Path, module: str, group: str, name: str, item: str) -> None
         item: what it names in the module.
     """
     shutil.copy(PLUGINS / f"{module}.py", folder)
+    _register(folder, module, group, {name: item})
+
+
+def write_package(folder: Path, module: str, code: str, group: str, **points: str) -> None:
+    """Writes a module into a folder, with the metadata by which its entry points are found.
+
+    Args:
+        folder: to be put on the module search path.
+        module: its name.
+        code: its text.
+        group: of the entry points.
+        **points: what each entry point names in the module.
+    """
+    (folder / f"{module}.py").write_text(code)
+    _register(folder, module, group, points)
+
+
+def _register(folder: Path, module: str, group: str, points: Mapping[str, str]) -> None:
     about = folder / f"{module}-0.1.dist-info"
     about.mkdir()
     (about / "METADATA").write_text(
         f"Metadata-Version: 2.1\nName: {module.replace('_', '-')}\nVersion: 0.1\n"
     )
-    (about / "entry_points.txt").write_text(f"[{group}]\n{name} = {module}:{item}\n")
+    lines = [f"{name} = {module}:{item}\n" for name, item in points.items()]
+    (about / "entry_points.txt").write_text(f"[{group}]\n{''.join(lines)}")

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from plugin_tools import PLUGINS, install
+from plugin_tools import PLUGINS, install, write_package
 
 from sero_mj.base.plugins import COMMANDS, CONTROLLERS, IMPORTERS, TOOLS
 
@@ -241,7 +241,7 @@ with Mirror(Scene(robots=[SerialRobot.from_model("lwr")])) as mirror:
 @pytest.mark.parametrize("part", ["state", "drag", "draw", "actions"])
 def test_whatever_part_of_a_tool_fails_the_rest_goes_on(tmp_path: Path, part: str) -> None:
     body = "{'fail': lambda: 1 / 0}" if part == "actions" else "1 / 0"
-    (tmp_path / "partly.py").write_text(
+    code = (
         "from sero_mj.viewer.session.tool import Grab, Tool\n"
         "class Partly(Tool):\n"
         "    keys = {'g': ('fail', 'fails'), 'a': ('fail', 'taken')}\n"
@@ -251,10 +251,7 @@ def test_whatever_part_of_a_tool_fails_the_rest_goes_on(tmp_path: Path, part: st
         f"    def {part}(self, *rest):\n"
         f"        return {body}\n"
     )
-    about = tmp_path / "partly-0.1.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: partly\nVersion: 0.1\n")
-    (about / "entry_points.txt").write_text(f"[{TOOLS}]\npartly = partly:Partly\n")
+    write_package(tmp_path, "partly", code, TOOLS, partly="Partly")
     printed = run(tmp_path, f"""
 from decor_tools import view_at
 from sero_mj import Mirror, load_scene
@@ -286,7 +283,7 @@ with Mirror(load_scene("lwr")) as mirror:
 
 
 def test_a_controller_takes_over_what_another_has_built_up(tmp_path: Path) -> None:
-    (tmp_path / "pi.py").write_text(
+    code = (
         "from typing import Literal\n"
         "import numpy as np\n"
         "from sero_mj.simulate.control.controller import ControllerDeclaration\n"
@@ -307,12 +304,7 @@ def test_a_controller_takes_over_what_another_has_built_up(tmp_path: Path) -> No
         "class NoKind:\n"
         "    pass\n"
     )
-    about = tmp_path / "pi-0.1.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: pi\nVersion: 0.1\n")
-    (about / "entry_points.txt").write_text(
-        f"[{CONTROLLERS}]\npi = pi:PI\nother = pi:PI\nnone = pi:NoKind\n"
-    )
+    write_package(tmp_path, "pi", code, CONTROLLERS, pi="PI", other="PI", none="NoKind")
     printed = run(tmp_path, """
 import sero_mj
 from sero_mj import Mirror
@@ -333,18 +325,13 @@ with Mirror(endless_scene(sero_mj.load_scene("lwr"), "pi")) as mirror:
 
 
 def test_a_tool_that_fails_is_told_and_taken_out(tmp_path: Path) -> None:
-    (tmp_path / "broken.py").write_text(
+    code = (
         "from sero_mj.viewer.session.tool import Tool\n"
         "class Broken(Tool):\n"
         "    def advance(self, passed):\n"
         "        raise ZeroDivisionError('a fault')\n"
     )
-    about = tmp_path / "broken-0.1.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 0.1\n")
-    (about / "entry_points.txt").write_text(
-        f"[{TOOLS}]\nbroken = broken:Broken\nmissing = broken:Missing\n"
-    )
+    write_package(tmp_path, "broken", code, TOOLS, broken="Broken", missing="Missing")
     printed = run(tmp_path, """
 from sero_mj import Mirror, load_scene
 from sero_mj.viewer.session.tool import Tools
