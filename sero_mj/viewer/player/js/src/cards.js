@@ -8,7 +8,7 @@ import { stacked } from "./layout.js";
 /** @typedef {import("./stage.js").Stage} Stage */
 /** @typedef {{joint: number, vector: number, box: HTMLButtonElement, values: HTMLElement[],
  *   path: SVGPathElement, dot: SVGCircleElement, side: number, at: {x: number, y: number},
- *   width: number, height: number, sign: string}} Card */
+ *   width: number, height: number, sign: string, longest: number}} Card */
 
 const SVG = "http://www.w3.org/2000/svg";
 const GAP = 6; // pixels between cards
@@ -45,7 +45,7 @@ export class Cards {
    */
   #make(joint, vector, title, count) {
     const box = document.createElement("button"), values = [];
-    box.className = "card";
+    box.className = count > 1 ? "card many" : "card";
     box.type = "button";
     if (title) box.append(Object.assign(document.createElement("i"), { textContent: title }));
     for (let k = 0; k < count; k++) {
@@ -63,7 +63,7 @@ export class Cards {
     this.leaders.append(path, dot);
     this.room.append(box);
     return { joint, vector, box, values, path, dot, side: -1, at: { x: 0, y: 0 }, width: 0,
-      height: 0, sign: "" };
+      height: 0, sign: "", longest: 0 };
   }
 
   /** Writes the numbers of a frame. @param {number} frame */
@@ -79,9 +79,12 @@ export class Cards {
       }
       run.joints[card.joint].lines.forEach((line, k) => {
         const value = valueOf(run, card.joint, line.key, frame);
-        set(card.values[k], textOf(line, value));
+        const text = textOf(line, value);
+        set(card.values[k], text);
+        if (text.length > card.longest) [card.longest, card.width] = [text.length, 0];
         if (k) return;
-        const sign = !/[1-9]/.test(textOf(line, value).split("e")[0]) ? "" : value > 0 ? "positive" : "negative";
+        const isNothing = !Number.isFinite(value) || !/[1-9]/.test(text);
+        const sign = isNothing ? "" : value > 0 ? "positive" : "negative";
         if (sign === card.sign) return;
         card.box.classList.remove("positive", "negative");
         if (sign) card.box.classList.add(sign);
@@ -123,6 +126,7 @@ export class Cards {
       for (const each of [card.box, card.path, card.dot]) each.style.display = isShown ? "" : "none";
       if (!isShown || !pixel) continue;
       card.at = pixel;
+      if (!card.width) card.box.style.width = "";
       if (!card.width) [card.width, card.height] = [card.box.offsetWidth, card.box.offsetHeight];
       shown.push(card);
     }

@@ -3,7 +3,7 @@
 import { Cards } from "./cards.js";
 import { Clock, SPEEDS } from "./clock.js";
 import { decode, inflate, textOf, valueOf } from "./data.js";
-import { Plot } from "./plot.js";
+import { Plot, wordFor } from "./plot.js";
 import { Stage } from "./stage.js";
 
 const KEYS = [
@@ -94,17 +94,22 @@ class Player {
     for (const speed of SPEEDS) byId("speed").append(made("option", `${speed}×`, { value: String(speed) }));
     /** @type {HTMLSelectElement} */ (byId("speed")).value = "1";
     byId("time").setAttribute("max", String(run.frames - 1));
-    run.marks.forEach((mark) => byId("marks").append(this.#mark(mark)));
+    let free = -Infinity; // where the last text on the time line ends, as a share of it
+    for (const mark of [...run.marks].sort((a, b) => a.begin - b.begin)) {
+      const begin = mark.begin / Math.max(clock.end, 1e-9), hasText = mark.end > mark.begin && begin > free;
+      if (hasText) free = begin + 0.012 * Math.min(mark.text.length, 12);
+      byId("marks").append(this.#mark(mark, hasText));
+    }
     document.body.classList.toggle("still", run.frames < 2);
     for (const [keys, words] of KEYS) byId("keys").append(made("dt", keys), made("dd", words));
   }
 
-  /** @param {import("./data.js").Mark} mark */
-  #mark(mark) {
+  /** @param {import("./data.js").Mark} mark @param {boolean} hasText */
+  #mark(mark, hasText) {
     const end = Math.max(this.clock.end, 1e-9), { begin, text, kind } = mark;
     const button = made("button", "", { type: "button", class: `mark ${kind}`, title: `${begin.toFixed(2)} s: ${text}`,
       "aria-label": `${kind}: ${text}, at ${begin.toFixed(2)} s` });
-    button.append(made("span", text));
+    if (hasText) button.append(made("span", text));
     button.style.left = `${100 * Math.min(Math.max(begin / end, 0), 1)}%`;
     if (mark.end > begin) button.style.width = `${100 * (Math.min(mark.end, end) - begin) / end}%`;
     button.addEventListener("click", () => this.seek(begin));
@@ -250,6 +255,11 @@ class Player {
     this.cards.choose(joint);
     this.plot.show(joint);
     /** @type {HTMLSelectElement} */ (byId("joint")).value = String(joint);
+    byId("legend").hidden = joint < 0 || !this.run.values.torques;
+    if (joint >= 0) {
+      byId("legend").dataset.measured = wordFor(this.run, joint, "torques");
+      byId("legend").dataset.commanded = wordFor(this.run, joint, "commanded_torques");
+    }
     this.isDirty = true;
   }
 

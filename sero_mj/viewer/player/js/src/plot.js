@@ -7,6 +7,16 @@ import uPlot from "uplot";
 /** @param {string} name */
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
+const WORDS = { torques: "measured", commanded_torques: "commanded", joint_angles: "angle" };
+
+/**
+ * How a value of a joint is called: as its card says, else as the field does.
+ * @param {Run} run @param {number} joint @param {keyof typeof WORDS} key
+ */
+export const wordFor = (run, joint, key) =>
+  run.joints[joint].lines.find((line) => line.key === key && /^[A-Z]$/.test(line.label))?.label
+  ?? WORDS[key];
+
 /** A plot that is made anew for every joint and look. */
 export class Plot {
   /**
@@ -42,8 +52,8 @@ export class Plot {
     const { unit, angleUnit } = run.joints[joint];
     /** @type {Record<string, uPlot.Series>} */
     const looks = {
-      torques: { label: `measured, ${unit}`, stroke: css("--positive"), width: 2 },
-      commanded_torques: { label: `commanded, ${unit}`, stroke: css("--negative"), width: 1.5,
+      torques: { label: `${wordFor(run, joint, "torques")}, ${unit}`, stroke: css("--positive"), width: 2 },
+      commanded_torques: { label: `${wordFor(run, joint, "commanded_torques")}, ${unit}`, stroke: css("--negative"), width: 1.5,
         dash: [6, 4] },
       joint_angles: { label: `angle, ${angleUnit}`, stroke: css("--negative"), width: 2 },
     };
