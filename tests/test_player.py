@@ -9,6 +9,7 @@ import subprocess
 import zlib
 from importlib.resources import files
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -140,3 +141,33 @@ def test_the_bundle_is_what_its_sources_make(tmp_path: Path) -> None:
     for name in ("player.js", "player.css"):
         made = (copy.parent / "static" / name).read_bytes()
         assert made == (shipped / name).read_bytes(), f"run npm run build in {JS.name}/"
+
+
+def test_a_report_is_a_page_a_figure_json_and_a_test_for_each_expectation(tmp_path: Path) -> None:
+    setting = "expect.it_comes_back.below=0.00001"
+    status, said = run_command(
+        "simulate", "impedance_push", "--report", "report", "--set", setting, folder=tmp_path
+    )
+    assert status == 1, said
+    folder = tmp_path / "report"
+    assert {file.name for file in folder.iterdir()} == {
+        "index.html", "torques.png", "report.json", "junit.xml",
+    }  # fmt: skip
+    outcomes = json.loads((folder / "report.json").read_text())["expect"]
+    suite = ElementTree.parse(folder / "junit.xml").getroot()[0]
+    assert suite.get("tests") == str(len(outcomes)) and suite.get("failures") == "1"
+    (failed,) = (case for case in suite if case.find("failure") is not None)
+    assert failed.get("name") == "it_comes_back"
+
+
+def test_a_page_of_two_runs_has_the_second_as_the_firsts_double(tmp_path: Path) -> None:
+    for name, stiffness in (("a.mcap", 500), ("b.mcap", 400)):
+        run_command(
+            "simulate", "impedance_push", "--record", name, "--set",
+            f"controllers.lwr.stiffness={stiffness}", folder=tmp_path,
+        )  # fmt: skip
+    status, said = run_command(
+        "compare", "a.mcap", "b.mcap", "-o", "compare.html", "--quiet", folder=tmp_path
+    )
+    assert status == 0, said
+    assert (tmp_path / "compare.html").stat().st_size < 1_000_000

@@ -273,14 +273,15 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
 
 def print_json(found: Any) -> None:
     """Prints JSON; NaN and infinity, which JSON does not have, become null."""
-    print(json.dumps(_finite(found), indent=2))
+    print(json.dumps(finite(found), indent=2))
 
 
-def _finite(found: Any) -> Any:
+def finite(found: Any) -> Any:
+    """Returns what JSON can have: NaN and infinity become None, and mappings dictionaries."""
     if isinstance(found, Mapping):
-        return {key: _finite(value) for key, value in found.items()}
+        return {key: finite(value) for key, value in found.items()}
     if isinstance(found, list | tuple):
-        return [_finite(value) for value in found]
+        return [finite(value) for value in found]
     if isinstance(found, np.generic):
         found = found.item()
     return None if isinstance(found, float) and not math.isfinite(found) else found

@@ -16,7 +16,7 @@ from ..base.errors import UsageError
 from ..base.options import NotNegative, Option, ending, positional
 from ..viewer.headless.film_kinds import FILMS
 from ..viewer.headless.picture_options import FilmOptions, SizeOptions
-from ._arguments import command, print_json, print_table
+from ._arguments import command, print_json, print_table, progress_bar
 from .shared_options import Figure, Flag, JsonOptions, RunOptions
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ examples:
   sero-mj compare simulated.mcap real.mcap
   sero-mj compare simulated.mcap real.mcap --offset auto --plot difference.pdf
   sero-mj compare a.mcap b.mcap --render difference.mp4     arrows on the difference
+  sero-mj compare a.mcap b.mcap -o difference.html          a page that plays both
   sero-mj compare a.mcap b.mcap --tolerance-torque 2 --tolerance-angle 0.5 && echo the same
   sero-mj compare run.mcap                                  commanded with measured torque
   sero-mj compare run.mcap --against-model --plot run.pdf   the robot with its own model
@@ -57,6 +58,7 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions):
         plot: a figure: .png, .pdf or .svg.
         csv: both and their difference.
         as_json: print the table as JSON.
+        output: a page that plays both, with what explains the difference on its time line.
         render: a film of A with arrows on the difference, and a transparent double for B.
         tolerance_torque: exit with 1 where measured torques differ by more, Nm (N).
         tolerance_angle: likewise for angles, degrees; of sliding joints mm.
@@ -72,6 +74,7 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions):
     ] = 0.0
     plot: Figure | None = None
     csv: Annotated[Path | None, Option("OUT.csv")] = None
+    output: Annotated[Path | None, ending(".html"), Option("OUT.html", ("-o", "--output"))] = None
     render: Annotated[Path | None, ending(*FILMS), Option("OUT.mp4")] = None
     tolerance_torque: Annotated[NotNegative | None, Option("NM")] = None
     tolerance_angle: Annotated[NotNegative | None, Option("DEG")] = None
@@ -114,6 +117,8 @@ def run(options: CompareOptions) -> int:
         from ..study.plot import plot_pair
 
         plot_pair(pair, options.plot, explanations=explanations or ())
+    if options.output is not None:
+        _page(pair, options.output, explanations or [], options)
     if options.render is not None:
         _film(pair, options.render, options)
     for each in over:
@@ -181,6 +186,23 @@ def _read(options: CompareOptions) -> list[RunLog]:
     of_a, _, of_b = (options.source or "").partition(",")
     wanted = [(options.a, of_a), (options.b, of_b or of_a)]
     return [options.read(path, source or None) for path, source in wanted if path is not None]
+
+
+def _page(
+    pair: Pair, output: Path, explanations: Sequence[Explanation], options: CompareOptions
+) -> None:
+    from ..study.compare import compare_scene
+    from ..viewer.player.capture import Mark
+    from ..viewer.player.page import export_html
+
+    last = float(pair.times[-1] - pair.times[0])
+    marks = []
+    for each in explanations:
+        begin = 0.0 if each.from_start else each.begin - float(pair.times[0])
+        end = last if each.end is None else each.end - float(pair.times[0])
+        marks.append(Mark(begin, end, f"{each.joint}: {each.short}", "fault"))
+    with progress_bar("collecting", quiet=options.quiet) as update:
+        export_html(compare_scene(pair), output, seconds=last, marks=marks, on_progress=update)
 
 
 def _film(pair: Pair, output: Path, options: CompareOptions) -> None:

@@ -15,6 +15,7 @@ from ..viewer.headless.film_kinds import FILMS
 from ..viewer.headless.picture_options import CameraOptions, FilmOptions, Rate, SizeOptions
 from ._arguments import (
     command,
+    finite,
     named_settings,
     overrides,
     print_json,
@@ -33,6 +34,7 @@ examples:
   sero-mj simulate impedance_push                      runs it, says what held and what was found
   sero-mj simulate impedance_push --render out.mp4     and films it
   sero-mj simulate my.toml --record run.mcap --plot torques.png --csv run.csv
+  sero-mj simulate impedance_push --report out/        a page, a figure, JUnit XML for CI
   sero-mj simulate impedance_push --set controllers.lwr.stiffness=200
   sero-mj simulate impedance_push --send lwr_udp       as a robot would, in real time, for a mirror
 
@@ -53,6 +55,7 @@ class SimulateOptions(SizeOptions, CameraOptions, JsonOptions, SinkOptions):
         signals_rate: of values as JSON in the recording, for other programs; 0 for none.
         csv: the same as a table.
         plot: torques of every joint.
+        report: a folder for a page that plays it, a figure, report.json, and junit.xml for CI.
         render: film it (.webm, .gif), or OUT.png.
         at: time of a picture, s (default: the end).
         fps: frames per second (default 30; of a GIF 20).
@@ -71,6 +74,7 @@ class SimulateOptions(SizeOptions, CameraOptions, JsonOptions, SinkOptions):
     signals_rate: Annotated[NotNegative, Option("HZ")] = 5.0
     csv: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
     plot: Annotated[Figure | None, Option("OUT.png")] = None
+    report: Annotated[Path | None, Option("DIR")] = None
     render: Annotated[PictureOrFilm | None, Option("OUT.mp4")] = None
     at: Time | None = None
     fps: Rate | None = None
@@ -127,6 +131,11 @@ def run(options: SimulateOptions) -> int:
         _render(simulation, options, options.render)
     is_whole = not isinstance(error, KeyboardInterrupt)
     outcomes, findings = simulation.outcomes() if is_whole else [], simulation.findings()
+    if options.report is not None and is_whole:
+        from ..study.run_report import write_report
+
+        about = finite(_as_json(simulation, seconds, error, outcomes, findings))
+        write_report(simulation, options.report, about, error=error)
     if options.as_json:
         print_json(_as_json(simulation, seconds, error, outcomes, findings))
     else:

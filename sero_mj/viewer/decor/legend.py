@@ -35,7 +35,7 @@ _UNLIMITED = "width grows with the value"
 _BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
 # A line with a bar before each number, as wide as an arrow of that share of the limit.
 _SHARES = np.array([0.1, 0.5, 1.0])
-_SCALE = ("     10 %", "     50 %", "     ")  # and the name of the limit
+SCALE = ("     10 %", "     50 %", "     ")  # and the name of the limit
 _BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # of a line's height
 
 
@@ -112,7 +112,7 @@ class Legend(Feature):
             if not self.world.joints.revolute[shown].all() and code < _TORQUES:
                 what += ", or force"
             has_scale = width not in (_UNLIMITED, _BY_LOAD)
-            scale = "".join(_SCALE) + width if has_scale else width
+            scale = "".join(SCALE) + width if has_scale else width
             lines = [f"round arrows: {what}".encode(), _SIGNS, scale.encode()]
             texts.append(lines)
         sizes = np.array(
@@ -178,10 +178,10 @@ def _named(names: list[str]) -> str:
 def _bars(panels: Panels, view: PictureView) -> Array:
     """Returns the bars of the scale (m, 4): as wide as arrows, by the square root of the share."""
     line = view.font.height
-    ends = np.array([view.font.width("".join(_SCALE[:k]) + _SCALE[-1]) for k in range(len(_SCALE))])
+    ends = np.array([view.font.width("".join(SCALE[:k]) + SCALE[-1]) for k in range(len(SCALE))])
     bars = []
     for centre, size, texts in zip(panels.centres, panels.sizes, panels.texts, strict=True):
-        if texts[-1].startswith(_SCALE[0].encode()):
+        if texts[-1].startswith(SCALE[0].encode()):
             left, bottom = centre - size / 2 + PADDING * line * np.array([1.0, 0.5])
             for end, share in zip(ends, _SHARES, strict=True):
                 height = _BAR_HEIGHT * line * np.sqrt(share)

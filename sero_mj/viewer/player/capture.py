@@ -24,6 +24,7 @@ from ..decor.billboards import Line, joint_formats
 from ..decor.draw import Decor
 from ..decor.feature import Frame
 from ..decor.geom_buffer import GEOM, Kind
+from ..decor.legend import SCALE
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..sampling import sampled_states
@@ -202,7 +203,10 @@ class _Collector:
 
 
 def _text(line: bytes) -> str:
-    return line.decode("latin-1").rstrip()
+    """A line as text; the legend's scale has bars, of which only the last one has a name."""
+    text = line.decode("latin-1").rstrip()
+    scale = "".join(SCALE)
+    return f"full width: {text.removeprefix(scale)}" if text.startswith(scale) else text
 
 
 def capture(
