@@ -92,6 +92,13 @@ def test_a_glb_has_a_node_for_each_body_that_is_seen_and_moves_them(tmp_path: Pa
     assert gltf.accessors[gltf.animations[0].samplers[0].input].count == found.frames
 
 
+def test_only_decor_that_stands_in_the_world_is_stored() -> None:
+    found = capture(load_scene("stewart"), seconds=0.1, wait=0.0)
+    assert found.silent == ["udp"]
+    assert all((item.rows["emission"] < 1.0).all() for item in found.items)
+    assert "no data" in found.notes[-1]
+
+
 def test_a_page_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as error:
         write_page(capture(load_scene("lwr")), tmp_path / "none" / "lwr.html")

@@ -189,7 +189,9 @@ class _Collector:
         is_arrow = kinds == Kind.ARROW
         kept = ~is_arrow
         kept[is_arrow] = ~revolute[items[is_arrow]]
-        kept &= buffer.rows["type"][: buffer.count] != int(mujoco.mjtGeom.mjGEOM_LABEL)
+        # Panels and leaders stand in front of the camera, and are laid out by the player.
+        kept[buffer.text] = False
+        kept &= buffer.rows["emission"][: buffer.count] < 1.0
         index = kept.nonzero()[0]
         self.rows.append((buffer.rows[index], kinds[index], items[index]))
         self.frames.append(frame)

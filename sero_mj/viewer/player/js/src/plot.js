@@ -69,7 +69,7 @@ export class Plot {
       legend: { show: false },
       padding: [8, 8, 0, 0],
       axes: [{ ...axis, size: 26 }, { ...axis, size: 50 }],
-      series: [{}, ...keys.map((key) => looks[key])],
+      series: [{}, ...keys.map((key) => ({ ...looks[key], points: { show: false } }))],
       hooks: { draw: [(plot) => this.#drawTime(plot)] },
     }, /** @type {uPlot.AlignedData} */ (/** @type {unknown} */ ([this.times, ...lines])), this.room);
     const { over } = this.plot;
