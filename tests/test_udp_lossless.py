@@ -57,6 +57,22 @@ def settled(receiver: UdpReceiver, received: int) -> bool:
     return until(lambda: receiver.counters.received == received)
 
 
+def test_arrivals_stay_in_order_where_the_wall_clock_is_set(
+    send: Send, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with UdpReceiver(structure=NUMBERED, only_latest_packet=False) as receiver:
+        arrivals = []
+        wall = time.time_ns
+        for ahead in (0, 1_000_000_000, -1_000_000_000):
+            monkeypatch.setattr(time, "time_ns", lambda ahead=ahead: wall() + ahead)
+            send(receiver, *range(3))
+            assert settled(receiver, len(arrivals) + 3)
+            packets = receiver.take()
+            assert packets is not None
+            arrivals += packets.arrivals.tolist()
+        assert np.all(np.diff(arrivals) >= 0.0)
+
+
 @pytest.mark.skipif(not LINUX, reason="counts what the kernel drops")
 def test_every_packet_is_handed_on_in_order_and_none_is_lost() -> None:
     count = 30_000

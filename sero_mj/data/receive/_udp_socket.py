@@ -122,6 +122,7 @@ class Datagrams:
         self._recvmmsg: Any = None
         self._sendto: Any = None
         self._dropped: int | None = None
+        self._last_arrival = -np.inf  # s
         if sys.platform == "linux":
             for option in (_SO_RXQ_OVFL, _SO_TIMESTAMPNS):
                 sock.setsockopt(socket.SOL_SOCKET, option, 1)
@@ -235,8 +236,11 @@ class Datagrams:
         if not (stamps["kind"] == _SO_TIMESTAMPNS).all():
             return np.full(count, now * 1e-9)
         stamped = stamps["seconds"] * 1_000_000_000 + stamps["nanoseconds"]
-        # The wall clock may have been set in between; arrivals cannot be later than reading.
+        # The wall clock may have been set in between, and the two clocks may have been read with
+        # an interruption; but arrivals are in order, and not later than reading.
         arrivals: Array = (now - np.maximum(wall - stamped, 0)) * 1e-9
+        arrivals = np.maximum.accumulate(np.maximum(arrivals, self._last_arrival))
+        self._last_arrival = float(arrivals[-1])
         return arrivals
 
     def _read_dropped(self, count: int) -> int | None:
