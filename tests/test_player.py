@@ -45,6 +45,8 @@ def test_a_part_of_a_run_begins_where_it_is_asked_to() -> None:
     part = capture(load_scene("impedance_push"), fps=10, begin=0.5, seconds=0.3)
     assert part.frames == 4
     assert np.array_equal(part.values["torques"], whole.values["torques"][5:9], equal_nan=True)
+    last = capture(load_scene("impedance_push"), fps=10, begin=4.5, seconds=9.0)
+    assert last.frames == 6
 
 
 def test_a_run_of_hours_is_refused_before_it_is_collected_with_how_long_it_may_be() -> None:

@@ -226,7 +226,7 @@ def capture(
 
     Args:
         scene: what to show.
-        seconds: how long; to the end of its sources when None.
+        seconds: how long, at most to the end of its sources; to there when None.
         begin: time of the first frame, s; 0 for live sources.
         fps: frames per second.
         camera: see `find_camera`.
@@ -304,16 +304,19 @@ def longest(world: World, fps: float) -> float:
 
 def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float) -> int:
     """How many frames there are; raises RenderError where they are too many."""
+    ends = [source.end for source in mirror.sources.values() if source.end is not None]
+    left = max(ends) - begin if ends else None
+    if left is not None and left <= 0:
+        raise RenderError(f"found a begin at {begin:g} s; it ends at {max(ends):g} s")
     if seconds is None:
-        ends = [source.end for source in mirror.sources.values() if source.end is not None]
-        seconds = max(ends) - begin if ends else DEFAULT_SECONDS if mirror.sources else 0.0
-        if ends and seconds <= 0:
-            raise RenderError(f"found a begin at {begin:g} s; it ends at {max(ends):g} s")
+        seconds = left or (DEFAULT_SECONDS if mirror.sources else 0.0)
     if seconds > (most := longest(mirror.world, fps)):
         raise RenderError(
             f"found {seconds:g} s; expected at most {most:.0f} s of this scene at {fps:g} frames "
             "per second: export a part of it, or fewer frames per second"
         )
+    if left is not None and not mirror.is_live:
+        seconds = min(seconds, left)
     return int(np.floor(seconds * fps + 1e-9)) + 1
 
 
