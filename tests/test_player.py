@@ -137,6 +137,15 @@ def test_a_recording_is_exported_by_the_scene_in_it_also_when_it_is_torn(tmp_pat
         assert page.stat().st_size < 600_000
 
 
+def test_a_recording_without_a_whole_packet_leaves_no_page(tmp_path: Path) -> None:
+    whole, torn = tmp_path / "run.mcap", tmp_path / "torn.mcap"
+    run_command("simulate", "impedance_push", "--record", str(whole), folder=tmp_path)
+    torn.write_bytes(whole.read_bytes()[:30_000])
+    status, said = run_command("export", str(torn), "-o", "torn.html", folder=tmp_path)
+    assert status == 2 and "no good packet" in said
+    assert not (tmp_path / "torn.html").exists()
+
+
 def test_the_bundle_is_what_its_sources_make(tmp_path: Path) -> None:
     if shutil.which("npm") is None:
         pytest.skip("npm is not installed")

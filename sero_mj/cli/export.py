@@ -98,14 +98,20 @@ def run(options: ExportOptions) -> int:
     if options.scene.lower().endswith(".mcap"):
         options = _of_recording(options)
     scene = options.read(options.scene)
+    is_new = not path.exists()
     with writing():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.open("ab").close()
-    with progress_bar("collecting", quiet=options.quiet) as update:
-        found = capture(
-            scene, seconds=options.length, begin=options.begin or 0.0, fps=options.fps,
-            camera=options.camera, on_progress=update,
-        )  # fmt: skip
+    try:
+        with progress_bar("collecting", quiet=options.quiet) as update:
+            found = capture(
+                scene, seconds=options.length, begin=options.begin or 0.0, fps=options.fps,
+                camera=options.camera, on_progress=update,
+            )  # fmt: skip
+    except BaseException:
+        if is_new:
+            path.unlink()
+        raise
     for name in found.silent:
         print(f"sero-mj: no good packet for source '{name}' within 2 s", file=sys.stderr)
     if path.suffix.lower() == ".glb":

@@ -54,6 +54,11 @@ export class Items {
         const material = new THREE.MeshPhongMaterial({
           specular: 0x202020, side: THREE.DoubleSide, transparent: false,
         });
+        // As bright as round arrows, also where no lamp is.
+        material.onBeforeCompile = (shader) => {
+          shader.fragmentShader = shader.fragmentShader.replace("#include <emissivemap_fragment>",
+            "totalEmissiveRadiance += .45 * diffuseColor.rgb;");
+        };
         const mesh = new THREE.InstancedMesh(shape, material, of.length);
         mesh.frustumCulled = false;
         this.group.add(mesh);
