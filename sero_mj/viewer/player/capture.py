@@ -307,7 +307,8 @@ def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float
     ends = [source.end for source in mirror.sources.values() if source.end is not None]
     left = max(ends) - begin if ends else None
     if ends and max(ends) <= 0:
-        raise RenderError(f"{', '.join(mirror.sources)}: found no good packet; expected at least one")
+        names = ", ".join(mirror.sources)
+        raise RenderError(f"{names}: found no good packet; expected at least one")
     if left is not None and left <= 0:
         raise RenderError(f"found a begin at {begin:g} s; it ends at {max(ends):g} s")
     if seconds is None:
