@@ -8,7 +8,6 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import pytest
 from pydantic import model_validator
-from refusals import refused, states
 
 from sero_mj.base.errors import DeclarationError, UsageError
 from sero_mj.base.options import (
@@ -136,21 +135,21 @@ def test_text_becomes_what_is_declared() -> None:
 @pytest.mark.parametrize(
     ("arguments", "key", "said"),
     [
-        (["--kind", "puf"], "--kind", "'puf', 'short', 'puff'"),
-        (["--duration", "0"], "--duration", "'0', 0"),
-        (["--duration", "nan"], "--duration", "'nan', 0"),
-        (["--duration", "inf"], "--duration", "'inf', 0"),
-        (["--start=-1"], "--start", "'-1', 0"),
-        (["--size", "12"], "--size", "'12', WIDTHxHEIGHT, 1280x800"),
-        (["--size", "0x4"], "--size", "'0x4', WIDTHxHEIGHT"),
-        (["--pieces", "1.5"], "--pieces", "'1.5', 0"),
-        (["--shade", "6"], "--shade", "'6', 1, 5"),
-        (["--port", "0"], "--port", "'0', 1, 65535"),
-        (["--seed=-1"], "--seed", "'-1', 0"),
-        (["--angles", "1,x"], "--angles", "'1,x'"),
-        (["--angles", "1,nan"], "--angles", "'1,nan'"),
-        (["-o", "x.gif"], "--picture", "'x.gif', .png, .jpg"),
-        (["--kind", "puff", "--sugar"], "", "--sugar, --kind"),
+        (["--kind", "puf"], "--kind", "found 'puf'; expected 'short' or 'puff'; did you mean"),
+        (["--duration", "0"], "--duration", "found '0'; expected a number above 0"),
+        (["--duration", "nan"], "--duration", "found 'nan'; expected a number above 0"),
+        (["--duration", "inf"], "--duration", "found 'inf'; expected a number above 0"),
+        (["--start=-1"], "--start", "found '-1'; expected 0 or a number above"),
+        (["--size", "12"], "--size", "found '12'; expected WIDTHxHEIGHT, e.g. 1280x800"),
+        (["--size", "0x4"], "--size", "found '0x4'; expected WIDTHxHEIGHT"),
+        (["--pieces", "1.5"], "--pieces", "found '1.5'; expected a whole number above 0"),
+        (["--shade", "6"], "--shade", "found '6'; expected a whole number from 1 to 5"),
+        (["--port", "0"], "--port", "found '0'; expected a port from 1 to 65535"),
+        (["--seed=-1"], "--seed", "found '-1'; expected a whole number from 0"),
+        (["--angles", "1,x"], "--angles", "found '1,x'; expected numbers with commas"),
+        (["--angles", "1,nan"], "--angles", "found '1,nan'; expected numbers with commas"),
+        (["-o", "x.gif"], "--picture", "found 'x.gif'; expected a name that ends in .png, .jpg"),
+        (["--kind", "puff", "--sugar"], "", "--sugar is for --kind short"),
     ],
 )
 def test_what_is_wrong_is_said_in_the_words_of_the_command_line(
@@ -160,7 +159,7 @@ def test_what_is_wrong_is_said_in_the_words_of_the_command_line(
         bake("cake", *arguments)
     (problem,) = caught.value.problems
     assert problem.key == key
-    states(problem.message, said)
+    assert problem.message.startswith(said)
 
 
 def test_all_that_is_wrong_is_said_at_once() -> None:
@@ -225,7 +224,7 @@ def test_switches_are_text_or_a_mapping() -> None:
     assert PictureOptions(shown=["arrows=1", "axes=0101"]).shown == both
     assert PictureOptions(shown=both).shown == both
     assert PictureOptions(shown=None).shown == {}
-    with refused(DeclarationError, "shown: 'arrows', NAME=0, NAME=1"):
+    with pytest.raises(DeclarationError, match="shown: found 'arrows'; expected NAME=0 or NAME=1"):
         PictureOptions(shown=["arrows"])
 
 
