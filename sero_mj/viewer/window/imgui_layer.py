@@ -72,6 +72,7 @@ class ImguiLayer:
         self._rects: list[tuple[float, float, float, float]] = []
         self._at = (-1.0, -1.0)  # of the pointer, pixels from the upper left corner
         self._is_held = False  # whether the button was pressed over it
+        self._released: list[int] = []  # buttons, of which it is told a frame later
         self._is_open_above = False  # a list to choose from, say
         self._last = time.monotonic()
 
@@ -99,8 +100,11 @@ class ImguiLayer:
             imgui.set_window_focus(None)  # who was typing has ended
             return False
         was_held, self._is_held = self._is_held, is_press
-        if is_press or was_held:
-            io.add_mouse_button_event(event.button, is_press)
+        if is_press:
+            io.add_mouse_button_event(event.button, True)
+        elif was_held:
+            # What is dragged goes to where the button was released, before it is let go of.
+            self._released.append(event.button)
         return is_press or was_held
 
     def is_over(self, x: float, y: float) -> bool:
@@ -135,6 +139,9 @@ class ImguiLayer:
         io.delta_time, self._last = max(now - self._last, 1e-4), now
         imgui.backends.opengl3_new_frame()
         imgui.new_frame()
+        for button in self._released:
+            io.add_mouse_button_event(button, False)
+        self._released.clear()
         self._rects.clear()
         build()
         self._is_open_above = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
