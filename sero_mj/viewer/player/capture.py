@@ -159,9 +159,14 @@ def geom_colours(model: mujoco.MjModel) -> Array:
 
 
 class _Collector:
-    """The last feature of a world's decor: collects what the others have made."""
+    """The last feature of a world's decor: collects what the others have made.
 
-    def __init__(self) -> None:
+    Args:
+        world: the world; the player itself draws the arrows of joints that turn.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._revolute = world.joints.revolute
         self.frames: list[Frame] = []
         self.rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.notes: list[str] = []
@@ -195,13 +200,6 @@ class _Collector:
         index = kept.nonzero()[0]
         self.rows.append((buffer.rows[index], kinds[index], items[index]))
         self.frames.append(frame)
-
-    _revolute: np.ndarray = np.zeros(0, bool)
-
-    def of(self, world: World) -> _Collector:
-        """Tells which joints have round arrows, which the player draws itself."""
-        self._revolute = world.joints.revolute
-        return self
 
 
 def _text(line: bytes) -> str:
@@ -240,13 +238,14 @@ def capture(
     with Mirror(scene) as mirror:
         world = mirror.world
         count = _frame_count(mirror, seconds, begin, fps)
-        toggles, collector = Toggles(world), _Collector().of(world)
+        toggles, collector = Toggles(world), _Collector(world)
         seen = Toggles(world)
         seen.billboards[:] = False
         seen.doubles[:] = seen.cards[:] = True
         decor = Decor(world, arrow_geoms=_ARROW_GEOMS)
         decor.features.append(collector)
-        view = _view(world, find_camera(world, camera))
+        first_view = find_camera(world, camera)
+        view = _view(world, first_view)
         model, data = world.model, world.make_data()
         bodies = _bodies(world)
         poses = np.zeros((count, len(bodies), 7))
@@ -277,7 +276,7 @@ def capture(
         fps=fps,
         begin=begin,
         toggles=toggles,
-        camera=find_camera(world, camera),
+        camera=first_view,
         lines=lines,
         details=details,
         bodies=bodies,
