@@ -29,14 +29,14 @@ from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..sampling import sampled_states
 from ..session.torque_history import joint_name
+from .model import drawn_bodies, visible_geoms
+from .soft import Soft, SoftCollector
 
 DEFAULT_FPS = 30.0
 DEFAULT_SECONDS = 10.0  # of what has no end
 MAX_BYTES = 128_000_000  # of a run in a browser's memory
 _ARROW_GEOMS = 24  # of round arrows at frames; those of joints are made by the player
 _SIZE = (1280, 800)  # pixels; some decor asks for a picture
-_GROUPS = 3  # of geoms and sites, that MuJoCo shows unless told otherwise
-_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)  # of geoms whose material has the colour
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,7 @@ class Capture:
         arrows: what the round arrows show, (F, N).
         limit: value of an arrow of full width, (N,); inf for none.
         stale: joints without fresh data, (F, N) bool.
+        soft: tendons and flexes.
         items: decor besides round arrows of joints, and text.
         notes: text in the corners, by frame.
         cards: of the smart arrows: index to text by frame, empty where there is none.
@@ -118,6 +119,7 @@ class Capture:
     arrows: Array
     limit: Array
     stale: np.ndarray
+    soft: Soft
     items: list[Item]
     notes: list[str]
     cards: dict[int, list[str]]
@@ -136,26 +138,8 @@ class Capture:
 
     @property
     def geoms(self) -> Ints:
-        """Ids of the geoms of the model that are drawn, without planes."""
+        """Ids of the geoms of the model that are drawn, without our floor."""
         return visible_geoms(self.world.model)
-
-
-def visible_geoms(model: mujoco.MjModel) -> Ints:
-    """Returns the ids of the geoms that MuJoCo draws unless told otherwise, without planes."""
-    shown = (model.geom_group < _GROUPS) & (geom_colours(model)[:, 3] > 0)
-    is_plane = model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)
-    known = model.geom_type <= int(mujoco.mjtGeom.mjGEOM_MESH)
-    is_field = model.geom_type == int(mujoco.mjtGeom.mjGEOM_HFIELD)
-    found: Ints = (shown & ~is_plane & known & ~is_field).nonzero()[0]
-    return found
-
-
-def geom_colours(model: mujoco.MjModel) -> Array:
-    """Returns the colours of all geoms (ngeom, 4): their own, else their material's."""
-    colours = np.array(model.geom_rgba)
-    of_material = (model.geom_matid >= 0) & (colours == _DEFAULT_RGBA).all(axis=1)
-    colours[of_material] = model.mat_rgba[model.geom_matid[of_material]]
-    return colours
 
 
 class _Collector:
@@ -247,13 +231,14 @@ def capture(
         first_view = find_camera(world, camera)
         view = _view(world, first_view)
         model, data = world.model, world.make_data()
-        bodies = _bodies(world)
+        bodies, soft = _bodies(world), SoftCollector(model)
         poses = np.zeros((count, len(bodies), 7))
         opacity = np.ones((count, len(bodies)))
         silent = mirror.wait(wait)
         for k, state in enumerate(sampled_states(mirror, count, fps, begin)):
             restore(world, data, state)
             buffer = decor.draw(data, seen, view)
+            soft.take(data)
             poses[k, :, :3], poses[k, :, 3:] = data.xpos[bodies], data.xquat[bodies]
             if buffer.opacity is not None:
                 factors = np.ones(model.nbody)
@@ -288,6 +273,7 @@ def capture(
         arrows=np.array([f.arrow_values for f in frames]),
         limit=frames[0].arrow_limit,
         stale=stale,
+        soft=soft.result(),
         items=_items(collector.rows),
         notes=collector.notes,
         cards=_cards(collector.cards),
@@ -336,7 +322,7 @@ def _bodies(world: World) -> Ints:
     """The bodies that something is drawn at."""
     model = world.model
     sites = world.joints.centre_site
-    own = [model.geom_bodyid[visible_geoms(model)], model.site_bodyid[sites], model.cam_bodyid]
+    own = [drawn_bodies(model), model.site_bodyid[sites], model.cam_bodyid]
     return np.unique(np.concatenate(own)).astype(np.intp)
 
 

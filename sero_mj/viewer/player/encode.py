@@ -1,12 +1,7 @@
-"""The bytes of a run: a JSON head and typed arrays, as `js/src/data.js` reads them.
-
-Numbers that move are differences in time, of which the sign is the lowest bit, one channel after
-the other, and bytes of one significance stand together: so deflate finds what repeats.
-"""
+"""The bytes of a run: a JSON head and typed arrays, as `js/src/data.js` reads them."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from typing import Any
@@ -14,40 +9,18 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.frames import Array, Ints
 from ...robots.assemble.parts import DoublePart
 from ..decor import round_arrows
 from ..decor.billboards import Line
 from ..decor.geom_buffer import GREY
 from ..decor.ribbons import ribbon_shape
-from .capture import Capture, eye, geom_colours
+from .capture import Capture, eye
+from .model import Look
+from .packing import Parts, rounded
 
 VERSION = 1
 METRE_STEP = 5e-5  # m
 ROTATION_STEP = 1 / 16384  # of a component of a unit quaternion
-_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
-_MESH_STEPS = 65535  # of the longest side of a mesh
-_NORMAL_STEPS = 127
-
-
-class _Parts:
-    """Arrays behind the head, known by their number."""
-
-    def __init__(self) -> None:
-        self.arrays: list[bytes] = []
-
-    def put(self, array: np.ndarray) -> list[Any]:
-        """Adds an array; returns its number, the type of its numbers, and how many there are."""
-        array = np.ascontiguousarray(array)
-        planes = array.reshape(-1).view(np.uint8).reshape(-1, array.itemsize).T
-        self.arrays.append(planes.tobytes())
-        return [len(self.arrays) - 1, array.dtype.str[1:], array.size]
-
-    def moving(self, numbers: np.ndarray, step: float) -> list[Any]:
-        """Adds channels (F, C) in steps, as differences in time."""
-        whole = np.round(numbers / step).astype(np.int64)
-        differences = np.diff(whole, axis=0, prepend=0).T
-        return self.put(_unsigned(_folded(differences)))
 
 
 def encode(capture: Capture, title: str) -> bytes:
@@ -57,11 +30,10 @@ def encode(capture: Capture, title: str) -> bytes:
         capture: the run.
         title: what it is, for people.
     """
-    parts, model = _Parts(), capture.world.model
+    parts = Parts()
     frames = capture.frames
     opacity = np.round(capture.opacity * 255)
-    meshes: list[dict[str, Any]] = []
-    geoms = _geoms(capture, parts, meshes)
+    look = Look(capture.world.model, parts, lambda body: _index(capture, body))
     head = {
         "version": VERSION,
         "title": title,
@@ -78,9 +50,8 @@ def encode(capture: Capture, title: str) -> bytes:
         "opacity": parts.moving(opacity, 1),
         "grey": parts.moving(capture.grey, 1),
         "greyRgb": GREY,
-        "meshes": meshes,
-        "geoms": geoms,
-        "floor": _floor(model),
+        **look.head(),
+        **capture.soft.head(parts, METRE_STEP),
         "joints": _joints(capture),
         "values": {
             key: parts.put(each.T) for key, each in capture.values.items() if key != "torque_error"
@@ -100,23 +71,6 @@ def encode(capture: Capture, title: str) -> bytes:
     head["lengths"] = [len(each) for each in parts.arrays]
     text = json.dumps(head, separators=(",", ":"), allow_nan=False).encode()
     return b"".join([len(text).to_bytes(4, "little"), text, *parts.arrays])
-
-
-def _folded(differences: Ints) -> Ints:
-    """Small numbers of either sign as small numbers."""
-    return np.asarray((differences << 1) ^ (differences >> 63))
-
-
-def _unsigned(numbers: Ints) -> np.ndarray:
-    for kind in (np.uint8, np.uint16):
-        if numbers.max(initial=0) <= np.iinfo(kind).max:
-            return numbers.astype(kind)
-    return numbers.astype(np.uint32)
-
-
-def _rounded(numbers: Any, digits: int = 6) -> list[Any]:
-    found: list[Any] = np.round(np.asarray(numbers, float), digits).tolist()
-    return found
 
 
 def _finite(number: float) -> float | None:
@@ -154,97 +108,12 @@ def _cameras(capture: Capture) -> list[dict[str, Any]]:
         {
             "name": model.camera(i).name,
             "body": _index(capture, int(model.cam_bodyid[i])),
-            "pos": _rounded(model.cam_pos[i]),
-            "quat": _rounded(model.cam_quat[i]),
+            "pos": rounded(model.cam_pos[i]),
+            "quat": rounded(model.cam_quat[i]),
             "fovy": round(float(model.cam_fovy[i]), 3),
         }
         for i in range(model.ncam)
     ]
-
-
-def _floor(model: mujoco.MjModel) -> float | None:
-    """The height of the floor, m; None for no floor."""
-    planes = (model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)).nonzero()[0]
-    return float(model.geom_pos[planes[0], 2]) if len(planes) else None
-
-
-def _geoms(capture: Capture, parts: _Parts, meshes: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Shape, place, body and colour of every geom; meshes that are equal are there once."""
-    model, colours, found = capture.world.model, geom_colours(capture.world.model), []
-    known: dict[Any, int] = {}
-    for i in capture.geoms.tolist():
-        geom = {
-            "body": _index(capture, int(model.geom_bodyid[i])),
-            "type": int(model.geom_type[i]),
-            "pos": _rounded(model.geom_pos[i]),
-            "quat": _rounded(model.geom_quat[i]),
-            "size": _rounded(model.geom_size[i]),
-            "rgba": np.round(colours[i] * 255).astype(int).tolist(),
-        }
-        if geom["type"] == _MESH:
-            geom["mesh"] = _mesh(model, int(model.geom_dataid[i]), parts, meshes, known)
-        found.append(geom)
-    return found
-
-
-def mesh_corners(model: mujoco.MjModel, mesh: int) -> tuple[Array, Array, Ints]:
-    """Returns vertices (n, 3), m, normals (n, 3), and the triangles' corners (3 m,) of a mesh."""
-    vertex, normal = model.mesh_vertadr[mesh], model.mesh_normaladr[mesh]
-    face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    corners = model.mesh_face[face : face + faces].ravel()
-    facing = model.mesh_facenormal[face : face + faces].ravel()
-    pairs, first, index = np.unique(
-        np.stack([corners, facing], axis=1), axis=0, return_index=True, return_inverse=True
-    )
-    # In the order of first use, indices become small differences.
-    order = np.argsort(first)
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    pairs = pairs[order]
-    points = model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]][pairs[:, 0]]
-    normals = model.mesh_normal[normal : normal + model.mesh_normalnum[mesh]][pairs[:, 1]]
-    return points.astype(float), normals.astype(float), rank[index.ravel()]
-
-
-def _mesh(
-    model: mujoco.MjModel,
-    mesh: int,
-    parts: _Parts,
-    meshes: list[dict[str, Any]],
-    known: dict[Any, int],
-) -> int:
-    if mesh in known:
-        return known[mesh]
-    points, normals, index = mesh_corners(model, mesh)
-    key = hashlib.sha256(points.tobytes() + normals.tobytes() + index.tobytes()).digest()
-    if key not in known:
-        low = points.min(axis=0)
-        step = max(float(np.ptp(points, axis=0).max()) / _MESH_STEPS, 1e-9)
-        places = np.round((points - low) / step).astype(np.int64)
-        known[key] = len(meshes)
-        meshes.append(
-            {
-                "low": low.tolist(),
-                "step": step,
-                "vertices": parts.put(_differences(places.T).astype(np.uint16)),
-                "normals": parts.put(_octahedral(normals)),
-                "triangles": parts.put(_unsigned(_folded(np.diff(index, prepend=0)))),
-            }
-        )
-    known[mesh] = known[key]
-    return known[key]
-
-
-def _differences(places: Array) -> Array:
-    return np.asarray(np.diff(places, axis=1, prepend=0) % (_MESH_STEPS + 1))
-
-
-def _octahedral(normals: Array) -> np.ndarray:
-    """Unit vectors (n, 3) on the square to which an octahedron unfolds, (2, n)."""
-    normals = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-12)
-    over = (1 - np.abs(normals[:, 1::-1])) * np.where(normals[:, :2] >= 0, 1, -1)
-    square = np.where(normals[:, 2:] < 0, over, normals[:, :2])
-    return np.round(square.T * _NORMAL_STEPS).astype(np.int8)
 
 
 def _joints(capture: Capture) -> list[dict[str, Any]]:
@@ -265,8 +134,8 @@ def _joints(capture: Capture) -> list[dict[str, Any]]:
                 "angleUnit": "rad" if joints.revolute[i] else "m",
                 "double": doubles.index(owner) if owner in doubles else -1,
                 "body": _index(capture, int(model.site_bodyid[site])),
-                "pos": _rounded(model.site_pos[site]),
-                "quat": _rounded(model.site_quat[site]),
+                "pos": rounded(model.site_pos[site]),
+                "quat": rounded(model.site_quat[site]),
                 "torqueLimit": _finite(joints.torque_limit[i]),
                 "lines": _lines(capture.lines[i]),
                 "details": _lines(capture.details[i]),
@@ -302,14 +171,14 @@ def _lines(lines: list[Line]) -> list[dict[str, Any]]:
     ]
 
 
-def _arrows(capture: Capture, parts: _Parts) -> dict[str, Any]:
+def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
     """Shape and colours of round arrows, and their values where these are not the torques."""
     shape = ribbon_shape(round_arrows.ARROW_GEOMS)
     names = ("middle", "half_angle", "rings", "own", "flare", "triangles")
     torques = capture.values.get("torques")
     is_torque = torques is not None and np.array_equal(capture.arrows, torques, equal_nan=True)
     return {
-        "shape": {name: _rounded(getattr(shape, name)) for name in names}
+        "shape": {name: rounded(getattr(shape, name)) for name in names}
         | {"dark": np.asarray(shape.dark).astype(int).tolist()},
         "values": None if is_torque else parts.put(capture.arrows.T),
         "stale": parts.moving(capture.stale, 1),
@@ -320,7 +189,7 @@ def _arrows(capture: Capture, parts: _Parts) -> dict[str, Any]:
     }
 
 
-def _items(capture: Capture, parts: _Parts) -> dict[str, Any]:
+def _items(capture: Capture, parts: Parts) -> dict[str, Any]:
     """Decor as it stands in an `MjvScene`: type, pose, size, colour, of every frame."""
     items = capture.items
     if not items:
@@ -347,7 +216,7 @@ def _type(item: Any) -> int:
     return int(item.rows["type"][item.visible.argmax()])
 
 
-def _texts(texts: list[str], parts: _Parts) -> dict[str, Any]:
+def _texts(texts: list[str], parts: Parts) -> dict[str, Any]:
     """Texts once each, and which one every frame has."""
     unique = list(dict.fromkeys(texts))
     number = {text: k for k, text in enumerate(unique)}

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...base.errors import UsageError
 from ...base.frames import Array
-from .capture import Capture, geom_colours
-from .encode import mesh_corners
+from .capture import Capture
+from .model import geom_colours, mesh_corners
 
 _FLOAT, _UINT = 5126, 5125
 _GAMMA = 2.2  # glTF's colours are linear

@@ -9,9 +9,25 @@
  *   pos: number[], quat: number[], torqueLimit: number | null, lines: Line[], details: Line[],
  *   card: boolean, arrow: Arrow}} Joint */
 /** @typedef {{body: number, type: number, pos: number[], quat: number[], size: number[],
- *   rgba: number[], mesh?: number}} Geom */
+ *   rgba: number[], mesh?: number, material?: number}} Geom */
+/** @typedef {{finish: number[], texture: number, repeat: number[], uniform: boolean}} Material
+ *   finish: emission, specular, shininess, reflectance */
+/** @typedef {{cube: boolean, width: number, height: number, pixels: Uint8Array}} Texture
+ *   pixels: RGBA, of a cube six faces one after the other */
+/** @typedef {{rgba: number[], material?: number, uv?: Float32Array}} Soft */
+/** @typedef {Soft & {positions: Float32Array, triangles: Uint32Array, inflate: number,
+ *   bones: {body: number, pos: number[], quat: number[], count: number}[],
+ *   moved: Uint32Array, weights: Uint16Array}} Skin
+ *   moved: vertices of the first bone, of the second one and so on, with their weights / 65535 */
+/** @typedef {Soft & {dim: number, radius: number, first: number, count: number, flat: boolean,
+ *   triangles: Uint32Array, edges: Uint32Array}} Flex */
+/** @typedef {{body: number, type: number, pos: number[], dir: number[], diffuse: number[],
+ *   ambient: number[], cutoff: number, shadow: boolean}} Lamp */
+/** @typedef {{ambient: number[], diffuse: number[], others: Lamp[]}} Lights of the model, with
+ *   its headlight */
 /** @typedef {{begin: number, end: number, text: string, kind: string}} Mark */
-/** @typedef {{positions: Float32Array, normals: Float32Array, triangles: Uint32Array}} MeshData */
+/** @typedef {{positions: Float32Array, normals: Float32Array, triangles: Uint32Array,
+ *   uv?: Float32Array}} MeshData */
 /** @typedef {{texts: string[], at: Float32Array}} Texts */
 /** @typedef {{name: string, body: number, pos: number[], quat: number[], fovy: number}} Camera */
 /** @typedef {{lookAt: number[], distance: number, azimuth: number, elevation: number,
@@ -75,21 +91,70 @@ class Arrays {
     return numbers;
   }
 
-  /** @param {any} mesh @returns {MeshData} */
-  mesh(mesh) {
-    const places = this.get(mesh.vertices), square = this.get(mesh.normals);
-    const count = places.length / 3;
-    const positions = new Float32Array(3 * count), normals = new Float32Array(3 * count);
-    for (let axis = 0; axis < 3; axis++) {
+  /** Whole numbers from folded differences of neighbours. @param {Part} part */
+  differing(part) {
+    const folded = this.get(part), numbers = new Uint32Array(folded.length);
+    for (let i = 0, at = 0; i < folded.length; i++) numbers[i] = at += unfold(folded[i]);
+    return numbers;
+  }
+
+  /**
+   * Places as steps from the lowest, (n, dimensions).
+   * @param {Part} part @param {number[]} low @param {number} step
+   */
+  places(part, low, step) {
+    const steps = this.get(part), size = low.length, count = steps.length / size;
+    const places = new Float32Array(steps.length);
+    for (let axis = 0; axis < size; axis++) {
       for (let i = 0, at = 0; i < count; i++) {
-        at = (at + places[axis * count + i]) & 65535;
-        positions[3 * i + axis] = mesh.low[axis] + at * mesh.step;
+        at = (at + steps[axis * count + i]) & 65535;
+        places[size * i + axis] = low[axis] + at * step;
       }
     }
+    return places;
+  }
+
+  /** @param {any} uv @returns {{uv?: Float32Array}} */
+  uv(uv) {
+    return uv ? { uv: this.places(uv.places, uv.low, uv.step) } : {};
+  }
+
+  /** @param {any} mesh @returns {MeshData} */
+  mesh(mesh) {
+    const square = this.get(mesh.normals), count = square.length / 2;
+    const normals = new Float32Array(3 * count);
     for (let i = 0; i < count; i++) normals.set(normalOf(square[i], square[count + i]), 3 * i);
-    const folded = this.get(mesh.triangles), triangles = new Uint32Array(folded.length);
-    for (let i = 0, at = 0; i < folded.length; i++) triangles[i] = at += unfold(folded[i]);
-    return { positions, normals, triangles };
+    return { positions: this.places(mesh.vertices, mesh.low, mesh.step), normals,
+      triangles: this.differing(mesh.triangles), ...this.uv(mesh.uv) };
+  }
+
+  /** @param {any} texture @returns {Texture} */
+  texture({ cube, width, height, channels, way, pixels }) {
+    const numbers = this.get(pixels), row = width * channels;
+    const back = [row, channels][way] ?? 0, few = channels < 3;
+    for (let i = 0; back && i < numbers.length; i++) {
+      const isFirst = way ? i % row < channels : i < row;
+      if (!isFirst) numbers[i] += numbers[i - back];
+    }
+    const rgba = new Uint8Array(4 * numbers.length / channels);
+    for (let from = 0, to = 0; from < numbers.length; from += channels, to += 4) {
+      for (let c = 0; c < 3; c++) rgba[to + c] = numbers[from + (few ? 0 : c)];
+      rgba[to + 3] = channels % 2 ? 255 : numbers[from + channels - 1];
+    }
+    return { cube, width, height, pixels: rgba };
+  }
+
+  /** @param {any} skin @returns {Skin} */
+  skin(skin) {
+    return { ...skin, positions: this.places(skin.vertices, skin.low, skin.step),
+      triangles: this.differing(skin.triangles), moved: this.differing(skin.moved),
+      weights: this.get(skin.weights), ...this.uv(skin.uv) };
+  }
+
+  /** @param {any} flex @returns {Flex} */
+  flex(flex) {
+    return { ...flex, triangles: this.differing(flex.triangles), edges: this.differing(flex.edges),
+      ...this.uv(flex.uv) };
   }
 }
 
@@ -149,6 +214,17 @@ export function decode(bytes) {
     meshes: /** @type {MeshData[]} */ (head.meshes.map((/** @type {any} */ m) => arrays.mesh(m))),
     geoms: /** @type {Geom[]} */ (head.geoms),
     floor: /** @type {number | null} */ (head.floor),
+    materials: /** @type {Material[]} */ (head.materials ?? []),
+    textures: /** @type {Texture[]} */ ((head.textures ?? []).map((/** @type {any} */ each) => arrays.texture(each))),
+    skins: /** @type {Skin[]} */ ((head.skins ?? []).map((/** @type {any} */ s) => arrays.skin(s))),
+    flexes: /** @type {Flex[]} */ ((head.flexes ?? []).map((/** @type {any} */ f) => arrays.flex(f))),
+    lights: /** @type {Lights | null} */ (head.lights ?? null),
+    soft: head.soft ? moving(head.soft, metre) : null,
+    tendons: head.tendons ? {
+      ends: moving(head.tendons.ends, metre),
+      radius: moving(head.tendons.radius, metre),
+      rgba: /** @type {number[][]} */ (head.tendons.rgba),
+    } : null,
     joints: /** @type {Joint[]} */ (head.joints),
     values,
     arrows: {

@@ -1,6 +1,7 @@
 /** The model: one geometry for all that is opaque, one for doubles; bodies' poses in a texture. */
 
 import * as THREE from "three";
+import { finish, finishOf, isPlane, placesIn, planeOf, textureOf, texturesOf } from "./surfaces.js";
 
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {import("./data.js").Geom} Geom */
@@ -18,6 +19,7 @@ export function matrixOf(pos, quat) {
 function shapeOf(geom, run) {
   const [a, b, c] = geom.size;
   switch (geom.type) {
+    case 0: return planeOf(geom);
     case 2: return new THREE.SphereGeometry(a, 24, 16);
     case 3: return new THREE.CapsuleGeometry(a, 2 * b, 8, 20).rotateX(Math.PI / 2);
     case 4: return new THREE.SphereGeometry(1, 24, 16).scale(a, b, c);
@@ -34,14 +36,16 @@ function shapeOf(geom, run) {
 
 /**
  * Geoms as one geometry, in the frames of their bodies.
- * @param {Geom[]} geoms @param {Run} run
+ * @param {Geom[]} geoms @param {Run} run @param {number} texture that all of them have; -1 for none
  */
-function merged(geoms, run) {
+function merged(geoms, run, texture) {
   const shapes = geoms.map((geom) => shapeOf(geom, run));
   const vertices = shapes.reduce((sum, each) => sum + each.attributes.position.count, 0);
   const corners = shapes.reduce((sum, each) => sum + (each.index ? each.index.count : 0), 0);
   const position = new Float32Array(3 * vertices), normal = new Int8Array(3 * vertices);
   const color = new Uint8Array(4 * vertices), body = new Uint16Array(vertices);
+  const shine = new Uint8Array(4 * vertices);
+  const spots = texture < 0 ? null : new Float32Array(3 * vertices);
   const index = new Uint32Array(corners), vector = new THREE.Vector3();
   const turn = new THREE.Matrix3();
   let vertex = 0, corner = 0;
@@ -49,12 +53,15 @@ function merged(geoms, run) {
     const shape = shapes[k], at = matrixOf(geom.pos, geom.quat), first = vertex;
     const { position: places, normal: normals } = shape.attributes;
     turn.setFromMatrix4(at);
+    const look = finishOf(run, geom);
     for (const each of shape.index ? shape.index.array : []) index[corner++] = each + first;
+    spots?.set(placesIn(run, geom, shape), 3 * vertex);
     for (let i = 0; i < places.count; i++, vertex++) {
       vector.fromBufferAttribute(places, i).applyMatrix4(at).toArray(position, 3 * vertex);
       vector.fromBufferAttribute(normals, i).applyMatrix3(turn).multiplyScalar(127).round()
         .toArray(normal, 3 * vertex);
       color.set(geom.rgba, 4 * vertex);
+      shine.set(look, 4 * vertex);
       body[vertex] = geom.body;
     }
   });
@@ -63,6 +70,8 @@ function merged(geoms, run) {
   geometry.setAttribute("normal", new THREE.BufferAttribute(normal, 3, true));
   geometry.setAttribute("color", new THREE.BufferAttribute(color, 4, true));
   geometry.setAttribute("body", new THREE.BufferAttribute(body, 1));
+  geometry.setAttribute("finish", new THREE.BufferAttribute(shine, 4, true));
+  if (spots) geometry.setAttribute("place", new THREE.BufferAttribute(spots, 3));
   return geometry.setIndex(new THREE.BufferAttribute(index, 1));
 }
 
@@ -79,30 +88,50 @@ export class Robots {
     const isGhost = (/** @type {Geom} */ geom) =>
       geom.rgba[3] < 255 || run.bodies[geom.body].double >= 0;
     this.solidGeoms = run.geoms.filter((geom) => !isGhost(geom));
-    const ghosts = run.geoms.filter(isGhost);
-    this.solid = this.#mesh(merged(this.solidGeoms, run), {}, false);
-    this.solid.castShadow = this.solid.receiveShadow = true;
+    this.pictures = texturesOf(run);
+    const [solid, depth, ghosts] = this.#meshes(-1, isGhost);
+    this.solid = solid;
+    this.depth = depth;
+    this.ghosts = ghosts;
+    // A mesh more for each texture.
+    this.textured = this.pictures.flatMap((_, k) => this.#meshes(k, isGhost));
+  }
+
+  /**
+   * The meshes of all geoms with a texture: of opaque ones, and of the others depth and colour.
+   * @param {number} texture -1 for none @param {(geom: Geom) => boolean} isGhost
+   */
+  #meshes(texture, isGhost) {
+    const geoms = this.run.geoms.filter((geom) => textureOf(this.run, geom) === texture);
+    const ghosts = geoms.filter(isGhost);
+    const own = merged(geoms.filter((geom) => !isGhost(geom)), this.run, texture);
+    const solid = this.#mesh(own, {}, false, texture);
+    solid.castShadow = solid.receiveShadow = true;
     // Depth first, then colour where it is nearest, so that no inside shines through.
-    const shape = merged(ghosts, run);
-    this.depth = this.#mesh(shape, { colorWrite: false }, true);
-    this.ghosts = this.#mesh(shape, { transparent: true, depthWrite: false }, true);
-    this.depth.renderOrder = 1;
-    this.ghosts.renderOrder = 2;
-    this.depth.visible = this.ghosts.visible = ghosts.length > 0;
+    const shape = merged(ghosts, this.run, texture);
+    const depth = this.#mesh(shape, { colorWrite: false }, true, texture);
+    const colour = this.#mesh(shape, { transparent: true, depthWrite: false }, true, texture);
+    depth.renderOrder = 1;
+    colour.renderOrder = 2;
+    depth.visible = colour.visible = ghosts.length > 0;
+    solid.visible = geoms.length > ghosts.length;
+    return [solid, depth, colour];
   }
 
   /**
    * @param {THREE.BufferGeometry} geometry @param {object} look @param {boolean} isBehind whether
    * it is drawn a little farther away, so that it does not flicker where it coincides with a robot
+   * @param {number} texture -1 for none
    */
-  #mesh(geometry, look, isBehind) {
-    const material = new THREE.MeshPhongMaterial({
-      specular: 0x303030, shininess: 40, vertexColors: true, ...look,
-    });
+  #mesh(geometry, look, isBehind, texture) {
+    const material = new THREE.MeshPhongMaterial({ vertexColors: true, ...look });
+    const picture = this.pictures[texture] ?? null;
+    const isCube = texture >= 0 && this.run.textures[texture].cube;
     const grey = this.run.greyRgb.join(",");
     /** @param {THREE.WebGLProgramParametersWithUniforms} shader */
     const place = (shader) => {
       shader.uniforms.poses = { value: this.texture };
+      finish(shader, picture, isCube);
       const texel = (/** @type {number} */ k) => `texelFetch(poses, ivec2(${k}, at), 0)`;
       shader.vertexShader = "attribute float body; uniform highp sampler2D poses;"
         + "varying vec2 state;\n" + shader.vertexShader
@@ -119,7 +148,7 @@ export class Robots {
           diffuseColor.rgb = mix(diffuseColor.rgb, vec3(${grey}), .8 * state.y);`);
     };
     material.onBeforeCompile = place;
-    material.customProgramCacheKey = () => `body ${isBehind}`;
+    material.customProgramCacheKey = () => `body ${isBehind} ${texture < 0 ? "" : isCube}`;
     const mesh = new THREE.Mesh(geometry, material);
     mesh.frustumCulled = false;
     mesh.customDepthMaterial = new THREE.MeshDepthMaterial();
@@ -155,6 +184,7 @@ export class Robots {
     /** @type {{geom: Geom, point: THREE.Vector3, distance: number} | null} */
     let best = null;
     for (const geom of this.solidGeoms) {
+      if (isPlane(geom)) continue;
       const shape = this.#shape(geom);
       pose.multiplyMatrices(this.matrices[geom.body], matrixOf(geom.pos, geom.quat));
       own.copy(ray).applyMatrix4(pose.clone().invert());

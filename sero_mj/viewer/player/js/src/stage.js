@@ -4,7 +4,9 @@ import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoundArrows } from "./arrows.js";
 import { Items } from "./items.js";
+import { Lamps } from "./lights.js";
 import { Robots, matrixOf } from "./robots.js";
+import { SoftParts } from "./soft.js";
 
 /** @typedef {import("./data.js").Run} Run */
 
@@ -32,12 +34,16 @@ export class Stage {
     this.robots = new Robots(run);
     this.arrows = new RoundArrows(run);
     this.items = new Items(run);
+    this.soft = new SoftParts(run);
+    /** @type {Lamps | null} */
+    this.lamps = null;
     this.sites = run.joints.map(() => new THREE.Matrix4());
     this.own = run.joints.map((joint) => matrixOf(joint.pos, joint.quat));
     this.ink = { value: new THREE.Color() };
     this.sun = this.#lights();
     this.floor = this.#floor();
-    this.scene.add(this.robots.group, this.arrows.mesh, this.items.group, this.floor, this.camera);
+    this.scene.add(this.robots.group, this.arrows.mesh, this.items.group, this.soft.group, this.floor,
+      this.camera);
     this.size = { width: 1, height: 1 };
     this.spent = 0; // ms of a picture, smoothed
     this.chooseCamera(run.eye.fixed);
@@ -45,6 +51,12 @@ export class Stage {
 
   #lights() {
     const { lookAt: [x, y, z], azimuth } = this.run.eye, reach = 0.6 * this.run.eye.distance;
+    /** @type {THREE.Light[]} */
+    this.lights = [];
+    if (this.run.lights) {
+      this.lamps = new Lamps(this.run.lights, this.scene, this.camera, reach);
+      return this.lamps.sun;
+    }
     const sky = new THREE.HemisphereLight(0xffffff, 0x9aa5b5, 1.25);
     const head = new THREE.DirectionalLight(0xffffff, 0.9);
     head.target.position.set(0, 0, -1);
@@ -60,8 +72,7 @@ export class Stage {
     sun.shadow.bias = -0.0006;
     sun.shadow.normalBias = 0.006;
     this.scene.add(sky, sun, sun.target);
-    /** @type {THREE.Light[]} */
-    this.lights = [sky, head, sun];
+    this.lights.push(sky, head, sun);
     for (const light of this.lights) light.userData.full = light.intensity;
     return sun;
   }
@@ -69,7 +80,9 @@ export class Stage {
   #floor() {
     const { lookAt: [x, y], distance } = this.run.eye, { ink } = this;
     const size = 6 * distance, tile = distance > 6 ? 1 : 0.5;
-    const material = new THREE.MeshLambertMaterial({ transparent: true, depthWrite: false });
+    const material = new THREE.MeshLambertMaterial({
+      transparent: true, depthWrite: false, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1,
+    });
     material.onBeforeCompile = (shader) => {
       shader.uniforms.ink = ink;
       shader.vertexShader = "varying vec2 spot; varying vec2 away;\n" + shader.vertexShader.replace(
@@ -148,6 +161,8 @@ export class Stage {
       this.sites[j].multiplyMatrices(robots.matrices[joint.body], this.own[j]));
     this.arrows.place(at, this.sites, hasArrow);
     this.items.place(Math.round(at));
+    this.soft.place(at, robots.matrices);
+    this.lamps?.place(robots.matrices);
     this.items.group.visible = switches.arrows;
     this.sun.castShadow = switches.shadows;
     if (this.fixed >= 0) {

@@ -1,0 +1,63 @@
+/** The lights of a model that brings its own; they are as bright as in MuJoCo's classic pictures. */
+
+import * as THREE from "three";
+
+/** @typedef {import("./data.js").Run} Run */
+/** @typedef {import("./data.js").Lamp} Lamp */
+
+const FULL = Math.PI; // intensity of a lamp that shows colours as they are
+const DIRECTIONAL = 1, POINT = 2; // mjtLightType
+const MOST = 8; // as many has MuJoCo's classic renderer
+
+/** @param {number[]} rgb */
+const colour = ([r, g, b]) => new THREE.Color(r, g, b);
+
+/** Lights of a model, at the camera and at bodies. */
+export class Lamps {
+  /**
+   * @param {import("./data.js").Lights} lights @param {THREE.Scene} scene
+   * @param {THREE.Camera} camera @param {number} reach half the side of what has shadows, m
+   */
+  constructor(lights, scene, camera, reach) {
+    const ambient = lights.others.reduce(
+      (sum, { ambient: each }) => sum.add(colour(each)), colour(lights.ambient));
+    const head = new THREE.DirectionalLight(colour(lights.diffuse), FULL);
+    head.target.position.set(0, 0, -1);
+    camera.add(head, head.target);
+    scene.add(new THREE.AmbientLight(ambient, FULL));
+    this.lamps = lights.others.slice(0, MOST).map((lamp) => ({ lamp, light: this.#made(lamp) }));
+    for (const { light } of this.lamps) {
+      scene.add(light);
+      if (!(light instanceof THREE.PointLight)) scene.add(light.target);
+    }
+    const found = this.lamps.find(({ lamp }) => lamp.shadow && lamp.type !== POINT);
+    /** The one that casts shadows. */
+    this.sun = /** @type {THREE.DirectionalLight | THREE.SpotLight} */ (
+      found ? found.light : new THREE.DirectionalLight());
+    this.sun.shadow.mapSize.set(1024, 1024);
+    this.sun.shadow.bias = -0.0006;
+    this.sun.shadow.normalBias = 0.006;
+    if (this.sun instanceof THREE.DirectionalLight) {
+      Object.assign(this.sun.shadow.camera,
+        { left: -reach, right: reach, top: reach, bottom: -reach, near: 0.1, far: 100 });
+    }
+  }
+
+  /** @param {Lamp} lamp */
+  #made({ type, diffuse, cutoff }) {
+    const rgb = colour(diffuse), angle = Math.min(cutoff, 89) * Math.PI / 180;
+    if (type === DIRECTIONAL) return new THREE.DirectionalLight(rgb, FULL);
+    if (type === POINT || cutoff >= 180) return new THREE.PointLight(rgb, FULL, 0, 0);
+    return new THREE.SpotLight(rgb, FULL, 0, angle, 1, 0);
+  }
+
+  /** Places them. @param {THREE.Matrix4[]} bodies */
+  place(bodies) {
+    for (const { lamp, light } of this.lamps) {
+      const at = new THREE.Vector3().fromArray(lamp.pos), way = new THREE.Vector3().fromArray(lamp.dir);
+      light.position.copy(at.clone().applyMatrix4(bodies[lamp.body]));
+      if (light instanceof THREE.PointLight) continue;
+      light.target.position.copy(at.add(way).applyMatrix4(bodies[lamp.body]));
+    }
+  }
+}

@@ -1,0 +1,169 @@
+/** What is soft: skins, which bones move; flexes and tendons, whose places are in the run. */
+
+import * as THREE from "three";
+import { materialOf, texturesOf } from "./surfaces.js";
+import { Tubes } from "./tubes.js";
+
+/** @typedef {import("./data.js").Run} Run */
+/** @typedef {import("./data.js").Skin} Skin */
+/** @typedef {import("./data.js").Flex} Flex */
+
+/** @param {ArrayLike<number>} of @param {number} k */
+const at = (of, k) => new THREE.Vector3(of[3 * k], of[3 * k + 1], of[3 * k + 2]);
+
+/**
+ * A mesh whose vertices move.
+ * @param {number} count of the vertices @param {ArrayLike<number>} triangles
+ * @param {THREE.Material} material @param {Float32Array} [uv]
+ */
+function meshOf(count, triangles, material, uv) {
+  const shape = new THREE.BufferGeometry();
+  shape.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * count), 3));
+  shape.setIndex(new THREE.BufferAttribute(Uint32Array.from(triangles), 1));
+  if (uv) shape.setAttribute("uv", new THREE.BufferAttribute(uv, 2));
+  const mesh = new THREE.Mesh(shape, material);
+  mesh.frustumCulled = false;
+  mesh.castShadow = mesh.receiveShadow = true;
+  return mesh;
+}
+
+/** Moves vertices along their normals. @param {THREE.BufferGeometry} shape @param {number} far m */
+function inflate(shape, far) {
+  const { position, normal } = shape.attributes;
+  for (let i = 0; i < position.array.length; i++) position.array[i] += far * normal.array[i];
+}
+
+/** A skin: its vertices are weighted means of where its bones would carry them. */
+class MovedSkin {
+  /** @param {Run} run @param {Skin} skin @param {THREE.Texture[]} textures */
+  constructor(run, skin, textures) {
+    this.skin = skin;
+    const count = skin.positions.length / 3;
+    this.mesh = meshOf(count, skin.triangles, materialOf(run, skin, textures), skin.uv);
+    // From the world at first to the bones.
+    this.bind = skin.bones.map(({ pos, quat: [w, x, y, z] }) => new THREE.Matrix4().compose(
+      new THREE.Vector3().fromArray(pos), new THREE.Quaternion(x, y, z, w),
+      new THREE.Vector3(1, 1, 1)).invert());
+  }
+
+  /** @param {THREE.Matrix4[]} bodies */
+  place(bodies) {
+    const { skin, bind, mesh: { geometry } } = this, { position } = geometry.attributes;
+    const to = position.array, { positions: from, moved, weights } = skin;
+    to.fill(0);
+    let k = 0;
+    skin.bones.forEach(({ body, count }, b) => {
+      const e = bodies[body].clone().multiply(bind[b]).elements;
+      for (const end = k + count; k < end; k++) {
+        const i = 3 * moved[k], weight = weights[k] / 65535;
+        const x = from[i], y = from[i + 1], z = from[i + 2];
+        to[i] += weight * (e[0] * x + e[4] * y + e[8] * z + e[12]);
+        to[i + 1] += weight * (e[1] * x + e[5] * y + e[9] * z + e[13]);
+        to[i + 2] += weight * (e[2] * x + e[6] * y + e[10] * z + e[14]);
+      }
+    });
+    geometry.computeVertexNormals();
+    if (skin.inflate) inflate(geometry, skin.inflate);
+    position.needsUpdate = geometry.attributes.normal.needsUpdate = true;
+  }
+}
+
+/** A flex: a cable of tubes, a cloth of two sides and a seam, or the shell of a solid. */
+class MovedFlex {
+  /** @param {Run} run @param {Flex} flex @param {THREE.Texture[]} textures */
+  constructor(run, flex, textures) {
+    this.flex = flex;
+    const { count, triangles, edges, dim } = flex, { materials } = run;
+    const isFlat = flex.flat && { flatShading: true };
+    const material = materialOf({ ...run, materials }, flex, textures, isFlat || {});
+    if (dim === 1) {
+      this.tubes = new Tubes(material, edges.length / 2);
+      this.mesh = this.tubes.mesh;
+      return;
+    }
+    /** The other side of a cloth has vertices of its own. */
+    const sides = [...triangles];
+    if (dim === 2) {
+      for (let k = 0; k < triangles.length; k += 3) {
+        sides.push(triangles[k] + count, triangles[k + 2] + count, triangles[k + 1] + count);
+      }
+      for (let k = 0; k < edges.length; k += 2) {
+        const [a, b] = [edges[k], edges[k + 1]];
+        sides.push(a, a + count, b, b, a + count, b + count);
+      }
+    }
+    const uv = flex.uv && new Float32Array([...flex.uv, ...(dim === 2 ? flex.uv : [])]);
+    this.mesh = meshOf(count * (dim === 2 ? 2 : 1), sides, material, uv);
+    // The normals of a cloth are those of one side, without its seam.
+    this.sheet = meshOf(count, triangles, material).geometry;
+  }
+
+  /** @param {Float32Array} places of all vertices of flexes */
+  place(places) {
+    const { first, count, edges, radius, dim } = this.flex;
+    const own = places.subarray(3 * first, 3 * (first + count));
+    if (this.tubes) {
+      for (let k = 0; k < edges.length; k += 2) {
+        this.tubes.place(k / 2, at(own, edges[k]), at(own, edges[k + 1]), Math.max(radius, 1e-4));
+      }
+      return;
+    }
+    const { geometry } = this.mesh, { position } = geometry.attributes, { sheet } = this;
+    if (!sheet) return;
+    sheet.attributes.position.array.set(own);
+    sheet.computeVertexNormals();
+    const normals = sheet.attributes.normal.array;
+    geometry.computeVertexNormals();
+    const facing = geometry.attributes.normal.array;
+    for (let i = 0; i < own.length; i++) {
+      position.array[i] = own[i] + radius * normals[i];
+      facing[i] = normals[i];
+      if (dim !== 2) continue;
+      position.array[own.length + i] = own[i] - radius * normals[i];
+      facing[own.length + i] = -normals[i];
+    }
+    position.needsUpdate = geometry.attributes.normal.needsUpdate = true;
+  }
+}
+
+/** All of it. */
+export class SoftParts {
+  /** @param {Run} run */
+  constructor(run) {
+    this.run = run;
+    this.group = new THREE.Group();
+    const textures = run.skins.length + run.flexes.length ? texturesOf(run) : [];
+    this.skins = run.skins.map((skin) => new MovedSkin(run, skin, textures));
+    this.flexes = run.flexes.map((flex) => new MovedFlex(run, flex, textures));
+    for (const { mesh } of [...this.skins, ...this.flexes]) this.group.add(mesh);
+    if (!run.tendons) return;
+    const { rgba } = run.tendons;
+    const material = new THREE.MeshPhongMaterial({
+      specular: 0x303030, shininess: 40, opacity: rgba[0][3], transparent: rgba[0][3] < 1,
+    });
+    this.tendons = new Tubes(material, rgba.length);
+    rgba.forEach(([r, g, b], k) => this.tendons?.mesh.setColorAt(k, new THREE.Color(r, g, b)));
+    this.group.add(this.tendons.mesh);
+  }
+
+  /** Places it. @param {number} time frame, with a fraction @param {THREE.Matrix4[]} bodies */
+  place(time, bodies) {
+    const { soft, tendons, frames } = this.run;
+    const before = Math.floor(time), after = Math.min(before + 1, frames - 1), part = time - before;
+    /** @param {Float32Array} of @param {number} channel */
+    const mix = (of, channel) =>
+      of[channel * frames + before] * (1 - part) + of[channel * frames + after] * part;
+    for (const skin of this.skins) skin.place(bodies);
+    if (soft) {
+      const places = new Float32Array(soft.length / frames);
+      for (let i = 0; i < places.length; i++) places[i] = mix(soft, i);
+      for (const flex of this.flexes) flex.place(places);
+    }
+    if (!tendons) return;
+    for (let k = 0; k < tendons.rgba.length; k++) {
+      const [from, to] = [0, 3].map((end) =>
+        new THREE.Vector3(...[0, 1, 2].map((c) => mix(tendons.ends, 6 * k + end + c))));
+      this.tendons?.place(k, from, to, tendons.radius[k * frames + before]);
+    }
+  }
+}

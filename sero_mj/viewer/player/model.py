@@ -1,0 +1,464 @@
+"""What a model looks like in a player: geoms, sites, meshes, materials, textures, skins, lights.
+
+Meshes and textures that are equal are there once; of both there is only what something visible
+needs. Height fields become meshes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import zlib
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Bools, Ints
+from .packing import Parts, differing, rounded
+
+_GROUPS = 3  # of geoms and sites, that MuJoCo shows unless told otherwise
+_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0], np.float32)  # of geoms whose material has the colour
+_PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+_HFIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
+_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+_SDF = int(mujoco.mjtGeom.mjGEOM_SDF)
+_COLOUR = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
+_FLAT = int(mujoco.mjtTexture.mjTEXTURE_2D)
+_FACES = 6  # of a cube texture, one below the other
+_MOST_PIXELS = 2048  # of a side of a texture; larger ones are halved
+_MESH_STEPS = 65535  # of the longest side of a mesh
+_NORMAL_STEPS = 127
+_OUR_LIGHT = "key"
+_OUR_FLOOR = "floor"
+
+
+def visible_geoms(model: mujoco.MjModel) -> Ints:
+    """Returns the ids of the geoms that MuJoCo draws unless told otherwise, without our floor."""
+    shown = (model.geom_group < _GROUPS) & (geom_colours(model)[:, 3] > 0)
+    shown &= model.geom_type <= _SDF
+    floor = _our_floor(model)
+    if floor is not None:
+        shown[floor] = False
+    found: Ints = shown.nonzero()[0]
+    return found
+
+
+def geom_colours(model: mujoco.MjModel) -> Array:
+    """Returns the colours of all geoms (ngeom, 4): their own, else their material's."""
+    return _colours(model, model.geom_rgba, model.geom_matid)
+
+
+def drawn_bodies(model: mujoco.MjModel) -> Ints:
+    """Returns ids of the bodies that something visible, or a light, is fixed to."""
+    sites = model.site_bodyid[_visible_sites(model)]
+    bones = model.skin_bonebodyid if model.nskin else np.zeros(0, int)
+    lights = model.light_bodyid if _has_own_lights(model) else np.zeros(0, int)
+    ids = [model.geom_bodyid[visible_geoms(model)], sites, bones, lights]
+    return np.unique(np.concatenate(ids)).astype(np.intp)
+
+
+def _visible_sites(model: mujoco.MjModel) -> Ints:
+    alpha = _colours(model, model.site_rgba, model.site_matid)[:, 3]
+    found: Ints = ((model.site_group < _GROUPS) & (alpha > 0)).nonzero()[0]
+    return found
+
+
+def _colours(model: mujoco.MjModel, rgba: np.ndarray, material: np.ndarray) -> Array:
+    colours = np.array(rgba)
+    of_material = (material >= 0) & (colours == _DEFAULT_RGBA).all(axis=1)
+    colours[of_material] = model.mat_rgba[material[of_material]]
+    return colours
+
+
+def _our_floor(model: mujoco.MjModel) -> int | None:
+    """The floor that scenes have, which a player draws in its own way; None for none."""
+    floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, _OUR_FLOOR)
+    if floor < 0 or model.geom_type[floor] != _PLANE or model.geom_matid[floor] < 0:
+        return None
+    return floor if model.mat(model.geom_matid[floor]).name == _OUR_FLOOR else None
+
+
+def _has_own_lights(model: mujoco.MjModel) -> bool:
+    """Whether it has other lights than those that a scene without any is given."""
+    return [model.light(i).name for i in range(model.nlight)] != [_OUR_LIGHT]
+
+
+def mesh_corners(model: mujoco.MjModel, mesh: int) -> tuple[Array, Array, Ints]:
+    """Returns vertices (n, 3), m, normals (n, 3), and the triangles' corners (3 m,) of a mesh."""
+    points, normals, _, index = _mesh_corners(model, mesh, is_textured=False)
+    return points, normals, index
+
+
+def field_corners(model: mujoco.MjModel, field: int) -> tuple[Array, Array, Ints]:
+    """Returns vertices, normals and corners of a height field, see `mesh_corners`: with sides."""
+    rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    begin = model.hfield_adr[field]
+    wide, deep, high, under = model.hfield_size[field]
+    heights = high * model.hfield_data[begin : begin + rows * columns].reshape(rows, columns)
+    x, y = np.meshgrid(np.linspace(-wide, wide, columns), np.linspace(-deep, deep, rows))
+    top = np.stack([x, y, heights], axis=-1)
+    slope_y, slope_x = np.gradient(heights, y[:, 0], x[0])
+    normals = np.stack([-slope_x, -slope_y, np.ones_like(x)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    here = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = here[:-1, :-1], here[:-1, 1:], here[1:, 1:], here[1:, :-1]
+    points, facing, index = [top.reshape(-1, 3)], [normals.reshape(-1, 3)], []
+    index.append(np.stack([a, b, c, a, c, d], axis=-1).ravel())
+    # Round the field, anticlockwise from above.
+    edges = ((top[0], (0, -1)), (top[:, -1], (1, 0)), (top[-1, ::-1], (0, 1)),
+             (top[::-1, 0], (-1, 0)))  # fmt: skip
+    for edge, (to_x, to_y) in edges:
+        count, start = len(edge), sum(map(len, points))
+        below = edge * (1, 1, 0) - (0, 0, under)
+        points += [edge, below]
+        facing += [np.tile((float(to_x), float(to_y), 0.0), (2 * count, 1))]
+        one = start + np.arange(count - 1)
+        index.append(np.stack([one, one + count, one + 1, one + 1, one + count, one + count + 1],
+                              axis=-1).ravel())  # fmt: skip
+    start = sum(map(len, points))
+    points.append(np.array([[-wide, -deep, -under], [-wide, deep, -under], [wide, deep, -under],
+                            [wide, -deep, -under]]))  # fmt: skip
+    facing.append(np.tile((0.0, 0.0, -1.0), (4, 1)))
+    index.append(start + np.array([0, 1, 2, 0, 2, 3]))
+    return np.concatenate(points), np.concatenate(facing), np.concatenate(index).astype(np.intp)
+
+
+def _mesh_corners(
+    model: mujoco.MjModel, mesh: int, *, is_textured: bool
+) -> tuple[Array, Array, Array | None, Ints]:
+    """As `mesh_corners`, with places in a texture (n, 2)."""
+    vertex, normal = model.mesh_vertadr[mesh], model.mesh_normaladr[mesh]
+    faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
+    columns = [model.mesh_face[faces].ravel(), model.mesh_facenormal[faces].ravel()]
+    if is_textured:
+        columns.append(model.mesh_facetexcoord[faces].ravel())
+    corners, first, index = np.unique(
+        np.stack(columns, axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    # In the order of first use, indices become small differences.
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    corners = corners[order]
+    points = model.mesh_vert[vertex + corners[:, 0]].astype(float)
+    normals = model.mesh_normal[normal + corners[:, 1]].astype(float)
+    uv = None
+    if is_textured:
+        uv = model.mesh_texcoord[model.mesh_texcoordadr[mesh] + corners[:, 2]].astype(float)
+    return points, normals, uv, rank[index.ravel()]
+
+
+class Look:
+    """The looks of a model, for the head of a page.
+
+    Args:
+        model: compiled.
+        parts: where arrays go.
+        body_index: from the id of a body to its number on the page.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, parts: Parts, body_index: Callable[[int], int]
+    ) -> None:
+        self._model, self._parts, self._index = model, parts, body_index
+        self._meshes: list[dict[str, Any]] = []
+        self._textures: list[dict[str, Any]] = []
+        self._materials: list[dict[str, Any]] = []
+        self._known: dict[Any, int] = {}
+
+    def head(self) -> dict[str, Any]:
+        """Returns what the head has of it; what is in no scene of ours only where there is any."""
+        model = self._model
+        floor = _our_floor(model)
+        found: dict[str, Any] = {
+            "meshes": self._meshes,
+            "geoms": [self._geom(i) for i in visible_geoms(model).tolist()]
+            + [self._site(i) for i in _visible_sites(model).tolist()],
+            "floor": None if floor is None else float(model.geom_pos[floor, 2]),
+        }
+        shown = (model.skin_group < _GROUPS).nonzero()[0] if model.nskin else []
+        skins = [self._skin(int(i)) for i in shown]
+        flexes = [self._flex(int(i)) for i in np.arange(model.nflex)[self.shown_flexes]]
+        lights = self._lights() if _has_own_lights(model) else None
+        extra = {"materials": self._materials, "textures": self._textures, "skins": skins,
+                 "flexes": flexes, "lights": lights}  # fmt: skip
+        return found | {key: each for key, each in extra.items() if each}
+
+    @cached_property
+    def shown_flexes(self) -> Bools:
+        """Which flexes are drawn, (nflex,)."""
+        return shown_flexes(self._model)
+
+    def material(self, material: int) -> int:
+        """Returns the number of a material on the page; -1 for none."""
+        if material < 0:
+            return -1
+        key = ("material", material)
+        if key not in self._known:
+            model = self._model
+            numbers = (model.mat_emission, model.mat_specular, model.mat_shininess,
+                       model.mat_reflectance)  # fmt: skip
+            self._known[key] = len(self._materials)
+            self._materials.append(
+                {
+                    "finish": rounded([each[material] for each in numbers], 3),
+                    "texture": self._texture(int(model.mat_texid[material, _COLOUR])),
+                    "repeat": rounded(model.mat_texrepeat[material]),
+                    "uniform": bool(model.mat_texuniform[material]),
+                }
+            )
+        return self._known[key]
+
+    def _geom(self, i: int) -> dict[str, Any]:
+        """Shape, place, body, colour and material of a geom."""
+        model = self._model
+        found = self._shape("geom", i)
+        kind, data = int(model.geom_type[i]), int(model.geom_dataid[i])
+        if kind == _HFIELD:
+            found |= {"type": _MESH, "mesh": self._mesh(("field", data), self._field_of(data))}
+        elif kind in (_MESH, _SDF):
+            found["type"] = _MESH
+            is_textured = self._is_flat(found) and bool(model.mesh_texcoordadr[data] >= 0)
+            corners = _mesh_corners(model, data, is_textured=is_textured)
+            found["mesh"] = self._mesh((data, is_textured), lambda: corners)
+        return found
+
+    def _field_of(self, field: int) -> Callable[[], Any]:
+        def corners() -> Any:
+            points, normals, index = field_corners(self._model, field)
+            return points, normals, None, index
+
+        return corners
+
+    def _is_flat(self, found: dict[str, Any]) -> bool:
+        """Whether the material of a geom has a texture that is not a cube's."""
+        texture = self._materials[found["material"]]["texture"] if "material" in found else -1
+        return texture >= 0 and not self._textures[texture]["cube"]
+
+    def _site(self, i: int) -> dict[str, Any]:
+        return self._shape("site", i)
+
+    def _shape(self, what: str, i: int) -> dict[str, Any]:
+        """What geoms and sites have in common."""
+        model = self._model
+
+        def of(name: str) -> Any:
+            return getattr(model, f"{what}_{name}")
+
+        (rgba,) = _colours(model, of("rgba")[i : i + 1], of("matid")[i : i + 1])
+        found = {
+            "body": self._index(int(of("bodyid")[i])),
+            "type": int(of("type")[i]),
+            "pos": rounded(of("pos")[i]),
+            "quat": rounded(of("quat")[i]),
+            "size": rounded(of("size")[i]),
+            "rgba": np.round(rgba * 255).astype(int).tolist(),
+        }
+        material = self.material(int(of("matid")[i]))
+        return found | ({"material": material} if material >= 0 else {})
+
+    def _mesh(self, name: Any, corners: Callable[[], Any]) -> int:
+        """The number of a mesh on the page, (points, normals, texture places, corners)."""
+        known = self._known
+        if name in known:
+            return known[name]
+        points, normals, uv, index = corners()
+        digest = hashlib.sha256(points.tobytes() + normals.tobytes() + index.tobytes())
+        digest.update(b"" if uv is None else uv.tobytes())
+        key = digest.digest()
+        if key not in known:
+            known[key] = len(self._meshes)
+            mesh = self._points(points)
+            mesh["normals"] = self._parts.put(_octahedral(normals))
+            mesh["triangles"] = self._triangles(index)
+            if uv is not None:
+                mesh["uv"] = self._uv(uv)
+            self._meshes.append(mesh)
+        known[name] = known[key]
+        return known[name]
+
+    def _points(self, points: Array) -> dict[str, Any]:
+        low = points.min(axis=0)
+        step = max(float(np.ptp(points, axis=0).max()) / _MESH_STEPS, 1e-9)
+        places = np.round((points - low) / step).astype(np.int64)
+        return {
+            "low": low.tolist(),
+            "step": step,
+            "vertices": self._parts.put(_differences(places.T).astype(np.uint16)),
+        }
+
+    def _triangles(self, index: Ints) -> list[Any]:
+        return self._parts.put(differing(index))
+
+    def _uv(self, uv: Array) -> dict[str, Any]:
+        """Places in a texture, (n, 2)."""
+        low = uv.min(axis=0)
+        step = max(float(np.ptp(uv, axis=0).max()) / _MESH_STEPS, 1e-9)
+        places = np.round((uv - low) / step).astype(np.int64)
+        return {
+            "low": low.tolist(), "step": step,
+            "places": self._parts.put(_differences(places.T).astype(np.uint16)),
+        }  # fmt: skip
+
+    def _texture(self, texture: int) -> int:
+        """The number of a texture on the page; -1 for none."""
+        if texture < 0:
+            return -1
+        model = self._model
+        wide, tall = int(model.tex_width[texture]), int(model.tex_height[texture])
+        channels, begin = int(model.tex_nchannel[texture]), int(model.tex_adr[texture])
+        is_cube = int(model.tex_type[texture]) != _FLAT
+        faces = _FACES if is_cube else 1
+        pixels = model.tex_data[begin : begin + wide * tall * channels]
+        key = ("texture", wide, channels, is_cube, hashlib.sha256(pixels.tobytes()).digest())
+        if key not in self._known:
+            self._known[key] = len(self._textures)
+            picture = pixels.reshape(faces, tall // faces, wide, channels)
+            while max(picture.shape[1:3]) > _MOST_PIXELS:
+                picture = _halved(picture)
+            rows = picture.reshape(-1, *picture.shape[2:])
+            way, packed = _filtered(rows)
+            self._textures.append(
+                {
+                    "cube": is_cube, "width": picture.shape[2], "height": picture.shape[1],
+                    "channels": channels, "way": way, "pixels": self._parts.put(packed),
+                }
+            )  # fmt: skip
+        return self._known[key]
+
+    def _skin(self, i: int) -> dict[str, Any]:
+        """Vertices as the bones are at first, and how much each bone moves them."""
+        model, parts = self._model, self._parts
+        begin, count = int(model.skin_vertadr[i]), int(model.skin_vertnum[i])
+        faces = slice(model.skin_faceadr[i], model.skin_faceadr[i] + model.skin_facenum[i])
+        bones = range(model.skin_boneadr[i], model.skin_boneadr[i] + model.skin_bonenum[i])
+        of_bones = [
+            slice(model.skin_bonevertadr[b], model.skin_bonevertadr[b] + model.skin_bonevertnum[b])
+            for b in bones
+        ]
+        moved = np.concatenate([model.skin_bonevertid[each] for each in of_bones])
+        weights = np.concatenate([model.skin_bonevertweight[each] for each in of_bones])
+        found = self._soft(model.skin_rgba[i], int(model.skin_matid[i]))
+        found |= self._points(model.skin_vert[begin : begin + count].astype(float))
+        found |= {
+            "inflate": round(float(model.skin_inflate[i]), 6),
+            "triangles": self._triangles(model.skin_face[faces].ravel()),
+            "bones": [
+                {
+                    "body": self._index(int(model.skin_bonebodyid[b])),
+                    "pos": rounded(model.skin_bonebindpos[b]),
+                    "quat": rounded(model.skin_bonebindquat[b]),
+                    "count": int(model.skin_bonevertnum[b]),
+                }
+                for b in bones
+            ],
+            "moved": parts.put(differing(moved)),
+            "weights": parts.put(np.round(weights * 65535).astype(np.uint16)),
+        }
+        first = int(model.skin_texcoordadr[i])
+        if first >= 0:
+            found["uv"] = self._uv(model.skin_texcoord[first : first + count].astype(float))
+        return found
+
+    def _soft(self, rgba: Array, material: int) -> dict[str, Any]:
+        """Colour and material of a skin or a flex."""
+        ids = np.array([material])
+        (colour,) = _colours(self._model, np.asarray(rgba)[None], ids)
+        found: dict[str, Any] = {"rgba": np.round(colour * 255).astype(int).tolist()}
+        number = self.material(material)
+        return found | ({"material": number} if number >= 0 else {})
+
+    def _flex(self, i: int) -> dict[str, Any]:
+        """Triangles or lines between vertices, which `Soft` has for every frame."""
+        model = self._model
+        dim, shown = int(model.flex_dim[i]), self.shown_flexes
+        before = int(model.flex_vertnum[:i][shown[:i]].sum())
+        first = int(model.flex_elemdataadr[i])
+        elements = model.flex_elem[first : first + (dim + 1) * int(model.flex_elemnum[i])]
+        begin = int(model.flex_shelldataadr[i])
+        shell = model.flex_shell[begin : begin + dim * int(model.flex_shellnum[i])]
+        triangles, edges = {
+            1: (np.zeros(0, int), elements), 2: (elements, shell), 3: (shell, np.zeros(0, int)),
+        }[dim]  # fmt: skip
+        found = self._soft(model.flex_rgba[i], int(model.flex_matid[i])) | {
+            "dim": dim, "radius": round(float(model.flex_radius[i]), 6), "first": before,
+            "count": int(model.flex_vertnum[i]), "flat": bool(model.flex_flatskin[i]),
+            "triangles": self._triangles(triangles), "edges": self._triangles(edges),
+        }  # fmt: skip
+        place = int(model.flex_texcoordadr[i])
+        own = model.flex_elemtexcoord[first : first + len(elements)]
+        if place >= 0 and dim == 2 and self._is_flat(found):
+            uv = np.zeros((found["count"], 2))
+            uv[elements] = model.flex_texcoord[place + own]
+            found["uv"] = self._uv(uv)
+        return found
+
+    def _lights(self) -> dict[str, Any]:
+        """The headlight and all others that are on; directions and places in their bodies."""
+        model = self._model
+        head = model.vis.headlight
+        spots = [
+            {
+                "body": self._index(int(model.light_bodyid[i])),
+                "type": int(model.light_type[i]),
+                "pos": rounded(model.light_pos[i]),
+                "dir": rounded(model.light_dir[i]),
+                "diffuse": rounded(model.light_diffuse[i], 3),
+                "ambient": rounded(model.light_ambient[i], 3),
+                "cutoff": round(float(model.light_cutoff[i]), 3),
+                "shadow": bool(model.light_castshadow[i]),
+            }
+            for i in range(model.nlight)
+            if model.light_active[i]
+        ]
+        on = float(bool(head.active))
+        return {
+            "ambient": rounded(on * head.ambient, 3), "diffuse": rounded(on * head.diffuse, 3),
+            "others": spots,
+        }  # fmt: skip
+
+
+def shown_flexes(model: mujoco.MjModel) -> Bools:
+    """Returns which flexes MuJoCo draws unless told otherwise, (nflex,)."""
+    if not model.nflex:
+        return np.zeros(0, bool)
+    return np.asarray(model.flex_group < _GROUPS)
+
+
+def _differences(places: Array) -> Array:
+    return np.asarray(np.diff(places, axis=1, prepend=0) % (_MESH_STEPS + 1))
+
+
+def _octahedral(normals: Array) -> np.ndarray:
+    """Unit vectors (n, 3) on the square to which an octahedron unfolds, (2, n)."""
+    normals = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-12)
+    over = (1 - np.abs(normals[:, 1::-1])) * np.where(normals[:, :2] >= 0, 1, -1)
+    square = np.where(normals[:, 2:] < 0, over, normals[:, :2])
+    return np.round(square.T * _NORMAL_STEPS).astype(np.int8)
+
+
+def _halved(picture: np.ndarray) -> np.ndarray:
+    """Pictures (k, h, w, c) at half their size, or at half their longer side."""
+    for axis in (1, 2):
+        size = picture.shape[axis] // 2 * 2
+        if size > _MOST_PIXELS:
+            even = np.take(picture, range(0, size, 2), axis=axis).astype(np.uint16)
+            picture = ((even + np.take(picture, range(1, size, 2), axis=axis) + 1) // 2).astype(
+                np.uint8
+            )
+    return picture
+
+
+def _filtered(rows: np.ndarray) -> tuple[int, np.ndarray]:
+    """A picture (h, w, c), or differences of neighbours, whichever deflate packs best.
+
+    Returns:
+        axis of the differences, -1 for none, and numbers (h, w, c).
+    """
+    tries = {-1: rows}
+    for axis in (0, 1):
+        tries[axis] = np.diff(rows, axis=axis, prepend=np.uint8(0))
+    best = min(tries, key=lambda way: len(zlib.compress(tries[way].tobytes(), 6)))
+    return best, tries[best]

@@ -1,0 +1,58 @@
+"""Arrays of numbers behind a JSON head, as `js/src/data.js` reads them.
+
+Numbers that move are differences in time, of which the sign is the lowest bit, one channel after
+the other, and bytes of one significance stand together: so deflate finds what repeats.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...base.frames import Ints
+
+
+class Parts:
+    """Arrays behind the head, known by their number."""
+
+    def __init__(self) -> None:
+        self.arrays: list[bytes] = []
+
+    def put(self, array: np.ndarray) -> list[Any]:
+        """Adds an array; returns its number, the type of its numbers, and how many there are."""
+        array = np.ascontiguousarray(array)
+        planes = array.reshape(-1).view(np.uint8).reshape(-1, array.itemsize).T
+        self.arrays.append(planes.tobytes())
+        return [len(self.arrays) - 1, array.dtype.str[1:], array.size]
+
+    def moving(self, numbers: np.ndarray, step: float) -> list[Any]:
+        """Adds channels (F, C) in steps, as differences in time."""
+        whole = np.round(numbers / step).astype(np.int64)
+        differences = np.diff(whole, axis=0, prepend=0).T
+        return self.put(unsigned(folded(differences)))
+
+
+def folded(differences: Ints) -> Ints:
+    """Returns small numbers of either sign as small numbers."""
+    return np.asarray((differences << 1) ^ (differences >> 63))
+
+
+def unsigned(numbers: Ints) -> np.ndarray:
+    """Returns numbers from 0 on, of as few bytes as they need."""
+    for kind in (np.uint8, np.uint16):
+        if numbers.max(initial=0) <= np.iinfo(kind).max:
+            return numbers.astype(kind)
+    return numbers.astype(np.uint32)
+
+
+def rounded(numbers: Any, digits: int = 6) -> list[Any]:
+    """Returns numbers as lists, for JSON."""
+    found: list[Any] = (np.round(np.asarray(numbers, float), digits) + 0.0).tolist()  # no -0.0
+    return found
+
+
+def differing(numbers: np.ndarray) -> np.ndarray:
+    """Returns whole numbers (n,) as folded differences of neighbours."""
+    whole: Ints = np.asarray(numbers, np.int64)
+    return unsigned(folded(np.diff(whole, prepend=0)))

@@ -1,0 +1,128 @@
+"""What moves without a body of its own: tendons, as MuJoCo draws them, and vertices of flexes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Bools
+from ..decor.geom_buffer import GEOM
+from ..decor.scene_writer import struct_view
+from .model import shown_flexes
+from .packing import Parts, rounded
+
+_TENDON = int(mujoco.mjtObj.mjOBJ_TENDON)
+_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_MOST_GEOMS = 2000  # of tendons, of a frame
+
+
+@dataclass(frozen=True, eq=False)
+class Soft:
+    """What is soft in F frames: S pieces of tendons, and V vertices of all flexes that are drawn.
+
+    Attributes:
+        vertices: (F, V, 3), m.
+        ends: of every straight piece of a tendon, (F, S, 2, 3), m.
+        radius: of the pieces, (F, S), m; 0 where there is none.
+        colours: of the pieces, (S, 4); a page has one through all frames.
+    """
+
+    vertices: Array
+    ends: Array
+    radius: Array
+    colours: Array
+
+    def head(self, parts: Parts, step: float) -> dict[str, Any]:
+        """Returns what the head of a page has of it; nothing where there is nothing.
+
+        Args:
+            parts: where arrays go.
+            step: of places, m.
+        """
+        frames = len(self.radius)
+        found: dict[str, Any] = {}
+        if self.vertices.size:
+            found["soft"] = parts.moving(self.vertices.reshape(frames, -1), step)
+        if self.radius.size:
+            found["tendons"] = {
+                "ends": parts.moving(self.ends.reshape(frames, -1), step),
+                "radius": parts.moving(self.radius, step),
+                "rgba": rounded(self.colours, 3),
+            }
+        return found
+
+
+class SoftCollector:
+    """Collects what is soft, frame by frame.
+
+    Args:
+        model: compiled.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._flexes = _vertices_of(model, shown_flexes(model))
+        self._scene: mujoco.MjvScene | None = None
+        if (model.ntendon and (model.tendon_width > 0).any()) or model.nwrap:
+            self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + _MOST_GEOMS)
+            self._option, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()
+            self._option.geomgroup[:] = self._option.sitegroup[:] = 0
+            self._option.flags[mujoco.mjtVisFlag.mjVIS_SKIN] = 0
+        self._vertices: list[Array] = []
+        self._tendons: list[np.ndarray] = []
+
+    def take(self, data: mujoco.MjData) -> None:
+        """Takes the frame that a state is in, with everything up to date that is drawn of it."""
+        self._vertices.append(data.flexvert_xpos[self._flexes].copy())
+        self._tendons.append(self._drawn(data))
+
+    def _drawn(self, data: mujoco.MjData) -> np.ndarray:
+        """The capsules of all tendons, `GEOM`."""
+        scene = self._scene
+        if scene is None:
+            return np.zeros(0, GEOM)
+        everything = int(mujoco.mjtCatBit.mjCAT_ALL)
+        mujoco.mjv_updateScene(
+            self._model, data, self._option, None, self._camera, everything, scene
+        )
+        rows = struct_view(scene)
+        if rows is None:
+            return np.zeros(0, GEOM)
+        rows = rows[: scene.ngeom]
+        found: np.ndarray = rows[(rows["objtype"] == _TENDON) & (rows["type"] == _CAPSULE)].copy()
+        return found
+
+    def result(self) -> Soft:
+        """Returns all frames; each piece of a tendon has a place of its own."""
+        frames = len(self._vertices)
+        most: dict[int, int] = {}
+        for rows in self._tendons:
+            for tendon, count in zip(*np.unique(rows["objid"], return_counts=True), strict=True):
+                most[int(tendon)] = max(most.get(int(tendon), 0), int(count))
+        starts = dict(zip(sorted(most), np.cumsum([0, *(most[k] for k in sorted(most))]),
+                          strict=False))  # fmt: skip
+        pieces = sum(most.values())
+        ends, radius = np.zeros((frames, pieces, 2, 3)), np.zeros((frames, pieces))
+        colours = np.ones((pieces, 4))
+        for k, rows in enumerate(self._tendons):
+            if k:
+                ends[k] = ends[k - 1]  # a piece that goes stays where it was
+            for tendon, start in starts.items():
+                own = rows[rows["objid"] == tendon]
+                at = slice(start, start + len(own))
+                half = own["mat"][:, :, 2] * own["size"][:, 2:3]
+                ends[k, at] = own["pos"][:, None] + np.stack([-half, half], axis=1)
+                radius[k, at], colours[at] = own["size"][:, 0], own["rgba"]
+        vertices = np.array(self._vertices).reshape(frames, -1, 3)
+        return Soft(vertices, ends, radius, colours)
+
+
+def _vertices_of(model: mujoco.MjModel, flexes: Bools) -> np.ndarray:
+    """Rows of `flexvert_xpos` that belong to these flexes."""
+    if not model.nflex:
+        return np.zeros(0, int)
+    owner = np.repeat(np.arange(model.nflex), model.flex_vertnum)
+    return np.flatnonzero(flexes[owner])
