@@ -1,7 +1,8 @@
 /** The model: one geometry for all that is opaque, one for doubles; bodies' poses in a texture. */
 
 import * as THREE from "three";
-import { finish, finishOf, isPlane, placesIn, planeOf, textureOf, texturesOf } from "./surfaces.js";
+import { ball, capsule, cylinder, finish, finishOf, isPlane, placesIn, planeOf, textureOf, texturesOf }
+  from "./surfaces.js";
 
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {import("./data.js").Geom} Geom */
@@ -20,10 +21,10 @@ function shapeOf(geom, run) {
   const [a, b, c] = geom.size;
   switch (geom.type) {
     case 0: return planeOf(geom);
-    case 2: return new THREE.SphereGeometry(a, 24, 16);
-    case 3: return new THREE.CapsuleGeometry(a, 2 * b, 8, 20).rotateX(Math.PI / 2);
-    case 4: return new THREE.SphereGeometry(1, 24, 16).scale(a, b, c);
-    case 5: return new THREE.CylinderGeometry(a, a, 2 * b, 28).rotateX(Math.PI / 2);
+    case 2: return ball(16).scale(a, a, a);
+    case 3: return capsule(a, b);
+    case 4: return ball(16).scale(a, b, c);
+    case 5: return cylinder(a, b);
     case 6: return new THREE.BoxGeometry(2 * a, 2 * b, 2 * c);
     default: {
       const mesh = run.meshes[geom.mesh ?? 0], shape = new THREE.BufferGeometry();

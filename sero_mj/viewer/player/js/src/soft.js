@@ -1,7 +1,7 @@
 /** What is soft: skins, which bones move; flexes and tendons, whose places are in the run. */
 
 import * as THREE from "three";
-import { materialOf, texturesOf } from "./surfaces.js";
+import { materialOf, repeated, texturesOf } from "./surfaces.js";
 import { Tubes } from "./tubes.js";
 
 /** @typedef {import("./data.js").Run} Run */
@@ -39,7 +39,8 @@ class MovedSkin {
   constructor(run, skin, textures) {
     this.skin = skin;
     const count = skin.positions.length / 3;
-    this.mesh = meshOf(count, skin.triangles, materialOf(run, skin, textures), skin.uv);
+    this.mesh = meshOf(count, skin.triangles, materialOf(run, skin, textures),
+      repeated(run, skin));
     // From the world at first to the bones.
     this.bind = skin.bones.map(({ pos, quat: [w, x, y, z] }) => new THREE.Matrix4().compose(
       new THREE.Vector3().fromArray(pos), new THREE.Quaternion(x, y, z, w),
@@ -73,9 +74,9 @@ class MovedFlex {
   /** @param {Run} run @param {Flex} flex @param {THREE.Texture[]} textures */
   constructor(run, flex, textures) {
     this.flex = flex;
-    const { count, triangles, edges, dim } = flex, { materials } = run;
+    const { count, triangles, edges, dim } = flex;
     const isFlat = flex.flat && { flatShading: true };
-    const material = materialOf({ ...run, materials }, flex, textures, isFlat || {});
+    const material = materialOf(run, flex, textures, isFlat || {});
     if (dim === 1) {
       this.tubes = new Tubes(material, edges.length / 2);
       this.mesh = this.tubes.mesh;
@@ -92,7 +93,8 @@ class MovedFlex {
         sides.push(a, a + count, b, b, a + count, b + count);
       }
     }
-    const uv = flex.uv && new Float32Array([...flex.uv, ...(dim === 2 ? flex.uv : [])]);
+    const own = repeated(run, flex);
+    const uv = own && new Float32Array([...own, ...(dim === 2 ? own : [])]);
     this.mesh = meshOf(count * (dim === 2 ? 2 : 1), sides, material, uv);
     // The normals of a cloth are those of one side, without its seam.
     this.sheet = meshOf(count, triangles, material).geometry;

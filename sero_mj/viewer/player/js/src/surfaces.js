@@ -5,8 +5,9 @@ import * as THREE from "three";
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {import("./data.js").Geom} Geom */
 
-const PLANE = 0, SPHERE = 2, CAPSULE = 3, CYLINDER = 5, MESH = 7; // mjtGeom
+const PLANE = 0, SPHERE = 2, CAPSULE = 3, CYLINDER = 5, BOX = 6, MESH = 7; // mjtGeom
 const PLAIN = [0, 128, 128, 0]; // finish of what has no material
+const UP = Math.PI / 2;
 export const ENDLESS = 100; // m, half the side of planes without an end
 
 /** The textures of a run. @param {Run} run @returns {THREE.Texture[]} */
@@ -48,32 +49,75 @@ function extentsOf({ type, size: [a, b, c] }) {
   return type === CAPSULE || type === CYLINDER ? [a, a, b] : [a, b, c];
 }
 
+/** How often a texture is on a geom, along u and v. @param {Run} run @param {Geom} geom */
+function timesOf(run, geom) {
+  const { repeat, uniform } = run.materials[geom.material ?? 0], extents = extentsOf(geom);
+  return [0, 1].map((k) => (repeat[k] > 0 ? repeat[k] : 1) * (uniform && extents[k] > 0 ? extents[k] : 1));
+}
+
 /**
  * The places of a shape's vertices in its texture: (u, v, 0), or of a cube a direction.
- * @param {Run} run @param {Geom} geom @param {THREE.BufferGeometry} shape in the geom's frame
+ * @param {Run} run @param {Geom} geom @param {THREE.BufferGeometry} shape in the geom's frame,
+ * from `shapeOf`
  */
 export function placesIn(run, geom, shape) {
-  const { position } = shape.attributes, places = new Float32Array(3 * position.count);
-  const material = run.materials[geom.material ?? 0], { repeat, uniform } = material;
-  const extents = extentsOf(geom), isMesh = geom.type === MESH;
-  const uv = isMesh ? run.meshes[geom.mesh ?? 0].uv : undefined;
-  const { cube } = run.textures[material.texture];
-  for (let i = 0; i < position.count; i++) {
-    const at = [position.getX(i), position.getY(i), position.getZ(i)];
-    if (!cube && uv) places.set([uv[2 * i], uv[2 * i + 1], 0], 3 * i);
-    else if (!cube) {
-      for (const k of [0, 1]) {
-        const scale = repeat[k] / (uniform || extents[k] <= 0 ? 1 : extents[k]);
-        places[3 * i + k] = (k ? -0.5 : 0.5) * scale * at[k] - 0.5;
-      }
-    } else {
-      const beyond = Math.abs(at[2]) - extents[2], isCap = geom.type === CAPSULE && beyond > 0;
-      const unit = isMesh ? at : at.map((each, k) => each / (extents[k] || 1));
-      if (isCap) unit[2] = Math.sign(at[2]) * (1 + beyond / extents[0]);
-      unit.forEach((each, k) => { places[3 * i + k] = uniform ? each * extents[k] : each; });
-    }
+  const material = run.materials[geom.material ?? 0];
+  const find = run.textures[material.texture].cube ? direction : flat;
+  const places = new Float32Array(3 * shape.attributes.position.count), times = timesOf(run, geom);
+  for (let i = 0; i < places.length / 3; i++) {
+    places.set(find(run, geom, shape, i, times), 3 * i);
   }
   return places;
+}
+
+/** @type {(run: Run, geom: Geom, shape: THREE.BufferGeometry, i: number, times: number[]) => number[]} */
+function flat(run, geom, shape, i, [often, high]) {
+  const { position, normal, uv } = shape.attributes, { type } = geom;
+  const [x, y, z] = [position.getX(i), position.getY(i), position.getZ(i)];
+  const [a, b, c] = extentsOf(geom);
+  const own = type === MESH ? run.meshes[geom.mesh ?? 0].uv : undefined;
+  if (own) return [often * own[2 * i], high * own[2 * i + 1], 0];
+  if (type === MESH) return [often * x / a / 2 - 0.5, -high * y / b / 2 - 0.5, 0];
+  if (type === PLANE && (a <= 0 || b <= 0)) return [often * x / 2 - 0.5, -high * y / 2 - 0.5, 0];
+  if (type === PLANE) return [often * (1 + x / a) / 2, high * (1 - y / b) / 2, 0];
+  const isTop = Math.abs(normal.getZ(i)) > 0.9;
+  if (type === BOX) {
+    const first = Math.abs(normal.getX(i)) > 0.9 ? y / b : x / a, second = isTop ? y / b : z / c;
+    return [often * (1 + first) / 2, high * (1 - second) / 2, 0];
+  }
+  if (type === CYLINDER && isTop) return [often * (1 + x / a) / 2, high * (1 + y / b) / 2, 0];
+  return [often * uv.getX(i), high * (1 - uv.getY(i)), 0];
+}
+
+/** @type {typeof flat} */
+function direction(run, geom, { attributes: { position } }, i) {
+  const at = [position.getX(i), position.getY(i), position.getZ(i)], extents = extentsOf(geom);
+  const beyond = Math.abs(at[2]) - extents[2];
+  const unit = geom.type === MESH ? at : at.map((each, k) => each / (extents[k] || 1));
+  if (geom.type === CAPSULE && beyond > 0) unit[2] = Math.sign(at[2]) * (1 + beyond / extents[0]);
+  const { uniform } = run.materials[geom.material ?? 0];
+  return unit.map((each, k) => uniform ? each * extents[k] : each);
+}
+
+/** A ball of radius 1 about z, or a part of it. @param {number} rows @param {number[]} part */
+export const ball = (rows, ...part) =>
+  new THREE.SphereGeometry(1, 24, rows, 0, 2 * Math.PI, ...part).rotateX(UP).rotateZ(2 * UP);
+
+/** A cylinder about z. @param {number} a radius @param {number} b half its length @param {boolean} isOpen */
+export const cylinder = (a, b, isOpen = false) =>
+  new THREE.CylinderGeometry(a, a, 2 * b, 28, 1, isOpen).rotateX(UP).rotateZ(UP);
+
+/** A capsule about z. @param {number} a radius @param {number} b half the length between its ends */
+export function capsule(a, b) {
+  const ends = [ball(8, 0, UP), ball(8, UP, UP)].map((each, k) =>
+    each.scale(a, a, a).translate(0, 0, k ? -b : b));
+  const parts = [cylinder(a, b, true), ...ends].map((each) => each.toNonIndexed());
+  const whole = new THREE.BufferGeometry();
+  for (const name of ["position", "normal", "uv"]) {
+    const numbers = parts.flatMap((each) => [...each.attributes[name].array]);
+    whole.setAttribute(name, new THREE.Float32BufferAttribute(numbers, name === "uv" ? 2 : 3));
+  }
+  return whole.setIndex([...Array(whole.attributes.position.count).keys()]);
 }
 
 /** A plane, also one without an end. @param {Geom} geom */
@@ -121,4 +165,11 @@ export function materialOf(run, of, textures, more = {}) {
     specular: new THREE.Color().setScalar(0.38 * specular * 42 / (power + 2)),
     opacity: a, transparent: a < 1, ...map, ...more,
   });
+}
+
+/** Places in a texture that is repeated. @param {Run} run @param {import("./data.js").Soft} of */
+export function repeated(run, { uv, material }) {
+  if (!uv || material === undefined) return uv;
+  const { repeat } = run.materials[material];
+  return uv.map((each, k) => each * (repeat[k % 2] || 1));
 }

@@ -8,7 +8,7 @@ const TURN = Math.PI / 2;
  * A capsule of radius 1 that a matrix's scale makes longer, while its ends stay round: z of its
  * vertices is that on their sphere, and `end` on which one.
  */
-export function capsule() {
+export function tube() {
   const shape = new THREE.CapsuleGeometry(1, 2, 6, 16).rotateX(TURN);
   const { position } = shape.attributes, end = new Float32Array(position.count);
   for (let i = 0; i < position.count; i++) {
@@ -19,7 +19,7 @@ export function capsule() {
   return shape;
 }
 
-/** Lets a shader draw `capsule` with instances. @param {{vertexShader: string}} shader */
+/** Lets a shader draw `tube` with instances. @param {{vertexShader: string}} shader */
 export function stretch(shader) {
   shader.vertexShader = "attribute float end;\n" + shader.vertexShader
     .replace("#include <beginnormal_vertex>", `vec2 scale = vec2(length(instanceMatrix[0]), length(instanceMatrix[2]));
@@ -33,7 +33,7 @@ export class Tubes {
   /** @param {THREE.Material} material @param {number} count */
   constructor(material, count) {
     material.onBeforeCompile = stretch;
-    this.mesh = new THREE.InstancedMesh(capsule(), material, count);
+    this.mesh = new THREE.InstancedMesh(tube(), material, count);
     this.mesh.frustumCulled = false;
     this.mesh.castShadow = true;
     this.mesh.customDepthMaterial = new THREE.MeshDepthMaterial();
