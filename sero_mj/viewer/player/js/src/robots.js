@@ -132,7 +132,6 @@ export class Robots {
     /** @param {THREE.WebGLProgramParametersWithUniforms} shader */
     const place = (shader) => {
       shader.uniforms.poses = { value: this.texture };
-      finish(shader, picture, isCube);
       const texel = (/** @type {number} */ k) => `texelFetch(poses, ivec2(${k}, at), 0)`;
       shader.vertexShader = "attribute float body; uniform highp sampler2D poses;"
         + "varying vec2 state;\n" + shader.vertexShader
@@ -148,7 +147,10 @@ export class Robots {
           diffuseColor.a *= state.x;
           diffuseColor.rgb = mix(diffuseColor.rgb, vec3(${grey}), .8 * state.y);`);
     };
-    material.onBeforeCompile = place;
+    material.onBeforeCompile = (shader) => {
+      finish(shader, picture, isCube);
+      place(shader);
+    };
     material.customProgramCacheKey = () => `body ${isBehind} ${texture < 0 ? "" : isCube}`;
     const mesh = new THREE.Mesh(geometry, material);
     mesh.frustumCulled = false;

@@ -1,0 +1,120 @@
+"""Pages of models that nobody here wrote, and pictures of them by MuJoCo's classic renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from sero_mj import Scene, World
+from sero_mj.viewer.camera import find_camera
+from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.player import capture as capture_module
+from sero_mj.viewer.player.capture import Capture
+from sero_mj.viewer.player.page import write_page
+from sero_mj.viewer.player.soft import SoftCollector
+
+NO_SKY = (0, 0, 0)  # of what no geom covers
+
+
+def captured(
+    model: mujoco.MjModel, states: Sequence[mujoco.MjData], camera: str, fps: float = 10.0
+) -> Capture:
+    """A capture of a model in these states, without decor.
+
+    Args:
+        model: compiled.
+        states: one a frame, forwarded.
+        camera: see `find_camera`.
+        fps: frames per second.
+    """
+    world = World(Scene(floor=False))  # without joints and decor
+    world.model = model
+    bodies, soft = capture_module._bodies(world), SoftCollector(model)
+    for data in states:
+        soft.take(data)
+    n, frames = len(world.joints.names), len(states)
+    nothing = np.full((frames, n), np.nan)
+    lines, details = capture_module._lines(world, {"torques": nothing})
+    poses = np.array([np.hstack([d.xpos[bodies], d.xquat[bodies]]) for d in states])
+    return Capture(
+        world=world, fps=fps, begin=0.0, toggles=Toggles(world), camera=find_camera(world, camera),
+        lines=lines, details=details, bodies=bodies, positions=poses[..., :3],
+        rotations=capture_module._continuous(poses[..., 3:]),
+        opacity=np.ones((frames, len(bodies))), grey=np.zeros((frames, len(bodies)), bool),
+        values={}, arrows=nothing, limit=np.full(n, np.inf),
+        stale=np.zeros((frames, n), bool), soft=soft.result(), items=[], notes=[""] * frames,
+        cards={},
+    )  # fmt: skip
+
+
+def rolled_out(model: mujoco.MjModel, frames: int, steps: int) -> list[mujoco.MjData]:
+    """States of a model that falls, `steps` steps apart."""
+    data, states = mujoco.MjData(model), []
+    mujoco.mj_forward(model, data)
+    for _ in range(frames):
+        states.append(mujoco.MjData(model))
+        mujoco.mj_copyData(states[-1], model, data)
+        mujoco.mj_step(model, data, steps)
+        mujoco.mj_forward(model, data)
+    return states
+
+
+def classic(
+    model: mujoco.MjModel, data: mujoco.MjData, camera: Any, size: tuple[int, int]
+) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """A picture (h, w, 3), and where anything of the model covers it (h, w)."""
+    with mujoco.Renderer(model, size[1], size[0]) as renderer:
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0
+        renderer.update_scene(data, camera)
+        picture = renderer.render().copy()
+        renderer.enable_segmentation_rendering()
+        covered = renderer.render()[..., 1] != -1
+    return picture, covered
+
+
+# The picture alone at some size, as digits of red, green, blue and alpha.
+DRAWN = """([width, height, time, hidden]) => {
+    const { stage } = player;
+    player.seek(time);
+    stage.resize(width, height);
+    stage.renderer.setPixelRatio(1);
+    stage.renderer.setSize(width, height, false);
+    stage.chooseCamera(stage.run.eye.fixed);
+    player.switches.shadows = false;
+    player.draw();
+    for (const each of hidden) stage[each].visible = false;
+    stage.draw();
+    const gl = stage.renderer.getContext(), bytes = new Uint8Array(4 * width * height);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+    let text = "";
+    for (let k = 0; k < bytes.length; k += 8192)
+        text += String.fromCharCode(...bytes.subarray(k, k + 8192));
+    return btoa(text);
+}"""
+
+
+def drawn(page: Any, size: tuple[int, int], time: float, hidden: Sequence[str] = ()) -> Any:
+    """What a page's canvas shows at a time (s): (h, w, 4) uint8."""
+    import base64
+
+    text = page.evaluate(DRAWN, [*size, time, list(hidden)])
+    pixels = np.frombuffer(base64.b64decode(text), np.uint8)
+    return pixels.reshape(size[1], size[0], 4)[::-1]
+
+
+def overlap(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
+    """Pixels that both cover by those that any covers."""
+    return float((one & other).sum() / max((one | other).sum(), 1))
+
+
+def page_of(found: Capture, path: Path) -> Path:
+    """Writes a page; returns its path."""
+    write_page(found, path, path.stem)
+    return path
