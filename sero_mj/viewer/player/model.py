@@ -54,7 +54,7 @@ def drawn_bodies(model: mujoco.MjModel) -> Ints:
     """Returns ids of the bodies that something visible, or a light, is fixed to."""
     sites = model.site_bodyid[_visible_sites(model)]
     bones = model.skin_bonebodyid if model.nskin else np.zeros(0, int)
-    lights = model.light_bodyid if _has_own_lights(model) else np.zeros(0, int)
+    lights = np.append(model.light_bodyid, 0) if _has_own_lights(model) else np.zeros(0, int)
     ids = [model.geom_bodyid[visible_geoms(model)], sites, bones, lights]
     return np.unique(np.concatenate(ids)).astype(np.intp)
 
@@ -178,6 +178,8 @@ class Look:
             + [self._site(i) for i in _visible_sites(model).tolist()],
             "floor": None if floor is None else float(model.geom_pos[floor, 2]),
         }
+        if self._is_endless():
+            found["reach"] = round(float(model.vis.map.zfar * model.stat.extent), 3)
         shown = (model.skin_group < _GROUPS).nonzero()[0] if model.nskin else []
         skins = [self._skin(int(i)) for i in shown]
         flexes = [self._flex(int(i)) for i in np.arange(model.nflex)[self.shown_flexes]]
@@ -185,6 +187,12 @@ class Look:
         extra = {"materials": self._materials, "textures": self._textures, "skins": skins,
                  "flexes": flexes, "lights": lights}  # fmt: skip
         return found | {key: each for key, each in extra.items() if each}
+
+    def _is_endless(self) -> bool:
+        """Whether there is a plane without an end that is drawn."""
+        model, shown = self._model, visible_geoms(self._model)
+        planes = shown[model.geom_type[shown] == _PLANE]
+        return bool((model.geom_size[planes, :2] <= 0).any())
 
     @cached_property
     def shown_flexes(self) -> Bools:
@@ -398,25 +406,35 @@ class Look:
     def _lights(self) -> dict[str, Any]:
         """The headlight and all others that are on; directions and places in their bodies."""
         model = self._model
-        head = model.vis.headlight
-        spots = [
+        head, on = model.vis.headlight, model.light_active.astype(bool)
+        is_fixed = model.light_mode == int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
+        at, way, body = model.light_pos, model.light_dir, model.light_bodyid
+        if not is_fixed[on].all():  # those that follow something stand where they are at first
+            data = mujoco.MjData(model)
+            mujoco.mj_fwdPosition(model, data)
+            at = np.where(is_fixed[:, None], at, data.light_xpos)
+            way = np.where(is_fixed[:, None], way, data.light_xdir)
+            body = np.where(is_fixed, body, 0)
+        others = [
             {
-                "body": self._index(int(model.light_bodyid[i])),
+                "body": self._index(int(body[i])),
                 "type": int(model.light_type[i]),
-                "pos": rounded(model.light_pos[i]),
-                "dir": rounded(model.light_dir[i]),
+                "pos": rounded(at[i]),
+                "dir": rounded(way[i]),
                 "diffuse": rounded(model.light_diffuse[i], 3),
                 "ambient": rounded(model.light_ambient[i], 3),
                 "cutoff": round(float(model.light_cutoff[i]), 3),
+                "exponent": round(float(model.light_exponent[i]), 3),
                 "shadow": bool(model.light_castshadow[i]),
             }
-            for i in range(model.nlight)
-            if model.light_active[i]
+            for i in on.nonzero()[0].tolist()
         ]
-        on = float(bool(head.active))
+        lit = float(bool(head.active))
+        bright = lit * head.diffuse.sum() + model.light_diffuse[on].sum()
+        glossy = lit * head.specular.sum() + model.light_specular[on].sum()
         return {
-            "ambient": rounded(on * head.ambient, 3), "diffuse": rounded(on * head.diffuse, 3),
-            "others": spots,
+            "ambient": rounded(lit * head.ambient, 3), "diffuse": rounded(lit * head.diffuse, 3),
+            "gloss": round(float(glossy / max(bright, 1e-6)), 3), "others": others,
         }  # fmt: skip
 
 

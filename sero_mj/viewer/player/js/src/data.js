@@ -22,9 +22,9 @@
 /** @typedef {Soft & {dim: number, radius: number, first: number, count: number, flat: boolean,
  *   triangles: Uint32Array, edges: Uint32Array}} Flex */
 /** @typedef {{body: number, type: number, pos: number[], dir: number[], diffuse: number[],
- *   ambient: number[], cutoff: number, shadow: boolean}} Lamp */
-/** @typedef {{ambient: number[], diffuse: number[], others: Lamp[]}} Lights of the model, with
- *   its headlight */
+ *   ambient: number[], cutoff: number, exponent: number, shadow: boolean}} Lamp */
+/** @typedef {{ambient: number[], diffuse: number[], gloss: number, others: Lamp[]}} Lights of the
+ *   model, with its headlight; gloss: how much brighter reflections of lamps are than surfaces */
 /** @typedef {{begin: number, end: number, text: string, kind: string}} Mark */
 /** @typedef {{positions: Float32Array, normals: Float32Array, triangles: Uint32Array,
  *   uv?: Float32Array}} MeshData */
@@ -214,6 +214,7 @@ export function decode(bytes) {
     meshes: /** @type {MeshData[]} */ (head.meshes.map((/** @type {any} */ m) => arrays.mesh(m))),
     geoms: /** @type {Geom[]} */ (head.geoms),
     floor: /** @type {number | null} */ (head.floor),
+    reach: /** @type {number | null} */ (head.reach ?? null),
     materials: /** @type {Material[]} */ (head.materials ?? []),
     textures: /** @type {Texture[]} */ ((head.textures ?? []).map((/** @type {any} */ each) => arrays.texture(each))),
     skins: /** @type {Skin[]} */ ((head.skins ?? []).map((/** @type {any} */ s) => arrays.skin(s))),

@@ -8,6 +8,14 @@ import * as THREE from "three";
 const FULL = Math.PI; // intensity of a lamp that shows colours as they are
 const DIRECTIONAL = 1, POINT = 2; // mjtLightType
 const MOST = 8; // as many has MuJoCo's classic renderer
+const MOST_EXPONENT = 128; // of how a spot becomes darker beside its middle
+
+// Spots as OpenGL has them; how soft their edge is says the exponent.
+const chunks = THREE.ShaderChunk;
+chunks.lights_pars_begin = chunks.lights_pars_begin.replace(
+  "return smoothstep( coneCosine, penumbraCosine, angleCosine );",
+  `float exponent = ${MOST_EXPONENT}. * (1. - acos(penumbraCosine) / acos(coneCosine));
+  return step(coneCosine, angleCosine) * pow(max(angleCosine, 0.), exponent);`);
 
 /** @param {number[]} rgb */
 const colour = ([r, g, b]) => new THREE.Color(r, g, b);
@@ -22,6 +30,7 @@ export class Lamps {
     const ambient = lights.others.reduce(
       (sum, { ambient: each }) => sum.add(colour(each)), colour(lights.ambient));
     const head = new THREE.DirectionalLight(colour(lights.diffuse), FULL);
+    head.position.set(0, 0, 0);
     head.target.position.set(0, 0, -1);
     camera.add(head, head.target);
     scene.add(new THREE.AmbientLight(ambient, FULL));
@@ -44,11 +53,11 @@ export class Lamps {
   }
 
   /** @param {Lamp} lamp */
-  #made({ type, diffuse, cutoff }) {
+  #made({ type, diffuse, cutoff, exponent }) {
     const rgb = colour(diffuse), angle = Math.min(cutoff, 89) * Math.PI / 180;
     if (type === DIRECTIONAL) return new THREE.DirectionalLight(rgb, FULL);
     if (type === POINT || cutoff >= 180) return new THREE.PointLight(rgb, FULL, 0, 0);
-    return new THREE.SpotLight(rgb, FULL, 0, angle, 1, 0);
+    return new THREE.SpotLight(rgb, FULL, 0, angle, Math.min(exponent / MOST_EXPONENT, 1), 0);
   }
 
   /** Places them. @param {THREE.Matrix4[]} bodies */

@@ -20,7 +20,7 @@ export function matrixOf(pos, quat) {
 function shapeOf(geom, run) {
   const [a, b, c] = geom.size;
   switch (geom.type) {
-    case 0: return planeOf(geom);
+    case 0: return planeOf(geom, run);
     case 2: return ball(16).scale(a, a, a);
     case 3: return capsule(a, b);
     case 4: return ball(16).scale(a, b, c);
@@ -148,7 +148,7 @@ export class Robots {
           diffuseColor.rgb = mix(diffuseColor.rgb, vec3(${grey}), .8 * state.y);`);
     };
     material.onBeforeCompile = (shader) => {
-      finish(shader, picture, isCube);
+      finish(shader, this.run, picture, isCube);
       place(shader);
     };
     material.customProgramCacheKey = () => `body ${isBehind} ${texture < 0 ? "" : isCube}`;

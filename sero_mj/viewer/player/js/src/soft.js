@@ -140,9 +140,7 @@ export class SoftParts {
     for (const { mesh } of [...this.skins, ...this.flexes]) this.group.add(mesh);
     if (!run.tendons) return;
     const { rgba } = run.tendons;
-    const material = new THREE.MeshPhongMaterial({
-      specular: 0x303030, shininess: 40, opacity: rgba[0][3], transparent: rgba[0][3] < 1,
-    });
+    const material = materialOf(run, { rgba: [255, 255, 255, 255 * rgba[0][3]] }, textures);
     this.tendons = new Tubes(material, rgba.length);
     rgba.forEach(([r, g, b], k) => this.tendons?.mesh.setColorAt(k, new THREE.Color(r, g, b)));
     this.group.add(this.tendons.mesh);

@@ -27,7 +27,8 @@ export class Stage {
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = THREE.PCFShadowMap;
     this.scene = new THREE.Scene();
-    this.camera = new THREE.PerspectiveCamera(run.eye.fovy, 1, 0.01, 100);
+    this.camera = new THREE.PerspectiveCamera(run.eye.fovy, 1, 0.01,
+      run.reach ?? Math.max(100, 4 * run.eye.distance));
     this.camera.up.set(0, 0, 1);
     this.orbit = new OrbitControls(this.camera, canvas);
     this.fixed = -1;

@@ -8,7 +8,6 @@ import * as THREE from "three";
 const PLANE = 0, SPHERE = 2, CAPSULE = 3, CYLINDER = 5, BOX = 6, MESH = 7; // mjtGeom
 const PLAIN = [0, 128, 128, 0]; // finish of what has no material
 const UP = Math.PI / 2;
-export const ENDLESS = 100; // m, half the side of planes without an end
 
 /** The textures of a run. @param {Run} run @returns {THREE.Texture[]} */
 export function texturesOf(run) {
@@ -120,19 +119,30 @@ export function capsule(a, b) {
   return whole.setIndex([...Array(whole.attributes.position.count).keys()]);
 }
 
-/** A plane, also one without an end. @param {Geom} geom */
-export const planeOf = ({ size: [a, b] }) =>
-  new THREE.PlaneGeometry(2 * (a || ENDLESS), 2 * (b || ENDLESS));
+/** A plane, also one without an end. @param {Geom} geom @param {Run} run */
+export function planeOf({ size: [a, b] }, { reach }) {
+  const far = 1.05 * (reach ?? 0);
+  return new THREE.PlaneGeometry(2 * (a || far), 2 * (b || far));
+}
+
+/**
+ * How a specular highlight is: its power for a shininess of 1, and strength over power + 2 for a
+ * specular of 1. That of a model's own lights is as in OpenGL.
+ * @param {Run} run
+ */
+const glossOf = ({ lights }) => lights ? { power: 128, strength: 8 * lights.gloss }
+  : { power: 80, strength: 16 };
 
 /** Whether a geom is a plane. @param {Geom} geom */
 export const isPlane = ({ type }) => type === PLANE;
 
 /**
  * Lets a Phong shader have the finish of every vertex, and a texture.
- * @param {THREE.WebGLProgramParametersWithUniforms} shader
+ * @param {THREE.WebGLProgramParametersWithUniforms} shader @param {Run} run
  * @param {THREE.Texture | null} texture @param {boolean} isCube
  */
-export function finish(shader, texture, isCube) {
+export function finish(shader, run, texture, isCube) {
+  const { power, strength } = glossOf(run);
   const has = texture ? "varying vec3 spot;\n" : "";
   if (texture) shader.uniforms.picture = { value: texture };
   shader.vertexShader = `attribute vec4 finish; varying vec3 shine;\n${has && "attribute vec3 place; "}${has}`
@@ -144,8 +154,8 @@ export function finish(shader, texture, isCube) {
       ? "diffuseColor *= textureCube(picture, spot);" : "diffuseColor *= texture2D(picture, spot.xy);")
     .replace("#include <lights_phong_fragment>", `BlinnPhongMaterial material;
       material.diffuseColor = diffuseColor.rgb;
-      material.specularShininess = 80. * shine.z + 1.;
-      material.specularColor = vec3(.38 * shine.y * 42. / (material.specularShininess + 2.));
+      material.specularShininess = ${power.toFixed(1)} * shine.z + 1.;
+      material.specularColor = vec3(${strength.toFixed(3)} * shine.y / (material.specularShininess + 2.));
       material.specularStrength = 1.;`)
     .replace("#include <emissivemap_fragment>", "totalEmissiveRadiance += shine.x * diffuseColor.rgb;");
 }
@@ -158,11 +168,11 @@ export function finish(shader, texture, isCube) {
 export function materialOf(run, of, textures, more = {}) {
   const [r, g, b, a] = of.rgba.map((each) => each / 255), number = textureOf(run, of);
   const [emission, specular, shininess] = finishOf(run, of).map((each) => each / 255);
-  const power = 80 * shininess + 1, color = new THREE.Color(r, g, b);
+  const gloss = glossOf(run), power = gloss.power * shininess + 1, color = new THREE.Color(r, g, b);
   const map = of.uv && number >= 0 ? { map: textures[number] } : {};
   return new THREE.MeshPhongMaterial({
     color, emissive: color.clone().multiplyScalar(emission), shininess: power,
-    specular: new THREE.Color().setScalar(0.38 * specular * 42 / (power + 2)),
+    specular: new THREE.Color().setScalar(gloss.strength * specular / (power + 2)),
     opacity: a, transparent: a < 1, ...map, ...more,
   });
 }
