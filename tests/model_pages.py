@@ -47,8 +47,8 @@ def captured(
         rotations=capture_module._continuous(poses[..., 3:]),
         opacity=np.ones((frames, len(bodies))), grey=np.zeros((frames, len(bodies)), bool),
         values={}, arrows=nothing, limit=np.full(n, np.inf),
-        stale=np.zeros((frames, n), bool), soft=soft.result(), items=[], notes=[""] * frames,
-        cards={},
+        stale=np.zeros((frames, n), bool), soft=soft.result(), items=[],
+        labels=[{}] * frames, notes=[""] * frames, cards={},
     )  # fmt: skip
 
 

@@ -29,12 +29,14 @@ from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..sampling import sampled_states
 from ..session.torque_history import joint_name
+from .labels import LabelCollector
 from .model import drawn_bodies, visible_geoms
 from .soft import Soft, SoftCollector
 
 DEFAULT_FPS = 30.0
 DEFAULT_SECONDS = 10.0  # of what has no end
 MAX_BYTES = 128_000_000  # of a run in a browser's memory
+_LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 _ARROW_GEOMS = 24  # of round arrows at frames; those of joints are made by the player
 _SIZE = (1280, 800)  # pixels; some decor asks for a picture
 
@@ -97,6 +99,7 @@ class Capture:
         stale: joints without fresh data, (F, N) bool.
         soft: tendons and flexes.
         items: decor besides round arrows of joints, and text.
+        labels: text at places, of `LabelCollector`.
         notes: text in the corners, by frame.
         cards: of the smart arrows: index to text by frame, empty where there is none.
         marks: on the time line.
@@ -121,6 +124,7 @@ class Capture:
     stale: np.ndarray
     soft: Soft
     items: list[Item]
+    labels: list[Any]
     notes: list[str]
     cards: dict[int, list[str]]
     marks: Sequence[Mark] = ()
@@ -151,6 +155,7 @@ class _Collector:
 
     def __init__(self, world: World) -> None:
         self._revolute = world.joints.revolute
+        self.labels = LabelCollector(world)
         self.frames: list[Frame] = []
         self.rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
         self.notes: list[str] = []
@@ -178,9 +183,10 @@ class _Collector:
         is_arrow = kinds == Kind.ARROW
         kept = ~is_arrow
         kept[is_arrow] = ~revolute[items[is_arrow]]
-        # Panels and leaders stand in front of the camera, and are laid out by the player.
+        # Panels stand in front of the camera, and are laid out by the player.
         kept[buffer.text] = False
-        kept &= buffer.rows["emission"][: buffer.count] < 1.0
+        kept &= buffer.rows["type"][: buffer.count] != _LABEL
+        self.labels.take(frame)
         index = kept.nonzero()[0]
         self.rows.append((buffer.rows[index], kinds[index], items[index]))
         self.frames.append(frame)
@@ -275,6 +281,7 @@ def capture(
         stale=stale,
         soft=soft.result(),
         items=_items(collector.rows),
+        labels=collector.labels.result(),
         notes=collector.notes,
         cards=_cards(collector.cards),
         marks=marks,

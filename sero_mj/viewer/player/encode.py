@@ -6,21 +6,23 @@ import json
 import math
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from ...robots.assemble.parts import DoublePart
 from ..decor import round_arrows
 from ..decor.billboards import Line
-from ..decor.geom_buffer import GREY
+from ..decor.geom_buffer import GREY, Kind
 from ..decor.ribbons import ribbon_shape
 from .capture import Capture, eye
+from .items import poses
+from .labels import labels_head
 from .model import Look
 from .packing import Parts, rounded
 
 VERSION = 1
 METRE_STEP = 5e-5  # m
 ROTATION_STEP = 1 / 16384  # of a component of a unit quaternion
+_GLOW = float(np.float32(0.35))  # emission of decor that does not say otherwise
 
 
 def encode(capture: Capture, title: str) -> bytes:
@@ -58,6 +60,7 @@ def encode(capture: Capture, title: str) -> bytes:
         },
         "arrows": _arrows(capture, parts),
         "items": _items(capture, parts),
+        **labels_head(capture.labels, parts, METRE_STEP),
         "notes": _texts(capture.notes, parts),
         "cards": [
             {"item": item, "name": capture.world.arrows.names[item], **_texts(texts, parts)}
@@ -199,15 +202,17 @@ def _items(capture: Capture, parts: Parts) -> dict[str, Any]:
     quaternions = np.zeros((*rows.shape, 4))
     quaternions[..., 0] = 1.0
     visible = np.stack([item.visible for item in items], axis=1)
-    for k, i in np.argwhere(visible):
-        mujoco.mju_mat2Quat(quaternions[k, i], rows["mat"][k, i].astype(float).ravel())
+    sizes = np.zeros((*rows.shape, 3))
+    quaternions[visible], sizes[visible] = poses(rows[visible])
     colours = np.round(np.clip(rows["rgba"], 0, 1) * 255)
-    return {
+    glow = [float(item.rows["emission"].max()) for item in items]
+    shines = {} if set(glow) == {_GLOW} else {"glow": rounded(glow, 3)}
+    return shines | {
         "of": [[int(each.kind), each.item, _type(each)] for each in items],
         "visible": parts.moving(visible, 1),
         "positions": parts.moving(rows["pos"].reshape(count), METRE_STEP),
         "rotations": parts.moving(quaternions.reshape(count), ROTATION_STEP),
-        "sizes": parts.moving(rows["size"].reshape(count), METRE_STEP),
+        "sizes": parts.moving(sizes.reshape(count), METRE_STEP),
         "colours": parts.moving(colours.reshape(count), 1),
     }
 
@@ -228,7 +233,8 @@ def _switches(capture: Capture) -> dict[str, bool]:
     """What is on at first."""
     toggles = capture.toggles
     return {
-        "arrows": bool(toggles.arrows.any()),
+        "arrows": bool(toggles.arrows.any())
+        or any(item.kind in (Kind.ARROW, Kind.VECTOR) for item in capture.items),
         "numbers": bool(toggles.billboards.any()),
         "doubles": bool(toggles.doubles.all()),
         "legend": bool(toggles.legend),

@@ -58,6 +58,7 @@ function ribbon(shape) {
   return geometry;
 }
 
+/** Where a vertex is in its joint's frame; a test holds it against the geoms that Python draws. */
 const PLACE = `
   float r = how.x, w = how.y, turn = how.w, grown = min(w / (.14 * r), 1.);
   float wide = w * along.z + (.5 * w + .28 * r * grown) * along.w;
@@ -91,6 +92,7 @@ export class RoundArrows {
         .replace("#include <emissivemap_fragment>",
           "totalEmissiveRadiance += .45 * diffuseColor.rgb;");
     };
+    this.formula = PLACE;
     this.mesh = new THREE.InstancedMesh(geometry, material, count);
     this.mesh.frustumCulled = false;
     this.colour = new THREE.Color();

@@ -234,7 +234,12 @@ export function decode(bytes) {
       values: /** @type {Float64Array | undefined} */ (
         head.arrows.values ? arrays.get(head.arrows.values) : torques),
     },
-    items: { of: /** @type {[number, number, number][]} */ (head.items.of), ...(items || null) },
+    items: { of: /** @type {[number, number, number][]} */ (head.items.of),
+      glow: /** @type {number[] | undefined} */ (head.items.glow), ...(items || null) },
+    labels: head.labels ? {
+      texts: /** @type {string[]} */ (head.labels.texts), at: moving(head.labels.at),
+      positions: moving(head.labels.positions, metre),
+    } : null,
     notes: read(head.notes),
     cards: /** @type {{item: number, name: string, texts: string[], at: Float32Array}[]} */ (
       head.cards.map((/** @type {any} */ card) => ({ ...card, ...read(card) }))),

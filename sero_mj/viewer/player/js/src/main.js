@@ -3,6 +3,7 @@
 import { Cards } from "./cards.js";
 import { Clock, SPEEDS } from "./clock.js";
 import { decode, inflate, textOf, valueOf } from "./data.js";
+import { Labels } from "./labels.js";
 import { Plot, wordFor } from "./plot.js";
 import { Stage } from "./stage.js";
 
@@ -43,6 +44,7 @@ class Player {
     this.clock = new Clock(run.frames, run.fps);
     this.stage = new Stage(run, byId("picture"));
     this.cards = new Cards(run, byId("cards"), byId("leaders"), (joint) => this.select({ joint }));
+    this.labels = new Labels(run, byId("stage"));
     this.plot = new Plot(run, byId("plot"), (seconds) => this.seek(seconds));
     /** @type {Record<string, boolean>} */
     this.switches = { ...run.switches, shadows: true };
@@ -339,11 +341,13 @@ class Player {
   /** Draws the time that is shown. */
   draw() {
     const { stage, switches, clock, run } = this;
-    stage.place(clock.at, switches, (j) => switches.arrows
-      && (run.joints[j].arrow.on || !run.switches.arrows) && (run.joints[j].double < 0 || switches.doubles));
+    const areSome = run.joints.some((joint) => joint.arrow.on);
+    stage.place(clock.at, switches, (j) => switches.arrows && (run.joints[j].arrow.on || !areSome)
+      && (run.joints[j].double < 0 || switches.doubles));
     this.calls = stage.draw();
     const top = byId("tools").offsetHeight + byId("tools").offsetTop + 10;
     this.cards.layOut(stage, clock.frame, switches.numbers, top);
+    this.labels.layOut(stage, clock.frame);
     this.plot.setTime(clock.time);
     this.#show();
     this.#describe();

@@ -161,10 +161,9 @@ export class Stage {
     run.joints.forEach((joint, j) =>
       this.sites[j].multiplyMatrices(robots.matrices[joint.body], this.own[j]));
     this.arrows.place(at, this.sites, hasArrow);
-    this.items.place(Math.round(at));
+    this.items.place(Math.round(at), switches.arrows);
     this.soft.place(at, robots.matrices);
     this.lamps?.place(robots.matrices);
-    this.items.group.visible = switches.arrows;
     this.sun.castShadow = switches.shadows;
     if (this.fixed >= 0) {
       const { body, pos, quat, fovy } = run.cameras[this.fixed];

@@ -1,0 +1,44 @@
+"""Geoms of decor as poses and sizes: what a player needs of rows of an `MjvScene`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array
+
+_TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
+
+
+def poses(rows: np.ndarray) -> tuple[Array, Array]:
+    """Returns rotations and sizes of geoms.
+
+    The sides of a triangle are not at right angles. Its x is along its first side; its sizes are
+    that side's length, how far the second side goes along y, and how far along x.
+
+    Args:
+        rows: (k,) of `GEOM`.
+
+    Returns:
+        quaternions, scalar first (k, 4), and sizes (k, 3), m.
+    """
+    mats, sizes = rows["mat"].astype(float), rows["size"].astype(float)
+    skew = (rows["type"] == _TRIANGLE).nonzero()[0]
+    if len(skew):
+        first, second = mats[skew, :, 0], mats[skew, :, 1] * sizes[skew, 1:2]
+        normal = np.cross(first, second)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        across = np.cross(normal, first)
+        mats[skew] = np.stack([first, across, normal], axis=-1)
+        sizes[skew, 1] = _along(second, across)
+        sizes[skew, 2] = _along(second, first)
+    quaternions = np.empty((len(rows), 4))
+    for quaternion, mat in zip(quaternions, mats.reshape(-1, 9), strict=True):
+        mujoco.mju_mat2Quat(quaternion, mat)
+    return quaternions, sizes
+
+
+def _along(vectors: Array, ways: Array) -> Any:
+    return (vectors * ways).sum(axis=1)

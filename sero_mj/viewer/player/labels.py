@@ -1,0 +1,77 @@
+"""Text at places of the world: names of frames that are on, and labels of decor's geoms."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array
+from ...robots.assemble.world_view import WorldView
+from ..decor.feature import Frame
+from .packing import Parts
+
+_LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
+_Key = tuple[str, int]
+
+
+class LabelCollector:
+    """Collects text, frame by frame.
+
+    Args:
+        world: what is shown.
+    """
+
+    def __init__(self, world: WorldView) -> None:
+        self._world = world
+        self._frames: list[dict[_Key, tuple[str, Array]]] = []
+
+    def take(self, frame: Frame) -> None:
+        """Takes what a frame of decor has, once its geoms are drawn."""
+        frames, buffer = self._world.frames, frame.buffer
+        found: dict[_Key, tuple[str, Array]] = {}
+        for i in frame.shown.frame_names.nonzero()[0].tolist():
+            found["name", i] = frames.names[i], np.array(frame.data.site_xpos[frames.site[i]])
+        rows = buffer.rows[: buffer.count]
+        has_text = rows["label"] != b""
+        has_text[buffer.text] = False  # of panels, which a player lays out itself
+        for k, row in enumerate(rows[has_text]):
+            found["geom", k] = row["label"].decode("latin-1"), np.array(row["pos"], float)
+        self._frames.append(found)
+
+    def result(self) -> list[dict[_Key, tuple[str, Array]]]:
+        """Returns text and place, (3,), m, of all that is shown, for every frame."""
+        return self._frames
+
+
+def labels_head(
+    frames: list[dict[_Key, tuple[str, Array]]], parts: Parts, step: float
+) -> dict[str, Any]:
+    """Returns what the head of a page has of labels; nothing where there are none.
+
+    Args:
+        frames: of `LabelCollector`.
+        parts: where arrays go.
+        step: of places, m.
+    """
+    keys = list(dict.fromkeys(key for each in frames for key in each))
+    if not keys:
+        return {}
+    places = np.zeros((len(frames), len(keys), 3))
+    numbers = np.zeros((len(frames), len(keys)), int)
+    texts = {"": 0}
+    for k, each in enumerate(frames):
+        for i, key in enumerate(keys):
+            if key in each:
+                text, places[k, i] = each[key]
+                numbers[k, i] = texts.setdefault(text, len(texts))
+            elif k:
+                places[k, i] = places[k - 1, i]
+    return {
+        "labels": {
+            "texts": list(texts),
+            "at": parts.moving(numbers, 1),
+            "positions": parts.moving(places.reshape(len(frames), -1), step),
+        }
+    }
