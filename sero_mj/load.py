@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .base import paths
-from .base.errors import DeclarationError, Problem, UnknownName, UsageError, did_you_mean
+from .base.errors import DeclarationError, Problem, UnknownName, UsageError
 from .data.drive.wiring import wire
 from .robots.declared.robot import SerialRobot
 from .robots.declared.scene import Scene
@@ -109,8 +109,7 @@ def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialR
     for key, value in (overrides or {}).items():
         given, _, field = key.partition(".")
         if given != robot:
-            near = did_you_mean(given, [robot])
-            wrong.append(Problem(key, f"no robot '{given}'{near}"))
+            wrong.append(Problem(key, "no robot", found=given, available=[robot]))
         elif field in ("model", "name"):
             wrong.append(Problem(key, "which robot it is cannot be set"))
         else:

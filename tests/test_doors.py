@@ -186,7 +186,7 @@ with Mirror(endless_scene(sero_mj.load_scene("lwr"), "pd")) as mirror:
     kinds = ["gravity_compensation", "joint_impedance", "cartesian_impedance", "pd"]
     assert control == f"pd {kinds}"
     assert (there, tuned) == ("True None", "33.0")
-    assert "found 1000.0; expected less than or equal to 100" in refused
+    assert "found 1000; expected less than or equal to 100" in refused
 
 
 def test_a_tool_takes_keys_and_clicks_draws_and_has_a_panel(tmp_path: Path) -> None:

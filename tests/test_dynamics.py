@@ -320,7 +320,7 @@ def refused(**dynamics) -> list[str]:
         ),
         ({"frames": "zero"}, "dynamics.frames: found 'zero'; expected 'dh' or 'zero_pose'"),
         ({"mass": [1]}, "dynamics.mass: unknown key; did you mean 'masses'?"),
-        ({"density": 0.0}, "dynamics.density: found 0.0"),
+        ({"density": 0.0}, "dynamics.density: found 0;"),
         ({"masses": [1, 1, float("nan")]}, "dynamics.masses: found [1, 1, nan]; expected finite"),
     ],
 )

@@ -135,8 +135,8 @@ def test_a_plot_shows_until_when() -> None:
 @pytest.mark.parametrize(
     ("end", "message"),
     [
-        ("0.02", "faults.x: end: found 0.02; expected more than begin, 0.05 s"),
-        ("0.05", "faults.x: end: found 0.05"),
+        ("0.02", "faults.x.end: found 0.02; expected more than begin, 0.05 s"),
+        ("0.05", "faults.x.end: found 0.05"),
         ("'soon'", "faults.x.end: found 'soon'"),
         ("nan", "faults.x.end: found nan"),
         ("inf", "faults.x.end: found inf"),

@@ -147,7 +147,7 @@ def test_only_a_body_has_a_mass() -> None:
 @pytest.mark.parametrize(
     ("expect", "reason"),
     [
-        ({"measure": "height", "above": 1}, "expect.e: measure: 'height' is of one thing that is "
+        ({"measure": "height", "above": 1}, "expect.e.measure: 'height' is of one thing that is "
          "free; found none of them; expected robot, with a free base, or object"),
         ({"measure": "velocity", "object": "can", "below": 1},
          "expect.e: object: is for height, displacement, tilt; found velocity"),

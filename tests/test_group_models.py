@@ -182,7 +182,7 @@ def test_mistakes_are_told_with_the_file_and_line_of_the_model(folder: Path) -> 
     changed(folder, "hand/group.toml", "axes_size = 0.03", "axes_size = -1.0\naxes_sise = 0.03")
     changed(folder, "hand/group.toml", '["thumb", "nail"]', '["thumb", "nails"]')
     assert told(folder, '[groups.h]\nmodel = "hand"\n') == [
-        "hand/group.toml:3: axes_size: found -1.0; expected greater than 0",
+        "hand/group.toml:3: axes_size: found -1; expected greater than 0",
         "hand/group.toml:4: axes_sise: unknown key; did you mean 'axes_size'?",
         "hand/group.toml:9: robots.index.joint_angles: found 1 entries; expected 2, one per row of "
         "dh_params",

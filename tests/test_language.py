@@ -174,8 +174,8 @@ def test_holes_count_when_a_packet_is_too_long() -> None:
     [
         ({"alignment": 3}, "alignment: found 3; expected 1, 2, 4 or 8"),
         ({"alignment": 0}, "alignment: found 0; expected 1, 2, 4 or 8"),
-        ({"scale": 0.0}, "scale: found 0.0; expected a finite number above 0"),
-        ({"scale": -1.0}, "scale: found -1.0; expected a finite number above 0"),
+        ({"scale": 0.0}, "scale: found 0; expected a finite number above 0"),
+        ({"scale": -1.0}, "scale: found -1; expected a finite number above 0"),
         ({"scale": math.nan}, "scale: found nan; expected a finite number above 0"),
         ({"scale": math.inf}, "scale: found inf; expected a finite number above 0"),
     ],

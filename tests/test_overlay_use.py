@@ -238,7 +238,7 @@ def test_what_does_not_fit_is_said(
         ({"robots": {"arm": {"arrow_radius": [1.0, 2]}}}, "arrow_radius: found 2 entries; expect"),
         (
             {"robots": {"arm": {"arrow_radius": -1.0}}},
-            "arrow_radius: found -1.0; expected positive",
+            "arrow_radius: found -1; expected positive",
         ),
         ({"frames": ["tpi"]}, "no body or site 'tpi'; did you mean 'tip'"),
         ({"doubles": [sero_mj.Double(name="g", of="am")]}, "doubles.g.of: no robot 'am'; did you"),

@@ -187,7 +187,7 @@ def test_a_replay_knows_how_the_source_decoded() -> None:
         ({"file": 7}, "file: found 7; expected the name of a recording, REC.mcap say"),
         ({"source": "upd"}, "source: no source 'upd' in {file}; did you mean 'udp'?"),
         ({"structure": "7F"}, "structure: is what the recording says; leave it out"),
-        ({"speed": 0.0}, "speed: found 0.0"),
+        ({"speed": 0.0}, "speed: found 0;"),
     ],
 )
 def test_what_is_declared_wrongly_is_told(

@@ -136,7 +136,7 @@ def test_a_scenario_may_take_another_files_scene(tmp_path: Path) -> None:
         ),
         (
             "[faults.x]\nkind='dead_sensor'\njoints=['A9']\n",
-            "faults.x.joints: no joint 'A9' of lwr; available: A1, A2",
+            "faults.x.joints: lwr has no joint 'A9'; available: A1, A2",
         ),
         ("[faults.x]\nkind='ded_sensor'\n", "no kind 'ded_sensor'; did you mean 'dead_sensor'?"),
         ("[expect.e]\nmeasure='position_eror'\nbelow=1\n", "did you mean 'position_error'?"),
@@ -277,7 +277,7 @@ def test_what_would_do_nothing_or_cannot_be_is_told(tmp_path: Path) -> None:
         ("[expect.e]\nfinds='any'\nbelow=1\n", "expect.e: below: is for a measure; found finds"),
         (
             "[expect.e]\nmeasure='torque'\nbelow=1\nabove=2\n",
-            "expect.e: above: found 2; expected less than 1",
+            "expect.e.above: found 2; expected less than 1",
         ),
     ):
         with pytest.raises(DeclarationError) as caught:

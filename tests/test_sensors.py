@@ -124,7 +124,7 @@ def test_the_truth_is_left_alone():
         ({"noise": -0.1}, "noise: found -0.1; expected 0 or more"),
         ({"noise": [[0.1]]}, "noise: found 2 dimensions; expected one number, or one per joint"),
         ({"delay": -1}, "delay: found -1; expected greater than or equal to 0"),
-        ({"delay": 0.5}, "delay: found 0.5; expected integer"),
+        ({"delay": 0.5}, "delay: found 0.5; expected integer, without a point"),
         ({"biass": 1.0}, "biass: unknown key; did you mean 'bias'?"),
         ({"gain": float("nan")}, "gain: found nan; expected finite numbers, no NaN or inf"),
     ],

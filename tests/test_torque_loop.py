@@ -221,7 +221,7 @@ def test_springs_as_stiff_as_the_elastic_joints_are_refused() -> None:
     found = problems({**SOFT, "stiffness": 4500.0}, True)
     assert (
         "controllers.lwr.stiffness: joint A4: found 4500 Nm/rad; expected at most 4000, 80 % of "
-        "that of the elastic joint" in found
+        "the elastic joint's" in found
     )
     assert "joint A3" not in found
 

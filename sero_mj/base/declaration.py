@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import inspect
 import re
-import reprlib
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 from typing import (
     TYPE_CHECKING,
     Annotated,
@@ -35,7 +35,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from .errors import DeclarationError, Problem, did_you_mean
+from .errors import DeclarationError, Problem, problems_of
 from .frames import Array, frame_from
 
 LARGEST = 1e9  # no length, angle, torque or mass of a robot is larger in SI units
@@ -95,8 +95,7 @@ class Declaration(_Model):
             problems: list[Problem] = []
             for detail in error.errors(include_url=False):
                 problems += _problems(detail, type(self))
-            # A message may be empty: the cause is reported under another key.
-            raise DeclarationError([p for p in problems if p.message]) from None
+            raise DeclarationError(problems) from None
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Sets a field if the declaration remains valid; else changes nothing."""
@@ -131,7 +130,7 @@ def expecting(what: str) -> WrapValidator:
         try:
             return handler(value)
         except ValidationError:
-            raise ValueError(f"found {reprlib.repr(value)}; expected {what}") from None
+            raise Problem(found=value, expected=what).error() from None
 
     return WrapValidator(validate)
 
@@ -147,12 +146,12 @@ def numbers(value: Any) -> Array:
     except ValueError:
         raise ValueError("expected rows of equal length") from None
     if array.dtype.kind not in "iuf" and array.size:
-        raise ValueError(f"found {reprlib.repr(value)}; expected numbers")
+        raise Problem(found=value, expected="numbers").error()
     array = array.astype(np.float64)
     if not np.isfinite(array).all():
-        raise ValueError(f"found {reprlib.repr(value)}; expected finite numbers, no NaN or inf")
+        raise Problem(found=value, expected="finite numbers, no NaN or inf").error()
     if (np.abs(array) > LARGEST).any():
-        raise ValueError(f"found {reprlib.repr(value)}; expected numbers up to {LARGEST:g}")
+        raise Problem(found=value, expected=f"numbers up to {LARGEST:g}").error()
     return array
 
 
@@ -183,7 +182,7 @@ def of_shape(*shape: int | None) -> BeforeValidator:
 
 def _in_range(rgba: Array) -> Array:
     if (rgba < 0).any() or (rgba > 1).any():
-        raise ValueError(f"found {rgba.tolist()}; expected four numbers from 0 to 1")
+        raise Problem(found=rgba, expected="four numbers from 0 to 1").error()
     return rgba
 
 
@@ -194,9 +193,8 @@ def is_name(text: str) -> str:
         ValueError: it has invalid characters.
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", text):
-        raise ValueError(
-            f"found {text!r}; expected letters, digits, _ and -, the first a letter or _"
-        )
+        expected = "letters, digits, _ and -, the first a letter or _"
+        raise Problem(found=text, expected=expected).error()
     return text
 
 
@@ -214,56 +212,55 @@ Frame = Annotated[Array, BeforeValidator(_frame, json_schema_input_type=list[Any
 
 def _problems(detail: ErrorDetails, kind: type[Declaration]) -> list[Problem]:
     key = ".".join(str(part) for part in detail["loc"])
-    cause = detail.get("ctx", {}).get("error")
-    if isinstance(cause, DeclarationError):  # a declaration inside this one: keep its own keys
-        return [problem.inside(key) for problem in cause.problems]
-    return [Problem(key, _MESSAGES.get(detail["type"], _plain_message)(detail, kind))]
-
-
-def _plain_message(detail: ErrorDetails, kind: type[Declaration]) -> str:
     if detail["type"] == "value_error":
-        return str(detail["ctx"]["error"])
+        cause = detail["ctx"]["error"]  # without a text where it is reported under another key
+        return problems_of(cause, key) if str(cause) else []
+    problem = _PROBLEMS.get(detail["type"], _plain)(detail, kind)
+    return [replace(problem, key=key)]
+
+
+def _plain(detail: ErrorDetails, kind: type[Declaration]) -> Problem:
     expected = detail["msg"].replace("Input should be ", "").removeprefix("a valid ")
     if "dictionary" in expected:
         expected = "a table"
     if expected == "boolean":
         expected = "true or false"
-    return f"found {reprlib.repr(detail['input'])}; expected {expected}"
+    if expected == "integer" and isinstance(detail["input"], float):
+        expected = "integer, without a point"
+    return Problem(found=detail["input"], expected=expected)
 
 
-def _unknown_key(detail: ErrorDetails, kind: type[Declaration]) -> str:
+def _unknown_key(detail: ErrorDetails, kind: type[Declaration]) -> Problem:
     names = {field.alias or name for name, field in kind.model_fields.items()}
-    return f"unknown key{did_you_mean(str(detail['loc'][-1]), names)}"
+    return Problem(reason="unknown key", available=names)
 
 
-def _missing(detail: ErrorDetails, kind: type[Declaration]) -> str:
-    name = str(detail["loc"][-1])
-    field = kind.model_fields.get(name)
+def _missing(detail: ErrorDetails, kind: type[Declaration]) -> Problem:
+    field = kind.model_fields.get(str(detail["loc"][-1]))
     literal = field is not None and get_origin(field.annotation) is Literal
     choices = [repr(choice) for choice in get_args(field.annotation)] if field and literal else []
-    return "is required" + (f"; expected {' or '.join(choices)}" if choices else "")
+    return Problem(reason="is required", expected=" or ".join(choices) or None)
 
 
-def _literal(detail: ErrorDetails, kind: type[Declaration]) -> str:
-    found = detail["input"]
-    expected = detail["ctx"]["expected"]
+def _literal(detail: ErrorDetails, kind: type[Declaration]) -> Problem:
+    found, expected = detail["input"], detail["ctx"]["expected"]
     choices = [choice.strip("' ") for choice in expected.replace(" or ", ",").split(",")]
-    near = did_you_mean(str(found), choices) if isinstance(found, str) else ""
-    return f"found {found!r}; expected {expected}" + (near if "did you mean" in near else "")
+    near = choices if isinstance(found, str) else None
+    return Problem(found=found, expected=expected, available=near)
 
 
-def _too_short(detail: ErrorDetails, kind: type[Declaration]) -> str:
+def _too_short(detail: ErrorDetails, kind: type[Declaration]) -> Problem:
     least = detail["ctx"]["min_length"]
     many = "1 entry" if least == 1 else f"{least} entries"
-    return f"found {reprlib.repr(detail['input'])}; expected {many} or more"
+    return Problem(found=detail["input"], expected=f"{many} or more")
 
 
-def _too_long(detail: ErrorDetails, kind: type[Declaration]) -> str:
+def _too_long(detail: ErrorDetails, kind: type[Declaration]) -> Problem:
     found, most = detail["ctx"]["actual_length"], detail["ctx"]["max_length"]
-    return f"found {found} entries; expected at most {most}"
+    return Problem(found=found, of="entries", expected=f"at most {most}")
 
 
-_MESSAGES: dict[str, Callable[[ErrorDetails, type[Declaration]], str]] = {
+_PROBLEMS: dict[str, Callable[[ErrorDetails, type[Declaration]], Problem]] = {
     "extra_forbidden": _unknown_key,
     "missing": _missing,
     "literal_error": _literal,
@@ -293,12 +290,11 @@ def kind_of(table: Any, kinds: Collection[str]) -> str:
         DeclarationError: it is not a table, or there is no such kind.
     """
     if not isinstance(table, Mapping):
-        raise DeclarationError([Problem("", f"found {table!r}; expected a table with `kind`")])
+        raise Problem(found=table, expected="a table with `kind`").error()
     kind = table.get("kind")
     if isinstance(kind, str) and kind in kinds:
         return kind
     if kind is None:
         *others, last = map(repr, kinds)
-        message = f"is required; expected {', '.join(others)} or {last}"
-        raise DeclarationError([Problem("kind", message)])
-    raise DeclarationError([Problem("kind", f"no kind {kind!r}{did_you_mean(str(kind), kinds)}")])
+        raise Problem("kind", "is required", expected=f"{', '.join(others)} or {last}").error()
+    raise Problem("kind", "no kind", found=kind, available=kinds).error()

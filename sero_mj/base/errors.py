@@ -20,16 +20,18 @@ the same fault has the same message everywhere.
 from __future__ import annotations
 
 import difflib
+import reprlib
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 _MAX_SHOWN = 60  # characters of a long text on either side of the error
+_MAX_TEXT = 200  # characters of a text that is wrong as a whole
 
 
 def nearest(name: str, available: Iterable[str]) -> str | None:
@@ -56,6 +58,14 @@ def did_you_mean(name: str, available: Iterable[str]) -> str:
     return f"; available: {shown}"
 
 
+def shown(value: object) -> str:
+    """Returns a value as messages show it: arrays as lists, and long ones shortened."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, float):
+        return f"{value:g}"
+    return repr(value)[:_MAX_TEXT] if isinstance(value, str) else reprlib.repr(value)
+
+
 class SeroError(Exception):
     """Base of every error that sero-mj raises on purpose; it can be pickled."""
 
@@ -73,21 +83,47 @@ def _made_again(
     return error
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Problem:
-    """An error in a declaration.
+    """An error in a declaration; two are equal that say the same of the same value.
+
+    Its message is made of these, for example `found 2 numbers; expected 3` with `of="numbers"`.
 
     Attributes:
         key: dotted key, e.g. `robots.lwr.dh_params`; empty for the file as a whole.
-        message: what was found and what would be right.
+        reason: what is wrong, in words that lead to `found`; empty for the word `found`.
         file: the file of the key, or None when declared in Python.
         line: its line in that file, if known.
+        found: the value at fault; None if there is none.
+        of: words behind it, its unit say.
+        expected: what would be right, in words or the value itself.
+        available: names of which it had to be one; where `found` is None, the key had to be.
     """
 
-    key: str
-    message: str
+    key: str = ""
+    reason: str = ""
     file: str | None = None
     line: int | None = None
+    _: KW_ONLY
+    found: object = None
+    of: str = ""
+    expected: object = None
+    available: Collection[str] | None = None
+
+    @property
+    def message(self) -> str:
+        """What was found and what would be right, as a sentence."""
+        message = self.reason or "found"
+        if self.found is not None or not self.reason:
+            message += f" {shown(self.found)}"
+        message += f" {self.of}" if self.of else ""
+        message += f"; expected {self.expected}" if self.expected is not None else ""
+        if self.available is None:
+            return message
+        name = self.key.rpartition(".")[2] if self.found is None else str(self.found)
+        if self.expected is not None and nearest(name, self.available) is None:
+            return message
+        return message + did_you_mean(name, self.available)
 
     def __str__(self) -> str:
         place = self.file or ""
@@ -95,10 +131,24 @@ class Problem:
             place += f":{self.line}"
         return ": ".join(part for part in (place, self.key, self.message) if part)
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Problem) and self._said == other._said
+
+    def __hash__(self) -> int:
+        return hash(self._said)
+
+    @property
+    def _said(self) -> tuple[str, str, str]:
+        return str(self), shown(self.found), str(self.expected)  # `found` may be an array
+
     def inside(self, prefix: str) -> Problem:
         """Returns this problem with `prefix` put before its key."""
         key = f"{prefix}.{self.key}" if self.key and prefix else prefix or self.key
         return replace(self, key=key)
+
+    def error(self) -> DeclarationError:
+        """Returns the error to be raised where this is the only problem."""
+        return DeclarationError([self])
 
 
 class DeclarationError(SeroError, ValueError):
@@ -117,13 +167,22 @@ class DeclarationError(SeroError, ValueError):
         super().__init__("\n".join(str(problem) for problem in self.problems))
 
 
+def problems_of(error: Exception, key: str = "") -> list[Problem]:
+    """The problems of an error, inside `key`; one with its text if it has no values."""
+    if isinstance(error, DeclarationError):
+        return [problem.inside(key) for problem in error.problems]
+    if isinstance(error, UnknownName) and not error.hint:
+        return [Problem(key, f"no {error.kind}", found=error.name, available=error.available)]
+    return [Problem(key, str(error))]
+
+
 @contextmanager
 def collect(problems: list[Problem], key: str) -> Iterator[None]:
     """Adds the problems of a `DeclarationError` in its context to a list, inside `key`."""
     try:
         yield
     except DeclarationError as error:
-        problems += [problem.inside(key) for problem in error.problems]
+        problems += problems_of(error, key)
 
 
 class UnknownName(SeroError, KeyError):
@@ -132,13 +191,15 @@ class UnknownName(SeroError, KeyError):
     Attributes:
         kind: of the name, e.g. `camera`.
         name: the unknown name.
-        available: existing names; replaced by `hint` if there is one.
+        available: existing names.
+        hint: what is said instead of these, if anything.
     """
 
     def __init__(self, kind: str, name: str, available: Iterable[str], hint: str = "") -> None:
         self.kind = kind
         self.name = name
         self.available = sorted(set(available))
+        self.hint = hint
         super().__init__(f"no {kind} '{name}'{hint or did_you_mean(name, self.available)}")
 
     def __str__(self) -> str:

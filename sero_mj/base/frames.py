@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import did_you_mean
+from .errors import Problem
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -162,12 +162,14 @@ def frame_from(value: Any, numbers: Callable[[Any], Array]) -> Array:
         return _frame_from_table(value, numbers)
     matrix = numbers(value)
     if matrix.size != 16:
-        raise ValueError(
-            f"found {matrix.size} numbers; expected 4 x 4, or {{ xyz = [...], rpy = [...] }}"
-        )
+        raise Problem(
+            found=matrix.size, of="numbers", expected="4 x 4, or { xyz = [...], rpy = [...] }"
+        ).error()
     matrix = matrix.reshape(4, 4).copy()
     if matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise ValueError(f"last row is {matrix[3].tolist()}; expected [0, 0, 0, 1] (row-major)")
+        raise Problem(
+            "", "last row is", found=matrix[3].tolist(), expected="[0, 0, 0, 1] (row-major)"
+        ).error()
     matrix[:3, :3] = nearest_rotation(matrix[:3, :3])
     return matrix
 
@@ -193,7 +195,7 @@ def _frame_from_table(table: Mapping[str, Any], numbers: Callable[[Any], Array])
     known = ("xyz", *_ROTATION_KEYS)
     for key in table:
         if key not in known:
-            raise ValueError(f"unknown key '{key}'{did_you_mean(key, known)}")
+            raise Problem("", "unknown key", found=key, available=known).error()
     given = [key for key in _ROTATION_KEYS if key in table]
     if len(given) > 1:
         raise ValueError(f"found both '{given[0]}' and '{given[1]}'; expected one rotation")
@@ -203,7 +205,9 @@ def _frame_from_table(table: Mapping[str, Any], numbers: Callable[[Any], Array])
         if array.shape != (length,):
             if array.size == length:
                 raise ValueError(f"'{key}' is nested; expected {length} numbers in one list")
-            raise ValueError(f"'{key}' has {array.size} numbers; expected {length}")
+            raise Problem(
+                "", f"'{key}' has", found=array.size, of="numbers", expected=length
+            ).error()
         return array
 
     position = vector("xyz", 3) if "xyz" in table else None

@@ -15,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
-from .errors import DeclarationError, Problem, UnknownName, nearest
+from .errors import Problem, UnknownName, nearest
 from .plugins import IMPORTERS, load_all
 
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
@@ -173,8 +173,12 @@ def _model_in(folder: Path) -> Path | None:
         found = [path for path in named if path.is_file() and format_of_file(path) in _MODELS]
         if len(found) > 1:
             names = ", ".join(sorted(str(path.relative_to(folder)) for path in found))
-            message = f"found {len(found)} models in this folder; expected one of {names}"
-            raise DeclarationError([Problem("", message, str(folder))])
+            raise Problem(
+                found=len(found),
+                of="models in this folder",
+                expected=f"one of {names}",
+                file=str(folder),
+            ).error()
         if found:
             return found[0]
     return None
@@ -207,7 +211,7 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
             what = f"cannot be read: {error.strerror}"
         else:
             what = f"is {found}; expected one of {', '.join(read)}"
-        raise DeclarationError([Problem("", what, str(path))])
+        raise Problem("", what, str(path)).error()
     if is_read:
         try:
             open_file(path).close()
@@ -222,7 +226,7 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
                 what = f"is a link to {os.readlink(path)}, which is not there"
         except OSError as error:
             what = f"cannot be read: {error.strerror}"
-        raise DeclarationError([Problem("", what, str(path))])
+        raise Problem("", what, str(path)).error()
 
 
 def _toml_files(folder: Path) -> list[str]:

@@ -22,7 +22,7 @@ from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from .errors import PluginError, UnknownName
+from .errors import PluginError, Problem, UnknownName
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint, EntryPoints
@@ -91,7 +91,9 @@ def load_plugin(group: str, name: str, base: type | None = None) -> Any:
             raise TypeError(f"found {found!r}; expected a subclass of {base.__name__}")
         kind = getattr(found, "model_fields", {}).get("kind")
         if kind is not None and kind.default != name:
-            raise ValueError(f"found kind = {kind.default!r}; expected the entry point's name")
+            raise Problem(
+                "", "found kind =", found=kind.default, expected="the entry point's name"
+            ).error()
         return found
     except Exception as error:  # whatever another package raises when it is imported
         raise PluginError(group, known[name], error) from error

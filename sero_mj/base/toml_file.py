@@ -55,7 +55,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
     def wrong(message: str) -> DeclarationError:
         line = re.search(r"at line (\d+)", message)
-        return DeclarationError([Problem("", message, str(path), int(line[1]) if line else None)])
+        return Problem("", message, str(path), int(line[1]) if line else None).error()
 
     try:
         contents = read_file(path, _MAX_BYTES)

@@ -11,6 +11,7 @@ import signal
 import threading
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
@@ -233,7 +234,9 @@ def _as_set(problem: Problem, given: Mapping[str, Any], option: str) -> Problem:
             None, (rf"\w+\.{re.escape(target)}", re.escape(field), re.escape(target))
         ):
             if found := re.fullmatch(rf"{key}(\..+)?", problem.key):
-                return Problem(f"{option} {target}{found[1] or ''}", problem.message)
+                return replace(
+                    problem, key=f"{option} {target}{found[1] or ''}", file=None, line=None
+                )
         # A table on the way to it is wrong as a whole, or unknown.
         inside = problem.key, problem.key.partition(".")[2]
         if any("." in key and target.startswith(f"{key}.") for key in inside):

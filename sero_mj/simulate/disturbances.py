@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from ..base.declaration import Declaration, Frame, Name, Point, Vector, of_shape
-from ..base.errors import DeclarationError, Problem, did_you_mean
+from ..base.errors import Problem
 from ..base.frames import Array
 from ..robots.declared.dynamics import inertia_problem, tensors_from
 from ..robots.declared.robot import SerialRobot
@@ -35,7 +35,9 @@ class Timed(Declaration):
     @model_validator(mode="after")
     def _ends_later(self) -> Self:
         if self.end is not None and self.end <= self.begin:
-            raise ValueError(f"end: found {self.end:g}; expected more than begin, {self.begin:g} s")
+            raise Problem(
+                "end", found=self.end, expected=f"more than begin, {self.begin:g} s"
+            ).error()
         return self
 
 
@@ -77,8 +79,8 @@ class Force(Disturbance):
         if not {"force", "torque"} & self.model_fields_set:  # zeros are one end of a sweep
             raise ValueError("found neither force nor torque; expected three numbers of one")
         if self.profile != "step" and self.end is None:
-            raise ValueError(f"end: is required; expected the time (s) at which the {self.profile}"
-                             " is over")  # fmt: skip
+            expected = f"the time (s) at which the {self.profile} is over"
+            raise Problem("end", "is required", expected=expected).error()
         return self
 
     def _check_samples(self, samples: Array) -> None:
@@ -86,12 +88,12 @@ class Force(Disturbance):
         if others:
             raise ValueError(f"samples: say all of the force; leave {others[0]} out")
         if self.end is None:
-            raise ValueError(
-                "end: is required; expected the time (s) at which the samples are over"
-            )
+            expected = "the time (s) at which the samples are over"
+            raise Problem("end", "is required", expected=expected).error()
         if not len(samples) or samples[0, 0] != 0.0 or (np.diff(samples[:, 0]) <= 0).any():
             found = samples[:3, 0].tolist()
-            raise ValueError(f"samples: found times {found}; expected 0 at first, then rising")
+            expected = "0 at first, then rising"
+            raise Problem("samples", "found times", found=found, expected=expected).error()
 
     @property
     def acts_by(self) -> list[str]:
@@ -179,18 +181,16 @@ class Fault(Timed, ABC):
         """
         name = self._owner(robots)
         if name is None:
-            raise DeclarationError(
-                [Problem("robot", f"is required; expected one of {', '.join(robots)}")]
-            )
+            expected = f"one of {', '.join(robots)}"
+            raise Problem("robot", "is required", expected=expected).error()
         if name not in robots:
-            raise DeclarationError(
-                [Problem("robot", f"no robot '{name}'{did_you_mean(name, robots)}")]
-            )
+            raise Problem("robot", "no robot", found=name, available=robots).error()
         names = robots[name].names
         for joint in self.joints:
             if joint not in names:
-                message = f"no joint '{joint}' of {name}{did_you_mean(joint, names)}"
-                raise DeclarationError([Problem("joints", message)])
+                raise Problem(
+                    "joints", f"{name} has no joint", found=joint, available=names
+                ).error()
 
     def _owner(self, robots: Mapping[str, SerialRobot]) -> str | None:
         return self.robot or (next(iter(robots)) if len(robots) == 1 else None)

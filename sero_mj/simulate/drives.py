@@ -98,9 +98,7 @@ class Drives:
                 else "a lower torque_control.bandwidth, or a shorter run.physics_timestep"
             )
             message = f"{found} with a loop of {1 / timestep:.0f} Hz; expected {better}"
-            raise DeclarationError(
-                [Problem(f"robots.{name}.torque_control.motor_inertias", message)]
-            )
+            raise Problem(f"robots.{name}.torque_control.motor_inertias", message).error()
 
         def shaken(share: float) -> int | None:
             # Damping is designed with the root of the stiffness.
@@ -111,13 +109,19 @@ class Drives:
         if joint is not None:
             share = largest_share(lambda each: shaken(each) is None)
             what = "stiffness" if has_springs else "damping"
-            message = (
-                f"joint {joints[joint]} is unstable with a torque loop of {1 / timestep:.0f} Hz "
-                f"and a time step of {1e3 * timestep * self.substeps:g} ms; expected at most "
-                f"{99 * share:.2g} % of all {what}, a shorter run.timestep, or a larger "
-                "torque_control.inertia_ratio"
-            )
-            raise DeclarationError([Problem(f"controllers.{name}.{what}", message)])
+            raise Problem(
+                f"controllers.{name}.{what}",
+                (
+                    f"joint {joints[joint]} is unstable with a torque loop of "
+                    f"{1 / timestep:.0f} Hz and a time step of"
+                ),
+                found=1000.0 * timestep * self.substeps,
+                of="ms",
+                expected=(
+                    f"at most {99 * share:.2g} % of all {what}, a shorter run.timestep, or a "
+                    "larger torque_control.inertia_ratio"
+                ),
+            ).error()
 
     def reset(self, which: Any = ...) -> None:
         """Restarts with a plant at rest, held by its motors.

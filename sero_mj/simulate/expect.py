@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..base.declaration import Declaration, Name
-from ..base.errors import DeclarationError, Problem, did_you_mean
+from ..base.errors import DeclarationError, Problem
 from ..base.frames import Array, Bools
 from ..robots.declared.scene import Scene
 from .disturbances import Disturbance, Fault
@@ -112,20 +112,22 @@ class Expect(Declaration):
         elif self.finds is None and (self.within is not None or self.cause is not None):
             raise ValueError("within and cause are for what `finds` a fault")
         if self.below is not None and self.above is not None and self.above >= self.below:
-            raise ValueError(f"above: found {self.above:g}; expected less than {self.below:g}")
+            raise Problem("above", found=self.above, expected=f"less than {self.below:g}").error()
         if self.measure is not None and self.below is None and self.above is None:
-            raise ValueError("below: is required; expected below or above, a number")
+            raise Problem("below", "is required", expected="below or above, a number").error()
         for key, known in (("measure", list(MEASURES)), ("finds", [*KINDS, "any"])):
             value = getattr(self, key)
             if value is not None and value not in known:
-                raise ValueError(f"{key}: no '{value}'{did_you_mean(value, known)}")
+                raise Problem(key, "no", found=value, available=known).error()
         self._check_sign()
         self._check_whose()
         for kind in self.finds_nothing if isinstance(self.finds_nothing, list) else []:
             if kind not in KINDS:
-                raise ValueError(f"finds_nothing: no '{kind}'{did_you_mean(kind, list(KINDS))}")
+                raise Problem("finds_nothing", "no", found=kind, available=list(KINDS)).error()
         if self.before is not None and self.before <= self.after:
-            raise ValueError(f"before: found {self.before:g}; expected more than {self.after:g} s")
+            raise Problem(
+                "before", found=self.before, expected=f"more than {self.after:g} s"
+            ).error()
         return self
 
     def _check_sign(self) -> None:
@@ -133,7 +135,9 @@ class Expect(Declaration):
         if self.signed and self.measure not in SIGNED:
             raise ValueError(f"signed: is for {', '.join(SIGNED)}; found {self.measure}")
         if self.signed and self.of == "rms":
-            raise ValueError("signed: found of = 'rms', which has no sign; expected mean, say")
+            raise Problem(
+                "signed", "found of = 'rms', which has no sign", expected="mean, say"
+            ).error()
         if self.measure is None or self.signed:
             return
         for key, value, wrong in (
@@ -148,13 +152,16 @@ class Expect(Declaration):
         """Checks that the measure exists for the joints, robot or object."""
         if self.joints and self.measure is not None and self.measure not in PER_JOINT:
             whole = "an object" if self.object is not None else "a robot as a whole"
-            raise ValueError(f"joints: found {self.measure}, of {whole}; expected no joints")
+            raise Problem(
+                "joints", f"found {self.measure}, of {whole}", expected="no joints"
+            ).error()
         if self.measure in OF_FREE and (self.robot is None) == (self.object is None):
             found = "none of them" if self.robot is None else "robot and object"
-            raise ValueError(
-                f"measure: '{self.measure}' is of one thing that is free; found {found}; expected "
-                "robot, with a free base, or object"
-            )
+            raise Problem(
+                "measure",
+                f"'{self.measure}' is of one thing that is free; found {found}",
+                expected="robot, with a free base, or object",
+            ).error()
         if self.measure not in OF_FREE and self.object is not None:
             raise ValueError(f"object: is for {', '.join(OF_FREE)}; found {self.measure}")
 
@@ -167,23 +174,29 @@ class Expect(Declaration):
         robots = scenario.scene.robots
         problems = []
         if self.robot is not None and self.robot not in robots:
-            near = did_you_mean(self.robot, robots)
-            problems.append(Problem("robot", f"no robot '{self.robot}'{near}"))
+            problems.append(Problem("robot", "no robot", found=self.robot, available=robots))
         problems += self._not_free(scenario.scene)
         names = [name for robot in self._robots(list(robots)) if robot in robots
                  for name in robots[robot].names]  # fmt: skip
         problems += [
-            Problem("joints", f"no joint '{joint}'{did_you_mean(joint, names)}")
+            Problem("joints", "no joint", found=joint, available=names)
             for joint in self.joints
             if joint not in names
         ]
         causes = [*scenario.disturbances, *scenario.faults]
         if self.cause is not None and self.cause not in causes:
-            near = did_you_mean(self.cause, causes)
-            problems.append(Problem("cause", f"no disturbance or fault '{self.cause}'{near}"))
+            problems.append(
+                Problem("cause", "no disturbance or fault", found=self.cause, available=causes)
+            )
         if self.measure in NEED_TARGET:
             problems += [
-                Problem("measure", f"robot '{robot}' has no target; expected [targets.{robot}]")
+                Problem(
+                    "measure",
+                    "robot",
+                    found=robot,
+                    of="has no target",
+                    expected=f"[targets.{robot}]",
+                )
                 for robot in self._robots(list(robots))
                 if robot in robots and not scenario.has_target(robot)
             ]
@@ -223,15 +236,18 @@ class Expect(Declaration):
         if self.object is not None:
             objects = {item.name: item for item in scene.objects}
             if self.object not in objects:
-                near = did_you_mean(self.object, objects)
-                return [Problem("object", f"no object '{self.object}'{near}")]
+                return [Problem("object", "no object", found=self.object, available=objects)]
             if not objects[self.object].is_free:
                 return [Problem("object", f"'{self.object}' is fixed; expected one with a mass")]
             return []
         robot = scene.robots.get(self.robot or "") if self.measure in OF_FREE else None
         if robot is None or robot.free_base:
             return []
-        return [Problem("robot", f"the base of '{self.robot}' is fixed; expected free_base = true")]
+        return [
+            Problem(
+                "robot", "the base of", found=self.robot, of="is fixed", expected="free_base = true"
+            )
+        ]
 
     def _robots(self, all_of_them: Sequence[str]) -> list[str]:
         return list(all_of_them) if self.robot is None else [self.robot]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base.declaration import numbers
-from ..base.errors import UnknownName
+from ..base.errors import Problem, UnknownName
 from ..base.frames import Array
 from ..robots.assemble.mjcf_dynamics import PAYLOAD
 from ..robots.assemble.parts import robots_of_bodies
@@ -73,7 +73,7 @@ class Push:
 def _three(name: str, value: ArrayLike) -> Array:
     array = numbers(value)
     if array.shape != (3,):
-        raise ValueError(f"{name}: found {array.tolist()}; expected 3 numbers")
+        raise Problem(name, found=array.tolist(), expected="3 numbers").error()
     return array
 
 
@@ -95,11 +95,12 @@ def attach_payload(
     inertia: ArrayLike | None,
 ) -> None:
     """Gives the payload body of a robot a mass; see `Plant.attach_payload`."""
+    key = f"payload of {robot}"
     if not 0 < mass < np.inf:
-        raise ValueError(f"payload of {robot}: found {mass:g} kg; expected a positive mass")
+        raise Problem(key, found=mass, of="kg", expected="a positive mass").error()
     center = numbers(center_of_mass)
     if center.shape != (3,):
-        raise ValueError(f"payload of {robot}: found {center.tolist()}; expected 3 numbers in m")
+        raise Problem(key, found=center, expected="3 numbers in m").error()
     if inertia is None:
         radius = (3 * mass / (4 * np.pi * _STEEL)) ** (1 / 3)
         tensor = 0.4 * mass * radius**2 * np.eye(3)
@@ -107,7 +108,7 @@ def attach_payload(
         tensor = tensors_from([inertia])[0]
     reason = inertia_problem(tensor)
     if reason is not None:
-        raise ValueError(f"payload of {robot}: {reason}")
+        raise Problem(key, reason).error()
     moments, axes = principal_moments(tensor)
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, axes.ravel())

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from ..base.declaration import numbers
+from ..base.errors import Problem
 from ..base.frames import Array, RowIndex
 from ..robots.assemble.world import World
 from .plant_rows import PlantRow, PlantRows
@@ -45,7 +46,9 @@ class Plant(PlantRows, PlantRow):
             raise ValueError("found a world to look at; expected World(scene, dynamic=True)")
         if timestep is not None:
             if not 0 < timestep < 1:
-                raise ValueError(f"timestep: found {timestep:g} s; expected more than 0, below 1")
+                raise Problem(
+                    "timestep", found=timestep, of="s", expected="more than 0, below 1"
+                ).error()
             world.model.opt.timestep = timestep
         super().__init__(world, OneRow(world.model, world.make_data()), sensors)
         self._settle()
@@ -85,7 +88,9 @@ class Plant(PlantRows, PlantRow):
         if joint_angles is not None:
             angles = numbers(joint_angles)
             if angles.shape != (self.n,):
-                raise ValueError(f"joint_angles: found {angles.size} numbers; expected {self.n}")
+                raise Problem(
+                    "joint_angles", found=angles.size, of="numbers", expected=self.n
+                ).error()
             for part in self.world.robots.values():
                 self.data.qpos[part.qpos] = angles[part.joints]
         self._settle()

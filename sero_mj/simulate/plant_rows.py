@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base.declaration import numbers
-from ..base.errors import SimulationError, UnknownName
+from ..base.errors import Problem, SimulationError, UnknownName
 from ..base.frames import Array, RowIndex
 from ..robots.assemble.parts import RobotPart
 from ..robots.assemble.world import World
@@ -59,7 +59,9 @@ class PlantRows:
         self.motor_velocities = self.joints.motor_velocities
         self.sensors = Sensors(self.n) if sensors is None else sensors
         if self.sensors.n != self.n:
-            raise ValueError(f"found sensors of {self.sensors.n} joints; expected {self.n}")
+            raise Problem(
+                "", "found sensors of", found=self.sensors.n, of="joints", expected=self.n
+            ).error()
         self.measured = self.sensors.measured
         self._actual: Array = np.zeros_like(self.measured)
         self._is_measured = False  # whether `measured` has the true values
@@ -311,11 +313,11 @@ class PlantRow:
             if value is not None:
                 friction = np.atleast_1d(numbers(value))
                 if friction.shape not in ((1,), dofs.shape):
-                    raise ValueError(
-                        f"{name}: found {friction.size} numbers; expected 1 or {len(dofs)}"
-                    )
+                    raise Problem(
+                        name, found=friction.size, of="numbers", expected=f"1 or {len(dofs)}"
+                    ).error()
                 if (friction < 0).any():
-                    raise ValueError(f"{name}: found {friction.tolist()}; expected 0 or more")
+                    raise Problem(name, found=friction.tolist(), expected="0 or more").error()
                 target[dofs] = friction
         self.refresh()
 

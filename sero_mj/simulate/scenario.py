@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..base.declaration import Declaration, by_kind, of_shape
-from ..base.errors import DeclarationError, Problem, collect, did_you_mean
+from ..base.errors import DeclarationError, Problem, collect
 from ..base.frames import Array
 from ..robots.assemble.robot_dynamics import EARTH
 from ..robots.declared.scene import Scene
@@ -112,25 +112,25 @@ class Run(Declaration):
             ratio = self.timestep / self.physics_timestep
             if ratio < 0.999 or abs(ratio - round(ratio)) > 1e-3 * ratio:
                 fit = self.timestep / max(round(ratio), 1)
-                message = (
-                    f"found {self.physics_timestep:g} s; expected a whole number of steps in "
-                    f"run.timestep, {self.timestep:g} s: {fit:.6g}, for instance"
-                )
-                problems.append(Problem("physics_timestep", message))
+                wanted = f"a whole number of steps in run.timestep, {self.timestep:g} s: {fit:.6g}"
+                problems.append(
+                    Problem("physics_timestep", found=self.physics_timestep, of="s",
+                            expected=f"{wanted}, for instance")
+                )  # fmt: skip
         step = self.timestep / self.substeps
         ratio = self.drive_delay / step
         if not problems and abs(ratio - round(ratio)) > 1e-3 * max(ratio, 1.0):
-            message = (
-                f"found {self.drive_delay:g} s; expected a multiple of the physics' step, "
-                f"{step:.6g} s: {round(ratio) * step:.6g}, for instance"
-            )
-            problems.append(Problem("drive_delay", message))
+            wanted = f"a multiple of the physics' step, {step:.6g} s: {round(ratio) * step:.6g}"
+            problems.append(
+                Problem("drive_delay", found=self.drive_delay, of="s",
+                        expected=f"{wanted}, for instance")
+            )  # fmt: skip
         if self.observer_gain > max(OBSERVER_GAIN, (1 + 1e-9) / self.timestep):
-            message = (
-                f"found {self.observer_gain:g} 1/s; expected up to {1 / self.timestep:g} with a "
-                f"timestep of {self.timestep:g} s: beyond it nothing gets faster"
-            )
-            problems.append(Problem("observer_gain", message))
+            wanted = f"up to {1 / self.timestep:g} with a timestep of {self.timestep:g} s"
+            problems.append(
+                Problem("observer_gain", found=self.observer_gain, of="1/s",
+                        expected=f"{wanted}: beyond it nothing gets faster")
+            )  # fmt: skip
         if problems:
             raise DeclarationError(problems)
         return self
@@ -222,7 +222,7 @@ class Scenario:
 
     def _each(self, section: str, tables: Mapping[str, Any] | None) -> dict[str, Any]:
         if tables is not None and not isinstance(tables, Mapping):
-            self.problems.append(Problem(section, f"found {tables!r}; expected tables by name"))
+            self.problems.append(Problem(section, found=tables, expected="tables by name"))
             return {}
         found = {}
         for name, table in (tables or {}).items():
@@ -237,8 +237,14 @@ class Scenario:
         for section in ("controllers", "targets", "sensors"):
             for name in getattr(self, section):
                 if name not in robots:
-                    near = did_you_mean(name, [*robots, *self.scene.groups])
-                    self.problems.append(Problem(f"{section}.{name}", f"no robot '{name}'{near}"))
+                    self.problems.append(
+                        Problem(
+                            f"{section}.{name}",
+                            "no robot",
+                            found=name,
+                            available=[*robots, *self.scene.groups],
+                        )
+                    )
         for name, disturbance in self.disturbances.items():
             self._check_disturbance(f"disturbances.{name}", disturbance)
         for section in ("disturbances", "faults"):
@@ -282,8 +288,9 @@ class Scenario:
             value = getattr(disturbance, key)
             known_as = self.scene.frame_name(value) if what == "frame" and value else value
             if value is not None and known_as not in names:
-                message = f"no {what} '{value}'{did_you_mean(value, names)}"
-                self.problems.append(Problem(f"{place}.{key}", message))
+                self.problems.append(
+                    Problem(f"{place}.{key}", f"no {what}", found=value, available=names)
+                )
 
     @property
     def duration(self) -> float:
@@ -345,8 +352,14 @@ class Scenario:
                 for key, values in parts.items():
                     value = np.asarray(getattr(errors, key))
                     if value.shape not in ((), (1,), (robot.n,)):
-                        message = f"found {value.size} numbers; expected 1 or {robot.n}"
-                        self.problems.append(Problem(f"{place}.{key}", message))
+                        self.problems.append(
+                            Problem(
+                                f"{place}.{key}",
+                                found=value.size,
+                                of="numbers",
+                                expected=f"1 or {robot.n}",
+                            )
+                        )
                         value = np.zeros(())
                     values.append(np.broadcast_to(value, robot.n))
                 delays[name] = errors.delay
@@ -400,7 +413,7 @@ def _built(kind: Any, table: Any) -> Any:
     if isinstance(table, kind):
         return table
     if not isinstance(table, Mapping):
-        raise DeclarationError([Problem("", f"found {table!r}; expected a table")])
+        raise Problem(found=table, expected="a table").error()
     return kind(**table)
 
 

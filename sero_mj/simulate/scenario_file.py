@@ -18,7 +18,8 @@ from ..base.errors import (
     SeroError,
     UnknownName,
     did_you_mean,
-)  # fmt: skip
+    problems_of,
+)
 from ..base.frames import Array
 from ..base.paths import find_scenario, find_scene
 from ..base.toml_file import located, read_toml
@@ -95,7 +96,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
     run = own.get("run", {})
     for key, expected in (("run", "a table [run]"), ("description", "a text")):
         if not isinstance(own.get(key, {} if key == "run" else ""), dict if key == "run" else str):
-            problems.append(Problem(key, f"found {own[key]!r}; expected {expected}"))
+            problems.append(Problem(key, found=own[key], expected=expected))
     try:
         scenario = Scenario(
             scene,
@@ -136,8 +137,9 @@ def _read_extended(
     base, settings = tables.pop("extends"), tables.pop("set", {})
     problems: list[Problem] = []
     if not isinstance(settings, dict):
-        message = f'found {settings!r}; expected a table with "run.duration" = 8, say'
-        problems.append(Problem("set", message))
+        problems.append(
+            Problem("set", found=settings, expected='a table with "run.duration" = 8, say')
+        )
         settings = {}
     for section, entries in tables.items():
         if section == "description":
@@ -146,7 +148,7 @@ def _read_extended(
             message = f"belongs to what is extended, {base}; set parts of it in [set]"
             problems.append(Problem(section, message))
         elif not isinstance(entries, dict):
-            problems.append(Problem(section, f"found {entries!r}; expected a table [{section}]"))
+            problems.append(Problem(section, found=entries, expected=f"a table [{section}]"))
         else:
             settings |= {f"{section}.{name}": entry for name, entry in entries.items()}
     try:
@@ -211,17 +213,19 @@ def _other_scene(
     """The scene that `scene = ...` names, beside the file or a shipped one."""
     where = str(file)
     if not isinstance(name, str):
-        message = f"found {name!r}; expected the name or file of a scene"
-        raise DeclarationError([Problem("scene", message, where)])
+        raise Problem(
+            "scene", found=name, expected="the name or file of a scene", file=where
+        ).error()
     if tables:
         key = next(iter(tables))
         message = f"is of the scene; write it there ({name}), or leave `scene` out"
-        raise DeclarationError([Problem(key, message, where)])
+        raise Problem(key, message, where).error()
     beside = file.parent / name
     try:
         path = beside if beside.is_file() else find_scene(name)
     except UnknownName as error:
-        raise DeclarationError([Problem("scene", str(error), where)]) from None
+        wrong = [replace(each, file=where) for each in problems_of(error, "scene")]
+        raise DeclarationError(wrong) from None
     return read_scene_file(path, overrides)
 
 
@@ -259,7 +263,7 @@ def _set_all(
                 if name not in tables or (section, name) in made:
                     made.setdefault((str(section), name), []).append(key)
         except ValueError as error:
-            problems.append(Problem(key, str(error), str(file)))
+            problems += [replace(each, file=str(file)) for each in problems_of(error, key)]
     for (section, name), keys in made.items():
         others = [each for each in own[section] if (section, each) not in made]
         try:
@@ -292,7 +296,7 @@ def _with_setting(
     if section in ("controllers", "targets", "sensors"):
         known = [*scene.robots, *scene.groups]
         if name not in known and name not in tables:
-            raise ValueError(f"no robot '{name}'{did_you_mean(name, known)}")
+            raise Problem("", "no robot", found=name, available=known).error()
         around = [name, *scene.membership.around.get(name, [])]
         table = next((tables[each] for each in around if each in tables), {})
         robots = scene.membership.members.get(name, [name])
@@ -383,4 +387,4 @@ def _from_recording(file: Path, robot: SerialRobot, of: object) -> tuple[Array, 
 
 
 def _wrong(key: str, message: str) -> DeclarationError:
-    return DeclarationError([Problem(key, message)])
+    return Problem(key, message).error()

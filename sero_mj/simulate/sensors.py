@@ -19,7 +19,7 @@ from numpy import add, copyto, divide, multiply, rint
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from ..base.declaration import Declaration, numbers
-from ..base.errors import UnknownName
+from ..base.errors import Problem, UnknownName
 from ..base.frames import Array, Bools, Ints, RowIndex
 
 Signal = Literal["angles", "velocities", "torques"]
@@ -31,13 +31,15 @@ _BLOCK = 256  # steps; drawing noise for each by itself takes longer than the re
 def _per_joint(value: Any) -> Array:
     array = numbers(value)
     if array.ndim > 1:
-        raise ValueError(f"found {array.ndim} dimensions; expected one number, or one per joint")
+        raise Problem(
+            found=array.ndim, of="dimensions", expected="one number, or one per joint"
+        ).error()
     return array
 
 
 def _at_least_zero(array: Array) -> Array:
     if (array < 0).any():
-        raise ValueError(f"found {array.tolist()}; expected 0 or more")
+        raise Problem(found=array.tolist(), expected="0 or more").error()
     return array
 
 
@@ -102,7 +104,7 @@ class Sensors:
         errors = [each or SensorErrors() for each in (angles, velocities, torques)]
         filters = np.zeros(n) if velocity_filter is None else np.array(velocity_filter)
         if filters.any() and not timestep > 0:
-            raise ValueError(f"timestep: found {timestep:g} s; expected more than 0")
+            raise Problem("timestep", found=timestep, of="s", expected="more than 0").error()
         self._build(n, (), [errors], filters, timestep, seed)
         self.reset(self.measured)
 
@@ -173,9 +175,8 @@ class Sensors:
             for key in _ERRORS:
                 value = getattr(declared, key)
                 if value.shape not in ((), (1,), (self.n,)):
-                    raise ValueError(
-                        f"{signal}.{key}: found {len(value)} numbers; expected 1 or {self.n}"
-                    )
+                    place, expected = f"{signal}.{key}", f"1 or {self.n}"
+                    raise Problem(place, found=len(value), of="numbers", expected=expected).error()
                 self._errors[key][of][..., row, :] = value
         self._delays[of] = 0
         for signal, declared in zip(SIGNALS, errors, strict=True):
@@ -252,7 +253,7 @@ class Sensors:
             if key not in _ERRORS:
                 raise UnknownName("sensor error", key, _ERRORS)
             if key in ("noise", "resolution") and not value >= 0:
-                raise ValueError(f"{signal}.{key}: found {value:g}; expected 0 or more")
+                raise Problem(f"{signal}.{key}", found=value, expected="0 or more").error()
             chosen = slice(None) if joints is None else joints
             self._errors[key][self._of][..., row, chosen] = value
         self._plan()
@@ -275,7 +276,9 @@ class Sensors:
         """
         row = _row(signal)
         if steps < 0:
-            raise ValueError(f"{signal}: found a delay of {steps} steps; expected 0 or more")
+            raise Problem(
+                signal, "found a delay of", found=steps, of="steps", expected="0 or more"
+            ).error()
         delays = self._delays[self._of][..., row, :].copy()
         delays[..., slice(None) if joints is None else joints] = steps
         self._delay(row, delays)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem, did_you_mean
+from ...base.errors import Problem
 from ...base.frames import Array
 from ...robots.declared.inputs import Input
 from ...robots.declared.scene import Scene
@@ -86,8 +86,9 @@ def named_joints(
         problems.append(Problem("", message))
     for name in dict.fromkeys(names or []):
         if name not in places:
-            near = did_you_mean(name, places)
-            problems.append(Problem("", f"{owner} has no joint or limb '{name}'{near}"))
+            problems.append(
+                Problem("", f"{owner} has no joint or limb", found=name, available=places)
+            )
     return [place for name in names or [] for place in places.get(name, [])]
 
 
@@ -125,7 +126,7 @@ def joint_parts(
         many = "1 value" if count == 1 else f"{count} values"
         fewer = f", or {len(free)} without the coupled ones" if len(free) < len(places) else ""
         takes = f"{len(places)}{fewer}: {', '.join(listed)}"
-        raise DeclarationError([Problem("", f"{text} has {many}; {target} takes {takes}")])
+        raise Problem("", f"{text} has {many}; {target} takes {takes}").error()
     parts = []
     for item in dict.fromkeys(place.to for place in places):
         mine = [k for k, place in enumerate(places) if place.to is item]
@@ -135,7 +136,7 @@ def joint_parts(
         own = value.gather(np.array(numbers, np.intp), ones, 0.0 * ones)
         units = units_of(scene, item)
         if message := wrong_unit(own.units, [units[joint] for joint in joints], target):
-            raise DeclarationError([Problem("", f"{text} {message}")])
+            raise Problem("", f"{text} {message}").error()
         parts.append(JointPart(item, joints, own, text, numbers))
     return parts
 

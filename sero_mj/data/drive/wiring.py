@@ -30,6 +30,7 @@ from ...base.errors import (
     collect,
     did_you_mean,
     nearest,
+    problems_of,
 )
 from ...robots.declared.cartesian import WORLD
 from ...robots.declared.couplings import CoupledJoints
@@ -248,8 +249,12 @@ class _RouteChecker:
         parts = parts_of_origin(origin)
         if dot or parts[0][1] is not None:
             if dot and parts[0][1] is not None:
-                message = f"found joints for the limb '{limb}'; expected them for {name}.{of_limb}"
-                raise DeclarationError([Problem("", message)])
+                raise Problem(
+                    "",
+                    "found joints for the limb",
+                    found=limb,
+                    expected=f"them for {name}.{of_limb}",
+                ).error()
             if dot:
                 key, parts = of_limb, [(origin, [limb])]
             return self._parts(name, key, parts)
@@ -295,11 +300,11 @@ class _RouteChecker:
         try:
             expression = parse(origin)
         except RouteError as error:
-            raise DeclarationError([Problem("", str(error))]) from None
+            raise Problem("", str(error)).error() from None
         if expression.negated or expression.is_condition:
             found = f"'{NOT}' is" if expression.negated else "comparisons are"
             message = f"{found} for switches; joints take numbers"
-            raise DeclarationError([Problem("", message)])
+            raise Problem("", message).error()
         return self._evaluated(expression, [])
 
     def _evaluated(
@@ -314,7 +319,7 @@ class _RouteChecker:
         try:
             return evaluate(expression, known), text
         except RouteError as error:
-            raise DeclarationError([Problem("", str(error))]) from None
+            raise Problem("", str(error)).error() from None
 
     def _known(
         self, expression: Expression, problems: Sequence[Problem]
@@ -337,7 +342,7 @@ class _RouteChecker:
             near = did_you_mean(key, error.available)
             return [Problem("", f"no input '{key}' of {group}{near}")]
         except ValueError as error:
-            return [Problem("", str(error))]
+            return [*problems_of(error)]
 
     def _check(
         self, items: Sequence[Input | Problem | None], origin: str, target: str
@@ -375,7 +380,7 @@ class _RouteChecker:
             units = units_of(self._scene, item)
             message = _wrong_shape(full, item) or wrong_unit(full.units, units, item.target)
             if message:
-                raise DeclarationError([Problem("", f"{text} {message}")])
+                raise Problem("", f"{text} {message}").error()
             numbers = np.broadcast_to(first + numbers, item.count)
             compiled = full.compile(item.count)
             routes.append(Route(item, text, compiled, expression.negated, tuple(numbers.tolist())))
@@ -400,7 +405,7 @@ class _RouteChecker:
         try:
             value, condition = condition_of(expression, names)
         except RouteError as error:
-            raise DeclarationError([Problem("", str(error))]) from None
+            raise Problem("", str(error)).error() from None
         compiled, text = value.compile(value.entries.size), expression.text.strip()
         return [Route(item, text, compiled, condition=condition) for item in items]
 
@@ -431,8 +436,9 @@ class _RouteChecker:
             return None
         names = [item.name for item in self._inputs.values() if item.name != SCENE]
         names += [*scene.declared("groups"), *scene.double_groups]
-        near = did_you_mean(name, dict.fromkeys([*scene.declared("robots"), *names]))
-        return Problem("", f"no robot '{name}'{near}")
+        return Problem(
+            "", "no robot", found=name, available=dict.fromkeys([*scene.declared("robots"), *names])
+        )
 
     def _is_frame(self, name: str) -> bool:
         """Whether a name refers to a frame, not to numbers."""
@@ -561,7 +567,7 @@ def _shares(value: Value, items: Sequence[Input], text: str, target: str) -> lis
         each = ", ".join(f"{item.name} {item.count}" for item in items)
         fewer = f", or {sum(free)} without the coupled joints" if free != full else ""
         message = f"{text} has {many}; {target} takes {sum(full)}: {each}{fewer}"
-        raise DeclarationError([Problem("", message)])
+        raise Problem("", message).error()
     return value.split(counts)
 
 

@@ -17,7 +17,6 @@ from pydantic import Field, PrivateAttr
 
 from ...base.declaration import kind_of
 from ...base.errors import (
-    DeclarationError,
     PluginError,
     Problem,
     UnknownName,
@@ -349,14 +348,13 @@ def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
     if not isinstance(declared, Mapping):
         if isinstance(declared, Source):
             return declared
-        message = f"found {declared!r}; expected a table with kind, or a source"
-        raise DeclarationError([Problem("", message)])
+        raise Problem(found=declared, expected="a table with kind, or a source").error()
     if "name" in declared:
-        raise DeclarationError([Problem("name", "belongs in the header; leave it out")])
+        raise Problem("name", "belongs in the header; leave it out").error()
     kind = kind_of(declared, plugins(SOURCES))
     fields = {key: value for key, value in declared.items() if key != "kind"}
     try:
         source: Source = load_plugin(SOURCES, kind)(**fields, name=name)
     except PluginError as error:
-        raise DeclarationError([Problem("kind", str(error))]) from error
+        raise Problem("kind", str(error)).error() from error
     return source

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...base.errors import UnknownName
+from ...base.errors import Problem, UnknownName
 from ...base.frames import Array, Ints
 from .language import Item, limits, parse
 
@@ -71,9 +71,9 @@ class Structure:
         scale: float = 1.0,
     ) -> None:
         if alignment not in _ALIGNMENTS:
-            raise ValueError(f"alignment: found {alignment}; expected 1, 2, 4 or 8")
+            raise Problem("alignment", found=alignment, expected="1, 2, 4 or 8").error()
         if not 0.0 < scale < math.inf:
-            raise ValueError(f"scale: found {scale}; expected a finite number above 0")
+            raise Problem("scale", found=scale, expected="a finite number above 0").error()
         self.text = text
         self.is_double = is_double
         self.column_major = column_major
@@ -147,7 +147,9 @@ class Structure:
             ValueError: the packet is not `size` bytes long.
         """
         if len(packet) != self.size:
-            raise ValueError(f"found {len(packet)} bytes; expected {self.size} for '{self.text}'")
+            raise Problem(
+                found=len(packet), of="bytes", expected=f"{self.size} for '{self.text}'"
+            ).error()
         values = {}
         if self._is_plain:  # without the cost of `errstate`
             for name, dtype, offset, count, _ in self._plan:
@@ -314,15 +316,16 @@ class Structure:
             allowed = [item.shape, item.shape[1:]] if item.count == 1 else [item.shape]
             if array.shape not in allowed:
                 expected = " or ".join(map(str, allowed))
-                raise ValueError(f"{name}: found {array.shape}; expected {expected}")
+                raise Problem(name, f"found {array.shape}", expected=expected).error()
             _numbers(packet, item)[:] = self._to_write(item, array.reshape(item.shape)).ravel()
         for item, constant in self._constants:
             if item.name in values and _is_wrong(packet, item, constant).any():
                 found = _numbers(packet, item)[0]
-                raise ValueError(
-                    f"{item.name}: found {_shown(found[found != constant][0])}; "
-                    f"expected {_shown(constant)}, as '{self.text}' demands"
-                )
+                raise Problem(
+                    item.name,
+                    f"found {_shown(found[found != constant][0])}",
+                    expected=f"{_shown(constant)}, as '{self.text}' demands",
+                ).error()
             _numbers(packet, item)[:] = constant
         return packet.tobytes()
 
@@ -336,7 +339,9 @@ class Structure:
                 off = np.abs(array[:, 3] - LAST_ROW).max(axis=1)
                 if (off > LAST_ROW_TOLERANCE).any():  # NaN is no data, and may be sent
                     row = ", ".join(f"{number:g}" for number in array[np.argmax(off), 3])
-                    raise ValueError(f"{item.name}: found last row [{row}]; expected [0, 0, 0, 1]")
+                    raise Problem(
+                        item.name, f"found last row [{row}]", expected="[0, 0, 0, 1]"
+                    ).error()
                 array = array[:, :3]
             array = array.swapaxes(1, 2) if self.column_major else array
         elif self._is_scaled(item):
@@ -421,5 +426,5 @@ def _fitted(item: Item, array: NDArray[Any]) -> NDArray[Any]:
         fitted = (whole != 0) if item.is_bool else whole
         expected = f"whole numbers from {low} to {high}"
     if not fits.all():
-        raise ValueError(f"{item.name}: found {array[~fits].flat[0]}; expected {expected}")
+        raise Problem(item.name, f"found {array[~fits].flat[0]}", expected=expected).error()
     return fitted

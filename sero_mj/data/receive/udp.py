@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, field_validator
 
+from ...base.errors import Problem
 from ._scheduling import request_short_slices
 from ._udp_socket import (
     BATCH,
@@ -71,7 +72,7 @@ class UdpReceiver(Source):
     @classmethod
     def _host_is_an_address(cls, host: str) -> str:
         if not host or any(character.isspace() for character in host):
-            raise ValueError(f"found {host!r}; expected an address such as 127.0.0.1 or 0.0.0.0")
+            raise Problem(found=host, expected="an address such as 127.0.0.1 or 0.0.0.0").error()
         return host
 
     @field_validator("sender")
@@ -222,8 +223,10 @@ def split_sender(text: str) -> tuple[str, int]:
                 f"found {text!r}, which no sender has; leave it out to accept every sender"
             )
     if not 0 <= number <= 65535:
-        message = "expected an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234"
-        raise ValueError(f"found {text!r}; {message}")
+        raise Problem(
+            found=text,
+            expected="an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234",
+        ).error()
     return host, number
 
 

@@ -24,6 +24,8 @@ from mcap.reader import FOOTER_SIZE, SeekingReader
 from mcap.records import Channel, Chunk, Metadata
 from mcap.stream_reader import MAGIC_SIZE
 
+from ...base.errors import Problem
+
 MAX_CHUNK_BYTES = 64 << 20  # decompressed; writers make chunks of 1 to 4 MiB
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time
 _RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
@@ -288,7 +290,9 @@ def _decompressed(chunk: Chunk) -> bytes:
 
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
     elif chunk.compression:
-        raise ValueError(f"compression '{chunk.compression}'; expected zstd, lz4 or none")
+        raise Problem(
+            "", "compression", found=chunk.compression, expected="zstd, lz4 or none"
+        ).error()
     else:
         data = chunk.data
     if len(data) != size:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.errors import CsvError, SeroError
+from ...base.errors import CsvError, Problem, SeroError
 from ...base.frames import Array
 from ...base.paths import open_file
 
@@ -170,7 +170,7 @@ def read_csv(
         ValueError: a rate that is not above 0.
     """
     if rate is not None and not 0.0 < rate < math.inf:
-        raise ValueError(f"rate: found {rate}; expected rows per s, above 0")
+        raise Problem("rate", f"found {rate}", expected="rows per s, above 0").error()
     path = Path(path)
     try:
         with io.TextIOWrapper(open_file(path), newline="", encoding="utf-8-sig") as file:

@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_
 from ...base.errors import (
     DeclarationError,
     PluginError,
+    Problem,
     RecordingError,
     SourceError,
     did_you_mean,
@@ -31,7 +32,7 @@ _BATCH = 4096  # packets
 def _as_path(file: Any) -> Path:
     if isinstance(file, str | Path) and str(file):
         return Path(file)
-    raise ValueError(f"found {file!r}; expected the name of a recording, REC.mcap say")
+    raise Problem(found=file, expected="the name of a recording, REC.mcap say").error()
 
 
 class Replay(Source):
@@ -113,7 +114,7 @@ class Replay(Source):
             with Recording(info.data["file"]) as recording:
                 begin, word = _first_of(recording), "where its first packet came"
         if not begin < stop < np.inf:
-            raise ValueError(f"found {stop:g}; expected more than {begin:g}, {word}, in s")
+            raise Problem(found=stop, expected=f"more than {begin:g}, {word}, in s").error()
         return stop
 
     @cached_property

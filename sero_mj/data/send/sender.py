@@ -18,7 +18,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from ...base.errors import SourceError, reason_of
+from ...base.errors import Problem, SourceError, reason_of
 from ..receive.shm_block import Block, block_path
 from ..receive.structure import Rows, Structure
 
@@ -132,7 +132,7 @@ class ShmWriter:
             ValueError: the packet is not as long as the structure says.
         """
         if len(packet) != self._size:
-            raise ValueError(f"found {len(packet)} bytes; expected {self._size}")
+            raise Problem(found=len(packet), of="bytes", expected=self._size).error()
         block, offset, field = self._block, self._offset, self._lock
         if field is None:
             block.write(packet, offset)

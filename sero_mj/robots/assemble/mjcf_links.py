@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import Problem
 from ...base.frames import MIRROR, Array, Ints, frame, inverse, rotation_from_quat
 from ..declared.robot import SerialRobot
 from ..importers.mjcf_tree import MjcfTree
@@ -42,8 +42,12 @@ def mjcf_tree(robot: SerialRobot) -> MjcfTree:
 
     tree = kept_tree(robot.mjcf, Path(robot.directory))
     if len(tree.joints) != robot.n:
-        message = f"found {len(tree.joints)} joints in it; expected {robot.n}, as the robot has"
-        raise DeclarationError([Problem("mjcf", message)])
+        raise Problem(
+            "mjcf",
+            found=len(tree.joints),
+            of="joints in it",
+            expected=f"{robot.n}, as the robot has",
+        ).error()
     return tree
 
 

@@ -116,7 +116,7 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
             f"joint {int(np.argmax(motor <= 0)) + 1}: found 0; expected a motor inertia above 0 "
             "for a robot with elastic_joints"
         )
-        raise DeclarationError([Problem("dynamics.motor_inertias", message)])
+        raise Problem("dynamics.motor_inertias", message).error()
     stiffness = given("joint_stiffness", motor * (2 * np.pi * _FIRST_MODE) ** 2)
     damping = given("joint_damping", 2 * _DAMPING_RATIO * np.sqrt(stiffness * motor))
     return RobotDynamics(

@@ -196,7 +196,7 @@ class World(WorldView):
         if array.shape != item.shape or not (is_finite or item.kind in BLANKABLE):
             found = array.tolist() if array.size else values
             many = item.meaning if item.count == 1 else f"{item.count} finite numbers"
-            raise ValueError(f"{target}: found {found}; expected {many}")
+            raise Problem(target, f"found {found}", expected=many).error()
         if not is_finite:
             array = np.where(finite, array, np.nan)
         if item.shape == (4, 4):

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import mujoco
 import numpy as np
 
-from ...base.errors import UnknownName
+from ...base.errors import DeclarationError, UnknownName, problems_of
 from ...base.frames import Array, Bools, inverse
 from ..declared.inputs import Input, inputs_of_group, share_out
 from ..declared.scene import Scene
@@ -134,7 +134,7 @@ class WorldView(Protocol):
         try:
             items = inputs_of_group(self.inputs, name, key, members)
         except ValueError as error:
-            raise ValueError(f"{target}: {error}") from None
+            raise DeclarationError(problems_of(error, target)) from None
         parts = share_out(items, target, values)
         return {item.target: part for item, part in zip(items, parts, strict=True)}
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import field_validator
 
 from ...base.declaration import Declaration
-from ...base.errors import Problem, did_you_mean
+from ...base.errors import Problem
 from ...base.frames import Array, Ints
 
 
@@ -34,7 +34,9 @@ class Coupling(Declaration):
     @classmethod
     def _moves(cls, ratio: float) -> float:
         if ratio == 0.0:
-            raise ValueError("found 0; expected another number: with 0 the joint would be fixed")
+            raise Problem(
+                found=0, expected="another number: with 0 the joint would be fixed"
+            ).error()
         return ratio
 
 
@@ -113,10 +115,16 @@ def coupling_problems(names: Sequence[str], couplings: Mapping[str, Coupling]) -
     problems = []
     for name, coupling in couplings.items():
         if name not in names:
-            problems.append(Problem(name, f"no joint '{name}'{did_you_mean(name, names)}"))
+            problems.append(Problem(name, "no joint", found=name, available=names))
         if coupling.to not in names:
-            near = did_you_mean(coupling.to, [each for each in names if each != name])
-            problems.append(Problem(f"{name}.to", f"no joint '{coupling.to}'{near}"))
+            problems.append(
+                Problem(
+                    f"{name}.to",
+                    "no joint",
+                    found=coupling.to,
+                    available=[each for each in names if each != name],
+                )
+            )
     for name in couplings:
         way = [name]
         while way[-1] in couplings and couplings[way[-1]].to not in way:

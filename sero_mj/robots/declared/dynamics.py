@@ -49,7 +49,7 @@ def tensors_from(value: Any) -> Array:
         ValueError: other counts, or a matrix that is not symmetric.
     """
     if not isinstance(value, list | tuple | np.ndarray):
-        raise ValueError(f"found {value!r}; expected one tensor per link")
+        raise Problem(found=value, expected="one tensor per link").error()
     tensors = np.empty((len(value), 3, 3))
     for k, entry in enumerate(value):
         array = numbers(entry)
@@ -58,16 +58,13 @@ def tensors_from(value: Any) -> Array:
             tensors[k] = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
         elif array.shape == (3, 3):
             if np.abs(array - array.T).max() > _ROUNDING * max(float(np.abs(array).max()), 1e-300):
-                raise ValueError(
-                    f"{link_name(k)}: found {array.tolist()}; expected a symmetric 3x3"
-                )
+                found, expected = f"{link_name(k)}: found", "a symmetric 3x3"
+                raise Problem("", found, found=array, expected=expected).error()
             tensors[k] = (array + array.T) / 2
         else:
             found = " x ".join(map(str, array.shape)) or "one number"
-            raise ValueError(
-                f"{link_name(k)}: found {found}; expected 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) "
-                "or 3 x 3"
-            )
+            expected = "6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or 3 x 3"
+            raise Problem("", f"{link_name(k)}: found {found}", expected=expected).error()
     return tensors
 
 
@@ -135,7 +132,8 @@ def rotate_tensors(tensors: Array, rotation: Array) -> Array:
 def _no_negative_mass(masses: Array | None) -> Array | None:
     for k, mass in enumerate([] if masses is None else masses):
         if mass < 0:
-            raise ValueError(f"{link_name(k)}: found {mass:g} kg; expected a mass of 0 or more")
+            found, expected = f"{link_name(k)}: found", "a mass of 0 or more"
+            raise Problem("", found, found=mass, of="kg", expected=expected).error()
     return masses
 
 
@@ -150,7 +148,7 @@ def _above_zero(values: Array | None) -> Array | None:
 def _bounded(values: Array | None, lowest: float, expected: str) -> Array | None:
     for i, value in enumerate([] if values is None else values):
         if value < lowest:
-            raise ValueError(f"joint {i + 1}: found {value:g}; expected {expected}")
+            raise Problem("", f"joint {i + 1}: found", found=value, expected=expected).error()
     return values
 
 
@@ -303,7 +301,7 @@ def _count_problems(
     table: Declaration, keys: Sequence[str], count: int, what: str
 ) -> list[Problem]:
     return [
-        Problem(key, f"found {len(value)} entries; expected {count}: {what}")
+        Problem(key, found=len(value), of="entries", expected=f"{count}: {what}")
         for key in keys
         if (value := getattr(table, key)) is not None and len(value) != count
     ]

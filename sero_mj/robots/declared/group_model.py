@@ -19,7 +19,14 @@ import numpy as np
 
 from ...base import paths
 from ...base.declaration import is_name, numbers
-from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean
+from ...base.errors import (
+    DeclarationError,
+    Problem,
+    UnknownName,
+    collect,
+    did_you_mean,
+    problems_of,
+)
 from ...base.frames import MIRROR, Array, frame_from, inverse
 from ...base.toml_file import key_lines, located, read_toml
 from .groups import Group
@@ -129,11 +136,11 @@ class _Place:
         try:
             T = frame_from(table.get("base_frame", T), numbers)
         except ValueError as error:
-            problems.append(Problem("base_frame", str(error)))
+            problems += problems_of(error, "base_frame")
         if not isinstance(mirrored, bool):
-            problems.append(Problem("mirrored", f"found {mirrored!r}; expected true or false"))
+            problems.append(Problem("mirrored", found=mirrored, expected="true or false"))
         if not isinstance(mount, str | None):
-            problems.append(Problem("mount", f"found {mount!r}; expected a frame of a robot"))
+            problems.append(Problem("mount", found=mount, expected="a frame of a robot"))
         if problems:
             raise DeclarationError(problems)
         if self.mirrored:
@@ -153,14 +160,12 @@ def _add_group(
     if found.is_full:
         return
     problems = [
-        Problem(key, f"unknown key{did_you_mean(key, _OF_ENTRY)}")
-        for key in entry
-        if key not in _OF_ENTRY
+        Problem(key, "unknown key", available=_OF_ENTRY) for key in entry if key not in _OF_ENTRY
     ]
     try:
         is_name(name)
     except ValueError as error:
-        problems.append(Problem("", f"name: {error}"))
+        problems += problems_of(error, "name")
     path = place = None
     with collect(problems, ""):
         place = around.of(name, entry, declared)
@@ -184,16 +189,16 @@ def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
         DeclarationError: there is none, or it would contain itself.
     """
     if not isinstance(model, str | Path):
-        raise DeclarationError([Problem("", f"found {model!r}; expected a group's name")])
+        raise Problem(found=model, expected="a group's name").error()
     try:
         path = model if isinstance(model, Path) else paths.find_group_model(model, beside)
     except (DeclarationError, UnknownName) as error:
-        raise DeclarationError([Problem("", str(error))]) from None
+        raise Problem("", str(error)).error() from None
     files = [each.resolve() for each in inside]
     if path.resolve() in files:
         way = [_name_of(each) for each in (*inside[files.index(path.resolve()) :], path)]
         message = f"models of groups are in each other in a circle: {' in '.join(way[::-1])}"
-        raise DeclarationError([Problem("", message)])
+        raise Problem("", message).error()
     return path
 
 
@@ -307,10 +312,10 @@ class _Members:
     def _section(self, tables: Mapping[str, Any], section: str) -> dict[str, dict[str, Any]]:
         """Returns the tables of a section, of the model or of the group's table."""
         entries = tables.get(section, {})
-        wrong = [Problem(section, f"found {entries!r}; expected tables [{section}.NAME]")]
+        wrong = [Problem(section, found=entries, expected=f"tables [{section}.NAME]")]
         if isinstance(entries, Mapping):
             wrong = [
-                Problem(f"{section}.{name}", f"found {table!r}; expected a table")
+                Problem(f"{section}.{name}", found=table, expected="a table")
                 for name, table in entries.items()
                 if not isinstance(table, Mapping)
             ]

@@ -15,7 +15,7 @@ from pathlib import Path
 from pydantic import Field, PrivateAttr
 
 from ...base.declaration import Name, Vector
-from ...base.errors import Problem, did_you_mean
+from ...base.errors import Problem
 from .robot_parts import VALUE_INPUTS, ArrowQuantity, BillboardLines, Posed
 
 _MAX_MEMBERS = 400  # of a group
@@ -168,9 +168,14 @@ def group_problems(
     for name, group in groups.items():
         unknown = [each for each in dict.fromkeys(group.robots) if each not in declared]
         for each in unknown[:_MAX_REPORTED]:
-            near = did_you_mean(each, {known for known in declared if known != name})
-            message = f"no robot or group '{each}'{near}"
-            problems.append(Problem(f"groups.{name}.robots", message))
+            problems.append(
+                Problem(
+                    f"groups.{name}.robots",
+                    "no robot or group",
+                    found=each,
+                    available={known for known in declared if known != name},
+                )
+            )
     for circle in found.circles:
         way = " in ".join([*circle, circle[0]][::-1])
         message = f"groups are in each other in a circle: {way}"

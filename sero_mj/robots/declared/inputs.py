@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ...base.declaration import numbers
-from ...base.errors import UnknownName
+from ...base.errors import DeclarationError, Problem, UnknownName, problems_of
 from ...base.frames import Array, frame_from
 from .couplings import CoupledJoints
 from .robot import SerialRobot
@@ -186,7 +186,9 @@ def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
         each = ", ".join(f"{item.name} {item.count}" for item in items)
         fewer = f", or {sum(free)} without the coupled joints" if free != full else ""
         finite = "" if items[0].kind in BLANKABLE else " finite numbers"
-        raise ValueError(f"{target}: found {found}; expected {sum(full)}{finite}: {each}{fewer}")
+        raise Problem(
+            target, f"found {found}", expected=f"{sum(full)}{finite}: {each}{fewer}"
+        ).error()
     return np.split(array, np.cumsum(counts)[:-1])
 
 
@@ -246,4 +248,4 @@ def to_frame(target: str, values: Array) -> Array:
     try:
         return frame_from(values, numbers)
     except ValueError as error:
-        raise ValueError(f"{target}: {error}") from None
+        raise DeclarationError(problems_of(error, target)) from None

@@ -16,6 +16,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...base.errors import Problem
 from ...base.frames import MIRROR, Array, Bools, Ints, inverse, rotation_about
 
 
@@ -109,9 +110,9 @@ class JointTree(ABC):
         """
         q = np.asarray(joint_angles, dtype=np.float64)
         if q.shape[-1:] != (len(self),):
-            raise ValueError(
-                f"joint_angles: found {q.shape}; expected {len(self)} in the last axis"
-            )
+            raise Problem(
+                "joint_angles", f"found {q.shape}", expected=f"{len(self)} in the last axis"
+            ).error()
         T = self.transforms(q if self.sign is None else q * self.sign)
         if self.root is not None:
             on_base = self.carriers == 0

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from ...base.errors import Problem, did_you_mean
+from ...base.errors import Problem
 
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _GENERIC_WORDS = ("joint", "j")  # words that do not identify a limb, like numbers
@@ -73,8 +73,7 @@ def limb_problems(names: Sequence[str], limbs: Mapping[str, Sequence[str]]) -> l
             problems.append(Problem(limb, "found no joints; expected one or more"))
         for i, joint in enumerate(joints):
             if joint not in names:
-                message = f"no joint '{joint}'{did_you_mean(joint, names)}"
-                problems.append(Problem(f"{limb}.{i}", message))
+                problems.append(Problem(f"{limb}.{i}", "no joint", found=joint, available=names))
             elif joint in limb_of:
                 message = f"{joint} is in {limb_of[joint]} already; expected it in one limb"
                 problems.append(Problem(f"{limb}.{i}", message))

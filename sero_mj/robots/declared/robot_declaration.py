@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from ...base.declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
-from ...base.errors import DeclarationError, Problem, did_you_mean
+from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
 from .couplings import Coupling, coupled_joints, coupling_problems
 from .dh import COLUMNS
@@ -233,7 +233,9 @@ class RobotDeclaration(Declaration):
             if info.data["couplings"]:
                 return _with_coupled(value, info)
         if len(value) != n:
-            raise ValueError(f"found {len(value)} entries; expected {n}, {_each(info.data)}")
+            raise Problem(
+                found=len(value), of="entries", expected=f"{n}, {_each(info.data)}"
+            ).error()
         return value
 
     @field_validator("parents")
@@ -243,13 +245,14 @@ class RobotDeclaration(Declaration):
         if parents is None or n is None or "joint_names" not in info.data:
             return parents
         if len(parents) != n:
-            raise ValueError(f"found {len(parents)} entries; expected {n}, {_each(info.data)}")
+            raise Problem(
+                found=len(parents), of="entries", expected=f"{n}, {_each(info.data)}"
+            ).error()
         names, problems = _joint_names(info.data), []
         branch = [BASE]  # the path to the previous joint
         for i, parent in enumerate(parents):
             if parent not in (BASE, *names):
-                message = f"no joint '{parent}'{did_you_mean(parent, [BASE, *names])}"
-                problems.append(Problem(str(i), message))
+                problems.append(Problem(str(i), "no joint", found=parent, available=[BASE, *names]))
             elif parent not in branch:
                 message = f"{names[i]} is on {parent}; expected it behind that and its branch whole"
                 problems.append(Problem(str(i), message))
@@ -263,7 +266,9 @@ class RobotDeclaration(Declaration):
     def _names_of_links(cls, names: list[str] | None, info: ValidationInfo) -> list[str] | None:
         n = _count(info.data)
         if names is not None and n is not None and len(names) != n + 1:
-            raise ValueError(f"found {len(names)} entries; expected {n + 1}, of base and links")
+            raise Problem(
+                found=len(names), of="entries", expected=f"{n + 1}, of base and links"
+            ).error()
         return names
 
     @field_validator("flange_on")
@@ -271,7 +276,7 @@ class RobotDeclaration(Declaration):
     def _flange_is_on_a_joint(cls, joint: str | None, info: ValidationInfo) -> Any:
         known = "joint_names" in info.data and _count(info.data) is not None
         if joint is not None and known and joint not in _joint_names(info.data):
-            raise ValueError(f"no joint '{joint}'{did_you_mean(joint, _joint_names(info.data))}")
+            raise Problem("", "no joint", found=joint, available=_joint_names(info.data)).error()
         return joint
 
     @field_validator("couplings")
@@ -337,7 +342,7 @@ class RobotDeclaration(Declaration):
             found = given[0] if given else f"dh_convention = '{self.dh_convention}'"
             raise ValueError(f"found {found} with joint_frames; expected one of the two")
         if self.joint_frames is None and self.dh_convention == "none":
-            raise ValueError("dh_convention: found 'none'; expected joint_frames with it")
+            raise Problem("dh_convention", "found 'none'", expected="joint_frames with it").error()
         return self
 
     @model_validator(mode="after")
@@ -364,9 +369,9 @@ class RobotDeclaration(Declaration):
     @model_validator(mode="after")
     def _base_is_free_or_mounted(self) -> Self:
         if self.free_base and self.mount is not None:
-            raise ValueError(
-                f"free_base: found true with mount = '{self.mount}'; expected one of the two"
-            )
+            raise Problem(
+                "free_base", "found true with mount =", found=self.mount, expected="one of the two"
+            ).error()
         return self
 
     @field_validator("children")
@@ -380,7 +385,7 @@ class RobotDeclaration(Declaration):
                 child.model_copy(update={"on": frame_label(child.on, *known)}) for child in children
             ]
             problems = [
-                Problem(f"{k}.on", f"no frame '{child.on}'{did_you_mean(child.on, frames)}")
+                Problem(f"{k}.on", "no frame", found=child.on, available=frames)
                 for k, child in enumerate(children)
                 if child.on not in frames
             ]
@@ -392,8 +397,11 @@ class RobotDeclaration(Declaration):
     def _can_be_mirrored(self) -> Self:
         pieces = [child.name for child in self.children if child.mjcf or child.urdf]
         if self.mirrored and pieces:
-            message = f"the child '{pieces[0]}' is a piece of MJCF or URDF, and cannot be mirrored"
-            raise ValueError(f"mirrored: {message}; expected shapes and meshes")
+            raise Problem(
+                "mirrored",
+                (f"the child '{pieces[0]}' is a piece of MJCF or URDF, and cannot be mirrored"),
+                expected="shapes and meshes",
+            ).error()
         return self
 
     @field_validator("mjcf")
@@ -411,9 +419,9 @@ class RobotDeclaration(Declaration):
             # The proto's default of filenames is [""]: no geometry given.
             return links if info.field_name == "collisions" else []
         if n is not None and len(links) != n + 1:
-            raise ValueError(
-                f"found {len(links)} entries; expected {n + 1}: the base and one per joint"
-            )
+            raise Problem(
+                found=len(links), of="entries", expected=f"{n + 1}: the base and one per joint"
+            ).error()
         check_colors(links, info.data.get("colors", {}))
         return links
 
@@ -450,7 +458,7 @@ def _with_coupled(values: Array, info: ValidationInfo) -> Array:
     coupled = coupled_joints(names, info.data["couplings"])
     if len(values) not in (coupled.n, coupled.k):
         count = f"{coupled.n}, {_each(info.data)}, or {coupled.k} without the coupled joints"
-        raise ValueError(f"found {len(values)} entries; expected {count}")
+        raise Problem(found=len(values), of="entries", expected=count).error()
     if info.field_name in VALUE_INPUTS:
         return values
     if len(values) == coupled.k:

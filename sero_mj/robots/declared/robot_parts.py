@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from ...base.declaration import Declaration, Frame, Name, Vector, numbers, of_shape
-from ...base.errors import DeclarationError, Problem, did_you_mean, nearest
+from ...base.errors import Problem, nearest
 from ...base.frames import Array, frame_from
 from .dh import COLUMNS, Column
 from .surroundings import MeshFile, Object, check_shape_size
@@ -101,9 +101,11 @@ def _tree_frames(value: Any) -> Any:
     if value is None:
         return None
     if not isinstance(value, list | tuple | np.ndarray):
-        raise ValueError(f"found {value!r:.200}; expected a list of frames, one per joint")
+        raise Problem(found=value, expected="a list of frames, one per joint").error()
     if not 1 <= len(value) <= MAX_JOINTS:
-        raise ValueError(f"found {len(value)} frames; expected 1 to {MAX_JOINTS}, one per joint")
+        raise Problem(
+            found=len(value), of="frames", expected=f"1 to {MAX_JOINTS}, one per joint"
+        ).error()
     found = np.empty((len(value), 4, 4))
     for i, entry in enumerate(value):
         try:
@@ -134,13 +136,15 @@ def _limits_of_shape(*shape: int | None) -> BeforeValidator:
 def _are_ordered(limits: Array | None) -> Array | None:
     if limits is not None and (limits[:, 0] >= limits[:, 1]).any():
         row = int(np.flatnonzero(limits[:, 0] >= limits[:, 1])[0])
-        raise ValueError(f"row {row + 1} is {limits[row].tolist()}; expected lower < upper")
+        raise Problem(
+            "", f"row {row + 1} is", found=limits[row].tolist(), expected="lower < upper"
+        ).error()
     return limits
 
 
 def _are_positive(limits: Array | None) -> Array | None:
     if limits is not None and (limits <= 0).any():
-        raise ValueError(f"found {limits.tolist()}; expected positive numbers")
+        raise Problem(found=limits.tolist(), expected="positive numbers").error()
     return limits
 
 
@@ -156,7 +160,7 @@ def _differ_from_standard(names: list[str]) -> list[str]:
     taken = {*BILLBOARD_VALUES, *VALUE_INPUTS, "base_frame", "flange_check", "flange_frame"}
     for name in names:
         if name in taken or name.startswith("show_") or name == "arrow_quantity":
-            raise ValueError(f"every robot has '{name}'; expected another name")
+            raise Problem("", "every robot has", found=name, expected="another name").error()
     return names
 
 
@@ -179,7 +183,7 @@ def _scales(value: Any) -> Any:
         return None
     scale = numbers(value)
     if scale.shape not in ((), (3,)) or (scale == 0).any():
-        raise ValueError(f"found {value!r}; expected a number, or three along x, y and z, not 0")
+        raise Problem(found=value, expected="a number, or three along x, y and z, not 0").error()
     return np.broadcast_to(scale, 3).copy()
 
 
@@ -293,8 +297,8 @@ def check_colors(links: list[list[LinkGeometry]], colors: Mapping[str, Any]) -> 
     """Checks that the colours of link geometry are declared; raises ValueError."""
     for part in (part for link in links for part in link):
         if part.color is not None and part.color not in colors:
-            near = did_you_mean(part.color, colors)
-            raise ValueError(f"{part.file or part.shape}: no color '{part.color}'{near}")
+            found = f"{part.file or part.shape}: no color"
+            raise Problem("", found, found=part.color, available=colors).error()
 
 
 def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None:
@@ -309,8 +313,7 @@ def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None
             near = nearest(line.value, known)
             choices = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
             hint = f"did you mean '{near}'?" if near else "add it to inputs for one of your own"
-            message = f"found {line.value!r}; expected {choices}; {hint}"
-            raise DeclarationError([Problem(f"{k}.value", message)])
+            raise Problem(f"{k}.value", found=line.value, expected=f"{choices}; {hint}").error()
 
 
 def dh_rows(rows: Array, in_degrees: Array | None, columns: list[str]) -> Array:
@@ -325,10 +328,13 @@ def dh_rows(rows: Array, in_degrees: Array | None, columns: list[str]) -> Array:
         rows[:, angles] = np.deg2rad(rows[:, angles])
     elif (np.abs(rows[:, angles]) > 2 * np.pi + 1e-6).any():
         largest = float(np.abs(rows[:, angles]).max())
-        raise ValueError(
-            f"found an angle of {largest:g} rad; expected alpha and theta in rad, or "
-            "dh_params_deg for degrees"
-        )
+        raise Problem(
+            "",
+            "found an angle of",
+            found=largest,
+            of="rad",
+            expected="alpha and theta in rad, or dh_params_deg for degrees",
+        ).error()
     if not 1 <= len(rows) <= MAX_JOINTS:
-        raise ValueError(f"found {len(rows)} rows; expected 1 to {MAX_JOINTS}")
+        raise Problem(found=len(rows), of="rows", expected=f"1 to {MAX_JOINTS}").error()
     return rows

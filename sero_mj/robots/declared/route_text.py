@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from ...base.errors import DeclarationError, Problem, did_you_mean
+from ...base.errors import DeclarationError, Problem, did_you_mean, problems_of
 
 NOT = "not"
 JOINING = ("and", "or", NOT)  # words between comparisons
@@ -36,7 +36,7 @@ def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
         try:
             texts[target] = origin_text(origin)
         except ValueError as error:
-            problems.append(Problem(f"routes.{target}", str(error)))
+            problems += problems_of(error, f"routes.{target}")
     if problems:
         raise DeclarationError(problems)
     return texts
@@ -89,7 +89,7 @@ def origin_text(origin: Any) -> str:
     else:
         text = _plain_text(origin)
     if len(text) > _MAX_ORIGIN:
-        raise ValueError(f"found {len(text)} characters; expected at most {_MAX_ORIGIN}")
+        raise Problem(found=len(text), of="characters", expected=f"at most {_MAX_ORIGIN}").error()
     return text
 
 
@@ -102,10 +102,9 @@ def _plain_text(origin: Any) -> str:
         hint = ""
         if isinstance(plain, list) and any(isinstance(entry, str) for entry in plain):
             hint = '; put quotes about the whole list: "[udp.values0[0], 1]"'
-        message = (
-            f'found {origin!r:.200}; expected an event such as "udp.values0", or numbers{hint}'
-        )
-        raise ValueError(message)
+        raise Problem(
+            found=origin, expected=f'an event such as "udp.values0", or numbers{hint}'
+        ).error()
     return text
 
 
@@ -114,9 +113,13 @@ def _text_for_joints(table: Any) -> str:
     example = '{ from = "udp.values0", joints = ["A1", "A2"] }'
     if not isinstance(table, Mapping) or not table.keys() & {*_OF_JOINTS}:
         if not isinstance(table, Mapping):
-            raise ValueError(f"found {table!r} among tables; expected {example}")
-        message = f'found {table!r}; expected an event such as "udp.values0", or numbers'
-        raise ValueError(f"{message}; put quotes about the whole name")
+            raise Problem(found=table, of="among tables", expected=example).error()
+        raise Problem(
+            found=table,
+            expected=(
+                'an event such as "udp.values0", or numbers; put quotes about the whole name'
+            ),
+        ).error()
     if table.keys() != {*_OF_JOINTS}:
         unknown = [f"unknown '{key}'{did_you_mean(key, _OF_JOINTS)}" for key in table
                    if key not in _OF_JOINTS]  # fmt: skip
@@ -125,7 +128,7 @@ def _text_for_joints(table: Any) -> str:
     joints = [table["joints"]] if isinstance(table["joints"], str) else table["joints"]
     names = isinstance(joints, list | tuple) and all(isinstance(each, str) for each in joints)
     if not names or not joints:
-        raise ValueError(f"joints: found {joints!r}; expected names of joints or limbs, in order")
+        raise Problem("joints", found=joints, expected="names of joints or limbs, in order").error()
     return f"{_plain_text(table['from'])}{_FOR}{', '.join(joints)}"
 
 

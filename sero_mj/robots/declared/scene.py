@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence, Sized
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -186,8 +187,12 @@ class Scene:
             DeclarationError: there is already a robot of that name.
         """
         if robot.name in self.robots:
-            message = f"two robots have the name '{robot.name}'; expected different names"
-            raise DeclarationError([Problem(f"robots.{robot.name}", message)])
+            raise Problem(
+                f"robots.{robot.name}",
+                "two robots have the name",
+                found=robot.name,
+                expected="different names",
+            ).error()
         if self._finds_floor and robot.is_foreign:
             self.floor = "below"
         self.robots[robot.name] = self._with_defaults(robot)
@@ -426,8 +431,9 @@ class Scene:
         for name, double in self.doubles.items():
             if not (self.declares("robots", double.of) or self.declares("groups", double.of)):
                 known = [*self.declared("robots"), *self.declared("groups")]
-                near = did_you_mean(double.of, known)
-                problems.append(Problem(f"doubles.{name}.of", f"no robot '{double.of}'{near}"))
+                problems.append(
+                    Problem(f"doubles.{name}.of", "no robot", found=double.of, available=known)
+                )
             elif double.of in self.robots:
                 found = double.check_degrees({double.of: self.robots[double.of].types})
                 problems += [each.inside(f"doubles.{of_group.get(name, name)}") for each in found]
@@ -488,11 +494,11 @@ class Scene:
         if robot is not None and field == "children" and child.isdigit():
             declared = robot.children[int(child)]._declared
             if declared is not None:
-                return where(Problem(inner, problem.message), (declared,))
+                return where(replace(problem, key=inner), (declared,))
         places = [place for place in declaration._declared if has_key(place, field)]
         if robot is not None and robot._model is not None and not places:
             places = [(robot._model, "")]
-        return where(Problem(key, problem.message), tuple(places)) if places else problem
+        return where(replace(problem, key=key), tuple(places)) if places else problem
 
 
 def _shares(value: Array, robots: Sequence[SerialRobot]) -> list[Array] | None:
@@ -517,13 +523,13 @@ def _not_their_sum(found: int, robots: Sequence[SerialRobot]) -> str:
 def _floor_problems(floor: Any) -> list[Problem]:
     if floor in (True, False, "below", None):
         return []
-    return [Problem("floor", f"found {floor!r}; expected true, false or 'below'")]
+    return [Problem("floor", found=floor, expected="true, false or 'below'")]
 
 
 def excess(sections: Mapping[str, Any]) -> list[Problem]:
     """Returns sections of a file's tables with more entries than a scene may have."""
     return [
-        Problem(key, f"found {len(entries)}; expected at most {most}")
+        Problem(key, found=len(entries), expected=f"at most {most}")
         for key, most in MOST_ENTRIES.items()
         if isinstance(entries := sections.get(key), Sized) and len(entries) > most
     ]
@@ -551,7 +557,7 @@ def _not_of_type(
     starts: dict[Any, str] = {None: "a", Sequence: "a list of", Mapping: "a mapping from names to"}
     expected = f"{starts[many]} {kind.__name__}".removesuffix(" to object")
     return [
-        Problem(key, f"found {value!r:.200}; expected {expected}")
+        Problem(key, found=value, expected=expected)
         for key, value in fields.items()
         if value is not None and not is_right(value)
     ]

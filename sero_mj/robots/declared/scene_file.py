@@ -20,6 +20,7 @@ from ...base.errors import (
     collect,
     did_you_mean,
     nearest,
+    problems_of,
 )
 from ...base.plugins import DECOR, load_plugin
 from ...base.toml_file import located, read_toml
@@ -386,9 +387,9 @@ class _Reader:
             if problem.key == field or problem.key.startswith(f"{field}."):
                 group = self._set_for.get((name, field))
                 if group is not None:
-                    return Problem(f"{group}.{problem.key}", problem.message)
+                    return problem.inside(group)
                 if place in self.expanded.declared:
-                    return Problem(f"{name}.{problem.key}", problem.message)
+                    return problem.inside(name)
         return None
 
     def _floor(self) -> Any:
@@ -408,7 +409,7 @@ class _Reader:
         value = self.tables[key]
         if isinstance(value, dict):
             return value
-        raise DeclarationError([Problem("", f"found {value!r}; expected a table [{key}]")])
+        raise Problem(found=value, expected=f"a table [{key}]").error()
 
     def _each(self, key: str, build: Callable[[str, dict[str, Any]], T]) -> dict[str, T]:
         built: dict[str, T] = {}
@@ -421,8 +422,7 @@ class _Reader:
 
     def _entry(self, build: Callable[[str, Any], T], name: str, table: Any, place: str) -> T:
         if not isinstance(table, dict):
-            message = f"found {table!r}; expected a table [{place}]"
-            raise DeclarationError([Problem("", message)])
+            raise Problem(found=table, expected=f"a table [{place}]").error()
         settings = self._settings.get(place, [])
         built = below = None
         lists: dict[str, int] = {}
@@ -442,7 +442,7 @@ class _Reader:
                 table = _without_other_unit(table, key)
                 table = with_value(table, parts, value, built=built, below=below, lists=lists)
             except ValueError as error:
-                problems.append(Problem(key, str(error)))
+                problems += problems_of(error, key)
         with collect(problems, ""):
             found = build(name, table)
             if not problems:
@@ -469,7 +469,7 @@ class _Reader:
     def _built(self, name: str, table: dict[str, Any]) -> SerialRobot:
         if "name" in table:
             message = f"belongs in the header: write [robots.{table['name']}] instead"
-            raise DeclarationError([Problem("name", message)])
+            raise Problem("name", message).error()
         fields = {**table, "name": name}
         arguments = _arguments(fields)
         fields.pop("arguments", None)
@@ -477,7 +477,7 @@ class _Reader:
         known = [*SerialRobot.model_fields, "model", "arguments"]
         for key in fields:
             if key not in known and did_you_mean(key, known).endswith("did you mean 'model'?"):
-                raise DeclarationError([Problem(key, "unknown key; did you mean 'model'?")])
+                raise Problem(key, "unknown key; did you mean 'model'?").error()
         declared = self.expanded.declared.get(f"robots.{name}")
         beside = declared[-1][0].parent if declared else self.path.parent
         if "directory" in fields and isinstance(fields["directory"], str):
@@ -487,14 +487,14 @@ class _Reader:
             fields.setdefault("directory", str(beside))
             return build_robot(fields)
         if not isinstance(model, str | Path):
-            raise DeclarationError([Problem("model", f"found {model!r}; expected a robot's name")])
+            raise Problem("model", found=model, expected="a robot's name").error()
         try:
             path = model if isinstance(model, Path) else paths.find_model(model, beside)
         except (DeclarationError, UnknownName) as error:
-            raise DeclarationError([Problem("model", str(error))]) from None
+            raise Problem("model", str(error)).error() from None
         if arguments is not None and path.suffix == ".toml":
             message = f"are for xacro; {path.name} has none"
-            raise DeclarationError([Problem("arguments", message)])
+            raise Problem("arguments", message).error()
         return build_robot(fields, path, arguments=arguments)
 
     def _source(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
@@ -508,7 +508,7 @@ class _Reader:
         try:
             kind = load_plugin(DECOR, name)
         except (UnknownName, PluginError) as error:
-            raise DeclarationError([Problem("", str(error))]) from error
+            raise DeclarationError(problems_of(error)) from error
         kind.settings_kind(**table)
         return table
 
@@ -525,8 +525,7 @@ def _arguments(table: Mapping[str, Any]) -> dict[str, Any] | None:
         isinstance(value, str | int | float) for value in found.values()
     )
     if found is not None and not is_right:
-        message = f"found {found!r:.200}; expected texts and numbers by name"
-        raise DeclarationError([Problem("arguments", message)])
+        raise Problem("arguments", found=found, expected="texts and numbers by name").error()
     return found
 
 
@@ -562,4 +561,4 @@ def _check_name(name: str) -> None:
     try:
         is_name(name)
     except ValueError as error:
-        raise DeclarationError([Problem("", f"name: {error}")]) from None
+        raise DeclarationError(problems_of(error, "name")) from None

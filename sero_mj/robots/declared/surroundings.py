@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from ...base.declaration import Declaration, Frame, Name, Point, Rgba, Vector
+from ...base.errors import Problem
 from ...base.frames import Array
 from ..importers.mesh_files import MESH_ENDINGS
 from ..importers.mjcf_file import is_mjcf_object
@@ -40,9 +41,9 @@ def _inside(file: str) -> str:
     """Returns a file name after checking that it is inside its folder."""
     path = Path(file)
     if "\0" in file:
-        raise ValueError(f"found {file!r}; expected a file's name")
+        raise Problem(found=file, expected="a file's name").error()
     if path.is_absolute() or ".." in path.parts:
-        raise ValueError(f"found '{file}'; expected a file inside the directory, without '..'")
+        raise Problem(found=file, expected="a file inside the directory, without '..'").error()
     return file
 
 
@@ -50,7 +51,7 @@ def _of_a_mesh(file: str) -> str:
     """Returns a file name after checking its folder and that it is a mesh."""
     if Path(_inside(file)).suffix.lower() not in MESH_ENDINGS:
         formats = ", ".join(MESH_ENDINGS)
-        raise ValueError(f"found '{file}'; expected a mesh ({formats})")
+        raise Problem(found=file, expected=f"a mesh ({formats})").error()
     return file
 
 
@@ -172,13 +173,13 @@ def set_directory(children: Any, folder: Path) -> None:
 
 def _unit_range(rgb: Array) -> Array:
     if (rgb < 0).any() or (rgb > 1).any():
-        raise ValueError(f"found {rgb.tolist()}; expected three numbers from 0 to 1")
+        raise Problem(found=rgb.tolist(), expected="three numbers from 0 to 1").error()
     return rgb
 
 
 def _direction(vector: Array) -> Array:
     if not np.abs(vector).max() > 0:
-        raise ValueError(f"found {vector.tolist()}; expected a direction")
+        raise Problem(found=vector.tolist(), expected="a direction").error()
     return vector
 
 
@@ -203,7 +204,7 @@ class Camera(Declaration):
     def _is_elsewhere(cls, look_at: Array, info: ValidationInfo) -> Array:
         position = info.data.get("position")
         if position is not None and np.array_equal(look_at, position):
-            raise ValueError(f"found {look_at.tolist()}; expected another point than position")
+            raise Problem(found=look_at.tolist(), expected="another point than position").error()
         return look_at
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, PrivateAttr, ValidationInfo, field_validator
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UnknownName, collect, did_you_mean
+from ...base.errors import DeclarationError, Problem, UnknownName, collect
 from ...base.frames import Array, Ints
 from ..assemble.decor_sizes import MeasuredBodies, Sizes, measure
 from ..assemble.parts import RobotPart
@@ -51,11 +51,11 @@ def _positive(value: Any) -> Any:
         return None
     array = np.asarray(value)
     if array.dtype.kind not in "iuf" or array.ndim > 1:
-        raise ValueError(f"found {value!r}; expected a number, or one for each joint")
+        raise Problem(found=value, expected="a number, or one for each joint").error()
     finite = numbers(np.where(np.isposinf(array), 0.0, array))
     array = np.where(np.isposinf(array), np.inf, finite)
     if (array <= 0).any():
-        raise ValueError(f"found {array.tolist()}; expected positive numbers")
+        raise Problem(found=array.tolist(), expected="positive numbers").error()
     return array
 
 
@@ -85,7 +85,9 @@ class ModelRobot(SerialRobot):
     def _one_or_all(cls, value: Array, info: ValidationInfo) -> Array:
         rows = info.data.get("joint_frames")
         if rows is not None and value.ndim and len(value) != len(rows):
-            raise ValueError(f"found {len(value)} entries; expected {len(rows)}, one per joint")
+            raise Problem(
+                found=len(value), of="entries", expected=f"{len(rows)}, one per joint"
+            ).error()
         return value
 
     _carriers: Ints | None = PrivateAttr(None)
@@ -218,9 +220,7 @@ def _model_robot(
     model: mujoco.MjModel, tree: Tree, sizes: Sizes, overrides: Mapping[str, Any]
 ) -> ModelRobot:
     problems = [
-        Problem(key, f"unknown key{did_you_mean(key, FIELDS)}")
-        for key in overrides
-        if key not in FIELDS
+        Problem(key, "unknown key", available=FIELDS) for key in overrides if key not in FIELDS
     ]
     if problems:
         raise DeclarationError(problems)

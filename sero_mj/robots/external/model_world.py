@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem, UnknownName
+from ...base.errors import Problem, UnknownName
 from ...base.frames import Array, Bools, Ints
 from ..assemble.mjcf import build_surroundings
 from ..assemble.parts import DoublePart, DrawnDouble, make_tables
@@ -110,7 +110,7 @@ class ModelWorld(WorldView):
         overrides = dict(robots or {})
         trees = find_trees(model, overrides)
         if not trees:
-            raise DeclarationError([Problem("model", _no_joints(model))])
+            raise Problem("model", _no_joints(model)).error()
         for robot in overrides:
             if robot not in [tree.name for tree in trees]:
                 raise UnknownName("robot", robot, [tree.name for tree in trees])
@@ -317,7 +317,7 @@ class ModelWorld(WorldView):
             many = item.meaning if item.count == 1 else f"{item.meaning}: shape {item.shape}"
             if item.kind == "values" and item.shape != (self.model.nv,):
                 many += f", or one per degree of freedom of the model: shape ({self.model.nv},)"
-            raise ValueError(f"{target}: found {found}; expected {many}")
+            raise Problem(target, f"found {found}", expected=many).error()
         bad = ~np.isfinite(array)
         if bad.any() and not isinstance(values, _ByName):
             if not self.not_finite:
@@ -358,8 +358,9 @@ class ModelWorld(WorldView):
             try:
                 array[names.index(joint)] = value
             except (TypeError, ValueError):
-                message = f"{owner}: joint {joint}: found {value!r}; expected a number"
-                raise ValueError(message) from None
+                raise Problem(
+                    owner, f"joint {joint}: found", found=value, expected="a number"
+                ).error() from None
         return array
 
     def clear_input(self, target: str) -> None:

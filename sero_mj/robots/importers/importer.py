@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ...base.errors import DeclarationError, Problem, SeroError
+from ...base.errors import Problem, SeroError
 from ...base.paths import format_of_file, read_head
 from ...base.plugins import IMPORTERS, is_own_class, load_all
 from .imported_tables import ImportedTables
@@ -90,7 +90,7 @@ def find_importer(path: Path) -> Importer | None:
             return each
     found = format_of_file(path) or ("in no format that is known" if head else "empty")
     expected = " or ".join(f"a file of the importer '{name}'" for name in named)
-    raise DeclarationError([Problem("", f"is {found}; expected {expected}", str(path))])
+    raise Problem("", f"is {found}; expected {expected}", str(path)).error()
 
 
 def read_imported(
@@ -118,4 +118,4 @@ def read_imported(
             raise
         name = type(importer).__name__
         reason = f"cannot be read by {name}: {type(error).__name__}: {error}"
-        raise DeclarationError([Problem("", reason, str(path))]) from error
+        raise Problem("", reason, str(path)).error() from error

@@ -148,7 +148,7 @@ def _keep(key: _Key, pieces: tuple[MeshPiece, ...]) -> None:
 
 
 def _wrong(path: Path, reason: str) -> DeclarationError:
-    return DeclarationError([Problem("", f"mesh {path}: {reason}")])
+    return Problem("", f"mesh {path}: {reason}").error()
 
 
 def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...] | None:

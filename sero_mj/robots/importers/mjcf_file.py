@@ -11,7 +11,7 @@ from typing import Any
 
 import mujoco
 
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import Problem
 from ...base.paths import format_of_file, open_file, read_file
 
 _LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
@@ -35,10 +35,10 @@ def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
         _keep_files(spec)
     except OSError as error:
         reason = f"{error.filename or source}: {error.strerror or error}"
-        raise DeclarationError([Problem("mjcf", f"cannot be read: {reason}")]) from error
+        raise Problem("mjcf", f"cannot be read: {reason}").error() from error
     except (ValueError, TypeError, mujoco.FatalError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise DeclarationError([Problem("mjcf", f"cannot be read: {reason}")]) from error
+        raise Problem("mjcf", f"cannot be read: {reason}").error() from error
     for k, body in enumerate(spec.bodies[1:]):
         if not body.name:
             body.name = f"body{k + 1}"  # contacts are excluded by name

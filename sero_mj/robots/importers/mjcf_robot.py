@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ def read_mjcf(path: Path) -> ImportedTables:
     try:
         tables, lost = mjcf_tables(path.name, path.parent)
     except DeclarationError as error:
-        problems = [Problem("", problem.message, str(path)) for problem in error.problems]
+        problems = [replace(problem, key="", file=str(path)) for problem in error.problems]
         raise type(error)(problems) from None
     return ImportedTables({"directory": "", **tables}, {}, lost)
 
@@ -137,7 +138,7 @@ def tree_of(source: Any, folder: Path) -> MjcfTree:
         raise
     except ValueError as error:
         reason = " ".join(str(error).split())
-        raise DeclarationError([Problem("mjcf", reason)]) from None
+        raise Problem("mjcf", reason).error() from None
     if is_file_name(source):
         _kept[folder / source] = _changed(folder / source), tree
         while len(_kept) > _MAX_KEPT:

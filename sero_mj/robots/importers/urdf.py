@@ -93,9 +93,13 @@ def read_rigid_urdf(path: Path | str) -> ImportedTables:
     """
     file = UrdfFile(Path(path))
     if file.tree.joints:
-        found = f"{len(file.tree.joints)} joints that move"
-        message = f"found {found}; expected none in an object: a robot is model = "
-        raise DeclarationError([Problem("robot", f'{message}"{file.path.name}"', str(path))])
+        raise Problem(
+            "robot",
+            found=len(file.tree.joints),
+            of="joints that move",
+            expected=f'none in an object: a robot is model = "{file.path.name}"',
+            file=str(path),
+        ).error()
     return file.described
 
 

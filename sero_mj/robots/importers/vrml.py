@@ -76,7 +76,7 @@ def read_document(path: Path) -> Document:
 
 def _read_text(path: Path) -> str:
     def wrong(message: str) -> DeclarationError:
-        return DeclarationError([Problem("", message, str(path))])
+        return Problem("", message, str(path)).error()
 
     too_long = f"expected at most {MOST_BYTES / 1e6:g} MB"
     try:

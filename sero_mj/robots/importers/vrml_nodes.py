@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import DeclarationError, Problem, problems_of
 from ...base.frames import Array
 
 _MAX_PROBLEMS = 20  # reported per file
@@ -164,11 +164,12 @@ class Problems:
 
     @contextmanager
     def told(self, key: str, line: int) -> Iterator[None]:
-        """Adds the message of a ValueError raised inside."""
+        """Adds what is wrong by a ValueError raised inside."""
         try:
             yield
         except ValueError as error:
-            self.add(key, str(error), line)
+            wrong = problems_of(error, key)
+            self.found += [replace(each, file=str(self.path), line=line) for each in wrong]
 
     def raise_all(self) -> None:
         """Raises DeclarationError if there are any; of many only the first."""
@@ -242,7 +243,9 @@ def read_field(value: Value, kind: str) -> Any:
         width = _WIDTHS[base]
         if many:
             if numbers.size % width:
-                raise ValueError(f"found {numbers.size} numbers; expected {width} for each entry")
+                raise Problem(
+                    found=numbers.size, of="numbers", expected=f"{width} for each entry"
+                ).error()
             return numbers if width == 1 else numbers.reshape(-1, width)
         if numbers.size != width:
             expected = "one number" if width == 1 else f"{width} numbers"
@@ -264,7 +267,7 @@ def read_field(value: Value, kind: str) -> Any:
     if many:
         return [item for item in items if item is not None]
     if len(items) != 1:
-        raise ValueError(f"found {len(items)} values; expected {expected}")
+        raise Problem(found=len(items), of="values", expected=expected).error()
     return items[0]
 
 

@@ -85,7 +85,7 @@ def read_wrl(path: Path) -> list[Triangles]:
             count += len(piece[1])
             if count > _MAX_TRIANGLES:
                 message = f"has more than {_MAX_TRIANGLES:,} triangles"
-                raise DeclarationError([Problem("", message, str(path))])
+                raise Problem("", message, str(path)).error()
             pieces.append(piece)
     problems.raise_all()
     if left_out:
@@ -139,7 +139,7 @@ def visit(
         count += 1
         if count > _MAX_NODES:
             message = f"has more than {_MAX_NODES:,} nodes, counting those of every USE"
-            raise DeclarationError([Problem("", message, str(path))])
+            raise Problem("", message, str(path)).error()
         node, inner = seen.node, list[Node]()
         T, here = seen.T, problems.of(seen.path)
         if is_kept(node):
@@ -267,7 +267,9 @@ def rotation(axis_angle: Array) -> Array:
     if length == 0.0:
         if angle == 0.0:
             return np.eye(3)
-        raise ValueError(f"found a rotation about 0 0 0 by {angle:g}; expected an axis")
+        raise Problem(
+            "", "found a rotation about 0 0 0 by", found=angle, expected="an axis"
+        ).error()
     x, y, z = axis / length
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)

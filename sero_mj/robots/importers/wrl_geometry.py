@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ...base.errors import Problem
 from ...base.frames import Array, Ints, rotation_about
 from .vrml_nodes import Node, Problems, get, instance
 
@@ -33,7 +34,7 @@ def _box(node: Node, problems: Problems) -> list[Triangles]:
 
 def _check_positive(name: str, values: Any) -> None:
     if not (np.asarray(values) > 0).all():
-        raise ValueError(f"{name}: found {np.asarray(values).tolist()}; expected numbers above 0")
+        raise Problem(name, found=np.asarray(values).tolist(), expected="numbers above 0").error()
 
 
 def _sphere(node: Node, problems: Problems) -> list[Triangles]:
@@ -126,7 +127,7 @@ def _check_index(name: str, index: Ints, count: int, least: int = -1) -> None:
     if index.size and not (least <= index.min() and index.max() < count):
         found = int(index.max() if index.max() >= count else index.min())
         points = f"0 to {count - 1}" if count else "no index, since there are no points"
-        raise ValueError(f"{name}: found {found}; expected {points}")
+        raise Problem(name, f"found {found}", expected=points).error()
 
 
 def _cut(points: Array, index: Ints) -> Ints:
@@ -358,12 +359,12 @@ def _by_colour(
         given = own if len(own) else index
         if len(given) <= corners.max():
             found, least = len(given), int(corners.max()) + 1
-            raise ValueError(f"colorIndex: found {found} entries; expected {least}")
+            raise Problem("colorIndex", f"found {found} entries", expected=least).error()
         chosen = given[corners]
     else:
         of = polygon[corners[:, 0]]
         if len(own) and len(own) <= of.max():
-            raise ValueError(f"colorIndex: found {len(own)} entries; expected {of.max() + 1}")
+            raise Problem("colorIndex", found=len(own), of="entries", expected=of.max() + 1).error()
         chosen = (own[of] if len(own) else of)[:, None]
     _check_index("colors", chosen.ravel(), len(colors), least=0)
     means = np.clip(colors[chosen].mean(axis=1), 0.0, 1.0)

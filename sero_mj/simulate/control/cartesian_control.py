@@ -11,7 +11,7 @@ from numpy import add, dot, multiply, negative, subtract
 from pydantic import BeforeValidator, Field
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import Problem
 from ...base.frames import Array
 from ...robots.declared.robot import SerialRobot
 from .controller import (
@@ -54,7 +54,7 @@ def _stiffness(value: Any) -> Any:
         raise ValueError("found a matrix that is not symmetric; expected a symmetric one")
     least = float(np.linalg.eigvalsh(array).min())
     if least < -1e-9 * max(np.abs(array).max(), 1.0):
-        raise ValueError(f"found an eigenvalue of {least:g}; expected none below zero")
+        raise Problem("", "found an eigenvalue of", found=least, expected="none below zero").error()
     return array
 
 
@@ -368,7 +368,7 @@ class CartesianImpedanceController:
                 f"is more than {100 * SOFTEST:g} % of what the elastic joints have at the flange; "
                 f"expected at most {99 * share:.2g} % of it"
             )
-            raise DeclarationError([Problem("stiffness", message)])
+            raise Problem("stiffness", message).error()
         back = np.linalg.solve(mass, jacobian.T)
         felt = self._inertia(jacobian @ back, _BLOCKED)
         through = np.eye(model.n) - jacobian.T @ felt @ back.T

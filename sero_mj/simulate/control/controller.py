@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator
 
 from ...base.declaration import Declaration, numbers
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import Problem
 from ...base.frames import Array
 from ...robots.declared.robot import SerialRobot
 from .robot_model import RobotModel
@@ -28,9 +28,9 @@ def _one_or_more(value: Any) -> Any:
         return None
     array = numbers(value)
     if array.ndim > 1 or array.size == 0:
-        raise ValueError(
-            f"found {array.ndim} levels of lists; expected one number or one per joint"
-        )
+        raise Problem(
+            found=array.ndim, of="levels of lists", expected="one number or one per joint"
+        ).error()
     return np.atleast_1d(array)
 
 
@@ -48,8 +48,7 @@ def within(low: float, high: float, unit: str = "", note: str = "") -> AfterVali
     def validate(array: Array) -> Array:
         bad = (array < low) | (array > high)
         if bad.any():
-            message = f"found {array[bad][0]:g}; expected {low:g} to {high:g}{unit}"
-            raise ValueError(f"{message}{note}")
+            raise Problem(found=array[bad][0], expected=f"{low:g} to {high:g}{unit}{note}").error()
         return array
 
     return AfterValidator(validate)
@@ -363,6 +362,7 @@ class ControllerDeclaration(Declaration, ABC):
 def per_joint(key: str, value: Array, n: int) -> Array:
     """One number for all joints or n of them as (n,) numbers; raises DeclarationError."""
     if len(value) not in (1, n):
-        message = f"found {len(value)} entries; expected {n}, one per joint, or one for all"
-        raise DeclarationError([Problem(key, message)])
+        raise Problem(
+            key, found=len(value), of="entries", expected=f"{n}, one per joint, or one for all"
+        ).error()
     return np.array(np.broadcast_to(value, n))

@@ -395,8 +395,10 @@ class JointImpedanceController:
             problems = [
                 Problem(
                     "stiffness",
-                    f"joint {self.model.joint_names[i]}: found {own[i]:g} Nm/rad; expected at most "
-                    f"{most[i]:g}, {100 * SOFTEST:g} % of that of the elastic joint",
+                    f"joint {self.model.joint_names[i]}: found",
+                    found=own[i],
+                    of="Nm/rad",
+                    expected=f"at most {most[i]:g}, {100 * SOFTEST:g} % of the elastic joint's",
                 )
                 for i in np.flatnonzero(own > most).tolist()
             ]
@@ -545,6 +547,10 @@ def too_stiff(joint: str, gain: str, timestep: float, expected: str = "less") ->
         timestep: s between two torques.
         expected: what would do, where that is known.
     """
-    found = f"joint {joint} is unstable{gain} with a time step of {1e3 * timestep:g} ms"
-    message = f"{found}; expected {expected}, or a shorter step"
-    return DeclarationError([Problem("stiffness", message)])
+    return Problem(
+        "stiffness",
+        f"joint {joint} is unstable{gain} with a time step of",
+        found=1000.0 * timestep,
+        of="ms",
+        expected=f"{expected}, or a shorter step",
+    ).error()

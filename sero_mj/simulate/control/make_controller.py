@@ -180,10 +180,11 @@ def _limit_problems(key: str, limits: Array, unit: str, names: Sequence[str]) ->
     """What is wrong with limits, joint by joint."""
     values = np.asarray(limits, float)
     if values.shape != (len(names),):
-        message = f"found {values.size} entries; expected {len(names)}, one per joint"
-        return [Problem(key, message)]
+        return [
+            Problem(key, found=values.size, of="entries", expected=f"{len(names)}, one per joint")
+        ]
     return [
-        Problem(key, f"joint {name} has {value:g}; expected a positive number of {unit}")
+        Problem(key, f"joint {name} has", found=value, expected=f"a positive number of {unit}")
         for name, value in zip(names, values, strict=True)
         if not value > 0
     ]
@@ -237,10 +238,10 @@ def make_controller(
     if isinstance(controller, type):
         name = controller.__name__
         message = f"found the class {name}; expected an object: {name}()"
-        raise DeclarationError([Problem("", message)])
+        raise Problem("", message).error()
     if not callable(getattr(controller, "torques", None)):
         message = f"{found}; expected an object with a method torques(sensed, target, out)"
-        raise DeclarationError([Problem("", message)])
+        raise Problem("", message).error()
     if own is not None:
         if own.torque_limits is not None:
             limits = _lower(own.per_joint("torque_limits", n), limits, model.joint_names)
@@ -260,7 +261,7 @@ def make_controller(
 def _lower(own: Array, robots: Array, names: list[str]) -> Array:
     """A controller's limits, which may not be above those of its robot."""
     problems = [
-        Problem("torque_limits", f"joint {name} has {a:g}; expected up to {b:g}, the robot's")
+        Problem("torque_limits", f"joint {name} has", found=a, expected=f"up to {b:g}, the robot's")
         for name, a, b in zip(names, own, robots, strict=True)
         if a > b
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...base.errors import Problem
 from ...base.frames import Array
 from .controller import Sensed
 from .robot_model import RobotModel
@@ -55,9 +56,12 @@ class MomentumObserver:
         gains: Array = np.array(np.broadcast_to(gain, n), float)
         for name, value in zip(model.joint_names, gains, strict=True):
             if not value > 0.0:
-                raise ValueError(
-                    f"joint {name} has an observer gain of {value:g}; expected a positive one, 1/s"
-                )
+                raise Problem(
+                    "",
+                    f"joint {name} has an observer gain of",
+                    found=value,
+                    expected="a positive one, 1/s",
+                ).error()
         self.external: Array = np.zeros(n)
         self._timestep = timestep
         self._scale: Array = gains / (1.0 + gains * timestep)

@@ -184,4 +184,4 @@ def _too_far(time: float, reached: Reached, robot: SerialRobot) -> DeclarationEr
         why = f"{joints} at the limit"
     else:
         why = "no joint is at its limit, it is too far or a singularity in the way"
-    return DeclarationError([Problem("", f"{found}; {why}")])
+    return Problem("", f"{found}; {why}").error()

@@ -6,7 +6,7 @@ Way points, for both, are in `way_points.py`; all kinds by name are in `plan.py`
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -116,7 +116,7 @@ class JointTargetMotion(TargetMotion):
         ramp = getattr(self, "ramp", None)
         if problems and ramp and not beyond_limits(motion.since(ramp), robot):
             hint = f"; it grows within {ramp:g} s: ramp = {2 * ramp:g} is gentler"
-            problems = [Problem(each.key, each.message + hint) for each in problems]
+            problems = [replace(each, expected=f"{each.expected}{hint}") for each in problems]
         if problems:
             raise DeclarationError(problems)
         return motion
@@ -140,7 +140,7 @@ class JointTargetMotion(TargetMotion):
         value = getattr(self, key)
         degrees = f" or {key}_deg" if key in self.in_degrees else ""
         if value is None:
-            raise DeclarationError([Problem(key, f"is required; expected {key}{degrees}")])
+            raise Problem(key, f"is required; expected {key}{degrees}").error()
         return per_joint(key, value, n)
 
     def rows(self, key: str, n: int) -> Array:
@@ -151,10 +151,10 @@ class JointTargetMotion(TargetMotion):
         """
         value = getattr(self, key)
         if value is None:
-            raise DeclarationError([Problem(key, f"is required; expected {key} or {key}_deg")])
+            raise Problem(key, f"is required; expected {key} or {key}_deg").error()
         if value.shape[-1] != n or not value.size:
             message = f"found rows of {value.shape[-1]}; expected {n} angles, one per joint"
-            raise DeclarationError([Problem(key, message if value.size else "found no rows")])
+            raise Problem(key, message if value.size else "found no rows").error()
         return np.asarray(value)
 
 
@@ -170,17 +170,19 @@ def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
             bad = (angles < low - _SLACK) | (angles > high + _SLACK)
             if bad.any():
                 row = int(np.argmax(np.maximum(low - angles, angles - high)))
-                where = f"joint {name} is to be at {factor * angles[row]:.4g} {unit}"
-                allowed = f"expected {factor * low:.4g} to {factor * high:.4g} {unit}"
-                problems.append(Problem("", f"{where} at t = {motion.times[row]:.3f} s; {allowed}"))
+                found, of = factor * angles[row], f"{unit} at t = {motion.times[row]:.3f} s"
+                allowed = f"{factor * low:.4g} to {factor * high:.4g} {unit}"
+                where = f"joint {name} is to be at"
+                problems.append(Problem("", where, found=found, of=of, expected=allowed))
                 continue
         if speeds is not None:
             fast = np.abs(motion.velocities[:, joint])
             if (fast > speeds[joint] * (1.0 + _SLACK)).any():
                 row = int(np.argmax(fast))
-                where = f"joint {name} is to move at {factor * fast[row]:.4g} {unit}/s"
-                allowed = f"expected up to {factor * speeds[joint]:.4g} {unit}/s"
-                problems.append(Problem("", f"{where} at t = {motion.times[row]:.3f} s; {allowed}"))
+                found, of = factor * fast[row], f"{unit}/s at t = {motion.times[row]:.3f} s"
+                allowed = f"up to {factor * speeds[joint]:.4g} {unit}/s"
+                where = f"joint {name} is to move at"
+                problems.append(Problem("", where, found=found, of=of, expected=allowed))
     return problems
 
 
@@ -327,8 +329,9 @@ class Chirp(JointTargetMotion):
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
         """The swing times its ramps."""
         if 2.0 * self.ramp > self.duration:
-            message = f"found {self.ramp:g} s; expected up to half the duration"
-            raise DeclarationError([Problem("ramp", message)])
+            raise Problem(
+                "ramp", found=self.ramp, of="s", expected="up to half the duration"
+            ).error()
         rate = 2.0 * np.pi * (self.end_frequency - self.start_frequency) / self.duration
         omega = (2.0 * np.pi * self.start_frequency + rate * times)[:, None]
         angle = (2.0 * np.pi * self.start_frequency * times + 0.5 * rate * times**2)[:, None]
@@ -358,7 +361,7 @@ class Recorded(JointTargetMotion):
     @classmethod
     def _rise(cls, times: Array) -> Array:
         if len(times) < 2:
-            raise ValueError(f"found {len(times)} entries; expected two or more")
+            raise Problem(found=len(times), of="entries", expected="two or more").error()
         if (np.diff(times) <= 0).any():
             row = int(np.argmax(np.diff(times) <= 0)) + 1
             raise ValueError(f"entry {row + 1} is {times[row]:g} s, after {times[row - 1]:g} s")
@@ -368,8 +371,9 @@ class Recorded(JointTargetMotion):
         """Cubic Hermite: through every row, with the velocities of the parabola through three."""
         knots, rows = self.times, self.rows("angles", robot.n)
         if len(rows) != len(knots):
-            message = f"found {len(rows)} rows; expected {len(knots)}, one per time"
-            raise DeclarationError([Problem("angles", message)])
+            raise Problem(
+                "angles", found=len(rows), of="rows", expected=f"{len(knots)}, one per time"
+            ).error()
         slopes = np.gradient(rows, knots, axis=0)
         index = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 2)
         width = np.diff(knots)[index][:, None]

@@ -97,7 +97,9 @@ class LoopGains:
         problems += [
             Problem(
                 "torque_control.motor_inertias",
-                f"joint {i + 1}: found {shaped[i]:g}; expected at most {motors[i]:g}, the motor's",
+                f"joint {i + 1}: found",
+                found=shaped[i],
+                expected=f"at most {motors[i]:g}, the motor's",
             )
             for i in np.flatnonzero(shaped > motors * (1 + 1e-9)).tolist()
         ]

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from ...base.declaration import Frame, Vector
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import Problem
 from ...base.frames import Array, Ints
 from ...robots.declared.robot import SerialRobot
 from .controller import MaybePerJoint
@@ -42,15 +42,15 @@ _NOTHING = 1e-12  # s; shorter ways count as none
 def _rising(times: Array | None) -> Array | None:
     if times is not None:
         if not len(times) or times[0] < 0:
-            raise ValueError(f"found {times.tolist()}; expected times from 0 s on")
+            raise Problem(found=times.tolist(), expected="times from 0 s on").error()
         if (np.diff(times) <= 0).any():
-            raise ValueError(f"found {times.tolist()}; expected times that rise")
+            raise Problem(found=times.tolist(), expected="times that rise").error()
     return times
 
 
 def _positive(values: Array | None) -> Array | None:
     if values is not None and (values <= 0).any():
-        raise ValueError(f"found {values[values <= 0][0]:g}; expected positive numbers")
+        raise Problem(found=values[values <= 0][0], expected="positive numbers").error()
     return values
 
 
@@ -66,8 +66,9 @@ def _one_of_two(times: Array | None, speed: float | None) -> None:
 def _timed(points: Array, times: Array, each: str) -> tuple[Array, Array, Array]:
     """Points with the start, when the ways between them begin, and how long they take."""
     if len(times) != len(points) - 1:
-        message = f"found {len(times)} entries; expected {len(points) - 1}, one per {each}"
-        raise DeclarationError([Problem("times", message)])
+        raise Problem(
+            "times", found=len(times), of="entries", expected=f"{len(points) - 1}, one per {each}"
+        ).error()
     if times[0] > 0.0:
         times = np.hstack([0.0, times])
     elif len(points) > 2:
@@ -138,7 +139,7 @@ class WayPoints(JointTargetMotion):
                 joint = robot.names[int(np.argmax(_shares(line, rates)))]
                 when = f"to arrive at t = {start + duration:.3f} s"
                 message = f"joint {joint} is too slow {when}: {error}; expected more time"
-                raise DeclarationError([Problem("times", message)]) from None
+                raise Problem("times", message).error() from None
         return np.array(blends)
 
     def _fast(self, lines: Array, robot: SerialRobot) -> tuple[Array, Array, Array | None]:
@@ -148,7 +149,7 @@ class WayPoints(JointTargetMotion):
             lacks = "velocity_limits" if limits is None else "acceleration_limits"
             hint = "times" if limits is None else "accelerations"
             message = f"robot '{robot.name}' has no {lacks}; expected {hint} here"
-            raise DeclarationError([Problem("speed", message)])
+            raise Problem("speed", message).error()
         speeds = np.array([_room(line, float(self.speed or 1.0) * limits) for line in lines])
         shares = np.array([_room(line, rates) for line in lines])
         return _schedule(speeds, shares, self.time_law, self.dwell)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from dm_env import specs
 
-from ...base.errors import DeclarationError, Problem, SimulationError
+from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
 from ...robots.declared.joint_speeds import joint_speeds
 from ...robots.declared.robot import SerialRobot
@@ -84,7 +84,7 @@ class TorqueAction(Action):
                 "is required for torques as actions; expected one per joint, Nm, or "
                 'action="impedance"'
             )
-            raise DeclarationError([Problem(f"robots.{robot.name}.torque_limits", message)])
+            raise Problem(f"robots.{robot.name}.torque_limits", message).error()
         high = np.array(limits, np.float64)
         self.controller = Torque()
         self.spec = specs.BoundedArray((robot.n,), np.float64, -high, high, name="torques")
@@ -249,11 +249,12 @@ def checked_action(
     try:
         values = np.asarray(action, np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"action: found {action!r}; expected {numbers} numbers") from None
+        raise Problem("action", found=action, expected=f"{numbers} numbers").error() from None
     if values.shape != shape:
         found = " x ".join(map(str, values.shape)) or "one number"
-        message = f"action: found {found}; expected {numbers} numbers, one per joint"
-        raise ValueError(message)
+        raise Problem(
+            "action", f"found {found}", expected=f"{numbers} numbers, one per joint"
+        ).error()
     bad = ~np.isfinite(values)
     if bad.any():
         place = tuple(np.argwhere(bad)[0].tolist())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from ...base.declaration import Declaration
-from ...base.errors import DeclarationError, Problem, SimulationError, UnknownName
+from ...base.errors import Problem, SimulationError, UnknownName
 from ...base.frames import Array
 from ...data.drive.mirror import Mirror
 from ...data.receive.structure import Structure
@@ -80,8 +80,12 @@ class Settings(Declaration):
         """
         ratio = self.control_timestep / timestep
         if abs(ratio - round(ratio)) > 1e-6 or round(ratio) < 1:
-            found = f"found {self.control_timestep:g} s; expected a whole number of steps of"
-            raise DeclarationError([Problem("control_timestep", f"{found} {timestep:g} s")])
+            raise Problem(
+                "control_timestep",
+                found=self.control_timestep,
+                of="s",
+                expected=f"a whole number of steps of {timestep:g} s",
+            ).error()
         return round(ratio)
 
     def make_action(self, robot: SerialRobot, timestep: float) -> Action:

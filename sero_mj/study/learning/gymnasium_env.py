@@ -17,7 +17,7 @@ from dm_env import specs
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from ...base.errors import DeclarationError, Problem, did_you_mean
+from ...base.errors import Problem
 from ...base.frames import Array
 from ...robots.declared.joint_speeds import joint_speeds
 from ...robots.declared.robot import SerialRobot
@@ -60,8 +60,7 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
     ) -> None:
         modes = get_args(RenderMode)
         if render_mode is not None and render_mode not in modes:
-            found = f"found {render_mode!r}{did_you_mean(str(render_mode), modes)}"
-            raise DeclarationError([Problem("render_mode", found)])
+            raise Problem("render_mode", found=render_mode, available=modes).error()
         self.environment = environment
         self.render_mode = render_mode
         self.metadata = {
@@ -188,11 +187,11 @@ def chosen(name: str | None, options: dict[str, Any]) -> tuple[str, dict[str, An
             options["robot"] = fields
         if robot is None:
             message = 'is required; expected the name, folder or file of one: robot="panda"'
-            raise DeclarationError([Problem("robot", message)])
+            raise Problem("robot", message).error()
         return f"{robot}/{task}", options
     if "scenario" not in options:
         message = 'is required; expected a name or a file: scenario="my.toml"'
-        raise DeclarationError([Problem("scenario", message)])
+        raise Problem("scenario", message).error()
     return str(options.pop("scenario")), options
 
 

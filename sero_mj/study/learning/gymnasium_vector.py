@@ -78,8 +78,9 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
         elif is_first:
             seeds = np.random.SeedSequence().generate_state(self.num_envs)
         if seeds is not None and seeds.shape != (self.num_envs,):
-            message = f"found {seeds.size}; expected one number, or {self.num_envs}"
-            raise ValueError(f"seed: {message}")
+            raise Problem(
+                "seed", found=seeds.size, expected=f"one number, or {self.num_envs}"
+            ).error()
         seen = self.many.reset(seeds)
         return self._within(seen), self._episodes(np.ones(self.num_envs, bool))
 
@@ -150,13 +151,14 @@ def make_gymnasium_vector(
             of this kind can only be stepped one by one.
     """
     problems = [
-        Problem(key, f"found {value}; expected 1 or more")
+        Problem(key, found=value, expected="1 or more")
         for key, value in (("num_envs", num_envs), ("threads", threads))
         if value is not None and value < 1
     ]
     if render_mode is not None:
-        message = f"found '{render_mode}'; expected None, or vectorization_mode='sync'"
-        problems.append(Problem("render_mode", message))
+        problems.append(
+            Problem("render_mode", found=render_mode, expected="None, or vectorization_mode='sync'")
+        )
     if problems:
         raise DeclarationError(problems)
     name, options = chosen(name, options)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from ...base.declaration import Declaration
-from ...base.errors import DeclarationError, Problem, UnknownName, did_you_mean
+from ...base.errors import DeclarationError, Problem, UnknownName
 from ...base.frames import Array
 from ...base.paths import list_models, list_scenarios
 from ...robots.declared.double import Double
@@ -98,17 +98,20 @@ class RobotSettings(Settings):
             return np.clip(home, limits[:, 0], limits[:, 1])
         angles = np.asarray(self.start, np.float64)
         if angles.shape != (robot.n,):
-            message = f"found {angles.size} numbers; expected {robot.n}, one per joint"
-            raise DeclarationError([Problem("start", message)])
+            raise Problem(
+                "start", found=angles.size, of="numbers", expected=f"{robot.n}, one per joint"
+            ).error()
         if limits is not None:
             bad = (angles < limits[:, 0]) | (angles > limits[:, 1])
             if bad.any():
                 joint = int(np.argmax(bad))
                 low, high = limits[joint]
-                found = f"joint {robot.names[joint]} is to be at {angles[joint]:g}"
-                raise DeclarationError(
-                    [Problem("start", f"{found}; expected {low:.4g} to {high:.4g}")]
-                )
+                raise Problem(
+                    "start",
+                    f"joint {robot.names[joint]} is to be at",
+                    found=angles[joint],
+                    expected=f"{low:.4g} to {high:.4g}",
+                ).error()
         return angles
 
 
@@ -159,9 +162,7 @@ def _known(options: dict[str, Any], *kinds: type[Declaration]) -> dict[str, Any]
     """The options, if all of them are fields of one of these."""
     fields = [field for kind in kinds for field in kind.model_fields]
     problems = [
-        Problem(key, f"unknown option{did_you_mean(key, fields)}")
-        for key in options
-        if key not in fields
+        Problem(key, "unknown option", available=fields) for key in options if key not in fields
     ]
     if problems:
         raise DeclarationError(problems)

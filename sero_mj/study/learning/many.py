@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import Problem
 from ...base.frames import Array, Bools
 from ...robots.declared.mounts import base_frames, unmounted
 from ...simulate.control.joint_control import JointImpedanceController
@@ -336,5 +336,5 @@ def _task_of_many(environment: Environment, m: int) -> ManyEpisodes:
         reason = "found run.runaway_speed; expected 0, for none"
     if reason is not None or task is None:
         advice = "; such environments are stepped one by one: vectorization_mode='sync'"
-        raise DeclarationError([Problem("num_envs", f"{reason}{advice}")])
+        raise Problem("num_envs", f"{reason}{advice}").error()
     return task

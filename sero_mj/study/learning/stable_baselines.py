@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
+from ...base.errors import Problem
 from ...base.frames import Array, Bools
 from .gymnasium_env import Observation
 from .gymnasium_vector import GymnasiumVector
@@ -77,7 +78,9 @@ class StableBaselinesVector(VecEnv):  # type: ignore[misc]
     def set_attr(self, attr_name: str, value: Any, indices: _Some = None) -> None:
         """Sets it for all; raises ValueError where it is to be for some only."""
         if len(self._chosen(indices)) != self.num_envs:
-            raise ValueError(f"indices: found {indices}; expected None: all have one {attr_name}")
+            raise Problem(
+                "indices", f"found {indices}", expected=f"None: all have one {attr_name}"
+            ).error()
         setattr(self.vector, attr_name, value)
 
     def env_method(

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UsageError, did_you_mean, reason_of
+from ...base.errors import DeclarationError, Problem, UsageError, problems_of, reason_of
 from ...base.frames import Array, Bools, frame, inverse
 from ...base.paths import open_file
 from ...base.toml_file import key_lines, located, read_toml
@@ -156,9 +156,9 @@ def full_name(world: WorldView, name: str) -> str:
     if len(ends) == 1:
         return ends[0]
     if ends:
-        raise ValueError(f"found '{name}'; expected one of {', '.join(ends)}")
+        raise Problem(found=name, expected=f"one of {', '.join(ends)}").error()
     short = [each.rpartition("/")[2] for each in names] if "/" not in name else []
-    raise ValueError(f"no frame or joint '{name}'{did_you_mean(name, short or names)}")
+    raise Problem("", "no frame or joint", found=name, available=short or names).error()
 
 
 def point_of(world: WorldView, data: mujoco.MjData, name: str, offset: Array) -> Array:
@@ -200,7 +200,7 @@ def read_points(path: Path, world: WorldView, size: tuple[int, int]) -> list[Cli
         rows = _csv_rows(path, problems)
     else:
         message = "expected a file of points that ends in .csv or .toml"
-        raise DeclarationError([Problem("", message, str(path))])
+        raise Problem("", message, str(path)).error()
     points = []
     for row in rows:
         key, line = row["key"], row["line"]
@@ -213,7 +213,8 @@ def read_points(path: Path, world: WorldView, size: tuple[int, int]) -> list[Cli
                 at = ", ".join(f"{value:g}" for value in pixel)
                 raise ValueError(f"pixel {at} is outside of the photo, {size[0]}x{size[1]}")
         except ValueError as error:
-            problems.append(Problem(key, str(error), str(path), line))
+            wrong = problems_of(error, key)
+            problems += [replace(each, file=str(path), line=line) for each in wrong]
             continue
         points.append(ClickedPoint(name, pixel, offset, f"{path}:{line}"))
     if problems:
@@ -227,15 +228,15 @@ def _toml_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
     found = table.get("points")
     if not isinstance(found, list) or not all(isinstance(row, dict) for row in found):
         message = 'is required: tables [[points]] with point = "lwr/flange" and pixel = [x, y]'
-        raise DeclarationError([Problem("points", message, str(path))])
+        raise Problem("points", message, str(path)).error()
     rows = []
     for index, row in enumerate(found):
         key = f"points.{index}"
-        wrong = [Problem(f"{key}.{name}", f"unknown key{did_you_mean(name, known)}")
+        wrong = [Problem(f"{key}.{name}", "unknown key", available=known)
                  for name in row if name not in known]  # fmt: skip
         wrong += [Problem(f"{key}.{name}", "is required") for name in known[:2] if name not in row]
         if not wrong and not isinstance(row["point"], str):
-            wrong = [Problem(f"{key}.point", f"found {row['point']!r}; expected a name")]
+            wrong = [Problem(f"{key}.point", found=row["point"], expected="a name")]
         problems += located(wrong, path, lines)
         if not wrong:
             rows.append({"offset": [0, 0, 0], **row, "key": key, "line": lines.get(key)})
@@ -251,13 +252,13 @@ def _csv_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
             reader.fieldnames = header
             lines = [(reader.line_num, row) for row in reader]
     except FileNotFoundError:
-        raise DeclarationError([Problem("", "no such file", str(path))]) from None
+        raise Problem("", "no such file", str(path)).error() from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         message = f"cannot be read: {reason_of(error)}"
-        raise DeclarationError([Problem("", message, str(path))]) from error
+        raise Problem("", message, str(path)).error() from error
     if not set(_COLUMNS) <= set(header) <= {*_COLUMNS, *_OFFSETS}:
         message = f"found columns {', '.join(header)}; expected point,x,y and perhaps dx,dy,dz"
-        raise DeclarationError([Problem("", message, str(path), 1)])
+        raise Problem("", message, str(path), 1).error()
     rows = []
     for line, row in lines:
         try:
@@ -265,8 +266,9 @@ def _csv_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
             offset = [float(row.get(name) or 0.0) for name in _OFFSETS]
         except (TypeError, ValueError):
             found = ",".join(str(value) for value in row.values() if value is not None)
-            message = f"found '{found}'; expected a name and pixels"
-            problems.append(Problem("", message, str(path), line))
+            problems.append(
+                Problem(found=found, expected="a name and pixels", file=str(path), line=line)
+            )
             continue
         rows.append({"point": str(row["point"]).strip(), "pixel": pixel, "offset": offset,
                      "key": "", "line": line})  # fmt: skip

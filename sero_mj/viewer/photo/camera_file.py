@@ -17,13 +17,14 @@ import contextlib
 import logging
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UsageError, did_you_mean
+from ...base.errors import DeclarationError, Problem, UsageError, did_you_mean, problems_of
 from ...base.frames import Array, frame_from, quat_from_rotation
 from ...base.paths import read_file
 from ...base.toml_file import read_toml
@@ -67,7 +68,7 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
     camera = _camera(path, table, size, problems)
     place = _place(table, problems)
     if problems or camera is None or place is None:
-        raise DeclarationError([Problem(p.key, p.message, str(path)) for p in problems])
+        raise DeclarationError([replace(each, file=str(path)) for each in problems])
     return _checked(path, camera, place)
 
 
@@ -76,7 +77,7 @@ def read_intrinsics(path: Path, size: tuple[int, int] | None = None) -> PhotoCam
     problems: list[Problem] = []
     camera = _camera(path, _table(path), size, problems)
     if problems or camera is None:
-        raise DeclarationError([Problem(p.key, p.message, str(path)) for p in problems])
+        raise DeclarationError([replace(each, file=str(path)) for each in problems])
     return _checked(path, camera, np.eye(4))
 
 
@@ -90,7 +91,7 @@ def _checked(path: Path, camera: PhotoCamera, place: Array) -> PhotoCamera:
             f"fold {100 * (1 - share):.0f} % of the picture, towards its edges; expected "
             "coefficients found with points up to the edges, in OpenCV's order k1, k2, p1, p2, k3"
         )
-        raise DeclarationError([Problem("distortion_coefficients", message, str(path))])
+        raise Problem("distortion_coefficients", message, str(path)).error()
     if share < 1.0:
         log.warning(
             "%s: the coefficients do not hold in %.1f %% of the picture, at its edges; nothing is "
@@ -103,7 +104,7 @@ def _table(path: Path) -> dict[str, Any]:
     """The keys of a file, by our names."""
 
     def wrong(message: str, key: str = "", line: int | None = None) -> DeclarationError:
-        return DeclarationError([Problem(key, message, str(path), line)])
+        return Problem(key, message, str(path), line).error()
 
     if path.suffix.lower() not in ENDINGS:
         raise wrong(f"expected a camera file that ends in {', '.join(ENDINGS)}")
@@ -127,7 +128,7 @@ def _table(path: Path) -> dict[str, Any]:
 
 def _yaml(path: Path) -> dict[str, Any]:
     def wrong(message: str, line: int | None = None) -> DeclarationError:
-        return DeclarationError([Problem("", message, str(path), line)])
+        return Problem("", message, str(path), line).error()
 
     try:
         import yaml
@@ -171,7 +172,9 @@ def _numbers(value: Any) -> Array:
         data = _numbers(value["data"])
         shape = [value[key] for key in ("rows", "cols") if isinstance(value.get(key), int)]
         if len(shape) == 2 and np.prod(shape) != data.size:
-            raise ValueError(f"found {data.size} numbers; expected {shape[0]} x {shape[1]}")
+            raise Problem(
+                found=data.size, of="numbers", expected=f"{shape[0]} x {shape[1]}"
+            ).error()
         return data
     if isinstance(value, list) and any(isinstance(each, str) for each in value):
         with contextlib.suppress(ValueError):  # YAML takes 1e-05, without a point, for a text
@@ -193,7 +196,7 @@ def _camera(
         if found is None:
             problems.append(Problem(key, "is required: of the pictures, pixels"))
         elif type(found) not in (int, float) or found % 1 or not 1 <= found <= _MAX_SIDE:
-            problems.append(Problem(key, f"found {found!r}; expected pixels, 1 to {_MAX_SIDE}"))
+            problems.append(Problem(key, found=found, expected=f"pixels, 1 to {_MAX_SIDE}"))
         else:
             sides.append(int(found))
     if len(sides) == 2 and size is not None and tuple(sides) != size:
@@ -206,11 +209,9 @@ def _camera(
         return None
     centre = matrix[:2, 2] / sides
     if (centre < -1).any() or (centre > 2).any():
-        found = f"{matrix[0, 2]:g}, {matrix[1, 2]:g}"
-        message = (
-            f"found the centre at {found}; expected it near the picture, {sides[0]}x{sides[1]}"
-        )
-        problems.append(Problem("camera_matrix", message))
+        expected = f"it near the picture, {sides[0]}x{sides[1]}"
+        found = f"found the centre at {matrix[0, 2]:g}, {matrix[1, 2]:g}"
+        problems.append(Problem("camera_matrix", found, expected=expected))
         return None
     return PhotoCamera(sides[0], sides[1], matrix, np.eye(4), distortion, model)  # type: ignore[arg-type]
 
@@ -253,7 +254,7 @@ def _distortion(table: dict[str, Any], problems: list[Problem]) -> tuple[str | N
         found = table.get("distortion_coefficients")
         distortion = none if found is None or found == [] else _numbers(found).ravel()
     except ValueError as error:
-        problems.append(Problem("distortion_coefficients", str(error)))
+        problems += problems_of(error, "distortion_coefficients")
         return None, none
     model = table.get("distortion_model") or None
     if model is None and table.get("fisheye_model"):
@@ -278,7 +279,8 @@ def _distortion(table: dict[str, Any], problems: list[Problem]) -> tuple[str | N
         problems.append(
             Problem(
                 "distortion_coefficients",
-                f"found {distortion.size}; expected {counts} of the model {model}",
+                found=distortion.size,
+                expected=f"{counts} of the model {model}",
             )
         )
         return None, none
@@ -299,7 +301,7 @@ def _place(table: dict[str, Any], problems: list[Problem]) -> Array | None:
             found = _numbers(found)
         return frame_from(found, _numbers)
     except ValueError as error:
-        problems.append(Problem("frame", str(error)))
+        problems += problems_of(error, "frame")
         return None
 
 
