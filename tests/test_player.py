@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
+import re
 import shutil
 import subprocess
 import zlib
@@ -17,8 +19,11 @@ from commands import run_command as run_in_folder
 
 from sero_mj.base.errors import RenderError, UsageError
 from sero_mj.load import load_scene
+from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.declared.surroundings import Object
 from sero_mj.study.run_marks import marks_of
 from sero_mj.viewer.player import capture as capture_module
+from sero_mj.viewer.player import gltf as gltf_module
 from sero_mj.viewer.player.capture import capture
 from sero_mj.viewer.player.encode import encode
 from sero_mj.viewer.player.gltf import write_glb
@@ -92,6 +97,26 @@ def test_a_glb_has_a_node_for_each_body_that_is_seen_and_moves_them(tmp_path: Pa
     moved = {gltf.nodes[c.target.node].name for c in gltf.animations[0].channels}
     assert "lwr/link3" in moved and "world" not in moved
     assert gltf.accessors[gltf.animations[0].samplers[0].input].count == found.frames
+
+
+def test_a_mesh_that_geoms_share_is_made_once_for_a_glb(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pygltflib = pytest.importorskip("pygltflib")
+    ball = '<mujoco><asset><mesh name="m" builtin="sphere" params="2"/></asset><worldbody>'
+    ball += '<geom type="mesh" mesh="m"/>' * 3 + "</worldbody></mujoco>"
+    scene = Scene(objects=[Object(name="ball", mjcf=ball)])
+    corners, made = gltf_module._corners, []
+    monkeypatch.setattr(
+        gltf_module, "_corners", lambda model, geom: made.append(geom) or corners(model, geom)
+    )
+    write_glb(capture(scene), tmp_path / "ball.glb")
+    assert len(made) == 1
+    # Meshes of different names are as often equal.
+    found = capture(load_scene("justin"), seconds=0.0, wait=0.0)
+    write_glb(found, tmp_path / "justin.glb")
+    gltf = pygltflib.GLTF2().load(str(tmp_path / "justin.glb"))
+    assert len(gltf.meshes) < 0.7 * len(found.geoms)
 
 
 def test_only_decor_that_stands_in_the_world_is_stored() -> None:
@@ -189,3 +214,8 @@ def test_a_page_of_two_runs_has_the_second_as_the_firsts_double(tmp_path: Path) 
     )
     assert status == 0, said
     assert (tmp_path / "compare.html").stat().st_size < 1_000_000
+    text = (tmp_path / "compare.html").read_text()
+    (run,) = re.findall('id="run">([^<]*)<', text)
+    head = zlib.decompress(base64.b64decode(run), -15)
+    assert b"round arrows: difference of torques, A - B" in head
+    assert b"commanded - measured" not in head

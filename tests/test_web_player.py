@@ -209,6 +209,10 @@ def test_a_phone_shows_all_in_its_width(browser: Any, file: Path, scheme: str) -
         .map(e => e.getBoundingClientRect())
         .filter(r => r.width && (r.left < -1 || r.right > 391)).length""")
     assert outside == 0
+    # Buttons are in one row, and the two without a word beside the title.
+    rows = page.evaluate("""() => [...document.querySelectorAll("#tools button")]
+        .map(e => Math.round(e.getBoundingClientRect().top))""")
+    assert len(set(rows)) == 2
     page.context.close()
 
 

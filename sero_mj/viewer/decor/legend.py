@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...base.frames import Array, round_down_1_2_5
+from ...base.frames import Array, Bools, round_down_1_2_5
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from .feature import Feature, Frame
@@ -104,6 +104,8 @@ class Legend(Feature):
             if not shown.any():
                 continue
             what, width = _WORDS[ARROW_QUANTITIES[code]]
+            if ARROW_QUANTITIES[code] == "torque_error":
+                what = self._difference(shown) or what
             if (toggles.modelled & of_torque)[shown].any():
                 what = _MODELLED
             if not np.isfinite(limit[shown]).any():
@@ -133,6 +135,17 @@ class Legend(Feature):
         centres[:, 1] += below
         panels = Panels(centres[:kept], sizes[:kept], texts[:kept], _RGBA)
         return replace(panels, bars=_bars(panels, view))
+
+    def _difference(self, shown: Bools) -> str:
+        """Returns what torque errors are where cards give them a name of their own; else empty."""
+        owners = list(self.world.owners.values())
+        names = {
+            line.label
+            for k in np.unique(self.world.joints.owner[shown])
+            for line in owners[k].declared.billboard_lines or ()
+            if line.value == "torque_error" and line.label
+        }
+        return f"difference of torques, {names.pop()}" if len(names) == 1 else ""
 
     def _scales(self, toggles: Toggles) -> list[bytes]:
         """Returns a line for every scale of the smart arrows seen: value per length or width."""

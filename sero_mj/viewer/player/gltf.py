@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from ...base.errors import UsageError
 from ...base.frames import Array
 from .capture import Capture
-from .model import geom_colours, mesh_corners
+from .model import field_corners, geom_colours, mesh_corners
 
 _FLOAT, _UINT = 5126, 5125
 _GAMMA = 2.2  # glTF's colours are linear
@@ -64,16 +65,16 @@ def write_glb(captured: Capture, path: Path) -> None:
     model, colours = captured.world.model, geom_colours(captured.world.model)
     gltf = pygltflib.GLTF2(scene=0)
     blob = _Blob(gltf)
-    meshes: dict[Any, int] = {}
+    meshes: dict[Any, int] = {}  # by what a geom says of its shape
+    equal: dict[bytes, int] = {}  # by the shape itself
     bodies: list[list[int]] = [[] for _ in captured.bodies]
     for i in captured.geoms.tolist():
-        corners = _corners(model, i)
-        if corners is None:
-            continue
         key = (int(model.geom_dataid[i]), model.geom_size[i].tobytes(), int(model.geom_type[i]),
                colours[i].tobytes())  # fmt: skip
         if key not in meshes:
-            meshes[key] = _add_mesh(blob, corners, colours[i])
+            meshes[key] = _mesh(blob, _corners(model, i), colours[i], equal)
+        if meshes[key] < 0:
+            continue
         w, x, y, z = model.geom_quat[i].tolist()
         gltf.nodes.append(
             pygltflib.Node(
@@ -137,6 +138,20 @@ def _add_body(
     return number
 
 
+def _mesh(
+    blob: _Blob, corners: tuple[Array, Array, Any] | None, rgba: Array, known: dict[bytes, int]
+) -> int:
+    """The number of a mesh, added unless there is an equal one; -1 for an unknown shape."""
+    if corners is None:
+        return -1
+    parts = [*corners, np.asarray(rgba, float)]
+    digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts))
+    key = digest.digest()
+    if key not in known:
+        known[key] = _add_mesh(blob, corners, rgba)
+    return known[key]
+
+
 def _add_mesh(blob: _Blob, corners: tuple[Array, Array, Any], rgba: Array) -> int:
     import pygltflib
 
@@ -169,10 +184,13 @@ def _corners(model: mujoco.MjModel, geom: int) -> tuple[Array, Array, Any] | Non
     import trimesh
 
     kind, (a, b, c) = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
-    if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        points, normals, index = mesh_corners(model, int(model.geom_dataid[geom]))
+    data = int(model.geom_dataid[geom])
+    if kind in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF):
+        points, normals, index = mesh_corners(model, data)
         lengths = np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         return points, normals / lengths, index
+    if kind == mujoco.mjtGeom.mjGEOM_HFIELD:
+        return field_corners(model, data)
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         shape = trimesh.creation.icosphere(radius=a)
     elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
