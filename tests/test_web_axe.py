@@ -1,0 +1,68 @@
+"""Whether people with screen readers and weak eyes can use a page: axe-core finds nothing."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from web_tools import MISSING
+
+import sero_mj
+from sero_mj.load import load_scene
+from sero_mj.viewer.player import page as page_module
+from sero_mj.viewer.player.capture import Mark
+
+pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
+
+JS = Path(page_module.__file__).parent / "js"
+FOUND = """async () => {
+    const { violations } = await axe.run(document, { resultTypes: ["violations"] });
+    return violations.filter(({ impact }) => impact === "serious" || impact === "critical")
+        .map(({ id, nodes }) => `${id}: ${nodes.map(({ html, any }) => html.slice(0, 90)
+            + " " + (any[0]?.message ?? "")).join(" | ")}`);
+}"""
+
+
+@pytest.fixture(scope="session")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The text of axe-core, which is not shipped."""
+    file = JS / "node_modules" / "axe-core" / "axe.min.js"
+    if not file.exists():
+        if shutil.which("npm") is None:
+            pytest.skip("npm is not installed")
+        copy = tmp_path_factory.mktemp("axe")
+        for name in ("package.json", "package-lock.json"):
+            shutil.copy(JS / name, copy)
+        subprocess.run(["npm", "ci", "--no-audit", "--no-fund"], cwd=copy, check=True)
+        file = copy / "node_modules" / "axe-core" / "axe.min.js"
+    return file.read_text()
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("axe") / "push.html"
+    marks = [Mark(0.5, 1.5, "push", "push"), Mark(1.0, 1.0, "it settles", "failed")]
+    sero_mj.export_html(load_scene("impedance_push"), path, marks=marks, fps=20, seconds=2.0)
+    return path
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1280])
+def test_axe_finds_nothing_serious(
+    browser: Any, axe: str, file: Path, scheme: str, width: int
+) -> None:
+    context = browser.new_context(
+        viewport={"width": width, "height": 844}, color_scheme=scheme, bypass_csp=True
+    )
+    page = context.new_page()
+    page.goto(f"{file.as_uri()}#t=1.5")
+    page.locator("html[data-ready]").wait_for(state="attached")
+    page.evaluate("player.select({ joint: 1 }); player.draw()")
+    page.evaluate(axe)
+    assert page.evaluate(FOUND) == []
+    page.locator("#help").click()
+    assert page.evaluate(FOUND) == []
+    context.close()
