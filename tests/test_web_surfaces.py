@@ -214,6 +214,19 @@ def test_a_page_of_a_model_of_dm_control_looks_as_in_mujoco(
     assert page.evaluate("player.calls") <= 10
 
 
+def test_a_plane_is_seen_through_from_below(opened: Callable[..., Any]) -> None:
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco>{BARE}<worldbody>
+    <geom type="plane" size=".6 .5 .1" rgba="1 .8 0 1"/>
+    <geom type="sphere" size=".2" pos="0 0 .4" rgba="0 .2 1 1"/></worldbody></mujoco>""")
+    (data,) = rolled_out(model, 1, 0)
+    page = opened(found := captured(model, [data], "60,35,2.2,0,0,.2"))
+    pixels = drawn(page, SIZE, 0.0, ["floor"])
+    alpha = pixels[..., 3]
+    assert ((alpha > 60) & (alpha < 100)).sum() > 5000
+    _, covered = classic(model, data, found.camera, SIZE)
+    assert overlap(covered, alpha > 30) >= OUTLINE
+
+
 def test_a_light_of_the_model_shines_from_where_it_is(opened: Callable[..., Any]) -> None:
     model = mujoco.MjModel.from_xml_string("""<mujoco>
     <visual><headlight ambient=".2 .2 .2" diffuse="0 0 0" specular="0 0 0"/></visual>

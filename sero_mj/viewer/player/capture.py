@@ -31,7 +31,7 @@ from ..sampling import sampled_states
 from ..session.torque_history import joint_name
 from .labels import LabelCollector
 from .model import drawn_bodies, visible_geoms
-from .soft import Soft, SoftCollector
+from .soft import Soft, SoftCollector, bytes_of_frame
 
 DEFAULT_FPS = 30.0
 DEFAULT_SECONDS = 10.0  # of what has no end
@@ -291,7 +291,8 @@ def capture(
 
 def longest(world: World, fps: float) -> float:
     """Returns how long a page of a world may be, s."""
-    return MAX_BYTES / (28 * len(_bodies(world)) + 32 * len(world.joints.names) + 64) / fps
+    of_frame = 28 * len(_bodies(world)) + 32 * len(world.joints.names) + 64
+    return MAX_BYTES / (of_frame + bytes_of_frame(world.model)) / fps
 
 
 def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float) -> int:

@@ -9,7 +9,7 @@
  *   pos: number[], quat: number[], torqueLimit: number | null, lines: Line[], details: Line[],
  *   card: boolean, arrow: Arrow}} Joint */
 /** @typedef {{body: number, type: number, pos: number[], quat: number[], size: number[],
- *   rgba: number[], mesh?: number, material?: number}} Geom */
+ *   rgba: number[], mesh?: number, material?: number, isBack?: boolean}} Geom */
 /** @typedef {{finish: number[], texture: number, repeat: number[], uniform: boolean}} Material
  *   finish: emission, specular, shininess, reflectance */
 /** @typedef {{cube: boolean, width: number, height: number, pixels: Uint8Array}} Texture

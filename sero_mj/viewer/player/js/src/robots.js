@@ -1,7 +1,7 @@
 /** The model: one geometry for all that is opaque, one for doubles; bodies' poses in a texture. */
 
 import * as THREE from "three";
-import { ball, capsule, cylinder, finish, finishOf, isPlane, placesIn, planeOf, textureOf, texturesOf }
+import { backOf, ball, capsule, cylinder, finish, finishOf, isPlane, placesIn, planeOf, textureOf, texturesOf }
   from "./surfaces.js";
 
 /** @typedef {import("./data.js").Run} Run */
@@ -88,6 +88,7 @@ export class Robots {
       this.texels, TEXELS, run.bodies.length, THREE.RGBAFormat, THREE.FloatType);
     const isGhost = (/** @type {Geom} */ geom) =>
       geom.rgba[3] < 255 || run.bodies[geom.body].double >= 0;
+    this.geoms = run.geoms.concat(run.geoms.filter(isPlane).map(backOf));
     this.solidGeoms = run.geoms.filter((geom) => !isGhost(geom));
     this.pictures = texturesOf(run);
     const [solid, depth, ghosts] = this.#meshes(-1, isGhost);
@@ -103,7 +104,7 @@ export class Robots {
    * @param {number} texture -1 for none @param {(geom: Geom) => boolean} isGhost
    */
   #meshes(texture, isGhost) {
-    const geoms = this.run.geoms.filter((geom) => textureOf(this.run, geom) === texture);
+    const geoms = this.geoms.filter((geom) => textureOf(this.run, geom) === texture);
     const ghosts = geoms.filter(isGhost);
     const own = merged(geoms.filter((geom) => !isGhost(geom)), this.run, texture);
     const solid = this.#mesh(own, {}, false, texture);

@@ -120,10 +120,15 @@ export function capsule(a, b) {
 }
 
 /** A plane, also one without an end. @param {Geom} geom @param {Run} run */
-export function planeOf({ size: [a, b] }, { reach }) {
+export function planeOf({ size: [a, b], isBack }, { reach }) {
   const far = 1.05 * (reach ?? 0);
-  return new THREE.PlaneGeometry(2 * (a || far), 2 * (b || far));
+  const shape = new THREE.PlaneGeometry(2 * (a || far), 2 * (b || far));
+  return isBack ? shape.rotateX(Math.PI) : shape;
 }
+
+/** The back of a plane, through which one sees. @param {Geom} plane @returns {Geom} */
+export const backOf = (plane) =>
+  ({ ...plane, isBack: true, rgba: plane.rgba.map((each, k) => k < 3 ? each : Math.round(0.3 * each)) });
 
 /**
  * How a specular highlight is: its power for a shininess of 1, and strength over power + 2 for a
