@@ -211,7 +211,10 @@ def test_a_page_of_a_model_of_dm_control_looks_as_in_mujoco(
     outline, _ = compare(page, found, states[1], 0.1)
     assert outline >= OUTLINE
     assert page.said == []
-    assert page.evaluate("player.calls") <= 10
+    assert page.evaluate("player.calls") <= 12
+    # Nothing to switch or to choose where there is no joint.
+    assert page.locator("#switches button").all_inner_texts() == ["shadows"]
+    assert not page.locator("#joint").is_visible()
 
 
 def test_a_plane_is_seen_through_from_below(opened: Callable[..., Any]) -> None:

@@ -72,7 +72,7 @@ class Player {
     document.title = run.title;
     byId("title").textContent = run.title.replaceAll("_", " ");
     const own = run.joints.filter((joint) => joint.double < 0).length;
-    const about = [`${own} joints`, run.frames > 1 ? `${clock.end.toFixed(1)} s` : "a pose"];
+    const about = [...(own ? [`${own} joints`] : []), run.frames > 1 ? `${clock.end.toFixed(1)} s` : "a pose"];
     const failed = run.marks.filter((mark) => mark.kind === "failed");
     const held = run.marks.filter((mark) => mark.kind === "held");
     const judged = failed.length + held.length;
@@ -82,7 +82,7 @@ class Player {
     byId("about").classList.toggle("failed", failed.length > 0);
     const names = { arrows: "arrows", numbers: "numbers", doubles: "doubles", shadows: "shadows" };
     for (const [key, name] of Object.entries(names)) {
-      if (key === "doubles" && !run.bodies.some((body) => body.double >= 0)) continue;
+      if (!this.#has(key)) continue;
       const button = made("button", name, { type: "button", "aria-pressed": String(this.switches[key]), "data-switch": key });
       button.addEventListener("click", () => this.toggle(key));
       byId("switches").append(button);
@@ -92,6 +92,7 @@ class Player {
     run.cameras.forEach((camera, k) => cameras.append(made("option", camera.name || `camera ${k + 1}`, { value: String(k) })));
     cameras.hidden = !run.cameras.length;
     const joints = byId("joint");
+    joints.hidden = !own;
     run.joints.forEach((joint, j) => joints.append(made("option", joint.name, { value: String(j) })));
     for (const speed of SPEEDS) byId("speed").append(made("option", `${speed}×`, { value: String(speed) }));
     /** @type {HTMLSelectElement} */ (byId("speed")).value = "1";
@@ -104,6 +105,14 @@ class Player {
     }
     document.body.classList.toggle("still", run.frames < 2);
     for (const [keys, words] of KEYS) byId("keys").append(made("dt", keys), made("dd", words));
+  }
+
+  /** Whether there is anything that a switch would hide. @param {string} key */
+  #has(key) {
+    const { run } = this, hasJoints = run.joints.length > 0;
+    if (key === "doubles") return run.bodies.some((body) => body.double >= 0);
+    if (key === "arrows") return hasJoints || run.switches.arrows;
+    return key !== "numbers" || hasJoints || run.cards.length > 0;
   }
 
   /** @param {import("./data.js").Mark} mark @param {boolean} hasText */
