@@ -12,6 +12,7 @@ from sero_mj.viewer.headless.backend import choose_backend
 
 choose_backend()
 
+import contextlib
 import ctypes
 import gc
 import importlib.util
@@ -23,6 +24,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import settings
 from xdist.scheduler import LoadScopeScheduling
@@ -102,6 +104,19 @@ def import_script(path: Path) -> ModuleType:
     sys.modules[path.stem] = module  # dataclasses look their module up
     spec.loader.exec_module(module)
     return module
+
+
+@contextlib.contextmanager
+def raises_with(error: type[Exception] = DeclarationError, /, **values: object) -> Iterator[None]:
+    """Expects an error with these attributes; of a `DeclarationError`, its only problem."""
+    with pytest.raises(error) as caught:
+        yield
+    (told,) = getattr(caught.value, "problems", [caught.value])
+    found = {name: getattr(told, name) for name in values}
+    assert {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in found.items()
+    } == values
 
 
 def problems_in(scene: Path) -> list[str]:

@@ -8,7 +8,7 @@ import dm_env
 import numpy as np
 import pytest
 from absl.testing import absltest
-from conftest import sampled
+from conftest import raises_with, sampled
 from dm_env import test_utils
 
 import sero_mj
@@ -244,11 +244,11 @@ def test_an_action_that_is_no_number_names_the_joint_and_moves_nothing(
 def test_an_action_of_another_shape_is_refused() -> None:
     environment = sero_mj.make_environment("lwr/reach")
     environment.reset()
-    with pytest.raises(ValueError, match=r"^action: found 6; expected 7 numbers, one per joint$"):
+    with raises_with(key="action", reason="found 6", expected="7 numbers, one per joint"):
         environment.step(np.zeros(6))
-    with pytest.raises(ValueError, match=r"^action: found one number"):
+    with raises_with(key="action", reason="found one number", expected="7 numbers, one per joint"):
         environment.step(1.0)
-    with pytest.raises(ValueError, match=r"^action: found 'left'; expected 7 numbers$"):
+    with raises_with(key="action", found="left", expected="7 numbers"):
         environment.step("left")
 
 
@@ -390,7 +390,7 @@ def test_pictures_show_the_robot_and_change_as_it_moves(name: str) -> None:
     assert environment.render(48, 64, "90,-20,3").shape == (48, 64, 3)
     environment.reset()
     assert environment.render(60, 80).shape == (60, 80, 3)
-    with pytest.raises(UnknownName, match="no camera 'front'"):
+    with raises_with(UnknownName, kind="camera", name="front"):
         environment.render(60, 80, "front")
     environment.close()
     environment.close()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import raises_with
 
 from sero_mj import DeclarationError, Mirror, Plant, Scene, SerialRobot, World
 from sero_mj.base.frames import frame, rotation_from_rpy
@@ -140,7 +141,7 @@ def test_only_a_body_has_a_mass() -> None:
         with pytest.raises(DeclarationError) as caught:
             Object(name="x", **fields)
         assert str(caught.value) == reason
-    with pytest.raises(DeclarationError, match="mass: found 0"):
+    with raises_with(key="mass", found=0):
         Object(name="x", shape="sphere", size=[1.0], mass=0)
 
 

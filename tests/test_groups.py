@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import problems_in
+from conftest import problems_in, raises_with
 from decor_tools import labels, toggles_of, view_at
 from scripted_widgets import ScriptedWidgets
 from source_slots import set_source
@@ -515,7 +515,7 @@ def test_a_viewer_hands_on_what_is_set_for_a_group() -> None:
     inputs = RobotInputs(viewer, "arms")
     inputs.torques = [1, 2, 4, 5]
     np.testing.assert_array_equal(inputs.torques, [1, 2, np.nan, 4, 5, np.nan])
-    with pytest.raises(UnknownName, match="no robot 'amrs'; did you mean 'arms'"):
+    with raises_with(UnknownName, kind="robot", name="amrs", near="arms"):
         RobotInputs(viewer, "amrs")
 
 

@@ -5,7 +5,7 @@ from contextlib import nullcontext
 import mujoco
 import numpy as np
 import pytest
-from conftest import sampled
+from conftest import raises_with, sampled
 from decor_tools import world_of
 from PIL import Image
 
@@ -175,7 +175,7 @@ def test_a_named_camera_looks_at_its_target(lwr) -> None:
         pixels, _ = renderer.decor.view.project(np.array([0.1, 0.2, 0.3]))
         assert pixels == pytest.approx([160, 120], abs=0.1)
         assert renderer.decor.view.position == pytest.approx([2.0, 1.0, 1.5], abs=1e-5)
-    with pytest.raises(UnknownName, match="no camera 'fron'; did you mean 'front'"):
+    with raises_with(UnknownName, kind="camera", name="fron", near="front"):
         find_camera(world, "fron")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from conftest import examples
+from conftest import examples, raises_with
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -319,7 +319,7 @@ def test_limits_of_zero_name_the_joint() -> None:
         "torque_rate_limits: joint A1 has -1; expected a positive number of Nm/s",
         "torque_rate_limits: joint A2 has nan; expected a positive number of Nm/s",
     ]
-    with pytest.raises(DeclarationError, match=r"^torque_limits: found 1 entries; expected 2, one"):
+    with raises_with(key="torque_limits", found=1, expected="2, one per joint"):
         LimitedController(Fixed(0, 0), np.ones(1), 1e-3, joint_names=["A1", "A2"])
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import raises_with
 
 from sero_mj import Scene, SerialRobot, World, load_scene
 from sero_mj.base.errors import DeclarationError
@@ -45,7 +46,7 @@ def test_a_table_in_mm_becomes_one_in_m() -> None:
         dh_convention="craig", dh_params_deg=[[90, 500, 0, 100]], length_unit="mm"
     )
     np.testing.assert_allclose(degrees.dh_params, [[np.pi / 2, 0.5, 0, 0.1]])
-    with pytest.raises(DeclarationError, match="length_unit: found 'cm'; expected 'm' or 'mm'"):
+    with raises_with(key="length_unit", found="cm", expected="'m' or 'mm'"):
         in_mm(length_unit="cm")
 
 

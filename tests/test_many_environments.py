@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from conftest import raises_with
 from gymnasium.vector import AutoresetMode
 
 import sero_mj
@@ -125,7 +126,7 @@ def test_seeds_are_counted_on_or_given_and_else_random() -> None:
     one, other = (vector("lwr-reach", "vector_entry_point", 3, **make) for _ in range(2))
     assert np.abs(one.reset()[0]["target_position"] - other.reset()[0]["target_position"]).max() > 0
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    with pytest.raises(ValueError, match=r"^seed: found 2; expected one number, or 3$"):
+    with raises_with(key="seed", found=2, expected="one number, or 3"):
         envs.reset(seed=[1, 2])
 
 
@@ -140,7 +141,7 @@ def test_a_bad_action_moves_none_of_them() -> None:
     with pytest.raises(SimulationError, match=r"^lwr/A2 at 0\.0000 s: found an action of nan in "
                        r"environment 2; expected -176 to 176 Nm$"):  # fmt: skip
         envs.step(actions)
-    with pytest.raises(ValueError, match=r"^action: found 2 x 7; expected 3 x 7 numbers, one "):
+    with raises_with(key="action", reason="found 2 x 7", expected="3 x 7 numbers, one per joint"):
         envs.step(np.zeros((2, 7)))
     for lane, state in zip(envs.many.lanes, before, strict=True):
         np.testing.assert_array_equal(lane.batch.state, state)

@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import raises_with
 from foreign_models import ARM, arm, compiled
 
 import sero_mj
@@ -124,7 +125,7 @@ def test_a_camera_may_be_given_in_words(overlay: Any) -> None:
     scene = mujoco.MjvScene(overlay.model, maxgeom=2000)
     overlay.draw(scene, camera="90,0,3")
     assert overlay.view.forward == pytest.approx([0, 1, 0], abs=1e-6)
-    with pytest.raises(UnknownName, match="no camera 'side'"):
+    with raises_with(UnknownName, kind="camera", name="side"):
         overlay.draw(scene, camera="side")
 
 

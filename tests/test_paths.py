@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from conftest import examples
+from conftest import examples, raises_with
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
@@ -358,7 +358,7 @@ def test_version_is_that_of_the_project_file():
 def test_robots_beside_a_scene_are_named_as_well(tmp_path: Path) -> None:
     (tmp_path / "kestrel").mkdir()
     (tmp_path / "kestrel" / "robot.toml").write_text("")
-    with pytest.raises(UnknownName, match=r"no robot model 'kestrl'; did you mean 'kestrel'\?"):
+    with raises_with(UnknownName, kind="robot model", name="kestrl", near="kestrel"):
         paths.find_model("kestrl", tmp_path)
     with pytest.raises(UnknownName) as caught:
         paths.find_model("nothing_like_it", tmp_path)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from mcap.reader import make_reader
 from polling import until
 
@@ -193,7 +194,7 @@ def test_taking_does_not_wait_for_the_disk(tmp_path: Path, held: threading.Event
 
 def test_wrong_use_is_told(tmp_path: Path) -> None:
     with begin(tmp_path / "a.mcap") as recorder:
-        with pytest.raises(UnknownName, match=r"no source 'arn'; did you mean 'arm'\?"):
+        with raises_with(UnknownName, kind="source", name="arn", near="arm"):
             give(recorder, "arn", [b""], [0.0])
         with pytest.raises(ValueError, match="found 2 arrivals and 1 lengths for 1 packets"):
             give(recorder, "arm", [b""], [0.0, 1.0])

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import examples
+from conftest import examples, raises_with
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.exceptions import McapError
@@ -155,7 +155,7 @@ def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
     with begin(path, "arm") as writer:
         with pytest.raises(ValueError, match="source 'arm' is in the recording already"):
             writer.add_source("arm", kind="udp", declared={}, events={}, size=0)
-        with pytest.raises(UnknownName, match="no source 'leg'"):
+        with raises_with(UnknownName, kind="source", name="leg"):
             writer.write_raw("leg", b"", 0.0)
         with pytest.raises(TypeError, match="not JSON serializable"):
             writer.add_source("leg", kind="udp", declared={"a": object()}, events={}, size=0)

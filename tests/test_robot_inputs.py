@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import raises_with
 from foreign_models import arm
 
 import sero_mj
@@ -78,13 +79,13 @@ def test_other_inputs_of_a_robot_are_set_by_name_or_as_attributes(world: World) 
 
 def test_mistyped_names_are_refused_with_the_nearest(world: World, overlay: Any) -> None:
     robot = RobotInputs(Holder(world, world.make_data()), "lwr")
-    with pytest.raises(UnknownName, match="no input of lwr 'torqes'; did you mean 'torques'"):
+    with raises_with(UnknownName, kind="input of lwr", name="torqes", near="torques"):
         robot.torqes = np.zeros(7)  # type: ignore[attr-defined]
-    with pytest.raises(UnknownName, match="no robot 'lrw'; did you mean 'lwr'"):
+    with raises_with(UnknownName, kind="robot", name="lrw", near="lwr"):
         RobotInputs(Holder(world, world.make_data()), "lrw")
-    with pytest.raises(UnknownName, match="no robot 'amr'; did you mean 'arm'"):
+    with raises_with(UnknownName, kind="robot", name="amr", near="arm"):
         overlay.robot("amr")
-    with pytest.raises(ValueError, match=r"^lwr.torques: found \[1.0\]; expected 7 finite numbers"):
+    with raises_with(key="lwr.torques", reason="found [1.0]", expected="7 finite numbers"):
         robot.torques = [1.0]
 
 

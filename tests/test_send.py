@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import raises_with
 
 from sero_mj.base.errors import SourceError, StructureError, UsageError
 from sero_mj.data.send.motion import InverseDynamics, SineMotion
@@ -258,5 +259,5 @@ def test_what_cannot_be_sent_is_told(
 
 
 def test_a_wrong_structure_is_told() -> None:
-    with pytest.raises(StructureError, match="character 2: found 'X'"):
+    with raises_with(StructureError, position=1):
         MotionPackets(scene_of(), structure="2X")

@@ -9,12 +9,13 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import raises_with
 from foreign_models import arm
 
 import sero_mj
 from sero_mj import Double, Object, Scene, SerialRobot, SmartArrow, UdpReceiver, World
 from sero_mj.base import errors
-from sero_mj.base.errors import SeroError
+from sero_mj.base.errors import SeroError, UnknownName
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.load import load_scene
 from sero_mj.robots.external.model_world import ModelWorld
@@ -94,9 +95,13 @@ def test_what_is_set_arrives_and_nothing_else(ends: tuple[SceneMemory, SceneMemo
 
 def test_what_is_wrong_is_told_where_it_is_set(ends: tuple[SceneMemory, SceneMemory]) -> None:
     ours, theirs = ends
-    with pytest.raises(ValueError, match="expected 7 finite numbers"):
+    with raises_with(
+        key="lwr.joint_angles",
+        reason="found [nan, nan, nan, nan, nan, nan, nan]",
+        expected="7 finite numbers",
+    ):
         ours.set("lwr.joint_angles", [np.nan] * 7)
-    with pytest.raises(errors.UnknownName, match="did you mean 'torques'"):
+    with raises_with(UnknownName, kind="input of lwr", name="torqes", near="torques"):
         ours.set("lwr.torqes", [0.0] * 7)
     assert theirs.arrays.changed() == []
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from numpy.typing import NDArray
 
 from sero_mj import Plant, Scenario, Scene, SerialRobot, Simulation, World
@@ -462,9 +463,13 @@ def test_gains_that_the_loop_cannot_hold_are_refused_with_the_largest_that_it_ca
 def test_what_a_robot_file_says_of_its_loop_is_checked(elastic: bool) -> None:
     found = problems(SOFT, elastic, torque_control={"motor_inertias": [4.0] + [0.1] * 6})
     assert "robots.lwr.torque_control.motor_inertias: joint 1: found 4" in found
-    with pytest.raises(DeclarationError, match="found 2 entries; expected 7: one per row"):
+    with raises_with(
+        key="torque_control.motor_inertias", found=2, expected="7: one per row of dh_params"
+    ):
         SerialRobot.from_model("lwr", torque_control={"motor_inertias": [1.0, 1.0]})
-    with pytest.raises(DeclarationError, match=r"inertia_ratio: .*less than or equal to 1"):
+    with raises_with(
+        key="torque_control.inertia_ratio", found=2.0, expected="less than or equal to 1"
+    ):
         SerialRobot.from_model("lwr", torque_control={"inertia_ratio": 2.0})
     dynamics = {"motor_inertias": [0.0] + [1.0] * 6}
     if not elastic:
@@ -481,8 +486,10 @@ def test_rates_that_do_not_fit_are_all_told_at_once() -> None:
         "0.001 s: 0.000333333, for instance" in found
     )
     assert "observer_gain: found 2000 1/s; expected up to 1000 with a timestep of 0.001 s" in found
-    with pytest.raises(
-        DeclarationError, match=r"found 0\.0004 s; expected a multiple of the physics"
+    with raises_with(
+        key="drive_delay",
+        found=0.0004,
+        expected="a multiple of the physics' step, 0.00025 s: 0.0005, for instance",
     ):
         Run(drive_delay=4e-4, physics_timestep=2.5e-4)
     assert Run(torque_control=True).substeps == 3

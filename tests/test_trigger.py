@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from polling import until
 
 from sero_mj import Scene, SerialRobot, UdpReceiver
@@ -154,9 +155,8 @@ def test_what_is_no_condition_is_told_with_its_place(text: str, message: str) ->
 def test_the_torque_error_needs_both_torques() -> None:
     of = scene()
     of.routes = {key: route for key, route in of.routes.items() if "commanded" not in key}
-    with pytest.raises(
-        RouteError, match=r"nothing is routed to lwr.commanded_torques, which it is"
-    ):
+    reason = "nothing is routed to lwr.commanded_torques, which it is made of"
+    with raises_with(RouteError, position=0, reason=reason):
         trigger("lwr.torque_error > 1", of)
 
 

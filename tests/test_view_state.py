@@ -11,7 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from conftest import ROOT, examples
+from conftest import ROOT, examples, raises_with
 from decor_tools import view_at, world_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -110,7 +110,7 @@ def test_wrong_switches_and_cameras_are_refused(world: World) -> None:
         apply_switches(world, toggles, {"legend": "2"})
     with pytest.raises(UsageError, match="arrow_quantity: found '9'"):
         apply_switches(world, toggles, {"arrow_quantity": "9"})
-    with pytest.raises(UnknownName, match="no joint 'lwr/A7'"):
+    with raises_with(UnknownName, kind="joint", name="lwr/A7", near="lwr/A6"):
         apply_switches(world, toggles, {}, "lwr/A7")
     for wrong in ("1,2", "1,2,3,4", "1,2,0,0,0,0", "1,2,3,4,5,nan"):
         with pytest.raises(UsageError, match="with ,x,y,z of what it looks at"):

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from driver import ROOT
 from polling import until
 from web_tools import DRAWS_ON_DEMAND
@@ -104,7 +105,7 @@ def test_a_picture_has_all_that_was_set_before(viewer: Viewer) -> None:
     after = viewer.picture()
     assert before.shape == after.shape == (800, 1280, 3)
     assert (np.abs(before.astype(int) - after) > 30).any(axis=2).sum() > 5000
-    with pytest.raises(UnknownName, match="did you mean 'joint_angles'"):
+    with raises_with(UnknownName, kind="input of mine", name="joint_angle", near="joint_angles"):
         viewer.set("mine.joint_angle", np.zeros(7))
 
 
@@ -179,7 +180,7 @@ def test_what_goes_wrong_there_is_told_here(caplog: pytest.LogCaptureFixture) ->
         assert until(lambda: caplog.records, PATIENCE)
     (record,) = caplog.records
     assert "goes on: exit status 1; it wrote: ValueError: not enough values" in record.getMessage()
-    with pytest.raises(UnknownName, match="no camera 'frnt'"):
+    with raises_with(UnknownName, kind="camera", name="frnt"):
         sero_mj.view("lwr", web=True, camera="frnt")
     with pytest.raises(
         RenderError, match=r"no page at 'nowhere\.invalid': this machine has no such"

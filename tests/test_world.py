@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import PIL.Image
 import pytest
+from conftest import raises_with
 
 from sero_mj.base import frames
 from sero_mj.base.errors import DeclarationError, UnknownName
@@ -357,7 +358,9 @@ def test_a_value_that_is_no_number_is_no_data_and_moves_nothing():
     world, _, data = compiled(arm())
     world.set_input(data, "arm.torques", [np.inf, 5.0])
     np.testing.assert_array_equal(joint_values(world, data)["torques"], [np.nan, 5.0])
-    with pytest.raises(ValueError, match=r"joint_angles: found \[1.0, nan\]; expected 2 finite n"):
+    with raises_with(
+        key="arm.joint_angles", reason="found [1.0, nan]", expected="2 finite numbers"
+    ):
         world.set_input(data, "arm.joint_angles", [1, np.nan])
     assert not data.qpos.any()
 

@@ -118,12 +118,18 @@ class Problem:
             message += f" {shown(self.found)}"
         message += f" {self.of}" if self.of else ""
         message += f"; expected {self.expected}" if self.expected is not None else ""
-        if self.available is None:
+        if self.available is None or (self.expected is not None and self.near is None):
             return message
-        name = self.key.rpartition(".")[2] if self.found is None else str(self.found)
-        if self.expected is not None and nearest(name, self.available) is None:
-            return message
-        return message + did_you_mean(name, self.available)
+        return message + did_you_mean(self._name, self.available)
+
+    @property
+    def near(self) -> str | None:
+        """The available name that is nearest to the wrong one, if there is any."""
+        return nearest(self._name, self.available or ())
+
+    @property
+    def _name(self) -> str:
+        return self.key.rpartition(".")[2] if self.found is None else str(self.found)
 
     def __str__(self) -> str:
         place = self.file or ""
@@ -192,6 +198,7 @@ class UnknownName(SeroError, KeyError):
         kind: of the name, e.g. `camera`.
         name: the unknown name.
         available: existing names.
+        near: the nearest of these, or None.
         hint: what is said instead of these, if anything.
     """
 
@@ -199,6 +206,7 @@ class UnknownName(SeroError, KeyError):
         self.kind = kind
         self.name = name
         self.available = sorted(set(available))
+        self.near = nearest(name, self.available)
         self.hint = hint
         super().__init__(f"no {kind} '{name}'{hint or did_you_mean(name, self.available)}")
 
