@@ -121,7 +121,7 @@ export function capsule(a, b) {
 
 /** A plane, also one without an end. @param {Geom} geom @param {Run} run */
 export function planeOf({ size: [a, b], isBack }, { reach }) {
-  const far = 1.05 * (reach ?? 0);
+  const far = 4 * (reach ?? 0); // cut off where the camera sees no farther
   const shape = new THREE.PlaneGeometry(2 * (a || far), 2 * (b || far));
   return isBack ? shape.rotateX(Math.PI) : shape;
 }
