@@ -80,14 +80,14 @@ def classic(
 
 
 # The picture alone at some size, as digits of red, green, blue and alpha.
-DRAWN = """([width, height, time, hidden]) => {
+DRAWN = """([width, height, time, hidden, hasShadows]) => {
     const { stage } = player;
     player.seek(time);
     stage.resize(width, height);
     stage.renderer.setPixelRatio(1);
     stage.renderer.setSize(width, height, false);
     stage.chooseCamera(stage.run.eye.fixed);
-    player.switches.shadows = false;
+    player.switches.shadows = hasShadows;
     player.draw();
     for (const each of hidden) stage[each].visible = false;
     stage.draw();
@@ -100,11 +100,18 @@ DRAWN = """([width, height, time, hidden]) => {
 }"""
 
 
-def drawn(page: Any, size: tuple[int, int], time: float, hidden: Sequence[str] = ()) -> Any:
+def drawn(
+    page: Any,
+    size: tuple[int, int],
+    time: float,
+    hidden: Sequence[str] = (),
+    *,
+    shadows: bool = False,
+) -> Any:
     """What a page's canvas shows at a time (s): (h, w, 4) uint8."""
     import base64
 
-    text = page.evaluate(DRAWN, [*size, time, list(hidden)])
+    text = page.evaluate(DRAWN, [*size, time, list(hidden), shadows])
     pixels = np.frombuffer(base64.b64decode(text), np.uint8)
     return pixels.reshape(size[1], size[0], 4)[::-1]
 

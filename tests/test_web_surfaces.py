@@ -231,6 +231,27 @@ def test_a_plane_is_seen_through_from_below(opened: Callable[..., Any]) -> None:
     assert overlap(covered, alpha > 30) >= OUTLINE
 
 
+def test_a_plane_reflects(opened: Callable[..., Any]) -> None:
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco>{BARE}
+    <asset><material name="wet" rgba=".1 .1 .3 1" reflectance=".6"/></asset><worldbody>
+    <light type="directional" diffuse="0 0 0" specular="0 0 0"/>
+    <geom type="plane" size="1 1 .1" material="wet"/>
+    <geom type="box" size=".3 .2 .15" pos="0 0 .3" rgba="1 .5 .1 1"/></worldbody></mujoco>""")
+    (data,) = rolled_out(model, 1, 0)
+    page = opened(found := captured(model, [data], "60,-25,2.6,0,0,.2"))
+    with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0
+        renderer.update_scene(data, found.camera)
+        picture = renderer.render().astype(int)
+    without = drawn(page, SIZE, 0.0).astype(int)
+    pixels = drawn(page, SIZE, 0.0, shadows=True).astype(int)
+    is_mirrored = np.abs(pixels - without)[..., :3].max(axis=-1) > 40
+    assert is_mirrored.sum() > 2000
+    away = np.abs(pixels[..., :3] - picture).max(axis=-1)[is_mirrored]
+    assert np.percentile(away, 90) <= LEVELS
+    assert page.said == []
+
+
 def test_a_light_of_the_model_shines_from_where_it_is(opened: Callable[..., Any]) -> None:
     model = mujoco.MjModel.from_xml_string("""<mujoco>
     <visual><headlight ambient=".2 .2 .2" diffuse="0 0 0" specular="0 0 0"/></visual>

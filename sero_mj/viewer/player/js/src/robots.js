@@ -1,6 +1,7 @@
 /** The model: one geometry for all that is opaque, one for doubles; bodies' poses in a texture. */
 
 import * as THREE from "three";
+import { Mirror, mirrorOf } from "./mirror.js";
 import { backOf, ball, capsule, cylinder, finish, finishOf, isPlane, placesIn, planeOf, textureOf, texturesOf }
   from "./surfaces.js";
 
@@ -45,7 +46,7 @@ function merged(geoms, run, texture) {
   const corners = shapes.reduce((sum, each) => sum + (each.index ? each.index.count : 0), 0);
   const position = new Float32Array(3 * vertices), normal = new Int8Array(3 * vertices);
   const color = new Uint8Array(4 * vertices), body = new Uint16Array(vertices);
-  const shine = new Uint8Array(4 * vertices);
+  const shine = new Uint8Array(4 * vertices), mirror = mirrorOf(run);
   const spots = texture < 0 ? null : new Float32Array(3 * vertices);
   const index = new Uint32Array(corners), vector = new THREE.Vector3();
   const turn = new THREE.Matrix3();
@@ -55,6 +56,7 @@ function merged(geoms, run, texture) {
     const { position: places, normal: normals } = shape.attributes;
     turn.setFromMatrix4(at);
     const look = finishOf(run, geom);
+    if (geom === mirror?.geom) look[3] = Math.round(255 * Math.min(mirror.share, 1));
     for (const each of shape.index ? shape.index.array : []) index[corner++] = each + first;
     spots?.set(placesIn(run, geom, shape), 3 * vertex);
     for (let i = 0; i < places.count; i++, vertex++) {
@@ -91,6 +93,8 @@ export class Robots {
     this.geoms = run.geoms.concat(run.geoms.filter(isPlane).map(backOf));
     this.solidGeoms = run.geoms.filter((geom) => !isGhost(geom));
     this.pictures = texturesOf(run);
+    this.mirrorGeom = mirrorOf(run)?.geom;
+    this.mirror = this.mirrorGeom ? new Mirror() : null;
     const [solid, depth, ghosts] = this.#meshes(-1, isGhost);
     this.solid = solid;
     this.depth = depth;
@@ -149,7 +153,7 @@ export class Robots {
           diffuseColor.rgb = mix(diffuseColor.rgb, vec3(${grey}), .8 * state.y);`);
     };
     material.onBeforeCompile = (shader) => {
-      finish(shader, this.run, picture, isCube);
+      finish(shader, this.run, picture, isCube, isBehind ? null : this.mirror);
       place(shader);
     };
     material.customProgramCacheKey = () => `body ${isBehind} ${texture < 0 ? "" : isCube}`;
@@ -179,6 +183,24 @@ export class Robots {
       texels[4 * TEXELS * b + 17] = run.grey[b * frames + before];
     }
     this.texture.needsUpdate = true;
+  }
+
+  /**
+   * Draws what is seen in a plane that reflects, if there is one.
+   * @param {THREE.WebGLRenderer} renderer @param {THREE.Scene} scene
+   * @param {THREE.PerspectiveCamera} camera @param {boolean} isOn
+   */
+  reflect(renderer, scene, camera, isOn) {
+    const { mirror, mirrorGeom: geom } = this;
+    if (!mirror || !geom) return;
+    mirror.uniforms.isMirror.value = 0;
+    if (!isOn) return;
+    const pose = this.matrices[geom.body].clone().multiply(matrixOf(geom.pos, geom.quat));
+    // What is transparent, as the back of the plane is, is not seen in it.
+    const faint = this.group.children.filter((each) => each.visible && each.renderOrder > 0);
+    for (const each of faint) each.visible = false;
+    mirror.draw(renderer, scene, camera, pose);
+    for (const each of faint) each.visible = true;
   }
 
   /** The nearest geom on a ray, with the point there. @param {THREE.Ray} ray */

@@ -179,6 +179,7 @@ export class Stage {
 
   /** Draws. @returns {number} draw calls */
   draw() {
+    this.robots.reflect(this.renderer, this.scene, this.camera, this.sun.castShadow);
     this.renderer.render(this.scene, this.camera);
     return this.renderer.info.render.calls;
   }

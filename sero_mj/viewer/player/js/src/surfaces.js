@@ -37,7 +37,7 @@ export const textureOf = (run, { material }) =>
  * @param {Run} run @param {{material?: number}} of
  */
 export function finishOf(run, { material }) {
-  if (material === undefined) return PLAIN;
+  if (material === undefined) return [...PLAIN];
   const [emission, specular, shininess] = run.materials[material].finish;
   return [emission, specular, shininess, 0].map((each) => Math.round(255 * Math.min(each, 1)));
 }
@@ -145,16 +145,18 @@ export const isPlane = ({ type }) => type === PLANE;
  * Lets a Phong shader have the finish of every vertex, and a texture.
  * @param {THREE.WebGLProgramParametersWithUniforms} shader @param {Run} run
  * @param {THREE.Texture | null} texture @param {boolean} isCube
+ * @param {import("./mirror.js").Mirror | null} mirror
  */
-export function finish(shader, run, texture, isCube) {
+export function finish(shader, run, texture, isCube, mirror) {
+  if (mirror) reflect(shader, mirror);
   const { power, strength } = glossOf(run);
   const has = texture ? "varying vec3 spot;\n" : "";
   if (texture) shader.uniforms.picture = { value: texture };
-  shader.vertexShader = `attribute vec4 finish; varying vec3 shine;\n${has && "attribute vec3 place; "}${has}`
+  shader.vertexShader = `attribute vec4 finish; varying vec4 shine;\n${has && "attribute vec3 place; "}${has}`
     + shader.vertexShader.replace("#include <beginnormal_vertex>",
-      `shine = finish.xyz;${has && " spot = place;"}\n#include <beginnormal_vertex>`);
+      `shine = finish;${has && " spot = place;"}\n#include <beginnormal_vertex>`);
   const sampler = isCube ? "uniform samplerCube picture;\n" : "uniform sampler2D picture;\n";
-  shader.fragmentShader = `varying vec3 shine;\n${has}${has && sampler}` + shader.fragmentShader
+  shader.fragmentShader = `varying vec4 shine;\n${has}${has && sampler}` + shader.fragmentShader
     .replace("#include <map_fragment>", !texture ? "" : isCube
       ? "diffuseColor *= textureCube(picture, spot);" : "diffuseColor *= texture2D(picture, spot.xy);")
     .replace("#include <lights_phong_fragment>", `BlinnPhongMaterial material;
@@ -163,6 +165,23 @@ export function finish(shader, run, texture, isCube) {
       material.specularColor = vec3(${strength.toFixed(3)} * shine.y / (material.specularShininess + 2.));
       material.specularStrength = 1.;`)
     .replace("#include <emissivemap_fragment>", "totalEmissiveRadiance += shine.x * diffuseColor.rgb;");
+}
+
+/**
+ * Lets a shader show what is seen in a plane.
+ * @param {THREE.WebGLProgramParametersWithUniforms} shader
+ * @param {import("./mirror.js").Mirror} mirror
+ */
+function reflect(shader, { uniforms }) {
+  Object.assign(shader.uniforms, uniforms);
+  shader.vertexShader = "uniform mat4 toMirror; varying vec4 inMirror;\n" + shader.vertexShader
+    .replace("#include <project_vertex>", `#include <project_vertex>
+      inMirror = toMirror * vec4(transformed, 1.);`);
+  shader.fragmentShader = "uniform sampler2D mirror; uniform float isMirror; varying vec4 inMirror;\n"
+    + shader.fragmentShader.replace("#include <opaque_fragment>", `
+      vec4 seen = texture2DProj(mirror, inMirror);
+      outgoingLight += isMirror * shine.w * seen.a * seen.rgb;
+      #include <opaque_fragment>`);
 }
 
 /**
