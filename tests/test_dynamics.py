@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import mujoco
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from newton_euler import inverse_dynamics
 
 from sero_mj.base import paths
-from sero_mj.base.errors import DeclarationError
+from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.cli import main
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.assemble.world import World
@@ -261,72 +262,121 @@ def test_frames_of_figures_are_those_that_are_declared(lwr):
     np.testing.assert_allclose(same.tensors, dynamics.tensors, atol=1e-15)
 
 
-def refused(**dynamics) -> list[str]:
+def refused(**dynamics) -> list[Problem]:
     row = [0.01, 0.01, 0.01, 0, 0, 0]
     given = {"masses": [1, 1, 1], "centers_of_mass": [[0, 0, 0]] * 3, "inertias": [row] * 3}
     fields = {key: value for key, value in {**given, **dynamics}.items() if value is not None}
     with pytest.raises(DeclarationError) as caught:
         SerialRobot(dh_convention="craig", dh_params=[[0, 0, 0, 0.1]] * 2, dynamics=fields)
-    return str(caught.value).splitlines()
+    return caught.value.problems
 
 
 @pytest.mark.parametrize(
-    ("dynamics", "message"),
+    ("dynamics", "problem"),
     [
         (
             {"masses": [1, -1, 1]},
-            "dynamics.masses: link 1: found -1 kg; expected a mass of 0 or more",
+            Problem(
+                "dynamics.masses",
+                "link 1: found",
+                found=-1.0,
+                of="kg",
+                expected="a mass of 0 or more",
+            ),
         ),
         (
             {"masses": [1, 1]},
-            "dynamics.masses: found 2 entries; expected 3: the base and one per joint",
+            Problem(
+                "dynamics.masses", found=2, of="entries", expected="3: the base and one per joint"
+            ),
         ),
         (
             {"inertias": [[1, 1, 1, 0, 0, 0], [1, 1, 3, 0, 0, 0], [1, 1, 1, 0, 0, 0]]},
-            "dynamics.inertias: link 1: found principal moments 1, 1, 3 kg m2; expected the "
-            "largest to be at most the sum of the others, 2 (a tensor about the centre of mass?)",
+            Problem(
+                "dynamics.inertias",
+                "link 1: found principal moments 1, 1, 3 kg m2; expected the largest to be at "
+                "most the sum of the others, 2 (a tensor about the centre of mass?); "
+                'inertia_repair = "balance" changes it to a similar one',
+            ),
         ),
         (
             {"inertias": [[1, 1, 1, 0, 0, 0], [1, 1, 1, 0, 0, 0], [1, 1, 1, 2, 0, 0]]},
-            "dynamics.inertias: link 2: found principal moments -1, 1, 3 kg m2; expected all of "
-            "them positive",
+            Problem(
+                "dynamics.inertias",
+                "link 2: found principal moments -1, 1, 3 kg m2; expected all of them positive; "
+                'inertia_repair = "balance" changes it to a similar one',
+            ),
         ),
         (
             {"inertias": [[1, 1, 1, 0, 0]] * 3},
-            "dynamics.inertias: the base: found 5; expected 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, "
-            "Iyz) or 3 x 3",
+            Problem(
+                "dynamics.inertias",
+                "the base: found 5",
+                expected="6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or 3 x 3",
+            ),
         ),
         (
             {"inertias": [[[1, 0, 0.5], [0, 1, 0], [0, 0, 1]]] * 3},
-            "dynamics.inertias: the base: found [[1.0, 0.0, 0.5], [0.0, 1.0, 0.0], "
-            "[0.0, 0.0, 1.0]]; expected a symmetric 3x3",
+            Problem(
+                "dynamics.inertias",
+                "the base: found",
+                found=[[1.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+                expected="a symmetric 3x3",
+            ),
         ),
         (
             {"inertias": None},
-            "dynamics: found masses and centers_of_mass without inertias; expected all of masses, "
-            "centers_of_mass, inertias, or none for an estimate",
+            Problem(
+                "dynamics",
+                "found masses and centers_of_mass without inertias; expected all of masses, "
+                "centers_of_mass, inertias, or none for an estimate",
+            ),
         ),
         (
             {"coulomb_friction": [0.1, -0.1]},
-            "dynamics.coulomb_friction: joint 2: found -0.1; expected 0 or more",
+            Problem(
+                "dynamics.coulomb_friction", "joint 2: found", found=-0.1, expected="0 or more"
+            ),
         ),
         (
             {"motor_inertias": [1.0]},
-            "dynamics.motor_inertias: found 1 entries; expected 2: one per row of dh_params",
+            Problem(
+                "dynamics.motor_inertias",
+                found=1,
+                of="entries",
+                expected="2: one per row of dh_params",
+            ),
         ),
         (
             {"joint_stiffness": [0, 1]},
-            "dynamics.joint_stiffness: joint 1: found 0; expected a positive number",
+            Problem(
+                "dynamics.joint_stiffness",
+                "joint 1: found",
+                found=0.0,
+                expected="a positive number",
+            ),
         ),
-        ({"frames": "zero"}, "dynamics.frames: found 'zero'; expected 'dh' or 'zero_pose'"),
-        ({"mass": [1]}, "dynamics.mass: unknown key; did you mean 'masses'?"),
-        ({"density": 0.0}, "dynamics.density: found 0;"),
-        ({"masses": [1, 1, float("nan")]}, "dynamics.masses: found [1, 1, nan]; expected finite"),
+        (
+            {"frames": "zero"},
+            Problem(
+                "dynamics.frames",
+                found="zero",
+                expected="'dh' or 'zero_pose'",
+                available=["zero_pose"],
+            ),
+        ),
+        ({"mass": [1]}, Problem("dynamics.mass", "unknown key", available=["masses"])),
+        ({"density": 0.0}, Problem("dynamics.density", found=0.0, expected="greater than 0")),
+        (
+            {"masses": [1, 1, float("nan")]},
+            Problem(
+                "dynamics.masses", found=[1, 1, math.nan], expected="finite numbers, no NaN or inf"
+            ),
+        ),
     ],
 )
-def test_wrong_figures_are_told_with_link_and_number(dynamics, message):
-    lines = refused(**dynamics)
-    assert len(lines) == 1 and lines[0].startswith(message), lines
+def test_wrong_figures_are_told_with_link_and_number(dynamics, problem):
+    assert refused(**dynamics) == [problem]
 
 
 def test_wrong_figures_in_a_file_have_file_and_line(tmp_path):
@@ -336,9 +386,10 @@ def test_wrong_figures_in_a_file_have_file_and_line(tmp_path):
     )
     with pytest.raises(DeclarationError) as caught:
         build_robot({}, file)
-    assert str(caught.value) == (
-        f"{file}:4: dynamics.motor_inertias: joint 1: found -1; expected 0 or more"
-    )
+    assert caught.value.problems == [
+        Problem("dynamics.motor_inertias", "joint 1: found", found=-1.0, expected="0 or more",
+                file=str(file), line=4)
+    ]  # fmt: skip
 
 
 def test_one_figure_over_the_files_leaves_the_others(lwr, tmp_path):
@@ -351,10 +402,11 @@ def test_one_figure_over_the_files_leaves_the_others(lwr, tmp_path):
     )
     with pytest.raises(DeclarationError) as caught:
         build_robot({"dynamics": {"coulomb_friction": [-2]}}, file)
-    assert str(caught.value).splitlines() == [
-        f"{file}:4: dynamics.motor_inertias: joint 1: found -1; expected 0 or more",
-        "dynamics.coulomb_friction: joint 1: found -2; expected 0 or more",
-    ]
+    assert caught.value.problems == [
+        Problem("dynamics.motor_inertias", "joint 1: found", found=-1.0, expected="0 or more",
+                file=str(file), line=4),
+        Problem("dynamics.coulomb_friction", "joint 1: found", found=-2.0, expected="0 or more"),
+    ]  # fmt: skip
 
 
 def test_elastic_joints_need_motors():
@@ -362,10 +414,12 @@ def test_elastic_joints_need_motors():
     robot = SerialRobot(name="arm", dh_convention="craig", dh_params=[[0, 0, 0, 0.1]] * 2, **fields)
     with pytest.raises(DeclarationError) as caught:
         World(Scene(robots=[robot]), dynamic=True)
-    assert str(caught.value) == (
-        "robots.arm.dynamics.motor_inertias: joint 2: found 0; expected a motor inertia above 0 "
-        "for a robot with elastic_joints"
-    )
+    assert caught.value.problems == [
+        Problem(
+            "robots.arm.dynamics.motor_inertias",
+            "joint 2: found 0; expected a motor inertia above 0 for a robot with elastic_joints",
+        )
+    ]
     World(Scene(robots=[robot]))  # to look at it is right
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sero_mj.base.errors import DeclarationError
+from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.runs.run_log import ACTUAL, MEASURED
@@ -133,16 +135,16 @@ def test_a_plot_shows_until_when() -> None:
 
 
 @pytest.mark.parametrize(
-    ("end", "message"),
+    ("end", "problem"),
     [
-        ("0.02", "faults.x.end: found 0.02; expected more than begin, 0.05 s"),
-        ("0.05", "faults.x.end: found 0.05"),
-        ("'soon'", "faults.x.end: found 'soon'"),
-        ("nan", "faults.x.end: found nan"),
-        ("inf", "faults.x.end: found inf"),
+        ("0.02", Problem("faults.x.end", found=0.02, expected="more than begin, 0.05 s")),
+        ("0.05", Problem("faults.x.end", found=0.05, expected="more than begin, 0.05 s")),
+        ("'soon'", Problem("faults.x.end", found="soon", expected="number")),
+        ("nan", Problem("faults.x.end", found=math.nan, expected="a finite number")),
+        ("inf", Problem("faults.x.end", found=math.inf, expected="a finite number")),
     ],
 )
-def test_ends_that_cannot_be_are_told(tmp_path: Path, end: str, message: str) -> None:
+def test_ends_that_cannot_be_are_told(tmp_path: Path, end: str, problem: Problem) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(
         f"[robots.lwr]\nmodel = 'lwr'\n[run]\nduration = 0.1\n"
@@ -150,4 +152,4 @@ def test_ends_that_cannot_be_are_told(tmp_path: Path, end: str, message: str) ->
     )
     with pytest.raises(DeclarationError) as caught:
         read_scenario(file)
-    assert message in str(caught.value)
+    assert caught.value.problems == [replace(problem, file=str(file), line=8)]

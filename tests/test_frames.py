@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from sero_mj.base import frames
 from sero_mj.base.declaration import numbers
+from sero_mj.base.errors import Problem, problems_of
 
 ANGLES = st.floats(-2 * math.pi, 2 * math.pi)
 THREE_ANGLES = st.tuples(ANGLES, ANGLES, ANGLES)
@@ -35,10 +36,11 @@ def read(value):
     return frames.frame_from(value, numbers)
 
 
-def refusal(value) -> str:
+def refusal(value) -> Problem:
     with pytest.raises(ValueError) as caught:
         read(value)
-    return str(caught.value)
+    (problem,) = problems_of(caught.value)
+    return problem
 
 
 @given(axis=st.sampled_from([0, 1, 2]), angle=ANGLES)
@@ -143,58 +145,75 @@ def test_rotation_that_is_exact_is_kept_to_the_last_bit():
 
 def test_last_row_that_is_not_exactly_0_0_0_1_is_refused():
     # Kept, a 1.000009 would scale everything the frame is applied to.
-    text = "last row is [0.0, 0.0, 0.0, 1.000009]; expected [0, 0, 0, 1] (row-major)"
-    assert refusal([*EYE[:3], [0, 0, 0, 1.000009]]) == text
+    problem = Problem(
+        reason="last row is", found=[0.0, 0.0, 0.0, 1.000009], expected="[0, 0, 0, 1] (row-major)"
+    )
+    assert refusal([*EYE[:3], [0, 0, 0, 1.000009]]) == problem
 
 
 def test_vector_of_the_right_length_in_the_wrong_shape_is_refused_without_contradiction():
-    assert "has 3 numbers" not in refusal({"xyz": [[1, 2, 3]]})
+    assert refusal({"xyz": [[1, 2, 3]]}).found is None
 
 
-NOT_A_ROTATION = "upper left 3 x 3 is not a rotation (orthonormal, determinant +1)"
+NOT_A_ROTATION = Problem(reason="upper left 3 x 3 is not a rotation (orthonormal, determinant +1)")
 
 
 @pytest.mark.parametrize(
-    ("value", "text"),
+    ("value", "problem"),
     [
-        ([1, 2], "found 2 numbers; expected 4 x 4, or { xyz = [...], rpy = [...] }"),
-        (3, "found 1 numbers; expected 4 x 4, or { xyz = [...], rpy = [...] }"),
-        ("abc", "found 'abc'; expected numbers"),
-        ([[1, 0], [1]], "expected rows of equal length"),
+        ([1, 2], Problem(found=2, of="numbers", expected="4 x 4, or { xyz = [...], rpy = [...] }")),
+        (3, Problem(found=1, of="numbers", expected="4 x 4, or { xyz = [...], rpy = [...] }")),
+        ("abc", Problem(found="abc", expected="numbers")),
+        ([[1, 0], [1]], Problem(reason="expected rows of equal length")),
         (
             [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1]],
-            "last row is [1.0, 2.0, 3.0, 1.0]; expected [0, 0, 0, 1] (row-major)",
+            Problem(
+                reason="last row is",
+                found=[1.0, 2.0, 3.0, 1.0],
+                expected="[0, 0, 0, 1] (row-major)",
+            ),
         ),
         (np.diag([1, 1, -1, 1]), NOT_A_ROTATION),  # a mirror image
         (np.diag([2, 2, 2, 1]), NOT_A_ROTATION),
         (np.diag([0, 0, 0, 1]), NOT_A_ROTATION),
         (np.eye(4) + 2e-3 * np.eye(4, k=1) * [1, 1, 1, 0], NOT_A_ROTATION),
-        ({"xzy": [1, 2, 3]}, "unknown key 'xzy'; did you mean 'xyz'?"),
+        ({"xzy": [1, 2, 3]}, Problem(reason="unknown key", found="xzy", available=["xyz"])),
         (
             {"colour": 1},
-            "unknown key 'colour'; available: quat, rpy, rpy_deg, xyz",
+            Problem(
+                reason="unknown key", found="colour", available=["quat", "rpy", "rpy_deg", "xyz"]
+            ),
         ),
-        ({"xyz": [1, 2]}, "'xyz' has 2 numbers; expected 3"),
-        ({"rpy": [1, 2, 3, 4]}, "'rpy' has 4 numbers; expected 3"),
-        ({"rpy_deg": 90}, "'rpy_deg' has 1 numbers; expected 3"),
-        ({"quat": [1, 0, 0]}, "'quat' has 3 numbers; expected 4"),
-        ({"quat": [0, 0, 0, 0]}, "'quat' is zero; expected a unit quaternion w, x, y, z"),
+        ({"xyz": [1, 2]}, Problem(reason="'xyz' has", found=2, of="numbers", expected=3)),
+        ({"rpy": [1, 2, 3, 4]}, Problem(reason="'rpy' has", found=4, of="numbers", expected=3)),
+        ({"rpy_deg": 90}, Problem(reason="'rpy_deg' has", found=1, of="numbers", expected=3)),
+        ({"quat": [1, 0, 0]}, Problem(reason="'quat' has", found=3, of="numbers", expected=4)),
+        (
+            {"quat": [0, 0, 0, 0]},
+            Problem(reason="'quat' is zero; expected a unit quaternion w, x, y, z"),
+        ),
         (
             {"rpy": [0, 0, 1], "quat": [1, 0, 0, 0]},
-            "found both 'rpy' and 'quat'; expected one rotation",
+            Problem(reason="found both 'rpy' and 'quat'; expected one rotation"),
         ),
         (
             {"rpy": [0, 0, 1], "rpy_deg": [0, 0, 1]},
-            "found both 'rpy' and 'rpy_deg'; expected one rotation",
+            Problem(reason="found both 'rpy' and 'rpy_deg'; expected one rotation"),
         ),
-        ({"rpy": ["a", 0, 0]}, "found ['a', 0, 0]; expected numbers"),
-        ({"xyz": [math.nan, 0, 0]}, "found [nan, 0, 0]; expected finite numbers, no NaN or inf"),
-        ({"xyz": [0, math.inf, 0]}, "found [0, inf, 0]; expected finite numbers, no NaN or inf"),
-        ({"xyz": [True, False, True]}, "found [True, False, True]; expected numbers"),
+        ({"rpy": ["a", 0, 0]}, Problem(found=["a", 0, 0], expected="numbers")),
+        (
+            {"xyz": [math.nan, 0, 0]},
+            Problem(found=[math.nan, 0, 0], expected="finite numbers, no NaN or inf"),
+        ),
+        (
+            {"xyz": [0, math.inf, 0]},
+            Problem(found=[0, math.inf, 0], expected="finite numbers, no NaN or inf"),
+        ),
+        ({"xyz": [True, False, True]}, Problem(found=[True, False, True], expected="numbers")),
     ],
 )
-def test_wrong_frame_is_refused_with_what_was_found_and_what_is_right(value, text):
-    assert refusal(value) == text
+def test_wrong_frame_is_refused_with_what_was_found_and_what_is_right(value, problem):
+    assert refusal(value) == problem
 
 
 @given(

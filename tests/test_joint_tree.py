@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.base.errors import DeclarationError
+from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.base.frames import frame, rotation_from_rpy
 from sero_mj.data.drive.place import Placer
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
@@ -229,53 +229,56 @@ def test_arrows_fit_the_links():
 
 
 @pytest.mark.parametrize(
-    ("fields", "message"),
+    ("fields", "problem"),
     [
         (
             {"joint_frames": [np.eye(4)] * 2, "parents": ["base"]},
-            "parents: found 1 entries; expected 2, one per frame of joint_frames",
+            Problem("parents", found=1, of="entries", expected="2, one per frame of joint_frames"),
         ),
         (
             {"joint_frames": [np.eye(4)] * 2, "parents": ["base", "J9"]},
-            "parents.1: no joint 'J9'; available: J1, J2, base",
+            Problem("parents.1", "no joint", found="J9", available=["J1", "J2", "base"]),
         ),
         (
             {"joint_frames": [np.eye(4)] * 2, "parents": ["J2", "base"]},
-            "parents.0: J1 is on J2; expected it behind that and its branch whole",
+            Problem("parents.0", "J1 is on J2; expected it behind that and its branch whole"),
         ),
         (
             {"joint_frames": [np.eye(4)] * 3, "parents": ["base", "base", "J1"]},
-            "parents.2: J3 is on J1; expected it behind that and its branch whole",
+            Problem("parents.2", "J3 is on J1; expected it behind that and its branch whole"),
         ),
         (
             {"joint_frames": [np.eye(4)], "dh_params": [[0, 0, 0, 0]]},
-            "found dh_params with joint_frames; expected one of the two",
+            Problem(reason="found dh_params with joint_frames; expected one of the two"),
         ),
-        ({"dh_convention": "none"}, "dh_convention: found 'none'; expected joint_frames with it"),
-        ({"joint_frames": []}, "joint_frames: found 0 frames; expected 1 to 128, one per joint"),
+        ({"dh_convention": "none"}, Problem("dh_convention", "found 'none'",
+                                            expected="joint_frames with it")),
+        ({"joint_frames": []}, Problem("joint_frames", found=0, of="frames",
+                                       expected="1 to 128, one per joint")),
         (
             {"joint_frames": [{"xyz": [0, 0]}]},
-            "joint_frames: joint 1: 'xyz' has 2 numbers; expected 3",
+            Problem("joint_frames", "joint 1: 'xyz' has 2 numbers; expected 3"),
         ),
         (
             {"joint_frames": [np.eye(4)], "flange_on": "J2"},
-            "flange_on: no joint 'J2'; available: J1",
+            Problem("flange_on", "no joint", found="J2", available=["J1"]),
         ),
         (
             {"joint_frames": [np.eye(4)], "filenames": ["", {"shape": "box", "size": [1, 1]}]},
-            "filenames.1.0: size of a box: found [1.0, 1.0]; expected positive length x, length y, "
-            "length z in m",
+            Problem("filenames.1.0",
+                    "size of a box: found [1.0, 1.0]; expected positive length x, length y, "
+                    "length z in m"),
         ),
         (
             {"joint_frames": [np.eye(4)], "filenames": ["", {"color": "red"}]},
-            "filenames.1.0: found neither of file and shape; expected one of them",
+            Problem("filenames.1.0", "found neither of file and shape; expected one of them"),
         ),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_told(fields, message):
+def test_what_is_wrong_is_told(fields, problem):
     with pytest.raises(DeclarationError) as caught:
         SerialRobot(**fields)
-    assert str(caught.value) == message
+    assert caught.value.problems == [problem]
 
 
 def test_many_poses_at_once():

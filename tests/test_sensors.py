@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
@@ -10,7 +11,7 @@ from conftest import raises_with
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.base.errors import DeclarationError, UnknownName
+from sero_mj.base.errors import DeclarationError, Problem, UnknownName
 from sero_mj.simulate.sensors import SensorErrors, Sensors
 
 RAMP = np.arange(200.0)[:, None, None] * np.ones((3, 4)) + np.arange(4)
@@ -120,20 +121,26 @@ def test_the_truth_is_left_alone():
 
 
 @pytest.mark.parametrize(
-    ("errors", "message"),
+    ("errors", "problem"),
     [
-        ({"noise": -0.1}, "noise: found -0.1; expected 0 or more"),
-        ({"noise": [[0.1]]}, "noise: found 2 dimensions; expected one number, or one per joint"),
-        ({"delay": -1}, "delay: found -1; expected greater than or equal to 0"),
-        ({"delay": 0.5}, "delay: found 0.5; expected integer, without a point"),
-        ({"biass": 1.0}, "biass: unknown key; did you mean 'bias'?"),
-        ({"gain": float("nan")}, "gain: found nan; expected finite numbers, no NaN or inf"),
+        ({"noise": -0.1}, Problem("noise", found=-0.1, expected="0 or more")),
+        (
+            {"noise": [[0.1]]},
+            Problem("noise", found=2, of="dimensions", expected="one number, or one per joint"),
+        ),
+        ({"delay": -1}, Problem("delay", found=-1, expected="greater than or equal to 0")),
+        ({"delay": 0.5}, Problem("delay", found=0.5, expected="integer, without a point")),
+        ({"biass": 1.0}, Problem("biass", "unknown key", available=["bias"])),
+        (
+            {"gain": float("nan")},
+            Problem("gain", found=math.nan, expected="finite numbers, no NaN or inf"),
+        ),
     ],
 )
-def test_wrong_errors_are_told(errors, message):
+def test_wrong_errors_are_told(errors, problem):
     with pytest.raises(DeclarationError) as caught:
         SensorErrors(**errors)
-    assert str(caught.value) == message
+    assert caught.value.problems == [problem]
 
 
 def test_wrong_names_and_counts_are_told():

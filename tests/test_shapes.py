@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from sero_mj.base import paths
-from sero_mj.base.errors import DeclarationError
+from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.dh import DhTable
 from sero_mj.robots.declared.robot import SerialRobot
@@ -243,56 +243,68 @@ def test_any_table_compiles_into_geoms_where_the_shapes_are(table, point):
 def test_object_fields_are_checked():
     with pytest.raises(DeclarationError) as caught:
         Object(name="a", shape="box", size=[1, 2], rgba=[0, 0, 0, 2], mesh_scale=0)
-    assert str(caught.value).splitlines() == [
-        "mesh_scale: found 0; expected greater than 0",
-        "rgba: found [0.0, 0.0, 0.0, 2.0]; expected four numbers from 0 to 1",
+    assert caught.value.problems == [
+        Problem("mesh_scale", found=0, expected="greater than 0"),
+        Problem("rgba", found=[0.0, 0.0, 0.0, 2.0], expected="four numbers from 0 to 1"),
     ]
 
 
 @pytest.mark.parametrize(
-    ("fields", "text"),
+    ("fields", "problem"),
     [
-        ({}, "found none of them; expected exactly one of shape, mesh, mjcf, urdf"),
+        ({}, Problem(reason="found none of them; expected exactly one of shape, mesh, mjcf, urdf")),
         (
             {"mesh": "a.stl", "mjcf": "a.xml"},
-            "found mesh and mjcf; expected exactly one of shape, mesh, mjcf, urdf",
+            Problem(reason="found mesh and mjcf; expected exactly one of shape, mesh, mjcf, urdf"),
         ),
         (
             {"shape": "box"},
-            "size of a box: found none; expected positive length x, length y, length z in m",
+            Problem(
+                reason="size of a box: found none; expected positive length x, length y, "
+                "length z in m"
+            ),
         ),
         (
             {"shape": "box", "size": [1, 2]},
-            "size of a box: found [1.0, 2.0]; expected positive length x, length y, length z in m",
+            Problem(
+                reason="size of a box: found [1.0, 2.0]; expected positive length x, length "
+                "y, length z in m"
+            ),
         ),
         (
             {"shape": "sphere", "size": [0]},
-            "size of a sphere: found [0.0]; expected positive radius in m",
+            Problem(reason="size of a sphere: found [0.0]; expected positive radius in m"),
         ),
         (
             {"shape": "capsule", "size": [1]},
-            "size of a capsule: found [1.0]; expected positive radius,"
-            " length between the two centres in m",
+            Problem(
+                reason="size of a capsule: found [1.0]; expected positive radius, length "
+                "between the two centres in m"
+            ),
         ),
         (
             {"mesh": "../a.stl"},
-            "mesh: found '../a.stl'; expected a file inside the directory, without '..'",
+            Problem("mesh", found="../a.stl", expected="a file inside the directory, without '..'"),
         ),
         (
             {"mesh": "/a.stl"},
-            "mesh: found '/a.stl'; expected a file inside the directory, without '..'",
+            Problem("mesh", found="/a.stl", expected="a file inside the directory, without '..'"),
         ),
         (
             {"mesh": "a.doc"},
-            "mesh: found 'a.doc'; expected a mesh (.stl, .obj, .msh, "
-            ".dae, .wrl, .x3dv, .ply, .off, .glb, .gltf, .3mf)",
+            Problem(
+                "mesh",
+                found="a.doc",
+                expected="a mesh (.stl, .obj, .msh, .dae, .wrl, .x3dv, .ply, .off, .glb, "
+                ".gltf, .3mf)",
+            ),
         ),
     ],
 )
-def test_object_is_exactly_one_thing_of_a_size(fields, text):
+def test_object_is_exactly_one_thing_of_a_size(fields, problem):
     with pytest.raises(DeclarationError) as caught:
         Object(name="a", **fields)
-    assert str(caught.value) == text
+    assert caught.value.problems == [problem]
 
 
 def test_axes_have_the_protos_length_by_default():

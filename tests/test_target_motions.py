@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sero_mj.base.errors import DeclarationError
+from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.simulate.control.plan import target_motion_from, target_motion_kinds
 from sero_mj.simulate.control.target_motions import (
@@ -241,25 +241,31 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
 
 
 @pytest.mark.parametrize(
-    ("law", "message"),
+    ("law", "problem"),
     [
-        ({"kind": "way_points"}, "found neither of times and speed"),
-        ({"kind": "way_points", "speed": 0.5}, "way_points: is required; expected way_points or"),
+        (
+            {"kind": "way_points"},
+            Problem(reason="found neither of times and speed; expected one of them"),
+        ),
+        (
+            {"kind": "way_points", "speed": 0.5},
+            Problem("way_points", "is required; expected way_points or way_points_deg"),
+        ),
         (
             {"kind": "way_points", "way_points": [[1, 2]], "speed": 0.5},
-            "way_points: found rows of 2; expected 3 angles, one per joint",
+            Problem("way_points", "found rows of 2; expected 3 angles, one per joint"),
         ),
         (
             {"kind": "way_points", "way_points": [[1, 1, 0]], "times": [1, 2]},
-            "times: found 2 entries; expected 1, one per way point",
+            Problem("times", found=2, of="entries", expected="1, one per way point"),
         ),
         (
             {"kind": "way_points", "way_points": [[1, 1, 0]] * 2, "times": [2, 2]},
-            "times: found [2.0, 2.0]; expected times that rise",
+            Problem("times", found=[2.0, 2.0], expected="times that rise"),
         ),
         (
             {"kind": "way_points", "way_points": [[1, 1, 0]], "times": [-1]},
-            "times: found [-1.0]; expected times from 0 s on",
+            Problem("times", found=[-1.0], expected="times from 0 s on"),
         ),
         (
             {
@@ -268,40 +274,61 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
                 "times": [1.0],
                 "time_law": "trapezoidal",
             },
-            "times: joint B is too slow to arrive at t = 1.000 s: 1.33 times the acceleration "
-            "would be needed; expected more time",
+            Problem(
+                "times",
+                "joint B is too slow to arrive at t = 1.000 s: 1.33 times the acceleration "
+                "would be needed; expected more time",
+            ),
         ),
         (
             {"kind": "sine", "frequency": 1},
-            "amplitude: is required; expected amplitude or amplitude_",
+            Problem("amplitude", "is required; expected amplitude or amplitude_deg"),
         ),
-        ({"kind": "sine", "amplitude": 1}, "frequency: is required"),
+        ({"kind": "sine", "amplitude": 1}, Problem("frequency", "is required")),
         (
             {"kind": "sine", "amplitude": 1, "frequency": -1},
-            "frequency: found -1",
+            Problem("frequency", found=-1.0, expected="0 to 1000 Hz"),
         ),
         (
             {"kind": "step", "amplitude": [1, 2]},
-            "amplitude: found 2 entries; expected 3, one per jo",
+            Problem(
+                "amplitude", found=2, of="entries", expected="3, one per joint, or one for all"
+            ),
         ),
         (
             {"kind": "wave"},
-            "kind: no kind 'wave'; available: cartesian_constant, cartesian_way_points, chirp,",
+            Problem(
+                "kind",
+                "no kind",
+                found="wave",
+                available=[
+                    "cartesian_constant",
+                    "cartesian_way_points",
+                    "chirp",
+                    "constant",
+                    "recorded",
+                    "sine",
+                    "step",
+                    "way_points",
+                ],
+            ),
         ),
-        ({"kind": "recorded", "times": [0, 0]}, "times: entry 2 is 0 s, after 0 s"),
+        ({"kind": "recorded", "times": [0, 0]}, Problem("times", "entry 2 is 0 s, after 0 s")),
         (
             {"kind": "recorded", "times": [0, 1], "angles": [[0, 0, 0]]},
-            "angles: found 1 rows; expected 2, one per time",
+            Problem("angles", found=1, of="rows", expected="2, one per time"),
         ),
         (
             {"kind": "chirp", "amplitude": 0.1, "end_frequency": 1, "duration": 1},
-            "ramp: found 1 s; expected up to half the duration",
+            Problem("ramp", found=1.0, of="s", expected="up to half the duration"),
         ),
-        ({"kind": "constant", "angle": 1}, "angle: unknown key; did you mean 'angles'?"),
+        ({"kind": "constant", "angle": 1}, Problem("angle", "unknown key", available=["angles"])),
     ],
 )
-def test_wrong_laws_are_told(law: Any, message: str) -> None:
-    assert message in refusal(law)
+def test_wrong_laws_are_told(law: Any, problem: Problem) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        target_motion_from(law).sample(np.arange(0.0, 10.0, 1e-3), ARM, ZERO)
+    assert caught.value.problems == [problem]
 
 
 def test_a_robot_without_limits_needs_times_or_accelerations() -> None:
