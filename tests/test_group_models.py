@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from poses import chain, move, rot
 
 from sero_mj import DeclarationError, Scene, SerialRobot, World, group_from_model, load_scene
+from sero_mj.base.errors import Problem
 from sero_mj.cli import main
 
 FINGER = """
@@ -76,10 +78,13 @@ def loaded(folder: Path, text: str, overrides: dict[str, Any] | None = None) -> 
     return load_scene(folder / "scene.toml", overrides)
 
 
-def told(folder: Path, text: str) -> list[str]:
+def told(folder: Path, text: str) -> list[Problem]:
     with pytest.raises(DeclarationError) as caught:
         loaded(folder, text)
-    return [str(problem).replace(f"{folder}/", "") for problem in caught.value.problems]
+    return [
+        replace(problem, file=problem.file and problem.file.removeprefix(f"{folder}/"))
+        for problem in caught.value.problems
+    ]
 
 
 def changed(folder: Path, name: str, old: str, new: str) -> None:
@@ -182,16 +187,39 @@ def test_mistakes_are_told_with_the_file_and_line_of_the_model(folder: Path) -> 
     changed(folder, "hand/group.toml", "axes_size = 0.03", "axes_size = -1.0\naxes_sise = 0.03")
     changed(folder, "hand/group.toml", '["thumb", "nail"]', '["thumb", "nails"]')
     assert told(folder, '[groups.h]\nmodel = "hand"\n') == [
-        "hand/group.toml:3: axes_size: found -1; expected greater than 0",
-        "hand/group.toml:4: axes_sise: unknown key; did you mean 'axes_size'?",
-        "hand/group.toml:9: robots.index.joint_angles: found 1 entries; expected 2, one per row of "
-        "dh_params",
-        "hand/group.toml:17: robots.nail.mount: no frame 'h_thum/flange'; did you mean "
-        "'h_thumb/flange'?",
-        "hand/group.toml:21: groups.two.robots: no robot or group 'h_nails'; did you mean "
-        "'h_nail'?",
-        "hand/group.toml:23: objects.palm: size of a box: found [0.02, 0.08]; expected positive "
-        "length x, length y, length z in m",
+        Problem("axes_size", found=-1.0, expected="greater than 0", file="hand/group.toml", line=3),
+        Problem(
+            "axes_sise", "unknown key; did you mean 'axes_size'?", file="hand/group.toml", line=4
+        ),
+        Problem(
+            "robots.index.joint_angles",
+            found=1,
+            of="entries",
+            expected="2, one per row of dh_params",
+            file="hand/group.toml",
+            line=9,
+        ),
+        Problem(
+            "robots.nail.mount",
+            "no frame 'h_thum/flange'; did you mean 'h_thumb/flange'?",
+            file="hand/group.toml",
+            line=17,
+        ),
+        Problem(
+            "groups.two.robots",
+            "no robot or group",
+            found="h_nails",
+            available=["h_nail"],
+            file="hand/group.toml",
+            line=21,
+        ),
+        Problem(
+            "objects.palm",
+            "size of a box: found [0.02, 0.08]; expected positive length x, length y, length "
+            "z in m",
+            file="hand/group.toml",
+            line=23,
+        ),
     ]
 
 
@@ -217,14 +245,49 @@ model = "lwr"
 model = "hand"
 """
     assert told(folder, text) == [
-        "scene.toml:3: groups.h.mount: no frame 'arm/flanje'; did you mean 'arm/flange'?",
-        "scene.toml:5: groups.h.robots.index.joint_angles: found 3 entries; expected 2, one per "
-        "row of dh_params",
-        "scene.toml:6: groups.h.robots.tumb: hand has none; did you mean 'thumb'?",
-        "scene.toml:9: groups.k.model: no model of a group 'hnd'; did you mean 'hand'?",
-        "scene.toml:12: groups.l.base_frame: unknown key 'xzy'; did you mean 'xyz'?",
-        "scene.toml:13: groups.l.mirrored: found 'yes'; expected true or false",
-        "scene.toml:16: robots.m_nail: a group with a model has a robot of this name",
+        Problem(
+            "groups.h.mount",
+            "no frame 'arm/flanje'; did you mean 'arm/flange'?",
+            file="scene.toml",
+            line=3,
+        ),
+        Problem(
+            "groups.h.robots.index.joint_angles",
+            found=3,
+            of="entries",
+            expected="2, one per row of dh_params",
+            file="scene.toml",
+            line=5,
+        ),
+        Problem(
+            "groups.h.robots.tumb",
+            "hand has none; did you mean 'thumb'?",
+            file="scene.toml",
+            line=6,
+        ),
+        Problem(
+            "groups.k.model",
+            "no model of a group 'hnd'; did you mean 'hand'?",
+            file="scene.toml",
+            line=9,
+        ),
+        Problem(
+            "groups.l.base_frame",
+            "unknown key",
+            found="xzy",
+            available=["xyz"],
+            file="scene.toml",
+            line=12,
+        ),
+        Problem(
+            "groups.l.mirrored", found="yes", expected="true or false", file="scene.toml", line=13
+        ),
+        Problem(
+            "robots.m_nail",
+            "a group with a model has a robot of this name",
+            file="scene.toml",
+            line=16,
+        ),
     ]
 
 
@@ -263,10 +326,8 @@ def test_a_model_in_itself_is_told(folder: Path) -> None:
         folder, "hand/group.toml", "[robots.index]", '[groups.x]\nmodel = "body"\n[robots.index]'
     )
     (problem, *_) = told(folder, '[groups.b]\nmodel = "body"\n')
-    assert problem == (
-        "hand/group.toml:6: groups.x.model: models of groups are in each other in a circle: "
-        "body in hand in body"
-    )
+    circle = "models of groups are in each other in a circle: body in hand in body"
+    assert problem == Problem("groups.x.model", circle, file="hand/group.toml", line=6)
 
 
 def test_values_set_for_members_of_a_model_are_told_by_their_names(folder: Path) -> None:
@@ -288,7 +349,12 @@ def test_values_set_for_members_of_a_model_are_told_by_their_names(folder: Path)
 
 def test_a_group_alone_that_is_wrong_is_all_that_is_told(folder: Path) -> None:
     assert told(folder, '[groups.h]\nmodel = "hnd"\n') == [
-        "scene.toml:2: groups.h.model: no model of a group 'hnd'; did you mean 'hand'?"
+        Problem(
+            "groups.h.model",
+            "no model of a group 'hnd'; did you mean 'hand'?",
+            file="scene.toml",
+            line=2,
+        )
     ]
 
 
@@ -313,16 +379,14 @@ def test_fk_and_check_say_what_a_group_holds(
 
 def test_objects_need_a_robot_to_carry_them(folder: Path) -> None:
     (folder / "hand/group.toml").write_text('[objects.palm]\nshape = "sphere"\nsize = [0.1]\n')
-    assert (
-        "hand/group.toml:1: objects.palm: no robot to carry it"
-        in told(folder, '[groups.h]\nmodel = "hand"\n')[0]
-    )
+    reason = "no robot to carry it that is neither mounted on another nor mirrored"
+    problem = told(folder, '[groups.h]\nmodel = "hand"\n')[0]
+    assert problem == Problem("objects.palm", reason, file="hand/group.toml", line=1)
 
 
 def test_a_model_in_itself_by_way_of_a_link_is_told(folder: Path) -> None:
     (folder / "hand/again").symlink_to(folder / "hand")
     changed(folder, "hand/group.toml", "[objects", '[groups.x]\nmodel = "again"\n[objects')
-    assert told(folder, '[groups.h]\nmodel = "hand"\n')[0] == (
-        "hand/group.toml:23: groups.x.model: models of groups are in each other in a circle: "
-        "hand in hand"
-    )
+    circle = "models of groups are in each other in a circle: hand in hand"
+    problem = told(folder, '[groups.h]\nmodel = "hand"\n')[0]
+    assert problem == Problem("groups.x.model", circle, file="hand/group.toml", line=23)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
+from conftest import raises_with
 from pydantic import BaseModel
 
-from sero_mj.base.errors import DeclarationError
+from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
@@ -25,7 +30,7 @@ def read(tmp_path):
         file = tmp_path / "s.toml"
         file.write_text(text, encoding="utf-8")
         scene, problems = read_scene_file(file, overrides)
-        return scene, [str(problem).replace(f"{tmp_path}/", "") for problem in problems]
+        return scene, [replace(each, file=each.file and Path(each.file).name) for each in problems]
 
     return read
 
@@ -152,96 +157,115 @@ def test_files_are_looked_for_beside_the_scene_unless_a_model_brings_them(read, 
     assert folders == [str(tmp_path / folder) for folder in wanted]
 
 
-EVENT = 'expected an event such as "udp.values0", or numbers'
+EVENT = 'an event such as "udp.values0", or numbers'
 WRONG = {
     "robots = 5\nobjects = [1]\ncameras = 'a'\nview = 3\nroutes = 1\nsources = 2\nlights = 4": [
-        "s.toml:1: robots: found 5; expected a table [robots]",
-        "s.toml:2: objects: found [1]; expected a table [objects]",
-        "s.toml:3: cameras: found 'a'; expected a table [cameras]",
-        "s.toml:4: view: found 3; expected a table [view]",
-        "s.toml:5: routes: found 1; expected a table [routes]",
-        "s.toml:6: sources: found 2; expected a table [sources]",
-        "s.toml:7: lights: found 4; expected a table [lights]",
+        Problem("robots", found=5, expected="a table [robots]", file="s.toml", line=1),
+        Problem("objects", found=[1], expected="a table [objects]", file="s.toml", line=2),
+        Problem("cameras", found="a", expected="a table [cameras]", file="s.toml", line=3),
+        Problem("view", found=3, expected="a table [view]", file="s.toml", line=4),
+        Problem("routes", found=1, expected="a table [routes]", file="s.toml", line=5),
+        Problem("sources", found=2, expected="a table [sources]", file="s.toml", line=6),
+        Problem("lights", found=4, expected="a table [lights]", file="s.toml", line=7),
     ],
     "\nfloor = 'no'\nname = 3\nobject = 1": [
-        "s.toml:2: floor: found 'no'; expected true, false or 'below'",
-        "s.toml:3: name: found 3; expected a text",
-        "s.toml:4: object: unknown section; did you mean 'objects'?",
+        Problem("floor", found="no", expected="true, false or 'below'", file="s.toml", line=2),
+        Problem("name", found=3, expected="a text", file="s.toml", line=3),
+        Problem("object", "unknown section", available=["objects"], file="s.toml", line=4),
     ],
-    "\n[robot.arm]\nx = 1": ["s.toml:2: robot: unknown section; did you mean 'robots'?"],
+    "\n[robot.arm]\nx = 1": [Problem("robot", "unknown section", available=["robots"],
+                                     file="s.toml", line=2)],
     "[robots]\narm = 5\n[objects]\nbox = 'x'": [
-        "s.toml:2: robots.arm: found 5; expected a table [robots.arm]",
-        "s.toml:4: objects.box: found 'x'; expected a table [objects.box]",
+        Problem("robots.arm", found=5, expected="a table [robots.arm]", file="s.toml", line=2),
+        Problem("objects.box", found="x", expected="a table [objects.box]", file="s.toml", line=4),
     ],
     '[routes]\nlwr.torques = "udp.values0"\nx = true': [
-        "s.toml:2: routes.lwr: found {'torques': 'udp.values0'}; "
-        f"{EVENT}; put quotes about the whole name",
-        f"s.toml:3: routes.x: found True; {EVENT}",
+        Problem("routes.lwr", found={'torques': 'udp.values0'},
+                expected=f"{EVENT}; put quotes about the whole name",
+                file="s.toml", line=2),
+        Problem("routes.x", found=True, expected=EVENT, file="s.toml", line=3),
     ],
-    "[robots.arm]\n\nmodel = 5": ["s.toml:3: robots.arm.model: found 5; expected a robot's name"],
+    "[robots.arm]\n\nmodel = 5": [Problem("robots.arm.model", found=5, expected="a robot's name",
+                                          file="s.toml", line=3)],
     "[robots.arm]\n\nmodel = 'lrw'": [
-        "s.toml:3: robots.arm.model: no robot model 'lrw'; did you mean 'lwr'?"
+        Problem("robots.arm.model", "no robot model", found="lrw", available=["lwr"],
+                file="s.toml", line=3)
     ],
-    "[robots.arm]\n\nmodel = 'none.toml'": ["s.toml:3: robots.arm.model: none.toml: no such file"],
     "[robots.arm]\ndh_conventoin = 'craig'": [
-        "s.toml:1: robots.arm.dh_convention: is required; expected 'craig' or 'standard' or 'none'",
-        "s.toml:2: robots.arm.dh_conventoin: unknown key; did you mean 'dh_convention'?",
+        Problem("robots.arm.dh_convention", "is required",
+                expected="'craig' or 'standard' or 'none'", file="s.toml", line=1),
+        Problem("robots.arm.dh_conventoin", "unknown key", available=["dh_convention"],
+                file="s.toml", line=2),
     ],
-    f"{ARM}children = 5": ["s.toml:3: robots.arm.children: found 5; expected list"],
+    f"{ARM}children = 5": [Problem("robots.arm.children", found=5, expected="list", file="s.toml",
+                                   line=3)],
     "[cameras.a]\nfovy_deg = 180": [
-        "s.toml:1: cameras.a.position: is required",
-        "s.toml:2: cameras.a.fovy_deg: found 180; expected less than 180",
+        Problem("cameras.a.position", "is required", file="s.toml", line=1),
+        Problem("cameras.a.fovy_deg", found=180, expected="less than 180", file="s.toml", line=2),
     ],
     "[cameras.a]\nposition = [1, 2]\nself = 1": [
-        "s.toml:2: cameras.a.position: found 2; expected 3 numbers",
-        "s.toml:3: cameras.a.self: unknown key; available: fovy_deg, frame, look_at, position",
+        Problem("cameras.a.position", "found 2; expected 3 numbers", file="s.toml", line=2),
+        Problem("cameras.a.self", "unknown key",
+                available=["fovy_deg", "frame", "look_at", "position"], file="s.toml", line=3),
     ],
     "[cameras.a]\nposition = [1, 2, 3]\nlook_at = [1, 2, 3]": [
-        "s.toml:3: cameras.a.look_at: found [1.0, 2.0, 3.0]; expected another point than position"
+        Problem("cameras.a.look_at", found=[1.0, 2.0, 3.0], expected="another point than position",
+                file="s.toml", line=3)
     ],
     "[lights.a]\nposition = [0, 0, 1]\ndirection = [0, 0, 0]\ndiffuse = [5, 0, 0]": [
-        "s.toml:3: lights.a.direction: found [0.0, 0.0, 0.0]; expected a direction",
-        "s.toml:4: lights.a.diffuse: found [5.0, 0.0, 0.0]; expected three numbers from 0 to 1",
+        Problem("lights.a.direction", found=[0.0, 0.0, 0.0], expected="a direction", file="s.toml",
+                line=3),
+        Problem("lights.a.diffuse", found=[5.0, 0.0, 0.0], expected="three numbers from 0 to 1",
+                file="s.toml", line=4),
     ],
     "[view]\n\ncamera = 'fornt'\n[cameras.front]\nposition = [1, 1, 1]": [
-        "s.toml:3: view.camera: no camera 'fornt'; did you mean 'front'?"
+        Problem("view.camera", "no camera", found="fornt", available=["front"], file="s.toml",
+                line=3)
     ],
     "[view]\ncamera = 'front'\n[cameras.front]\nposition = [1, 1]": [  # and no second problem
-        "s.toml:4: cameras.front.position: found 2; expected 3 numbers"
+        Problem("cameras.front.position", "found 2; expected 3 numbers", file="s.toml", line=4)
     ],
     "cameras = 5\n[view]\ncamera = 'front'": [
-        "s.toml:1: cameras: found 5; expected a table [cameras]",
-        "s.toml:3: view.camera: no camera 'front'; none is available",
+        Problem("cameras", found=5, expected="a table [cameras]", file="s.toml", line=1),
+        Problem("view.camera", "no camera", found="front", available=[], file="s.toml", line=3),
     ],
     "[view]\nazimuth_deg = nan\ndistance = inf": [
-        "s.toml:2: view.azimuth_deg: found nan; expected a finite number",
-        "s.toml:3: view.distance: found inf; expected a finite number",
+        Problem("view.azimuth_deg", found=math.nan, expected="a finite number",
+                file="s.toml", line=2),
+        Problem("view.distance", found=math.inf, expected="a finite number",
+                file="s.toml", line=3),
     ],
     "[objects.box]\nshape = 'bix'\nsize = [nan, 1, 1]": [
-        "s.toml:2: objects.box.shape: found 'bix'; expected 'box', 'sphere', 'cylinder', 'capsule',"
-        " 'ellipsoid' or 'axes'; did you mean 'box'?",
-        "s.toml:3: objects.box.size: found [nan, 1, 1]; expected finite numbers, no NaN or inf",
+        Problem("objects.box.shape", found="bix",
+                expected="'box', 'sphere', 'cylinder', 'capsule', 'ellipsoid' or 'axes'",
+                available=["box"], file="s.toml", line=2),
+        Problem("objects.box.size", found=[math.nan, 1, 1],
+                expected="finite numbers, no NaN or inf", file="s.toml", line=3),
     ],
     # Lines of keys that follow values over several lines.
     f"{ARM}dh_params = [\n  [0, 0, 0, 1],\n  [0, 0, 0, 0]\n]\ntorque_limits = [-1, 1]": [
-        "s.toml:7: robots.arm.torque_limits: found [-1.0, 1.0]; expected positive numbers"
+        Problem("robots.arm.torque_limits", found=[-1.0, 1.0], expected="positive numbers",
+                file="s.toml", line=7)
     ],
     f'{ARM}description = """\n[note]\naxes_size = 3\n"""\naxes_size = -1': [
-        "s.toml:7: robots.arm.axes_size: found -1; expected greater than 0"
+        Problem("robots.arm.axes_size", found=-1, expected="greater than 0", file="s.toml", line=7)
     ],
     # U+2028 and U+0085 end a line for str.splitlines, not for TOML and not for an editor.
     f"# a\u2028b\u0085c\n{ARM}axes_size = -1": [
-        "s.toml:4: robots.arm.axes_size: found -1; expected greater than 0"
+        Problem("robots.arm.axes_size", found=-1, expected="greater than 0", file="s.toml", line=4)
     ],
     f"{ARM}[[robots.arm.children]]\nname = 'a'\nshape = 'axes'\n"
     "[[robots.arm.children]]\nname = 'b'\nshape = 'sphere'\nsize = [-1]": [
-        "s.toml:6: robots.arm.children.1: size of a sphere: found [-1.0]; expected positive radius"
-        " in m"
+        Problem("robots.arm.children.1",
+                "size of a sphere: found [-1.0]; expected positive radius in m", file="s.toml",
+                line=6)
     ],
     f'{ARM}[robots . "my arm"]\n"dh_params" = [1]\ndh_convention = "craig"': [
-        "s.toml:3: robots.my arm.name: found 'my arm'; expected letters, digits, _ and -, "
-        "the first a letter or _",
-        "s.toml:4: robots.my arm.dh_params: found 1; expected n x 4 numbers",
+        Problem("robots.my arm.name", found="my arm",
+                expected="letters, digits, _ and -, the first a letter or _", file="s.toml",
+                line=3),
+        Problem("robots.my arm.dh_params", "found 1; expected n x 4 numbers", file="s.toml",
+                line=4),
     ],
 }  # fmt: skip
 
@@ -249,16 +273,26 @@ WRONG = {
 @pytest.mark.parametrize("text", WRONG, ids=range(len(WRONG)))
 def test_all_problems_of_a_file_come_at_once_with_their_lines(read, text):
     _, problems = read(text)
-    assert sorted(problems) == sorted(WRONG[text])
+    assert sorted(problems, key=str) == sorted(WRONG[text], key=str)
+
+
+def test_a_model_that_is_no_file_is_told_with_the_line_of_its_name(read, tmp_path):
+    _, (problem,) = read("[robots.arm]\n\nmodel = 'none.toml'")
+    missing = f"{tmp_path / 'none.toml'}: no such file"
+    assert problem == Problem("robots.arm.model", missing, file="s.toml", line=3)
 
 
 def test_problems_of_a_model_carry_its_file_and_those_of_the_scene_the_scenes(read, tmp_path):
     (tmp_path / "arm.toml").write_text('dh_convention = "craig"\ntorque_limits = [-1]\n')
     _, problems = read('[robots.one]\nmodel = "arm.toml"\naxes_size = -1\naxes_sise = 1\n')
-    assert sorted(problems) == [
-        "arm.toml:2: torque_limits: found [-1.0]; expected positive numbers",
-        "s.toml:3: robots.one.axes_size: found -1; expected greater than 0",
-        "s.toml:4: robots.one.axes_sise: unknown key; did you mean 'axes_size'?",
+    assert sorted(problems, key=str) == [
+        Problem(
+            "torque_limits", found=[-1.0], expected="positive numbers", file="arm.toml", line=2
+        ),
+        Problem("robots.one.axes_size", found=-1, expected="greater than 0", file="s.toml", line=3),
+        Problem(
+            "robots.one.axes_sise", "unknown key", available=["axes_size"], file="s.toml", line=4
+        ),
     ]
 
 
@@ -280,47 +314,55 @@ def test_overrides_stand_over_the_file_and_end_its_routes(read):
 
 
 @pytest.mark.parametrize(
-    ("text", "target", "expected"),
+    ("text", "target", "problem"),
     [
-        (ARM, "amr.torques", "s.toml: amr.torques: no robot 'amr' to set this for;"
-         " did you mean 'arm'?"),
-        (ARM, "arm.torqes", "s.toml:1: robots.arm.torqes: unknown key; did you mean 'torques'?"),
-        (ARM, "arm", "s.toml: arm: names no field; expected robot.field, e.g. arm.joint_angles"),
-        ("x = 1", "arm.torques", "s.toml: arm.torques: no robot 'arm' to set this for;"
-         " none is available"),
-        ("robots = 5", "arm.torques", "s.toml: arm.torques: no robot 'arm' to set this for;"
-         " none is available"),
-        (f"routes = 5\n{ARM}", "arm.torques", "s.toml:1: routes: found 5;"
-         " expected a table [routes]"),
+        (ARM, "amr.torques", Problem("amr.torques", "no robot", found="amr", of="to set this for",
+                                     available=["arm"], file="s.toml")),
+        (ARM, "arm.torqes", Problem("robots.arm.torqes", "unknown key", available=["torques"],
+                                    file="s.toml", line=1)),
+        (ARM, "arm", Problem("arm", "names no field; expected robot.field, e.g. arm.joint_angles",
+                             file="s.toml")),
+        ("x = 1", "arm.torques", Problem("arm.torques", "no robot", found="arm",
+                                         of="to set this for", available=[], file="s.toml")),
+        ("robots = 5", "arm.torques", Problem("arm.torques", "no robot", found="arm",
+                                              of="to set this for", available=[], file="s.toml")),
+        (f"routes = 5\n{ARM}", "arm.torques", Problem("routes", found=5,
+                                                      expected="a table [routes]", file="s.toml",
+                                                      line=1)),
     ],
 )  # fmt: skip
-def test_overrides_that_fit_nothing_are_problems(read, text, target, expected):
-    assert expected in read(text, {target: [1.0]})[1]
+def test_overrides_that_fit_nothing_are_problems(read, text, target, problem):
+    assert problem in read(text, {target: [1.0]})[1]
 
 
 @pytest.mark.parametrize(
-    ("fields", "message"),
+    ("fields", "problem"),
     [
-        ({"robots": "lwr"}, "robots: found 'lwr'; expected a list of SerialRobot"),
-        ({"doubles": [{"of": "lwr"}]}, "doubles: found [{'of': 'lwr'}]; expected a list of Double"),
-        ({"objects": [3]}, "objects: found [3]; expected a list of Object"),
-        ({"cameras": {"a": 3}}, "cameras: found {'a': 3}; expected a mapping from names to Camera"),
-        ({"sources": [3]}, "sources: found [3]; expected a mapping from names"),
-        ({"view": {"look": "dark"}}, "view: found {'look': 'dark'}; expected a View"),
+        ({"robots": "lwr"}, Problem("robots", found="lwr", expected="a list of SerialRobot")),
+        (
+            {"doubles": [{"of": "lwr"}]},
+            Problem("doubles", found=[{"of": "lwr"}], expected="a list of Double"),
+        ),
+        ({"objects": [3]}, Problem("objects", found=[3], expected="a list of Object")),
+        (
+            {"cameras": {"a": 3}},
+            Problem("cameras", found={"a": 3}, expected="a mapping from names to Camera"),
+        ),
+        ({"sources": [3]}, Problem("sources", found=[3], expected="a mapping from names")),
+        ({"view": {"look": "dark"}}, Problem("view", found={"look": "dark"}, expected="a View")),
     ],
 )
-def test_what_is_of_another_type_is_refused(fields, message):
+def test_what_is_of_another_type_is_refused(fields, problem):
     with pytest.raises(DeclarationError) as caught:
         Scene(**fields)
-    assert str(caught.value) == message
+    assert caught.value.problems == [problem]
 
 
 def test_two_robots_of_one_name_are_refused():
     robots = [SerialRobot(name="arm", dh_convention="craig") for _ in range(2)]
-    with pytest.raises(DeclarationError) as caught:
+    expected = "different names"
+    with raises_with(key="robots.arm", found="arm", expected=expected):
         Scene(robots=robots)
-    text = "robots.arm: two robots have the name 'arm'; expected different names"
-    assert str(caught.value) == text
 
 
 @pytest.mark.parametrize(

@@ -339,8 +339,8 @@ class _RouteChecker:
         try:
             return list(inputs_of_group(self._inputs, group, key, members))
         except UnknownName as error:
-            near = did_you_mean(key, error.available)
-            return [Problem("", f"no input '{key}' of {group}{near}")]
+            of, known = f"of {group}", error.available
+            return [Problem("", "no input", found=key, of=of, available=known)]
         except ValueError as error:
             return [*problems_of(error)]
 
@@ -431,7 +431,7 @@ class _RouteChecker:
         if message:
             return Problem("", message)
         if keys and (double is None or double.of in scene.robots):
-            return Problem("", f"no input '{key}' of {name}{did_you_mean(key, keys)}")
+            return Problem("", "no input", found=key, of=f"of {name}", available=keys)
         if double is not None:
             return None
         names = [item.name for item in self._inputs.values() if item.name != SCENE]

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
 from ...base.declaration import Declaration
-from ...base.errors import StructureError, did_you_mean
+from ...base.errors import Problem, StructureError
 from ...base.frames import Array, Ints
 from .intake import Intake, pad_packets
 from .structure import Alignment, Rows, Structure
@@ -72,7 +72,8 @@ class PacketDeclaration(Declaration):
             return event
         events = _structure_of(info.data["structure"], info).events
         if event not in events:
-            raise ValueError(f"no event '{event}' in the structure{did_you_mean(event, events)}")
+            where = "in the structure"
+            raise Problem("", "no event", found=event, of=where, available=events).error()
         if events[event] != (1,):
             found = " x ".join(map(str, events[event]))
             raise ValueError(f"'{event}' has {found} numbers; expected one, as in {event}:1I")

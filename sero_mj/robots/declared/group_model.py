@@ -234,13 +234,13 @@ class _Members:
         name = self._place.scope.removesuffix("_")
         for key in self._tables:
             if key not in _OF_FILE:
-                self._wrong(key, f"unknown key{did_you_mean(key, _OF_FILE)}")
+                self._problems.append(Problem(key, "unknown key", available=_OF_FILE))
         known = {section: self._section(self._tables, section) for section in _SECTIONS}
         above = {section: self._section(self._entry, section) for section in ("robots", "groups")}
         for section, key in ((s, key) for s, keys in above.items() for key in keys):
             if key not in known[section]:
-                near = did_you_mean(key, known[section])
-                problem = Problem(f"{section}.{key}", f"{_name_of(self._path)} has none{near}")
+                reason, names = f"{_name_of(self._path)} has none", known[section]
+                problem = Problem(f"{section}.{key}", reason, available=names)
                 self._found.problems.append(where(problem, self._declared))
         for key, table in known["robots"].items():
             self._add_robot(key, {**table, **above["robots"].get(key, {})})

@@ -195,7 +195,8 @@ class _Reader:
         }
         for key in self.tables:
             if key not in sections:
-                self.wrong(key, f"unknown section{did_you_mean(key, [*sections, *self.known])}")
+                every = [*sections, *self.known]
+                self.problems.append(Problem(key, "unknown section", available=every))
                 if (meant := nearest(key, sections)) is not None:
                     self.broken.append(meant)  # references to its entries are not reported again
         read = {}
@@ -223,8 +224,8 @@ class _Reader:
         camera = scene.view.camera
         known = camera is None or camera in scene.cameras or f"cameras.{camera}" in self.broken
         if not known:
-            near = did_you_mean(str(camera), scene.cameras)
-            self.wrong("view.camera", f"no camera '{camera}'{near}")
+            problem = Problem("view.camera", "no camera", found=camera, available=scene.cameras)
+            self.problems.append(problem)
         return scene
 
     def robots(self) -> list[SerialRobot]:
@@ -251,7 +252,7 @@ class _Reader:
             if not target.startswith("groups.") and not (of_model and key in _OF_MODEL):
                 others[target] = value
             elif not isinstance(table, dict) or not field:
-                self.wrong(target, f"no group '{name}'{did_you_mean(name, groups)}")
+                self.problems.append(Problem(target, "no group", found=name, available=groups))
             else:
                 changed = self._with_value(table, target, field, value)
                 self.tables["groups"] = {**groups, name: changed}
@@ -292,8 +293,8 @@ class _Reader:
         elif section not in _ENTRIES:
             names = [*entries, *members]
             every = [*names, *_ENTRIES, *_TABLES, *_PLAIN, "groups", "routes", *self.known]
-            near = did_you_mean(first, every if nearest(first, every) else names)
-            self.wrong(target, f"no robot '{first}' to set this for{near}")
+            known, of = every if nearest(first, every) else names, "to set this for"
+            self.problems.append(Problem(target, "no robot", found=first, of=of, available=known))
 
     def _with_value(
         self, table: Mapping[str, Any], target: str, key: str, value: Any, built: Any = None
@@ -301,7 +302,7 @@ class _Reader:
         try:
             return with_value(table, parts_of(key), value, built=built)
         except ValueError as error:
-            self.wrong(target, str(error))
+            self.problems += problems_of(error, target)
             return dict(table)
 
     def _override_group(self, group: str, robots: Sequence[str], field: str, value: Any) -> None:
@@ -402,7 +403,7 @@ class _Reader:
         value = self.tables[key]
         if isinstance(value, kind):
             return value
-        self.wrong(key, f"found {value!r}; expected {expected}")
+        self.problems.append(Problem(key, found=value, expected=expected))
         return None
 
     def _table(self, key: str) -> dict[str, Any]:
@@ -455,7 +456,7 @@ class _Reader:
             try:
                 routes[target] = origin_text(origin)
             except ValueError as error:
-                self.wrong(f"routes.{target}", str(error))
+                self.problems += problems_of(error, f"routes.{target}")
         return routes
 
     def _robot(self, name: str, table: dict[str, Any]) -> SerialRobot:
@@ -490,8 +491,10 @@ class _Reader:
             raise Problem("model", found=model, expected="a robot's name").error()
         try:
             path = model if isinstance(model, Path) else paths.find_model(model, beside)
-        except (DeclarationError, UnknownName) as error:
+        except DeclarationError as error:  # of another file
             raise Problem("model", str(error)).error() from None
+        except UnknownName as error:
+            raise DeclarationError(problems_of(error, "model")) from None
         if arguments is not None and path.suffix == ".toml":
             message = f"are for xacro; {path.name} has none"
             raise Problem("arguments", message).error()
