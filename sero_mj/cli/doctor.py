@@ -75,7 +75,7 @@ def run(options: DoctorOptions) -> int:
     versions = {name: _version(name) for name in ("sero-mj", "mujoco", "numpy", "av")}
     versions["dm-control"] = _version("dm-control")
     backends = {name: try_backend(name) for name in BACKENDS}
-    live = {"window": window_problem(), "page": page_problem()}
+    live = {"window": window_problem(), "page": None}
     chosen = os.environ.get("MUJOCO_GL")
     works = [name for name, found in backends.items() if found["works"]]
     used = chosen if chosen in works else next(iter(works), None)
@@ -119,15 +119,6 @@ def _version(distribution: str) -> str | None:
 def window_problem() -> str | None:
     """Returns why no window can be opened; None if one can."""
     return None if has_display() else "neither DISPLAY nor WAYLAND_DISPLAY is set"
-
-
-def page_problem() -> str | None:
-    """Returns why no web page can be served; None if one can."""
-    try:
-        from ..viewer.web import studio  # noqa: F401
-    except ImportError as error:
-        return f"this MuJoCo comes without Studio's web viewer ({error})"
-    return None
 
 
 def frame_times(backend: str) -> dict[str, float] | None:

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from ..viewer.photo.camera_feed import CameraFeed, VideoFeed
     from ..viewer.session.live import LiveHost
     from ..viewer.session.recent_views import RecentView
+    from ..viewer.web.server import PageServer
     from ..viewer.session.view_state import ViewState
 
 _SIZE = (1280, 800)
@@ -210,19 +211,14 @@ class Session:
         from ..viewer.session.start_page import listening
 
         if self.on_page:
-            from ..viewer.session.viewer import no_studio
+            from ..viewer.web.start_host import StartHost
 
-            try:
-                from ..viewer.web.start_host import StartHost
-            except ImportError as error:
-                raise no_studio(error) from error
             host = options.host or _LOOPBACK
             with (
                 listening() as heard,
                 StartHost(self.open, heard, host, self._port, token=self._token) as page,
             ):
-                self._port, self._token = page.port, page.token or False
-                self._announce("the start page", page.urls, host, is_private=page.is_private)
+                self._announce("the start page", page.server, host)
                 return page.run()
         from ..viewer.window.start_window import StartWindow
 
@@ -402,22 +398,22 @@ class Session:
             ) as page,
         ):
             self._offer(page)
-            self._announce(mirror.world.scene.name, page.urls, host, is_private=page.is_private)
+            self._announce(mirror.world.scene.name, page.server, host)
             if self._last is not None:
                 self._show_as_before(page, *self._last)
             elif not options.fresh:
                 restore(page, with_camera=options.camera is None)
-            self._port, self._token = page.port, page.token or False
             self._run(page)
             return page.next_mirror
 
-    def _announce(self, name: str, urls: list[str], host: str, *, is_private: bool) -> None:
-        """Says once where the page is, and who else may see it."""
+    def _announce(self, name: str, server: PageServer, host: str) -> None:
+        """Says once where the page is, and who else may see it; others will be there, too."""
+        self._port, self._token = server.port, server.token or False
         if self._is_announced:
             return
         self._is_announced = True
-        print(f"{name} is at {' and '.join(urls)}  (Ctrl+C ends it)", flush=True)
-        if not is_private:
+        print(f"{name} is at {' and '.join(server.urls)}  (Ctrl+C ends it)", flush=True)
+        if not server.is_private:
             print(
                 f"warning: served at {host}: whoever has this address sees the page and can take "
                 "control; nothing is encrypted",

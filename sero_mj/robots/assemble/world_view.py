@@ -35,6 +35,7 @@ class WorldView(Protocol):
         flags: index in `userdata` of the flag that an input was set, by its name.
         placed: index in `mocap_pos` of the bodies that `frame` and `base_frame` inputs move, by
             name.
+        has_sites: whether sites in the tables of joints, frames and arrows are sites of the model.
     """
 
     scene: Scene
@@ -49,6 +50,7 @@ class WorldView(Protocol):
     slots: dict[str, slice]
     flags: dict[str, int]
     placed: Mapping[str, int]
+    has_sites: bool = True
 
     def make_data(self) -> mujoco.MjData:
         """Returns new data in the initial state."""

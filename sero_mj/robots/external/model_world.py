@@ -81,6 +81,8 @@ class ModelWorld(WorldView):
         UnknownName: no robot, body or site of that name.
     """
 
+    has_sites = False
+
     def __init__(
         self,
         model: mujoco.MjModel,

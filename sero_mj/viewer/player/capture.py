@@ -14,16 +14,17 @@ import mujoco
 import numpy as np
 
 from ...base.errors import RenderError
-from ...base.frames import Array, Ints
+from ...base.frames import Array, Bools, Ints
 from ...data.drive.mirror import Mirror, restore
 from ...robots.assemble.world import World
+from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 from ...robots.declared.scene import Scene
 from ..camera import find_camera, needed_aspect
 from ..decor.billboards import Line, joint_formats
 from ..decor.draw import Decor
 from ..decor.feature import Frame
-from ..decor.geom_buffer import GEOM, Kind
+from ..decor.geom_buffer import GEOM, GeomBuffer, Kind
 from ..decor.legend import SCALE
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
@@ -106,7 +107,7 @@ class Capture:
         silent: names of the sources without data.
     """
 
-    world: World
+    world: WorldView
     fps: float
     begin: float
     toggles: Toggles
@@ -164,10 +165,10 @@ class _Collector:
     def lay_out(self, frame: Frame) -> None:
         """Takes texts; places of panels are left to the player."""
         texts = [text for group in frame.corners for text in group.texts]
-        self.notes.append("\n\n".join("\n".join(map(_text, lines)) for lines in texts))
+        self.notes.append("\n\n".join("\n".join(map(line_text, lines)) for lines in texts))
         self.cards.append(
             {
-                int(item): "\n".join(map(_text, lines))
+                int(item): "\n".join(map(line_text, lines))
                 for group in frame.cards
                 if group.kind == Kind.CARD
                 for item, lines in zip(group.items, group.texts, strict=True)
@@ -178,21 +179,33 @@ class _Collector:
 
     def draw(self, frame: Frame) -> None:
         """Takes geoms and values."""
-        buffer, revolute = frame.buffer, self._revolute
-        kinds, items = buffer.kinds[: buffer.count], buffer.items[: buffer.count]
-        is_arrow = kinds == Kind.ARROW
-        kept = ~is_arrow
-        kept[is_arrow] = ~revolute[items[is_arrow]]
-        # Panels stand in front of the camera, and are laid out by the player.
-        kept[buffer.text] = False
-        kept &= buffer.rows["type"][: buffer.count] != _LABEL
         self.labels.take(frame)
-        index = kept.nonzero()[0]
-        self.rows.append((buffer.rows[index], kinds[index], items[index]))
+        self.rows.append(player_geoms(frame.buffer, self._revolute))
         self.frames.append(frame)
 
 
-def _text(line: bytes) -> str:
+def player_geoms(buffer: GeomBuffer, revolute: Bools) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns what a player draws geom by geom: all but text and the arrows of joints that turn.
+
+    Args:
+        buffer: of a frame.
+        revolute: joints that turn, (N,).
+
+    Returns:
+        rows (k,) of `GEOM`, and kind and item of each, (k,).
+    """
+    kinds, items = buffer.kinds[: buffer.count], buffer.items[: buffer.count]
+    is_arrow = kinds == Kind.ARROW
+    kept = ~is_arrow
+    kept[is_arrow] = ~revolute[items[is_arrow]]
+    # Panels stand in front of the camera, and are laid out by the player.
+    kept[buffer.text] = False
+    kept &= buffer.rows["type"][: buffer.count] != _LABEL
+    index = kept.nonzero()[0]
+    return buffer.rows[index], kinds[index], items[index]
+
+
+def line_text(line: bytes) -> str:
     """A line as text; the legend's scale has bars, of which only the last one has a name."""
     text = line.decode("latin-1").rstrip()
     scale = "".join(SCALE)
@@ -237,7 +250,7 @@ def capture(
         first_view = find_camera(world, camera)
         view = _view(world, first_view)
         model, data = world.model, world.make_data()
-        bodies, soft = _bodies(world), SoftCollector(model)
+        bodies, soft = shown_bodies(world), SoftCollector(model)
         poses = np.zeros((count, len(bodies), 7))
         opacity = np.ones((count, len(bodies)))
         silent = mirror.wait(wait)
@@ -289,9 +302,47 @@ def capture(
     )
 
 
+def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera) -> Capture:
+    """Collects one pose without decor and values, which a live page is sent for every picture.
+
+    Args:
+        world: the compiled scene.
+        data: its state, with frames up to date.
+        camera: of the first picture.
+    """
+    joints, bodies, soft = world.joints, shown_bodies(world), SoftCollector(world.model)
+    soft.take(data)
+    formats = joint_formats(world)
+    count = len(joints.names)
+    nothing = np.full((1, count), np.nan)
+    return Capture(
+        world=world,
+        fps=DEFAULT_FPS,
+        begin=0.0,
+        toggles=Toggles(world),
+        camera=camera,
+        lines=formats.declared,
+        details=formats.details,
+        bodies=bodies,
+        positions=data.xpos[bodies][None],
+        rotations=data.xquat[bodies][None],
+        opacity=np.ones((1, len(bodies))),
+        grey=np.zeros((1, len(bodies)), bool),
+        values={"joint_angles": nothing},
+        arrows=nothing,
+        limit=joints.torque_limit,
+        stale=np.zeros((1, count), bool),
+        soft=soft.result(),
+        items=[],
+        labels=[{}],
+        notes=[""],
+        cards={},
+    )
+
+
 def longest(world: World, fps: float) -> float:
     """Returns how long a page of a world may be, s."""
-    of_frame = 28 * len(_bodies(world)) + 32 * len(world.joints.names) + 64
+    of_frame = 28 * len(shown_bodies(world)) + 32 * len(world.joints.names) + 64
     return MAX_BYTES / (of_frame + bytes_of_frame(world.model)) / fps
 
 
@@ -326,11 +377,12 @@ def _view(world: World, camera: mujoco.MjvCamera) -> PictureView:
     return PictureView.of_scene(scene, *_SIZE)
 
 
-def _bodies(world: World) -> Ints:
-    """The bodies that something is drawn at."""
+def shown_bodies(world: WorldView) -> Ints:
+    """Returns ids of the bodies that something is drawn at, (B,)."""
     model = world.model
-    sites = world.joints.centre_site
-    own = [drawn_bodies(model), model.site_bodyid[sites], model.cam_bodyid]
+    own = [drawn_bodies(model), model.cam_bodyid]
+    if world.has_sites:
+        own.append(model.site_bodyid[world.joints.centre_site])
     return np.unique(np.concatenate(own)).astype(np.intp)
 
 

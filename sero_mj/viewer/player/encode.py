@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ...base.frames import Array
 from ...robots.assemble.parts import DoublePart
+from ...robots.assemble.world_view import WorldView
 from ..decor import round_arrows
 from ..decor.billboards import Line
 from ..decor.geom_buffer import GREY, Kind
@@ -16,7 +18,7 @@ from ..decor.ribbons import ribbon_shape
 from .capture import Capture, eye
 from .items import poses
 from .labels import labels_head
-from .model import Look
+from .model import Look, floor_height
 from .packing import Parts, rounded
 
 VERSION = 1
@@ -53,6 +55,7 @@ def encode(capture: Capture, title: str) -> bytes:
         "grey": parts.moving(capture.grey, 1),
         "greyRgb": GREY,
         **look.head(),
+        "floor": _floor(capture.world),
         **capture.soft.head(parts, METRE_STEP),
         "joints": _joints(capture),
         "values": {
@@ -78,6 +81,12 @@ def encode(capture: Capture, title: str) -> bytes:
 
 def _finite(number: float) -> float | None:
     return float(number) if math.isfinite(number) else None
+
+
+def _floor(world: WorldView) -> float | None:
+    added = world.surroundings()
+    height = floor_height(world.model)
+    return height if height is not None or added is None else floor_height(added)
 
 
 def _index(capture: Capture, body: int) -> int:
@@ -121,24 +130,18 @@ def _cameras(capture: Capture) -> list[dict[str, Any]]:
 
 def _joints(capture: Capture) -> list[dict[str, Any]]:
     world, joints = capture.world, capture.world.joints
-    model, doubles = world.model, list(world.doubles)
-    owners = list(world.owners)
-    has_load = np.isinf(capture.limit) & np.isfinite(joints.arrow_load)
-    scale = np.where(has_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
-    narrow = joints.arrow_width_scale / round_arrows.DEFAULT_WIDTH_SCALE
-    widest = round_arrows.WIDEST * np.where(has_load, np.minimum(narrow, 1.0), 1.0)
+    doubles, owners = list(world.doubles), list(world.owners)
+    looks = arrow_looks(world, capture.limit)
     found = []
     for i, name in enumerate(capture.joint_names):
-        site, owner = joints.centre_site[i], owners[joints.owner[i]]
+        owner = owners[joints.owner[i]]
         found.append(
             {
                 "name": name,
                 "unit": "Nm" if joints.revolute[i] else "N",
                 "angleUnit": "rad" if joints.revolute[i] else "m",
                 "double": doubles.index(owner) if owner in doubles else -1,
-                "body": _index(capture, int(model.site_bodyid[site])),
-                "pos": rounded(model.site_pos[site]),
-                "quat": rounded(model.site_quat[site]),
+                **_place(capture, int(joints.centre_site[i])),
                 "torqueLimit": _finite(joints.torque_limit[i]),
                 "lines": _lines(capture.lines[i]),
                 "details": _lines(capture.details[i]),
@@ -146,16 +149,48 @@ def _joints(capture: Capture) -> list[dict[str, Any]]:
                 "arrow": {
                     "on": bool(capture.toggles.arrows[i]),
                     "round": bool(joints.revolute[i]),
-                    "radius": round(float(joints.arrow_radius[i]), 6),
-                    "opacity": round(float(joints.arrow_alpha[i]), 3),
-                    "scale": float(scale[i]),
-                    "band": float(joints.arrow_dead_band[i]),
-                    "limit": _finite(capture.limit[i]),
-                    "widest": float(widest[i]),
+                    **looks[i],
                 },
             }
         )
     return found
+
+
+def _place(capture: Capture, site: int) -> dict[str, Any]:
+    """Body and pose of a joint's centre; of the world where the model has no site there."""
+    if not capture.world.has_sites:
+        return {"body": 0, "pos": [0, 0, 0], "quat": [1, 0, 0, 0]}
+    model = capture.world.model
+    return {
+        "body": _index(capture, int(model.site_bodyid[site])),
+        "pos": rounded(model.site_pos[site]),
+        "quat": rounded(model.site_quat[site]),
+    }
+
+
+def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
+    """Returns what the arrow of every joint follows from, as `widthOf` of the player takes it.
+
+    Args:
+        world: the compiled scene.
+        limit: value of an arrow of full width, (N,); inf for none.
+    """
+    joints = world.joints
+    has_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
+    scale = np.where(has_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
+    narrow = joints.arrow_width_scale / round_arrows.DEFAULT_WIDTH_SCALE
+    widest = round_arrows.WIDEST * np.where(has_load, np.minimum(narrow, 1.0), 1.0)
+    return [
+        {
+            "radius": round(float(joints.arrow_radius[i]), 6),
+            "opacity": round(float(joints.arrow_alpha[i]), 3),
+            "scale": float(scale[i]),
+            "band": float(joints.arrow_dead_band[i]),
+            "limit": _finite(limit[i]),
+            "widest": float(widest[i]),
+        }
+        for i in range(len(joints.names))
+    ]
 
 
 def _lines(lines: list[Line]) -> list[dict[str, Any]]:

@@ -80,6 +80,12 @@ def _our_floor(model: mujoco.MjModel) -> int | None:
     return floor if model.mat(model.geom_matid[floor]).name == _OUR_FLOOR else None
 
 
+def floor_height(model: mujoco.MjModel) -> float | None:
+    """Returns the height of the floor that a player draws in its own way, m; None for none."""
+    floor = _our_floor(model)
+    return None if floor is None else float(model.geom_pos[floor, 2])
+
+
 def _has_own_lights(model: mujoco.MjModel) -> bool:
     """Whether it has other lights than those that a scene without any is given."""
     return [model.light(i).name for i in range(model.nlight)] != [_OUR_LIGHT]
@@ -171,12 +177,10 @@ class Look:
     def head(self) -> dict[str, Any]:
         """Returns what the head has of it; what is in no scene of ours only where there is any."""
         model = self._model
-        floor = _our_floor(model)
         found: dict[str, Any] = {
             "meshes": self._meshes,
             "geoms": [self._geom(i) for i in visible_geoms(model).tolist()]
             + [self._site(i) for i in _visible_sites(model).tolist()],
-            "floor": None if floor is None else float(model.geom_pos[floor, 2]),
         }
         if self._is_endless():
             found["reach"] = round(float(model.vis.map.zfar * model.stat.extent), 3)

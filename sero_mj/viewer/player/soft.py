@@ -8,7 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.frames import Array, Bools
+from ...base.frames import Array, Ints
 from ..decor.geom_buffer import GEOM
 from ..decor.scene_writer import struct_view
 from .model import shown_flexes
@@ -64,7 +64,7 @@ class SoftCollector:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
-        self._flexes = _vertices_of(model, shown_flexes(model))
+        self._flexes = flex_vertices(model)
         self._scene: mujoco.MjvScene | None = None
         if (model.ntendon and (model.tendon_width > 0).any()) or model.nwrap:
             self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + _MOST_GEOMS)
@@ -120,12 +120,12 @@ class SoftCollector:
         return Soft(vertices, ends, radius, colours)
 
 
-def _vertices_of(model: mujoco.MjModel, flexes: Bools) -> np.ndarray:
-    """Rows of `flexvert_xpos` that belong to these flexes."""
+def flex_vertices(model: mujoco.MjModel) -> Ints:
+    """Returns the rows of `flexvert_xpos` that belong to flexes that are drawn, (V,)."""
     if not model.nflex:
-        return np.zeros(0, int)
+        return np.zeros(0, np.intp)
     owner = np.repeat(np.arange(model.nflex), model.flex_vertnum)
-    return np.flatnonzero(flexes[owner])
+    return np.flatnonzero(shown_flexes(model)[owner])
 
 
 def bytes_of_frame(model: mujoco.MjModel) -> int:

@@ -72,7 +72,8 @@ class Dragging:
         self._trouble = trouble
 
     def release(self) -> None:
-        """Ends the drag."""
+        """Ends the drag where it was moved last."""
+        self.advance()
         if self._tool is not None:
             self._tools.call(self._tool, lambda tool: tool.release())
         self._tool, self._trouble, self._is_refused, self._tried = None, "", False, None

@@ -389,12 +389,24 @@ class LiveHost(ABC):
         if clicked.centre:
             self._centre(at)
             return
-        picked = self.decor.pick(self.data, at)
+        self.click_item(self.decor.pick(self.data, at), at, clicked.time, shift=clicked.shift)
+
+    def click_item(
+        self, picked: Picked | None, at: Pixel, when: float, *, shift: bool = False
+    ) -> None:
+        """Performs the action of a click on an item.
+
+        Args:
+            picked: the item; None for the background.
+            at: the pixel.
+            when: time of the press, s.
+            shift: whether a modifier was held.
+        """
         taken = self.tools.first(lambda tool: tool.click(picked, at))
         if taken is not None:
             self.say(taken[1])
             return
-        gesture = self._clicks.press(picked, at, clicked.time, shift=clicked.shift)
+        gesture = self._clicks.press(picked, at, when, shift=shift)
         if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
             self.select(picked.index)
         elif picked is None:

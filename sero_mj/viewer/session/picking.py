@@ -191,7 +191,31 @@ def _pick_decor(
         return None
     nearest, distance = found
     kind = Kind(int(buffer.kinds[nearest]))
-    item = int(buffer.items[nearest])
+    return picked_of(world, kind, int(buffer.items[nearest]), distance)
+
+
+def picked_of(world: WorldView, kind: Kind, item: int, distance: float = 0.0) -> Picked:
+    """Returns what was clicked on, by the kind and index of an item of decor.
+
+    Args:
+        world: the compiled scene.
+        kind: of the item, not `Kind.NONE`.
+        item: its index, see `Kind`.
+        distance: from the camera, m.
+
+    Raises:
+        ValueError: there is no such item.
+    """
+    counts = {
+        Kind.AXES: len(world.frames.names),
+        Kind.NAME: len(world.frames.names),
+        Kind.VECTOR: len(world.arrows.names),
+        Kind.CARD: len(world.arrows.names),
+        Kind.HANDLE: len(HANDLE_NAMES),
+        Kind.CHECK: len(world.robots),
+    }
+    if kind == Kind.NONE or not 0 <= item < counts.get(kind, len(world.joints.names)):
+        raise ValueError(f"found {kind.name} {item}; expected an item of decor")
     name, owner = _name_of(world, kind, item)
     what = cast("PickedKind", kind.name.lower())
     return Picked(what, name, owner, item, distance)

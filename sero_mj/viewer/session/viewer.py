@@ -287,22 +287,12 @@ def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
         options: see `WebHost`.
 
     Raises:
-        RenderError: the page cannot be served there, or this MuJoCo does not include Studio.
+        RenderError: the page cannot be served there.
         UnknownName: no camera of that name.
     """
-    try:
-        from ..web.host import WebHost
-    except ImportError as error:
-        raise no_studio(error) from error
+    from ..web.host import WebHost
+
     return WebHost(mirror, **options)
-
-
-def no_studio(error: ImportError) -> RenderError:
-    """Returns what to say where a part of a web page cannot be imported."""
-    return RenderError(  # Studio is not built for every platform
-        f"no web page: this MuJoCo does not include Studio's web viewer ({error}); "
-        "`sero-mj view SCENE --window` needs none"
-    )
 
 
 def _to_show(scene: Scene | Overlay | Path | str, look: Look | None) -> Scene | ModelWorld:

@@ -1,194 +1,160 @@
-"""What the browsers of a page tell its server, and which of several states each of them is sent.
-
-The page's own script sends texts over the websocket of the states, which Studio's server does not
-hear of: the size of the page, when a button was pressed, and that a finger is held still.
-"""
+"""`Browsers`: everybody who looks at a page. One of them has control, the others look on."""
 
 from __future__ import annotations
 
 import asyncio
 import collections
-import re
+import json
 import threading
-import time
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
 
-Size = tuple[int, int]  # width and height of a page without Studio's bar, pixels
+from .sections import Sections, message_of
 
-_REQUEST_TIMEOUT = 10.0  # timeout of a connection's request, s
-_SIZE = re.compile(r"sero-mj size ([1-9][0-9]{0,4}) ([1-9][0-9]{0,4})")
-_PRESS = re.compile(r"sero-mj press ([0-2])")
-_HOLD = "sero-mj hold"
-_VIEW = "sero-mj view "
-_OLDEST_PRESS = 1.0  # s since the last frame without one; it was no click on the picture
-_MOST_PRESSES = 50
+Said = dict[str, Any]  # what a browser says; "t" is its kind
+
+# Messages on the way to a browser: with more, a slow one would lag behind.
+_MOST_AHEAD = 3
+_MOST_SAID = 2000  # messages that wait to be taken
 
 
 class Browsers:
-    """The browsers that are connected; the server's thread and the page's use it.
+    """The browsers of a page; the server's thread and the page's use it.
+
+    Args:
+        sections: the state that they are sent.
 
     Attributes:
-        states: payload for browsers of other sizes than that of the one in control.
+        said: number of messages that were understood.
+        refused: number of messages that were none of a page's, or of one without control.
     """
 
-    def __init__(self) -> None:
-        self.states: Mapping[Size, bytes] = {}
-        self._connections: set[Any] = set()
-        self._sizes: dict[Any, Size] = {}  # by connection
-        # Buttons and times, the oldest first.
-        self._presses = collections.deque[tuple[int, float]](maxlen=_MOST_PRESSES)
-        self._is_held = False
-        self._presser: Any = None  # the connection of the last press: of who has control
-        self._has_left = False
-        self._copied: str | None = None  # for its clipboard
-        self._view: str | None = None  # that a link leads to
-        self._dropped: Path | None = None  # that is to be opened
+    def __init__(self, sections: Sections) -> None:
+        self._sections = sections
         self._lock = threading.Lock()
+        self._browsers: dict[int, _Browser] = {}  # in the order in which they came
+        self._last_id = 0
+        self._holder: int | None = None
+        self._said: collections.deque[Said] = collections.deque(maxlen=_MOST_SAID)
+        self.said = self.refused = 0
+        self._put_control()
 
     @property
     def are_there(self) -> bool:
-        """Whether anything is connected, if only for a file."""
-        return bool(self._connections)
+        """Whether there are any."""
+        return bool(self._browsers)
 
-    def greet(self, connection: Any) -> None:
-        """Remembers a connection that has been made."""
-        self._connections.add(connection)
+    @property
+    def holder(self) -> int | None:
+        """Id of the one in control; None without browsers."""
+        return self._holder
 
-    def hear(self, connection: Any, message: str) -> bool:
-        """Takes a message of a browser; returns False for one of Studio's."""
-        if size := _SIZE.fullmatch(message):
-            with self._lock:
-                self._sizes[connection] = int(size[1]), int(size[2])
-        elif press := _PRESS.fullmatch(message):
-            with self._lock:
-                self._presses.append((int(press[1]), time.monotonic()))
-                self._is_held = False
-                self._presser = connection
-        elif message == _HOLD:
-            self._is_held = True
-        elif is_view := message.startswith(_VIEW):
-            self._view = message.removeprefix(_VIEW)
-            return is_view
-        return bool(size or press) or message == _HOLD
+    def take(self) -> Iterator[Said]:
+        """Yields what the one in control has said since the last time, the oldest first."""
+        while self._said:
+            yield self._said.popleft()
 
-    def drop(self, file: Path) -> None:
-        """Takes a file that was dropped on the page."""
-        self._dropped = file
-
-    def take_dropped(self) -> Path | None:
-        """Returns the file that was dropped on the page last, once."""
-        dropped, self._dropped = self._dropped, None
-        return dropped
-
-    def take_view(self) -> str | None:
-        """Returns the view that a browser was opened with a link to, as text, once."""
-        view, self._view = self._view, None
-        return view
-
-    def copy(self, text: str) -> None:
-        """Puts a text onto the clipboard of the browser that pressed last, or asks there to."""
-        self._copied = text
-
-    def take_copied(self, connection: Any) -> str | None:
-        """Returns what a browser is to copy, once."""
-        if connection is not self._presser:
-            return None
-        copied, self._copied = self._copied, None
-        return copied
-
-    def forget(self, connection: Any) -> None:
-        """Forgets a browser that has left."""
-        self._connections.discard(connection)
+    def tell(self, event: Said) -> None:
+        """Sends an event to the one in control; call `wake` on the server's thread after it."""
         with self._lock:
-            self._sizes.pop(connection, None)
-            self._has_left |= connection is self._presser
+            browser = self._browsers.get(self._holder or 0)
+        if browser is not None:
+            browser.events.append(json.dumps(event))
 
-    def sizes_beside(self, own: Size, most: int) -> list[Size]:
-        """Returns other sizes than `own`, those of most browsers first, at most `most`."""
+    def wake(self) -> None:
+        """Sends what has changed; on the server's thread."""
+        for browser in [*self._browsers.values()]:
+            browser.wake.set()
+
+    # ---- on the server's thread
+
+    async def talk(self, connection: ServerConnection) -> None:
+        """Sends a browser the state of the page, and hears what it says, until it goes."""
+        browser = self._join(connection)
+        sending = asyncio.create_task(browser.send_all(self._sections))
+        try:
+            async for message in connection:
+                self._hear(browser, message)
+        except ConnectionClosed:
+            pass
+        finally:
+            sending.cancel()
+            self._leave(browser)
+
+    def _join(self, connection: ServerConnection) -> _Browser:
         with self._lock:
-            counts = collections.Counter(size for size in self._sizes.values() if size != own)
-        return [size for size, _ in counts.most_common(most)]
+            self._last_id += 1
+            browser = self._browsers[self._last_id] = _Browser(self._last_id, connection)
+            if self._holder is None:
+                self._holder = browser.id
+        self._put_control()
+        return browser
 
-    def state_for(self, connection: Any, payload: bytes) -> bytes:
-        """Returns the state for a browser; `payload` is for the one in control."""
-        return self.states.get(self._sizes.get(connection, (0, 0)), payload)
-
-    def press_time(self, button: int) -> float:
-        """Returns when a button was pressed that is seen to be pressed now, s, `time.monotonic`.
-
-        While a server is busy several presses wait, in order.
-        """
+    def _leave(self, browser: _Browser) -> None:
         with self._lock:
-            while self._presses:
-                pressed, at = self._presses.popleft()
-                if pressed == button:
-                    return at
-        return time.monotonic()
+            self._browsers.pop(browser.id, None)
+            if self._holder == browser.id:
+                self._holder = next(iter(self._browsers), None)
+                self._said.append({"t": "left"})
+        self._put_control()
 
-    def take_left(self) -> bool:
-        """Returns whether the browser that has pressed last has gone since; once."""
-        left, self._has_left = self._has_left, False
-        return left
+    def _put_control(self) -> None:
+        self._sections.put("control", {"holder": self._holder, "count": len(self._browsers)})
+        self.wake()
 
-    def take_hold(self) -> bool:
-        """Returns whether a finger has been held still since the last press; once."""
-        held, self._is_held = self._is_held, False
-        return held
+    def _hear(self, browser: _Browser, message: str | bytes) -> None:
+        try:
+            said = json.loads(message)
+            kind = said["t"]
+        except (ValueError, KeyError, TypeError, RecursionError):
+            self.refused += 1
+            return
+        if kind == "got":
+            browser.ahead = max(browser.ahead - 1, 0)
+            browser.wake.set()
+        elif kind == "control":
+            if self._holder != browser.id:
+                self._holder = browser.id
+                self._said.append({"t": "left"})  # whoever had it holds no button any more
+                self._put_control()
+        elif browser.id == self._holder and isinstance(kind, str):
+            self.said += 1
+            self._said.append(said)
+        elif kind != "size":
+            self.refused += 1
 
-    def forget_presses(self) -> None:
-        """Forgets presses that nothing has been seen of."""
-        with self._lock:
-            while self._presses and self._presses[0][1] < time.monotonic() - _OLDEST_PRESS:
-                self._presses.popleft()
+
+class _Browser:
+    """A connection, and what is on its way to it."""
+
+    def __init__(self, id_: int, connection: ServerConnection) -> None:
+        self.id, self._connection = id_, connection
+        self.wake = asyncio.Event()
+        self.wake.set()
+        self.ahead = 0  # messages that were not answered yet
+        self.events: collections.deque[str] = collections.deque(maxlen=100)
+
+    async def send_all(self, sections: Sections) -> None:
+        """Sends what changes, as fast as the browser answers."""
+        try:
+            await self._connection.send(message_of({"you": json.dumps({"id": self.id})}))
+            self.ahead += 1
+            seen = 0
+            while True:
+                await self.wake.wait()
+                self.wake.clear()
+                while self.events:
+                    await self._connection.send(self.events.popleft())
+                if self.ahead >= _MOST_AHEAD:
+                    continue
+                message, seen = sections.since(seen)
+                if message is not None:
+                    self.ahead += 1
+                    await self._connection.send(message)
+        except ConnectionClosed:
+            return
 
 
-class BrowserConnection(ServerConnection):
-    """A connection to a browser.
-
-    It may take any time to receive a response, but not to send its request: `open_timeout` of
-    `serve` includes both, so that pages were cut off on links that are too slow for a file.
-
-    Args:
-        arguments: see `ServerConnection`.
-        browsers: hears what it says.
-        options: see `ServerConnection`.
-    """
-
-    def __init__(self, *arguments: Any, browsers: Browsers, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self._browsers = browsers
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begins to wait for the request."""
-        super().connection_made(transport)
-        self._browsers.greet(self)
-        self.loop.call_later(_REQUEST_TIMEOUT, self._end_without_request)
-
-    def _end_without_request(self) -> None:
-        if self.request is None:
-            self.transport.abort()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """See `asyncio.Protocol`."""
-        self._browsers.forget(self)
-        super().connection_lost(exc)
-
-    async def recv(self, decode: bool | None = None) -> Any:
-        """Returns the next message for Studio's server."""
-        while True:
-            message = await super().recv(decode)
-            if not (isinstance(message, str) and self._browsers.hear(self, message)):
-                return message
-
-    async def send(self, message: Any, *, text: bool | None = None) -> None:
-        """Sends a message of Studio's server; of a state the one for the browser's size."""
-        is_state = self.request is not None and self.request.path.startswith("/state")
-        if is_state and isinstance(message, bytes):
-            if (copied := self._browsers.take_copied(self)) is not None:
-                await super().send(f"sero-mj copy {copied}", text=True)
-            message = self._browsers.state_for(self, message)
-        await super().send(message, text=text)

@@ -2,7 +2,7 @@
 
 Any website open in a browser can send requests to this machine and open websockets, to which the
 same-origin policy does not apply. But it cannot choose the headers `Host`, `Origin` and
-`Sec-Fetch-Site`. So these are checked on every path, before Studio's server sees the request:
+`Sec-Fetch-Site`. So these are checked on every path, before anything is answered:
 
 - `Host` must name this machine; this excludes foreign names that resolve to it (DNS rebinding).
 - `Origin`, if present, must be that of the page.
@@ -16,45 +16,26 @@ Programs send neither `Origin` nor `Sec-Fetch-Site`; they are admitted by Host a
 
 from __future__ import annotations
 
-import functools
 import hmac
 import ipaddress
 import logging
-import os
 import secrets
 import socket
-import stat
-import threading
 import urllib.parse
-from collections.abc import Callable
-from typing import Any
 
-from websockets.asyncio.server import serve
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
-
-from ...base.errors import RenderError
-from ..mujoco_private import server_program
-from .browsers import BrowserConnection, Browsers
-from .compression import DEFLATE, CompressedResponses
-from .uploads import is_for_files, take_files
 
 log = logging.getLogger(__name__)
 
 TOKEN_BYTES = 24
-_LONGEST_MESSAGE = 2**20  # bytes; messages with input, camera or clipboard are much shorter
 _MOST_TOLD = 10  # refused requests that are logged; all are counted
 _PAGE_PATHS = ("/", "/index.html")
-_DESCRIPTORS = "/dev/fd"
-# Threads of the page's program need cross-origin isolation. Studio 4.0 sends these headers twice,
-# which browsers read as none.
-_ISOLATION = {
-    "Cross-Origin-Opener-Policy": "same-origin",
-    "Cross-Origin-Embedder-Policy": "require-corp",
-}
-_MOST_BROWSERS = 999  # for Studio's limit of 8 that look on, and the most that a page may set
-# States on the way to a browser, for Studio's 8: fewer, so that a slow link does not lag behind.
-_MOST_STATES = 4
+# Of a page: it asks its own server, and nobody else, and runs no script that stands in it.
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src 'self' data: blob:; base-uri 'none'; form-action 'none'"
+)
 _FRAMES_OF = "vscode-webview: " + " ".join(  # notebooks embed the page in a frame
     f"{scheme}://{name}:*" for name in ("localhost", "127.0.0.1") for scheme in ("http", "https")
 )
@@ -79,7 +60,6 @@ class Guard:
     """Checks every request, and prevents other sites from reading the responses.
 
     Args:
-        page: the page, UTF-8.
         bound: the IP address that the server listens on.
         host: the address or name that the user specified for it.
         token: required token; None for none.
@@ -88,46 +68,34 @@ class Guard:
         refused: number of refused requests.
     """
 
-    def __init__(self, page: bytes, bound: str, host: str, token: str | None) -> None:
+    def __init__(self, bound: str, host: str, token: str | None) -> None:
         self.token = token
         self.refused = 0
-        self._page = page
         self._is_private = is_loopback(bound)
         self._machine = "" if self._is_private else socket.gethostname().lower()
         self._names = {"localhost", host.lower(), self._machine} - {""}
         self._pass = hmac.digest((token or "").encode(), b"cookie", "sha256").hex()
 
-    def answer(self, request: Request) -> Response | None:
-        """Returns a refusal or the page; None to let Studio's server respond."""
+    def refusal(self, request: Request) -> Response | None:
+        """Returns a refusal of a request; None for one that may be answered."""
         path, _, query = request.path.partition("?")
         reason = self._refusal(request.headers, path, query)
-        if reason is not None:
-            return self._refuse(path, reason)
-        if path not in _PAGE_PATHS:
-            return None
-        headers = Headers()
-        headers["Content-Type"] = "text/html; charset=utf-8"
-        headers["Content-Length"] = str(len(self._page))
-        headers["Cache-Control"] = "no-store"
-        return Response(200, "OK", headers, self._page)
+        return None if reason is None else self._refuse(path, reason)
 
     def set_security_headers(self, request: Request, response: Response) -> None:
         """Sets headers that prevent other sites from reading a response or embedding the page."""
         headers = response.headers
-        for key in ("Access-Control-Allow-Origin", "Cross-Origin-Resource-Policy", *_ISOLATION):
-            if key in headers:
-                del headers[key]
-        for key, policy in _ISOLATION.items():
-            headers[key] = policy
-        path, _, query = request.path.partition("?")
+        headers["Cross-Origin-Opener-Policy"] = "same-origin"
+        headers["Cross-Origin-Resource-Policy"] = "same-origin"
         headers["X-Content-Type-Options"] = "nosniff"
         headers["Referrer-Policy"] = "no-referrer"
+        path, _, query = request.path.partition("?")
         if path not in _PAGE_PATHS:
-            headers["Cross-Origin-Resource-Policy"] = "same-origin"
             return
         name = _host_name(request.headers.get("Host", "")) if response.status_code == 200 else ""
         of_host = f"http://{name}:* https://{name}:*" if name and ":" not in name else ""
-        headers["Content-Security-Policy"] = f"frame-ancestors 'self' {_FRAMES_OF} {of_host}"
+        frames = f"frame-ancestors 'self' {_FRAMES_OF} {of_host}"
+        headers["Content-Security-Policy"] = f"{_POLICY}; {frames}"
         if self.token is not None and self._is_token(_token_of(query)):
             cookie = f"{_cookie_name(request.headers)}={self._pass}"
             headers["Set-Cookie"] = f"{cookie}; Path=/; HttpOnly; SameSite=Strict"
@@ -142,8 +110,6 @@ class Guard:
                 "found no valid token; open the address that was printed where this page "
                 f"was started: http://{headers['Host']}/?token=..."
             )
-        if path == "/drop":
-            return "Studio's uploads are disabled; files that are dropped on the page are taken"
         return None
 
     def _cross_site_reason(self, headers: Headers, path: str) -> str | None:
@@ -224,115 +190,3 @@ def _token_of(query: str) -> str:
     except ValueError:
         return ""
     return found[0]
-
-
-class GuardedRun:
-    """Runs Studio's server with a guard that checks every connection, and compresses what it sends.
-
-    The server calls a `serve` that asks the guard first, see `server_program`. If another version
-    of Studio does not call it, the page is not served at all.
-
-    Args:
-        guard: checks requests.
-        browsers: hears what browsers say.
-    """
-
-    def __init__(self, guard: Guard, browsers: Browsers) -> None:
-        self._guard, self._browsers = guard, browsers
-        self._compressed = CompressedResponses()
-        self._is_guarded = threading.Event()
-        self._error: OSError | None = None
-
-    def __call__(self, server: Any, stop: threading.Event) -> None:
-        """Runs until `stop` is set."""
-        run = server_program(_MOST_BROWSERS, _MOST_STATES, self._serve)
-        try:
-            run(server, stop)
-        except OSError as error:  # another program has taken the port meanwhile, say
-            self._error = error
-            self._is_guarded.set()
-
-    def wait(self, seconds: float = 10.0) -> None:
-        """Waits until the server runs with the guard, at most `seconds`.
-
-        Raises:
-            RenderError: it does not within this time, or the server could not be started.
-        """
-        is_guarded = self._is_guarded.wait(seconds)
-        if self._error is not None:
-            raise RenderError(f"no web page: {self._error.strerror}") from self._error
-        if not is_guarded:
-            raise RenderError(
-                "no web page: Studio's web server of this MuJoCo has changed, and requests of "
-                "other sites could not be refused; `sero-mj view SCENE --window` needs none"
-            )
-
-    def _serve(self, handler: Any, **options: Any) -> Any:
-        ask: Callable[..., Response | None] = options["process_request"]
-        tell: Callable[..., Response | None] = options["process_response"]
-
-        def process_request(connection: Any, request: Request) -> Response | None:
-            answer = self._guard.answer(request)
-            if answer is None and not is_for_files(request):
-                answer = ask(connection, request)
-            return answer
-
-        def process_response(
-            connection: Any, request: Request, response: Response
-        ) -> Response | None:
-            other = tell(connection, request, response)
-            self._guard.set_security_headers(request, other or response)
-            self._compressed.compress(request, other or response)
-            return other
-
-        async def handle(connection: Any) -> None:
-            if is_for_files(connection.request):
-                await take_files(connection, self._browsers.drop)
-            else:
-                await handler(connection)
-
-        options |= {
-            "process_request": process_request,
-            "process_response": process_response,
-            "max_size": _LONGEST_MESSAGE,
-            "create_connection": functools.partial(BrowserConnection, browsers=self._browsers),
-            "open_timeout": None,
-            "extensions": [DEFLATE],
-        }
-        options["sock"].listen()  # now listening: connections are queued, not refused
-        self._is_guarded.set()
-        return serve(handle, **options)
-
-
-class SameProcessSocket(socket.socket):
-    """A listening socket that accepts connections of this process and closes all others at once.
-
-    Studio's user interface connects to its server by TCP. Any website, and any other user of this
-    machine, can connect to a loopback port and could take the place of the user interface.
-    """
-
-    def accept(self) -> tuple[socket.socket, Any]:
-        """See `socket.socket`; raises ConnectionAbortedError for another process."""
-        connection, address = super().accept()
-        if is_same_process(address):
-            return connection, address
-        connection.close()
-        raise ConnectionAbortedError("it is another process")
-
-
-def is_same_process(address: Any) -> bool:
-    """Whether a socket of this process has this address; True if this cannot be determined."""
-    try:
-        numbers = [int(name) for name in os.listdir(_DESCRIPTORS)]
-    except OSError:  # Windows
-        return True
-    for number in numbers:
-        try:
-            if not stat.S_ISSOCK(os.fstat(number).st_mode):
-                continue
-            with socket.socket(fileno=os.dup(number)) as each:
-                if each.getsockname() == address:
-                    return True
-        except OSError:  # closed in the meantime
-            continue
-    return False

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
-import threading
 import time
 import urllib.parse
-from pathlib import Path
 from typing import Any, Self
 
-from mujoco.studio.web import web_server
-from websockets.asyncio.server import ServerConnection, serve
-from websockets.datastructures import Headers
+from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request, Response
 
-from ...base.errors import RenderError
 from ...data.drive.mirror import Mirror
 from ..panels.message import Message
 from ..session.start_page import (
@@ -30,15 +24,11 @@ from ..session.start_page import (
     PortMonitor,
     StartPage,
 )
-from .guard import Guard, is_loopback, make_token
-from .host import check_address, page_urls
-from .uploads import SCRIPT, is_for_files, take_files
+from .server import Answer, PageServer, static_text
 
-_PAGE = Path(__file__).with_name("start_page.html").read_text("utf-8")
 _LIVE, _TILES, _PICTURES = "/sero-mj/start", "/sero-mj/tiles", "/sero-mj/pictures/"
 _EVERY = 0.4  # s between two reports of what is awaited
 _LOOKS = 0.2  # s after which it is looked whether the server still runs
-_LONGEST_MESSAGE = 2**20  # bytes
 
 
 class StartHost:
@@ -49,11 +39,10 @@ class StartHost:
         listening: hears the data that is awaited.
         host: address to listen on.
         port: 0 for the first free one from 8080 on.
-        token: see `WebHost`.
+        token: see `PageServer`.
 
     Attributes:
-        port: of the page.
-        token: in its address; None without.
+        server: of the page.
 
     Raises:
         RenderError: the page cannot be served there.
@@ -69,77 +58,37 @@ class StartHost:
         token: bool | str = False,
     ) -> None:
         self._page = StartPage(opener, listening)
-        self._is_private = is_loopback(check_address(host))
-        self.token: str | None = None
-        if token or not self._is_private:
-            self.token = token if isinstance(token, str) else make_token()
-        try:
-            self._socket = web_server.bind_public_socket(host, port)
-            self._socket.listen()
-        except (RuntimeError, OSError) as error:
-            why = f"{error}".partition(" Pass a different")[0]  # Studio's hint is not for --port
-            raise RenderError(f"no page at {host}:{port}: {why}") from error
-        self._host = host
-        bound, self.port = self._socket.getsockname()[:2]
-        page = _PAGE.replace("<!-- uploads -->", SCRIPT)
-        self._guard = Guard(page.encode(), bound, host, self.token)
-        self._stop: asyncio.Event | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._thread = threading.Thread(target=self._serve, name="start page", daemon=True)
-        self._thread.start()
-
-    @property
-    def urls(self) -> list[str]:
-        """See `WebHost`."""
-        return page_urls(self._host, self.port, self.token)
-
-    @property
-    def is_private(self) -> bool:
-        """Whether only browsers on this machine can reach it."""
-        return self._is_private
+        own = {name: static_text(name).encode() for name in ("start.js", "start.css")}
+        self.server = PageServer(
+            static_text("start.html"),
+            own,
+            self._talk,
+            _LIVE,
+            self._page.choose,
+            find=self._find,
+            host=host,
+            port=port,
+            token=token,
+        )
 
     def run(self) -> Mirror | None:
         """Returns what shows the scene that was chosen; None when the server has ended."""
-        while self._thread.is_alive():
+        while self.server.is_running:
             if self._page.open_next(_LOOKS):
                 return self._page.chosen
         return None
 
-    def _serve(self) -> None:
-        asyncio.run(self._answer())
-
-    async def _answer(self) -> None:
-        self._stop, self._loop = asyncio.Event(), asyncio.get_running_loop()
-        async with serve(
-            self._talk,
-            sock=self._socket,
-            max_size=_LONGEST_MESSAGE,
-            process_request=self._request,
-            process_response=self._response,
-        ):
-            await self._stop.wait()
-
-    def _request(self, connection: ServerConnection, request: Request) -> Response | None:
-        answer = self._guard.answer(request)
-        path, _, query = request.path.partition("?")
-        if answer is not None or path == _LIVE or is_for_files(request):
-            return answer
+    def _find(self, path: str, query: str) -> Answer | None:
         if path == _TILES:
             words = urllib.parse.parse_qs(query).get("search", [""])[0]
-            return _found("application/json", json.dumps(self._described(words)).encode())
+            return Answer(json.dumps(self._described(words)).encode(), ".json")
         tiles, number = self._page.tiles, path.removeprefix(_PICTURES)
         if path.startswith(_PICTURES) and number.isdecimal() and int(number) < len(tiles):
             picture = tiles[int(number)].picture
             try:
-                return _found("image/jpeg", picture.read_bytes() if picture else b"")
+                return Answer(picture.read_bytes() if picture else b"", ".jpg")
             except OSError:
-                pass
-        return connection.respond(404, "no such page\n")
-
-    def _response(
-        self, connection: ServerConnection, request: Request, response: Response
-    ) -> Response | None:
-        self._guard.set_security_headers(request, response)
+                return None
         return None
 
     def _described(self, words: str) -> dict[str, Any]:
@@ -170,9 +119,6 @@ class StartHost:
 
     async def _talk(self, connection: ServerConnection) -> None:
         """Tells a browser what is awaited, and hears what it chooses."""
-        if connection.request is not None and is_for_files(connection.request):
-            await take_files(connection, self._page.choose)
-            return
         report = asyncio.create_task(self._report(connection))
         try:
             async for message in connection:
@@ -209,10 +155,7 @@ class StartHost:
 
     def close(self) -> None:
         """Ends the server."""
-        if self._loop is not None and self._stop is not None and self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._stop.set)
-        self._thread.join()
-        self._socket.close()
+        self.server.close()
 
     def __enter__(self) -> Self:
         return self
@@ -229,11 +172,3 @@ def _as_json(awaited: ExpectedPackets) -> dict[str, Any]:
         "mood": awaited.mood,
         "shown": [view.scene for view in awaited.shown],
     }
-
-
-def _found(kind: str, body: bytes) -> Response:
-    headers = Headers()
-    headers["Content-Type"] = kind
-    headers["Content-Length"] = str(len(body))
-    headers["Cache-Control"] = "no-store"
-    return Response(200, "OK", headers, body)

@@ -26,7 +26,6 @@ from ...base.paths import (
 )
 
 FILES = "/sero-mj/files"  # where the script sends them
-SCRIPT = Path(__file__).with_name("uploads.html").read_text("utf-8").rstrip("\n")
 MOST_BYTES, MOST_FILES = 500_000_000, 2000
 _LONGEST_PATH = 400
 _OPENED = (".toml", *robot_endings(), *scene_endings(), ".mcap")

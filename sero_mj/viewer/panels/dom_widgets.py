@@ -1,0 +1,285 @@
+"""`DomWidgets`: the widgets of panels as a tree of nodes, which a page shows by HTML elements.
+
+A panel is built anew for every update, as in windows; what the user of a browser did is kept until
+the widget is built next, and is then returned by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...base.frames import Array
+from ..session.status_line import Mood
+from .widgets import Plot
+
+Node = dict[str, Any]
+
+_CHARACTER = 0.52  # mean width of a character, of the text's height
+_DIGITS = 5  # of the numbers of plots
+
+
+class DomWidgets:
+    """See `Widgets`; a node has the keys that `js/src/panels.js` reads.
+
+    Args:
+        to_clipboard: puts a text onto the clipboard of the browser in control.
+    """
+
+    points, interval = 320, 1.0 / 15.0
+
+    def __init__(self, to_clipboard: Callable[[str], None]) -> None:
+        self.copy = to_clipboard
+        self._is_open: dict[str, bool] = {}  # sections and nodes that were folded or unfolded
+        self._done: dict[str, Any] = {}  # what the user did, by id
+        self._begin((0.0, 0.0))
+
+    def _begin(self, size: tuple[float, float]) -> None:
+        self._size = size
+        self._nodes: list[Node] = []
+        self._into = [self._nodes]  # lists that nodes are put into, the innermost last
+        self._tables: list[Node] = []
+        self._scopes: list[str] = []
+        self._ids: dict[str, int] = {}
+        self._off: list[bool] = []
+        self._next: Node = {}  # of the next node
+
+    def act(self, id_: str, value: Any) -> None:
+        """Notes what the user did with a widget."""
+        self._done[id_] = value
+
+    def fold(self, id_: str, *, is_open: bool) -> None:
+        """Folds or unfolds a section or a node."""
+        self._is_open[id_] = is_open
+
+    @property
+    def is_asked(self) -> bool:
+        """Whether the user did something that no widget has returned yet."""
+        return bool(self._done)
+
+    def tree_of(self, build: Callable[[], object], size: tuple[float, float]) -> list[Node]:
+        """Returns the nodes that a function builds.
+
+        Args:
+            build: builds a panel by these widgets.
+            size: width and height that the panel has, of the text's height.
+        """
+        self._begin(size)
+        build()
+        self._done.clear()  # also of widgets that are not shown any more
+        return self._nodes
+
+    # ---- nodes
+
+    def _id(self, label: str) -> str:
+        """The id of a label in its scope; the second widget of a label has another one."""
+        name = label.partition("###")[2] or label
+        id_ = "/".join([*self._scopes, name])
+        count = self._ids[id_] = self._ids.get(id_, 0) + 1
+        return id_ if count == 1 else f"{id_}#{count}"
+
+    def _put(self, kind: str, **keys: Any) -> Node:
+        node = {"k": kind, **keys, **self._next}
+        if any(self._off):
+            node["off"] = True
+        self._next = {}
+        self._into[-1].append(node)
+        return node
+
+    def _widget(self, kind: str, label: str, **keys: Any) -> tuple[bool, Any]:
+        """Puts a widget; returns whether its user did something, and what."""
+        id_, shown = self._id(label), label.partition("##")[0]
+        words = {"s": shown} if shown else {"s": "", "aria": label.strip("#")}
+        self._put(kind, id=id_, **words, **keys)
+        is_done = id_ in self._done and not any(self._off)
+        return is_done, self._done.pop(id_, None)
+
+    # ---- see `Widgets`
+
+    def room(self) -> tuple[float, float]:
+        """Returns the size of the panel."""
+        return self._size
+
+    def wide(self, words: str) -> float:
+        """Returns about the width of a text."""
+        return _CHARACTER * len(words)
+
+    def text(self, words: str, mood: Mood = "plain") -> None:
+        """Writes a text."""
+        self._put("text", s=words, mood=mood)
+
+    def label(self, words: str) -> None:
+        """Writes a text beside a field."""
+        self._put("label", s=words)
+
+    def title(self, words: str) -> None:
+        """Writes a heading."""
+        self._put("title", s=words)
+
+    def header(self, label: str, *, is_open: bool = False) -> bool:
+        """Begins a section, which ends with the next one."""
+        self._into = [self._nodes]
+        return self._foldable("header", label, is_open=is_open)
+
+    def tree(self, label: str) -> bool:
+        """Begins a node."""
+        is_open = self._foldable("tree", label, is_open=False)
+        if is_open:
+            self._scopes.append(label)
+        return is_open
+
+    def _foldable(self, kind: str, label: str, *, is_open: bool) -> bool:
+        id_, nodes = self._id(label), list[Node]()
+        is_open = self._is_open.get(id_, is_open)
+        shown = label.partition("##")[0]
+        self._put(kind, id=id_, s=shown, open=is_open, nodes=nodes)
+        if is_open:
+            self._into.append(nodes)
+        return is_open
+
+    def end_tree(self) -> None:
+        """Ends a node."""
+        self._into.pop()
+        self._scopes.pop()
+
+    def table(self, name: str, widths: Sequence[float]) -> bool:
+        """Begins a table."""
+        node = self._put("table", id=self._id(name), widths=list(widths), rows=[])
+        self._tables.append(node)
+        self._scopes.append(name)
+        self._into.append([])
+        return True
+
+    def row(self) -> None:
+        """Begins a row."""
+        self._tables[-1]["rows"].append([])
+
+    def cell(self) -> None:
+        """Begins a cell."""
+        nodes: list[Node] = []
+        self._tables[-1]["rows"][-1].append(nodes)
+        self._into[-1] = nodes
+
+    def end_table(self) -> None:
+        """Ends a table."""
+        self._tables.pop()
+        self._scopes.pop()
+        self._into.pop()
+
+    def scope(self, name: str) -> None:
+        """Begins a scope."""
+        self._scopes.append(name)
+
+    def end_scope(self) -> None:
+        """Ends a scope."""
+        self._scopes.pop()
+
+    def same_line(self, left: float = 0.0, gap: float = -1.0) -> None:
+        """Goes on in the same line."""
+        self._next["same"] = gap
+        if left:
+            self._next["left"] = left
+
+    def width(self, width: float) -> None:
+        """Sets the next width."""
+        self._next["width"] = width
+
+    def tip(self, words: str) -> None:
+        """Explains the last widget."""
+        self._into[-1][-1]["tip"] = words
+
+    def disable(self, *, is_off: bool) -> None:
+        """Begins what takes no input."""
+        self._off.append(is_off)
+
+    def enable(self) -> None:
+        """Ends it."""
+        self._off.pop()
+
+    def button(self, label: str, width: float = 0.0) -> bool:
+        """Builds a button."""
+        if width:
+            self._next["width"] = width
+        return self._widget("button", label)[0]
+
+    def select(self, label: str, *, is_lit: bool) -> bool:
+        """Builds a text that can be clicked on."""
+        return self._widget("select", label, lit=is_lit)[0]
+
+    def search(self, label: str, text: str, hint: str) -> str:
+        """Builds a field for a text."""
+        is_done, typed = self._widget("search", label, text=text, hint=hint)
+        return typed if is_done and isinstance(typed, str) else text
+
+    def check(self, label: str, is_on: bool) -> tuple[bool, bool]:
+        """Builds a check box."""
+        is_done, now = self._widget("check", label, on=bool(is_on))
+        return (True, bool(now)) if is_done else (False, is_on)
+
+    def choose(self, label: str, index: int, names: Sequence[str]) -> tuple[bool, int]:
+        """Builds a list."""
+        is_done, now = self._widget("choose", label, index=int(index), names=list(names))
+        if is_done and isinstance(now, int) and 0 <= now < len(names):
+            return True, now
+        return False, index
+
+    def slide(
+        self,
+        label: str,
+        value: float,
+        low: float,
+        high: float,
+        text: str,
+        ticks: Sequence[tuple[float, Mood]] = (),
+    ) -> tuple[bool, float]:
+        """Builds a slider."""
+        shown = (text % value if "%" in text else text) if text else ""
+        ends = {"low": float(low), "high": float(high)}
+        marks = {"ticks": [[float(at), mood] for at, mood in ticks]} if ticks else {}
+        is_done, now = self._widget(
+            "slide", label, value=_number(value, low), **ends, text=shown, **marks
+        )
+        if is_done and _is_number(now):
+            return True, min(max(float(now), low), high)
+        return False, value
+
+    def number(self, label: str, value: float, text: str) -> tuple[bool, float]:
+        """Builds a field for a number."""
+        is_done, now = self._widget("number", label, value=_number(value, 0.0), text=text % value)
+        return (True, float(now)) if is_done and _is_number(now) else (False, value)
+
+    def lines(self, label: str, text: str, count: int) -> None:
+        """Shows text to copy from."""
+        self._put("lines", id=self._id(label), text=text, count=count)
+
+    def plot(self, plot: Plot, height: float) -> None:
+        """Builds a plot."""
+        self._put(
+            "plot",
+            id=self._id(plot.y_label),
+            y=plot.y_label,
+            x=plot.x_unit,
+            xRange=list(plot.x_range),
+            yRange=list(plot.y_range),
+            limits=[float(each) for each in plot.limits if np.isfinite(each)],
+            height=height,
+            lines=[
+                {"name": line.name, "rgb": line.rgb, "x": _short(line.x), "y": _short(line.y)}
+                for line in plot.lines
+            ],
+        )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and bool(np.isfinite(value))
+
+
+def _number(value: float, otherwise: float) -> float:
+    return float(value) if np.isfinite(value) else float(otherwise)
+
+
+def _short(values: Array) -> list[float | None]:
+    """Numbers with some digits, for JSON; None for a gap."""
+    return [float(f"{v:.{_DIGITS}g}") if np.isfinite(v) else None for v in values.tolist()]

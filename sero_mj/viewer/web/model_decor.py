@@ -1,0 +1,57 @@
+"""`ModelDecor`: what MuJoCo draws of a model besides its surfaces, as geoms for a page.
+
+Tendons always; contacts, inertias, joints and names where a view asks for them.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ..decor.geom_buffer import GEOM
+from ..decor.scene_writer import struct_view
+from ..decor.toggles import Toggles
+
+_TENDON = int(mujoco.mjtObj.mjOBJ_TENDON)
+_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
+_DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
+_ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
+_MOST_GEOMS = 4000  # besides those of the model
+
+
+class ModelDecor:
+    """Asks MuJoCo for the geoms of a frame.
+
+    Args:
+        model: compiled.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._has_tendons = bool(model.ntendon)
+        self._scene: mujoco.MjvScene | None = None
+        self._camera = mujoco.MjvCamera()
+        self._option = mujoco.MjvOption()
+
+    def rows(self, data: mujoco.MjData, toggles: Toggles) -> np.ndarray:
+        """Returns geoms that are not surfaces, (k,) of `GEOM`.
+
+        Args:
+            data: the state, with frames up to date.
+            toggles: what is shown.
+        """
+        if not self._has_tendons:
+            return np.zeros(0, GEOM)
+        model = self._model
+        if self._scene is None:
+            self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + _MOST_GEOMS)
+        scene = self._scene
+        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, _ALL, scene)
+        rows = struct_view(scene)
+        if rows is None:
+            return np.zeros(0, GEOM)
+        rows = rows[: scene.ngeom]
+        is_tendon = (rows["objtype"] == _TENDON) & (rows["type"] == _CAPSULE)
+        kept: np.ndarray = rows[is_tendon | (rows["category"] == _DECOR)].copy()
+        return kept

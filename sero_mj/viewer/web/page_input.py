@@ -1,0 +1,192 @@
+"""`PageInput`: what the browser in control says, as clicks, drags and keys of the host."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from ..decor.geom_buffer import Kind
+from ..session.input import LEFT, Clicked, Event, Mouse, Moved
+from ..session.picking import Pixel, picked_of
+
+if TYPE_CHECKING:
+    from .host import WebHost
+    from .page_panels import PagePanels
+
+log = logging.getLogger(__name__)
+
+_FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
+_FIXED = int(mujoco.mjtCamera.mjCAMERA_FIXED)
+_MOST_PIXELS = 20_000  # of a page, in either direction
+_MOST_METRES = 1e6
+_BUTTONS = (0, 1, 2)
+
+
+class PageInput:
+    """Takes messages of the browser in control; those that are wrong are counted and left.
+
+    Args:
+        host: of the page.
+        panels: of the page.
+
+    Attributes:
+        under: pixel of the pointer, y up; None if it is not over the picture.
+        wrong: number of messages with wrong contents.
+        is_dragging: whether a tool has the drag, and the camera stays.
+        is_on_handle: whether the pointer is over a handle.
+    """
+
+    def __init__(self, host: WebHost, panels: PagePanels) -> None:
+        self._host, self._panels = host, panels
+        self._mouse = Mouse()
+        self.under: Pixel | None = None
+        self.wrong = 0
+        self.is_dragging = self.is_on_handle = False
+        self._takes: dict[str, Callable[[dict[str, Any]], None]] = {
+            "size": self._size,
+            "camera": self._camera,
+            "pointer": self._pointer,
+            "wheel": self._wheel,
+            "hold": self._hold,
+            "key": self._key,
+            "card": self._card,
+            "widget": self._widget,
+            "fold": self._fold,
+            "close": self._close,
+            "view": self._view,
+            "left": self._leave,
+        }
+
+    def take(self, said: Iterable[dict[str, Any]]) -> None:
+        """Takes messages, the oldest first."""
+        for each in said:
+            try:
+                self._takes[each["t"]](each)
+            except (KeyError, TypeError, ValueError, OverflowError):
+                self.wrong += 1
+                log.debug("a page's message is wrong: %.200r", each)
+    def point(self) -> None:
+        """Names what is under the pointer, and lights the handle there."""
+        host, is_free = self._host, not (self._mouse.is_down or self._host.shows_help)
+        at = self.under if is_free else None
+        host.point(at)
+        self.is_on_handle = host.hover_handle(at)
+
+    # ---- messages
+
+    def _size(self, said: dict[str, Any]) -> None:
+        width, height = int(said["w"]), int(said["h"])
+        if not (0 < width < _MOST_PIXELS and 0 < height < _MOST_PIXELS):
+            raise ValueError
+        self._host.size = width, height
+        self._host.look_again()
+
+    def _camera(self, said: dict[str, Any]) -> None:
+        host, fixed = self._host, int(said["fixed"])
+        numbers = [*map(float, said["lookAt"]), *(float(said[key]) for key in
+                   ("distance", "azimuth", "elevation"))]  # fmt: skip
+        is_good = np.isfinite(numbers).all() and max(map(abs, numbers)) < _MOST_METRES
+        if len(numbers) != 6 or not is_good or numbers[3] <= 0:
+            raise ValueError
+        camera = host.navigator.camera
+        if not host.is_following:
+            camera.lookat[:] = numbers[:3]
+        camera.distance, camera.azimuth, camera.elevation = numbers[3:]
+        if not -1 <= fixed < host.world.model.ncam:
+            raise ValueError
+        camera.type, camera.fixedcamid = (_FREE, -1) if fixed < 0 else (_FIXED, fixed)
+        host.take_camera()
+        host.look_again()
+
+    def _at(self, said: dict[str, Any]) -> Pixel:
+        x, y = float(said["x"]), float(said["y"])
+        if not (abs(x) < _MOST_PIXELS and abs(y) < _MOST_PIXELS):  # nor NaN
+            raise ValueError
+        return x, self._host.size[1] - y
+
+    def _pointer(self, said: dict[str, Any]) -> None:
+        kind = said["kind"]
+        if kind == "leave":
+            self.under = None
+            return
+        at = self._at(said)
+        button = int(said.get("button", LEFT))
+        if kind not in ("press", "release", "move") or button not in _BUTTONS:
+            raise ValueError
+        self.under = at if self._is_inside(at) else None
+        control = bool(said.get("ctrl"))
+        shift = bool(said.get("shift")) or control
+        event = Event(
+            kind, *at, time.monotonic(), button, shift=shift, control=control
+        )
+        found = self._mouse.take(event)
+        if isinstance(found, Clicked):
+            self._click(found)
+        elif isinstance(found, Moved):
+            self.is_dragging |= self._host.drag(found, at, found.pulls_from, found.pressed)
+        if not self._mouse.is_down:
+            self.is_dragging = False
+            self._host.let_go()
+
+    def _is_inside(self, at: Pixel) -> bool:
+        width, height = self._host.size
+        return 0 <= at[0] < width and 0 <= at[1] < height
+
+    def _click(self, clicked: Clicked) -> None:
+        if self._host.shows_help:
+            self._host.toggle_help()
+        else:
+            self._host.click(clicked)
+
+    def _wheel(self, said: dict[str, Any]) -> None:
+        notches = float(said["n"])
+        if abs(notches) < _MOST_PIXELS and self.is_dragging:
+            self._host.drag(Moved("zoom", 0.0, notches), self.under, None, None)
+
+    def _hold(self, said: dict[str, Any]) -> None:
+        del said
+        if self._mouse.is_down and self._mouse.hold(self._host.hold):
+            self.is_dragging = True
+
+    def _key(self, said: dict[str, Any]) -> None:
+        key = str(said["key"])
+        if key == "escape":
+            if self._host.shows_help:
+                self._host.toggle_help()
+            return
+        self._host.actions.press(key, is_repeat=bool(said.get("repeat")))
+
+    def _card(self, said: dict[str, Any]) -> None:
+        """A click on text of the page, which stands for what it belongs to."""
+        picked = picked_of(self._host.world, Kind(int(said["kind"])), int(said["item"]))
+        # Clicks in a row on one card are at one place, those on another one are elsewhere.
+        at = (1e5 * (1 + picked.index), 1e5 * int(said["kind"]))
+        self._host.click_item(picked, at, time.monotonic(), shift=bool(said.get("shift")))
+
+    def _widget(self, said: dict[str, Any]) -> None:
+        self._panels.act(str(said["tree"]), str(said["id"]), said["value"])
+
+    def _fold(self, said: dict[str, Any]) -> None:
+        self._panels.fold(str(said["tree"]), str(said["id"]), is_open=bool(said["open"]))
+
+    def _close(self, said: dict[str, Any]) -> None:
+        if "area" in said:
+            for tool in self._host.areas:
+                if tool.area == said["area"]:
+                    tool.shows_area = False
+        elif said.get("what") == "help" and self._host.shows_help:
+            self._host.toggle_help()
+
+    def _view(self, said: dict[str, Any]) -> None:
+        self._host.follow_link(str(said["text"]))
+
+    def _leave(self, said: dict[str, Any]) -> None:
+        """Whoever had control has gone, and a button is no longer down."""
+        del said
+        self._mouse, self.under, self.is_dragging = Mouse(), None, False
+        self._host.let_go()

@@ -1,0 +1,123 @@
+"""`PagePanels`: the panels of a page, declared as those of windows are, as trees of nodes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..panels import help as help_panel
+from ..panels.dom_widgets import DomWidgets, Node
+from ..panels.time_line import build_time_line
+from ..session.interaction import help_columns
+from ..session.status_line import Piece
+from ..session.tool import tool_keys
+from .sections import Sections
+
+if TYPE_CHECKING:
+    from .host import WebHost
+
+_EM = 14.0  # pixels, the height of text in `page.css`
+_INTERVAL = 1.0 / 15.0  # s between two updates of panels
+_NARROW = 1000  # width, pixels, below which a page begins without its panel
+# Of the text's height: width of the panel, and most width and height of an area.
+_PANEL_WIDTH, _AREA_WIDTH, _AREA_HEIGHT = 23.0, 32.0, 34.0
+_TALL = 400.0  # a panel's height, which is scrolled
+
+
+class PagePanels:
+    """Builds the panels of a page some times a second, and puts them into its state.
+
+    Args:
+        host: of the page.
+        sections: of the page.
+
+    Attributes:
+        shows_panel: whether the panel is shown.
+    """
+
+    def __init__(self, host: WebHost, sections: Sections) -> None:
+        self._host, self._sections = host, sections
+        self._trees: dict[str, DomWidgets] = {}
+        self._built = float("-inf")
+        self._is_asked = False
+        self._is_narrow = False
+        self.shows_panel = True
+
+    def act(self, tree: str, id_: str, value: Any) -> None:
+        """Notes what the user did with a widget of a tree."""
+        if tree in self._trees:
+            self._trees[tree].act(id_, value)
+            self._is_asked = True
+
+    def fold(self, tree: str, id_: str, *, is_open: bool) -> None:
+        """Folds or unfolds a section of a tree."""
+        if tree in self._trees:
+            self._trees[tree].fold(id_, is_open=is_open)
+            self._is_asked = True
+
+    def put(self, pieces: Sequence[Piece], geoms: int) -> None:
+        """Puts the panels; less often than pictures, but at once where the user has acted.
+
+        Args:
+            pieces: of the status line.
+            geoms: number of geoms of decor.
+        """
+        host, put, now = self._host, self._sections.put, time.monotonic()
+        ongoing = host.ongoing
+        put("message", list(host.notice.piece) if host.notice.is_shown else None)
+        put("ongoing", None if ongoing is None else list(ongoing))
+        if not self._is_asked and now - self._built < _INTERVAL:
+            return
+        self._built, self._is_asked = now, False
+        width, height = host.size
+        if self._is_narrow != (width < _NARROW):
+            self._is_narrow = width < _NARROW
+            self.shows_panel = not self._is_narrow
+        put("about", {"title": host.world.scene.name, "geoms": geoms, "panel": self.shows_panel})
+        put("status", [list(piece) for piece in pieces])
+        self._put_tree("panel", self.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
+        wide = width / _EM
+        line = lambda ui: build_time_line(ui, host.clock, host.ticks)  # noqa: E731
+        self._put_tree("timeLine", host.has_time_line, line, (wide, 2.0))
+        size = (min(help_panel.WIDTH, wide - 2), _TALL)
+        self._put_tree("help", host.shows_help, self._help, size)
+        room = min(_AREA_WIDTH, wide), min(_AREA_HEIGHT, 0.6 * height / _EM)
+        put(
+            "areas",
+            [
+                {
+                    "title": tool.area,
+                    "name": tool.area,
+                    "nodes": self._nodes(
+                        f"area:{tool.area}",
+                        lambda ui, tool=tool: host.tools.call(tool, lambda t: t.build_area(ui)),
+                        room,
+                    ),
+                }
+                for tool in host.areas
+            ],
+        )
+
+    def _put_tree(
+        self,
+        name: str,
+        is_shown: bool,  # noqa: FBT001
+        build: Callable[[DomWidgets], object],
+        size: tuple[float, float],
+    ) -> None:
+        self._sections.put(name, self._nodes(name, build, size) if is_shown else None)
+
+    def _nodes(
+        self, name: str, build: Callable[[DomWidgets], object], size: tuple[float, float]
+    ) -> list[Node]:
+        if name not in self._trees:
+            self._trees[name] = DomWidgets(self._host.to_clipboard)
+        ui = self._trees[name]
+        return ui.tree_of(lambda: build(ui), size)
+
+    def _panel(self, ui: DomWidgets) -> None:
+        self._host.build_panel(ui, unfolds_sources=True)
+
+    def _help(self, ui: DomWidgets) -> None:
+        help_panel.build_help(ui, help_columns(tool_keys(), on_page=True))

@@ -1,0 +1,282 @@
+"""`PageServer`: the server of a page: files, pictures, uploads and a websocket, behind a guard.
+
+It runs on a thread of its own; what browsers say is kept until the page asks.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import socket
+import threading
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from ...base.errors import RenderError
+from .compression import DEFLATE, CompressedResponses
+from .guard import Guard, is_loopback, make_token
+from .uploads import is_for_files, take_files
+
+LOOPBACK = "127.0.0.1"
+ANY_ADDRESS = ("", "0.0.0.0", "::")
+_FIRST_PORT, _MOST_PORTS = 8080, 100
+_BACKLOG = 128  # connections that wait to be accepted
+_LONGEST_MESSAGE = 2**20  # bytes; messages of browsers are much shorter
+_REQUEST_TIMEOUT = 10.0  # s for a connection's request
+_STATIC = Path(__file__).with_name("static")
+_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".jpg": "image/jpeg",
+    ".json": "application/json",
+}
+_SHARED = ("uploads.js", "uploads.css")  # of all pages
+
+Talk = Callable[[ServerConnection], Awaitable[None]]
+
+
+class Answer(NamedTuple):
+    """The body of an answer.
+
+    Attributes:
+        body: of it.
+        ending: `.html`, ..., which says its type.
+        is_kept: whether browsers may keep it, and ask whether it has changed.
+    """
+
+    body: bytes
+    ending: str
+    is_kept: bool = False
+
+
+class PageServer:
+    """Serves a page until it is closed.
+
+    Args:
+        page: HTML; a token is added to addresses of files in it.
+        files: of the page, by their name.
+        talk: is given every connection to the websocket at `socket_path`.
+        socket_path: of the websocket.
+        on_file: is given what was dropped on the page.
+        find: answers other paths, given path and query; None for one that is not there.
+        host: address to listen on.
+        port: 0 for the first free one from 8080 on.
+        token: whether the page's address contains a secret token; for other machines it always
+            does. A text is that token.
+
+    Attributes:
+        port: that it listens on.
+        address: IP address that it listens on.
+        token: in the page's address; None without.
+        guard: checks requests.
+
+    Raises:
+        RenderError: the page cannot be served there.
+    """
+
+    def __init__(
+        self,
+        page: str,
+        files: Mapping[str, bytes],
+        talk: Talk,
+        socket_path: str,
+        on_file: Callable[[Path], None],
+        *,
+        find: Callable[[str, str], Answer | None] = lambda path, query: None,
+        host: str = LOOPBACK,
+        port: int = 0,
+        token: bool | str = False,
+    ) -> None:
+        if not (isinstance(port, int) and 0 <= port < 65536):
+            raise RenderError(f"port {port!r}: expected a number from 1 to 65535, or 0 for any")
+        self.is_private = is_loopback(check_address(host))
+        self.token: str | None = None
+        if token or not self.is_private:
+            self.token = token if isinstance(token, str) else make_token()
+        self._socket = listen(host, port)
+        self.address, self.port = self._socket.getsockname()[:2]
+        self._host = host
+        self.guard = Guard(self.address, host, self.token)
+        own = {name: (_STATIC / name).read_bytes() for name in _SHARED}
+        self._files = {f"/{name}": body for name, body in {**own, **files}.items()}
+        query = "" if self.token is None else f"?token={self.token}"
+        for path in self._files:
+            page = page.replace(f'"{path}"', f'"{path}{query}"')
+        self._page = page.encode()
+        self._talk, self._path, self._on_file, self._find = talk, socket_path, on_file, find
+        self._compressed = CompressedResponses()
+        self._stop: asyncio.Event | None = None
+        self.loop: asyncio.AbstractEventLoop | None = None
+        self._is_serving = threading.Event()
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._serve()), name="sero-mj page", daemon=True
+        )
+        self._thread.start()
+        self._is_serving.wait()
+
+    @property
+    def url(self) -> str:
+        """Address of the page for browsers on this machine, with its token if it has one."""
+        return page_url(self._host, self.port, self.token)
+
+    @property
+    def urls(self) -> list[str]:
+        """All addresses of the page, including that for other machines if they can reach it."""
+        others = [page_url(socket.gethostname(), self.port, self.token)]
+        return [self.url] + others * (self._host in ANY_ADDRESS)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it serves."""
+        return self._thread.is_alive()
+
+    def call(self, act: Callable[[], object]) -> None:
+        """Lets the server's thread do something soon."""
+        if self.loop is not None:
+            with contextlib.suppress(RuntimeError):  # it has just ended
+                self.loop.call_soon_threadsafe(act)
+
+    def close(self) -> None:
+        """Ends the server and all connections."""
+        if self._stop is not None and self._thread.is_alive():
+            self.call(self._stop.set)
+        self._thread.join()
+        self._socket.close()
+
+    # ---- on the server's thread
+
+    async def _serve(self) -> None:
+        self._stop, self.loop = asyncio.Event(), asyncio.get_running_loop()
+        async with serve(
+            self._handle,
+            sock=self._socket,
+            max_size=_LONGEST_MESSAGE,
+            process_request=self._request,
+            process_response=self._response,
+            # A slow link takes any time for an answer, see `_Connection`.
+            open_timeout=None,
+            create_connection=_Connection,
+            extensions=[DEFLATE],
+            close_timeout=1.0,
+        ):
+            self._is_serving.set()
+            await self._stop.wait()
+
+    async def _handle(self, connection: ServerConnection) -> None:
+        if connection.request is not None and is_for_files(connection.request):
+            await take_files(connection, self._on_file)
+        else:
+            await self._talk(connection)
+
+    def _request(self, connection: ServerConnection, request: Request) -> Response | None:
+        refusal = self.guard.refusal(request)
+        path, _, query = request.path.partition("?")
+        if refusal is not None or path == self._path or is_for_files(request):
+            return refusal
+        found = self._answer(path, query)
+        if found is None:
+            return connection.respond(404, "no such page\n")
+        headers = Headers()
+        headers["Content-Type"] = _TYPES[found.ending]
+        headers["Content-Length"] = str(len(found.body))
+        if not found.is_kept:
+            headers["Cache-Control"] = "no-store"
+        return Response(200, "OK", headers, found.body)
+
+    def _answer(self, path: str, query: str) -> Answer | None:
+        if path in ("/", "/index.html"):
+            return Answer(self._page, ".html")
+        if path in self._files:
+            return Answer(self._files[path], Path(path).suffix, is_kept=True)
+        return self._find(path, query)
+
+    def _response(
+        self, connection: ServerConnection, request: Request, response: Response
+    ) -> Response | None:
+        self.guard.set_security_headers(request, response)
+        self._compressed.compress(request, response)
+        return None
+
+
+class _Connection(ServerConnection):
+    """A connection that may take any time to receive an answer, but not to send its request."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self.loop.call_later(_REQUEST_TIMEOUT, self._end_without_request)
+
+    def _end_without_request(self) -> None:
+        if self.request is None:
+            self.transport.abort()
+
+
+@functools.cache
+def static_text(name: str) -> str:
+    """Returns a file of this folder's pages."""
+    return (_STATIC / name).read_text("utf-8")
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Returns a socket that listens.
+
+    Args:
+        host: address.
+        port: 0 for the first free one from 8080 on.
+
+    Raises:
+        RenderError: there is none.
+    """
+    family, *_, address = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM,
+                                             flags=socket.AI_PASSIVE)[0]  # fmt: skip
+    wanted = [port] if port else range(_FIRST_PORT, _FIRST_PORT + _MOST_PORTS)
+    error: OSError | None = None
+    for number in wanted:
+        found = socket.socket(family, socket.SOCK_STREAM)
+        try:
+            found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            found.bind((address[0], number, *address[2:]))
+            # At once: until somebody listens, others can bind the same port.
+            found.listen(_BACKLOG)
+        except OSError as failure:
+            found.close()
+            error = failure
+        else:
+            return found
+    where = f"{host}:{port}" if port else host
+    assert error is not None
+    raise RenderError(f"no page at {where}: {error.strerror}") from error
+
+
+def check_address(host: str) -> str:
+    """Returns the IP address of a host name of this machine; raises RenderError if it has none."""
+    try:
+        family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, socket.SOCK_STREAM) as trial:
+            trial.bind(address)
+    except (OSError, UnicodeError) as error:
+        raise RenderError(
+            f"no page at {host!r}: this machine has no such address ({error}); "
+            f"{LOOPBACK} is for browsers here, 0.0.0.0 for those everywhere"
+        ) from error
+    return str(address[0])
+
+
+def page_url(address: str, port: int, token: str | None = None) -> str:
+    """Returns the address of a page for browsers on this machine.
+
+    Args:
+        address: IP address that the server listens on.
+        port: of the server.
+        token: of the page; None for none.
+    """
+    if address in (*ANY_ADDRESS, LOOPBACK, "::1"):
+        address = "localhost"
+    query = "" if token is None else f"?token={token}"
+    return f"http://{f'[{address}]' if ':' in address else address}:{port}/{query}"

@@ -1,0 +1,82 @@
+// Files that are dropped on the page, folders with all that is in them, are sent to its server.
+const CHUNK = 262144; // bytes
+const drops = { may: () => true, told: "" };
+drops.tell = function (text, isBad = true, seconds = 12) {
+  let box = document.getElementById("sero-told");
+  if (box === null) {
+    box = document.body.appendChild(document.createElement("div"));
+    box.id = "sero-told";
+  }
+  drops.told = box.textContent = text;
+  box.style.color = isBad ? "#ff8a73" : "#9fd8a4";
+  box.style.display = text === "" ? "none" : "block";
+  clearTimeout(drops.timer);
+  drops.timer = setTimeout(() => drops.tell(""), 1000 * seconds);
+};
+drops.show = function (isShown) {
+  let cover = document.getElementById("sero-drop");
+  if (cover === null) {
+    cover = document.body.appendChild(document.createElement("div"));
+    cover.id = "sero-drop";
+    cover.textContent = "drop to open";
+  }
+  cover.style.display = isShown ? "flex" : "none";
+};
+drops.inside = async function (entry) { // all files of a folder, or the file
+  if (entry.isFile) {
+    const file = await new Promise((done, failed) => entry.file(done, failed));
+    return [{ path: entry.fullPath.replace(/^\//, ""), file }];
+  }
+  const reader = entry.createReader(), found = [];
+  for (;;) { // a reader hands out some at a time
+    const some = await new Promise((done, failed) => reader.readEntries(done, failed));
+    if (some.length === 0) return found;
+    for (const each of some) found.push(...await drops.inside(each));
+  }
+};
+drops.send = async function (files) {
+  const url = new URL("/sero-mj/files" + location.search, location.href);
+  url.protocol = url.protocol.replace("http", "ws");
+  const line = new WebSocket(url);
+  line.onmessage = ({ data }) => {
+    const { error, opening } = JSON.parse(data);
+    if (error) drops.tell(error); else drops.tell(`opening ${opening} ...`, false, 4);
+    line.close();
+  };
+  await new Promise((done, failed) => { line.onopen = done; line.onerror = failed; });
+  line.send(JSON.stringify(files.map(({ path, file }) => ({ path, size: file.size }))));
+  for (const { file } of files) {
+    for (let at = 0; at < file.size; at += CHUNK) {
+      const part = await file.slice(at, at + CHUNK).arrayBuffer();
+      while (line.bufferedAmount > 16 * CHUNK) await new Promise(r => setTimeout(r, 5));
+      if (line.readyState !== WebSocket.OPEN) return;
+      line.send(part);
+    }
+  }
+};
+drops.take = async function (files) {
+  try {
+    await drops.send(files);
+  } catch (error) {
+    drops.tell(`the files could not be sent: ${error.message || "no connection"}`);
+  }
+};
+for (const kind of ["dragenter", "dragover", "dragleave", "drop"]) {
+  window.addEventListener(kind, async (event) => {
+    if (![...(event.dataTransfer?.types ?? [])].includes("Files")) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    drops.show(kind === "dragenter" || kind === "dragover");
+    if (kind !== "drop") return;
+    if (!drops.may()) return drops.tell("another browser has control of this page");
+    const items = [...event.dataTransfer.items].filter(({ kind }) => kind === "file");
+    const entries = items.map((item) => item.webkitGetAsEntry?.() ?? null);
+    const plain = items.map((item) => item.getAsFile()); // before the event is over
+    const files = [];
+    for (const [k, entry] of entries.entries()) {
+      if (entry !== null) files.push(...await drops.inside(entry));
+      else if (plain[k] !== null) files.push({ path: plain[k].name, file: plain[k] });
+    }
+    drops.take(files);
+  }, { capture: true });
+}
