@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from ..viewer.photo.camera_feed import CameraFeed, VideoFeed
     from ..viewer.session.live import LiveHost
     from ..viewer.session.recent_views import RecentView
-    from ..viewer.web.server import PageServer
     from ..viewer.session.view_state import ViewState
+    from ..viewer.web.server import PageServer
 
 _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"

@@ -32,14 +32,11 @@ class Font:
     Attributes:
         height: of a line, pixels.
         widths: of the characters 0 to 127, pixels.
-        anchor: point of a line at a label's position, as fractions of its width and height from
-            the lower left corner.
         has_columns: whether the host aligns the numbers of a panel, see `value_columns`.
     """
 
     height: int
     widths: Widths
-    anchor: tuple[float, float] = (0.0, 0.0)
     has_columns: bool = False
 
     @classmethod

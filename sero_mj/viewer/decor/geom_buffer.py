@@ -29,8 +29,7 @@ GEOM = np.dtype(
     }
 )  # fmt: skip
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
-MAX_GEOMS = 1024  # MuJoCo Studio's web viewer ignores geoms above this number
-CAPACITY = 4 * MAX_GEOMS  # for other hosts
+CAPACITY = 4096  # geoms of a frame
 # Both renderers of MuJoCo 4.0.0 draw an arrow half as long as its size[2] (glScalef by size[2] / 6
 # in render_gl3.c): a third of it shaft, a sixth head; verified by a test in a picture.
 ARROW_SIZE_OF_LENGTH = 2.0

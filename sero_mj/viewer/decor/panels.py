@@ -142,7 +142,6 @@ def draw_panels(
             buffer.items[first + start : first + stop] = group.items
         start = stop
     rows["rgba"][:, :3] += lighter * (1.0 - rows["rgba"][:, :3])
-    rows["rgba"][:, 3] = np.maximum(rows["rgba"][:, 3], view.least_alpha)
     rows["pos"] = view.at(centres, depth)
     rows["mat"] = view.facing
     pixel = view.pixel_size(depth)
@@ -179,10 +178,6 @@ def _draw_lines(
     labels = buffer.take(len(starts), int(mujoco.mjtGeom.mjGEOM_LABEL))
     if not len(labels):
         return
-    across, up = view.font.anchor
-    if across:
-        starts[:, 0] += across * view.font.line_widths(lines)
-    starts[:, 1] += up * view.font.height
     labels["pos"] = view.at(starts, depth - _TEXT_NEARER * view.near)
     labels["mat"] = view.facing
     labels["size"] = view.pixel_size(depth)

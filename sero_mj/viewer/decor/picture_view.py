@@ -34,7 +34,6 @@ class PictureView:
         font: of the host's labels.
         inset: margins of the picture that the host's own windows cover: left, bottom, right,
             top, pixels; panels are placed inside.
-        least_alpha: minimum opacity of panels, for a host that draws them more transparent.
     """
 
     position: Array
@@ -47,7 +46,6 @@ class PictureView:
     height: int
     font: Font = field(default=DEFAULT_FONT)
     inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    least_alpha: float = 0.0
 
     @classmethod
     def of_scene(
@@ -57,7 +55,6 @@ class PictureView:
         height: int,
         font: Font = DEFAULT_FONT,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
-        least_alpha: float = 0.0,
     ) -> PictureView:
         """Returns the view of an `MjvScene` that `mjv_updateScene` has filled.
 
@@ -67,7 +64,6 @@ class PictureView:
             height: of the picture, pixels.
             font: of the host's labels.
             inset: see the attributes.
-            least_alpha: see the attributes.
         """
         left, right = scene.camera[0], scene.camera[1]
         position = (np.array(left.pos, np.float64) + right.pos) / 2
@@ -85,7 +81,6 @@ class PictureView:
             height=height,
             font=font,
             inset=inset,
-            least_alpha=least_alpha,
         )
 
     @cached_property

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ...base.frames import Array
 from .axes import AXIS_RGB
 from .feature import Feature, Frame
-from .geom_buffer import ARROW_SIZE_OF_LENGTH, GREY, MAX_GEOMS, GeomBuffer, Kind
+from .geom_buffer import ARROW_SIZE_OF_LENGTH, GREY, GeomBuffer, Kind
 from .panels import Panels, labels_at
 from .ribbons import Ribbons, draw_ribbons
 
@@ -38,8 +38,8 @@ _STRAIGHT_LENGTH = 2.5  # of the radius, for the straight arrow of a prismatic j
 _Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # of the radius, and of the length
 DARKER = 0.4  # brightness of a straight arrow beyond its limit
 ARROW_GEOMS, _FEWEST_ARROW_GEOMS = 92, 10  # bounds of the geoms of an arrow
-_FEWEST_ON_PAGE = 6  # where pages show no more geoms than `MAX_GEOMS`
-_GEOMS_FOR_THE_REST = 60  # geoms reserved for legend, status, names and smart arrows
+_MOST_GEOMS = 2048  # of a frame, of which these are for legend, status, names and smart arrows
+_GEOMS_FOR_THE_REST = 60
 
 
 def arrow_widths(
@@ -176,14 +176,12 @@ class RoundArrows(Feature):
 
 
 def _budget(frame: Frame) -> int:
-    """Returns how many geoms an arrow may have, such that all fit into the host's capacity.
+    """Returns how many geoms an arrow may have, such that many joints do not slow pictures down.
 
     It depends on the toggles and not on the values, which would make arrows flicker.
     """
     of_cards = sum(2 + len(lines) for cards in frame.cards for lines in cards.texts)
     others = 3 * int(np.count_nonzero(frame.shown.axes)) + of_cards
-    is_page = len(frame.buffer.rows) <= MAX_GEOMS
-    room = (1 if is_page else 2) * MAX_GEOMS - _GEOMS_FOR_THE_REST - others
+    room = _MOST_GEOMS - _GEOMS_FOR_THE_REST - others
     budget = room // max(int(np.count_nonzero(frame.shown.arrows)), 1)
-    fewest = _FEWEST_ON_PAGE if is_page else _FEWEST_ARROW_GEOMS
-    return min(max(budget, fewest), frame.arrow_geoms)
+    return min(max(budget, _FEWEST_ARROW_GEOMS), frame.arrow_geoms)

@@ -9,14 +9,9 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Ints
-from ..decor.geom_buffer import GEOM
-from ..decor.scene_writer import struct_view
 from .model import shown_flexes
+from .model_decor import TENDON, ModelDecor
 from .packing import Parts, rounded
-
-_TENDON = int(mujoco.mjtObj.mjOBJ_TENDON)
-_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-_MOST_GEOMS = 2000  # of tendons, of a frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,35 +60,15 @@ class SoftCollector:
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
         self._flexes = flex_vertices(model)
-        self._scene: mujoco.MjvScene | None = None
-        if (model.ntendon and (model.tendon_width > 0).any()) or model.nwrap:
-            self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + _MOST_GEOMS)
-            self._option, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()
-            self._option.geomgroup[:] = self._option.sitegroup[:] = 0
-            self._option.flags[mujoco.mjtVisFlag.mjVIS_SKIN] = 0
+        self._decor = ModelDecor(model)
         self._vertices: list[Array] = []
         self._tendons: list[np.ndarray] = []
 
     def take(self, data: mujoco.MjData) -> None:
         """Takes the frame that a state is in, with everything up to date that is drawn of it."""
         self._vertices.append(data.flexvert_xpos[self._flexes].copy())
-        self._tendons.append(self._drawn(data))
-
-    def _drawn(self, data: mujoco.MjData) -> np.ndarray:
-        """The capsules of all tendons, `GEOM`."""
-        scene = self._scene
-        if scene is None:
-            return np.zeros(0, GEOM)
-        everything = int(mujoco.mjtCatBit.mjCAT_ALL)
-        mujoco.mjv_updateScene(
-            self._model, data, self._option, None, self._camera, everything, scene
-        )
-        rows = struct_view(scene)
-        if rows is None:
-            return np.zeros(0, GEOM)
-        rows = rows[: scene.ngeom]
-        found: np.ndarray = rows[(rows["objtype"] == _TENDON) & (rows["type"] == _CAPSULE)].copy()
-        return found
+        rows = self._decor.rows(data)
+        self._tendons.append(rows[rows["objtype"] == TENDON])
 
     def result(self) -> Soft:
         """Returns all frames; each piece of a tendon has a place of its own."""

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 import mujoco
 
-from ...base.errors import RenderError, UsageError, did_you_mean
+from ...base.errors import UsageError, did_you_mean
 from ...data.drive.mirror import LiveWorld, Mirror
 from ...load import load_scene
 from ...robots.assemble.world_view import WorldView

@@ -156,5 +156,3 @@ class _Browser:
                     await self._connection.send(message)
         except ConnectionClosed:
             return
-
-

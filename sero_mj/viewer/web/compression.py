@@ -1,8 +1,4 @@
-"""Compression of what the page's server sends, so that the page works over slow links.
-
-Studio sends files, models and states as they are: 9 MB before the first picture, and 27 to 56 kB a
-state for one LWR. Compressed it is 3 MB, and a sixth a state.
-"""
+"""Compression of what the page's server sends, so that the page works over slow links."""
 
 from __future__ import annotations
 

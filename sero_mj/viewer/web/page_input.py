@@ -70,6 +70,7 @@ class PageInput:
             except (KeyError, TypeError, ValueError, OverflowError):
                 self.wrong += 1
                 log.debug("a page's message is wrong: %.200r", each)
+
     def point(self) -> None:
         """Names what is under the pointer, and lights the handle there."""
         host, is_free = self._host, not (self._mouse.is_down or self._host.shows_help)
@@ -121,9 +122,7 @@ class PageInput:
         self.under = at if self._is_inside(at) else None
         control = bool(said.get("ctrl"))
         shift = bool(said.get("shift")) or control
-        event = Event(
-            kind, *at, time.monotonic(), button, shift=shift, control=control
-        )
+        event = Event(kind, *at, time.monotonic(), button, shift=shift, control=control)
         found = self._mouse.take(event)
         if isinstance(found, Clicked):
             self._click(found)

@@ -11,7 +11,7 @@ from ..panels.dom_widgets import DomWidgets, Node
 from ..panels.time_line import build_time_line
 from ..session.interaction import help_columns
 from ..session.status_line import Piece
-from ..session.tool import tool_keys
+from ..session.tool import Tool, tool_keys
 from .sections import Sections
 
 if TYPE_CHECKING:
@@ -78,31 +78,16 @@ class PagePanels:
         put("status", [list(piece) for piece in pieces])
         self._put_tree("panel", self.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
         wide = width / _EM
-        line = lambda ui: build_time_line(ui, host.clock, host.ticks)  # noqa: E731
-        self._put_tree("timeLine", host.has_time_line, line, (wide, 2.0))
+        self._put_tree("timeLine", host.has_time_line, self._time_line, (wide, 2.0))
         size = (min(help_panel.WIDTH, wide - 2), _TALL)
         self._put_tree("help", host.shows_help, self._help, size)
         room = min(_AREA_WIDTH, wide), min(_AREA_HEIGHT, 0.6 * height / _EM)
-        put(
-            "areas",
-            [
-                {
-                    "title": tool.area,
-                    "name": tool.area,
-                    "nodes": self._nodes(
-                        f"area:{tool.area}",
-                        lambda ui, tool=tool: host.tools.call(tool, lambda t: t.build_area(ui)),
-                        room,
-                    ),
-                }
-                for tool in host.areas
-            ],
-        )
+        put("areas", [self._area(tool, room) for tool in host.areas])
 
     def _put_tree(
         self,
         name: str,
-        is_shown: bool,  # noqa: FBT001
+        is_shown: bool,
         build: Callable[[DomWidgets], object],
         size: tuple[float, float],
     ) -> None:
@@ -116,8 +101,18 @@ class PagePanels:
         ui = self._trees[name]
         return ui.tree_of(lambda: build(ui), size)
 
+    def _area(self, tool: Tool, size: tuple[float, float]) -> Node:
+        def build(ui: DomWidgets) -> None:
+            self._host.tools.call(tool, lambda each: each.build_area(ui))
+
+        nodes = self._nodes(f"area:{tool.area}", build, size)
+        return {"title": tool.area, "name": tool.area, "nodes": nodes}
+
     def _panel(self, ui: DomWidgets) -> None:
         self._host.build_panel(ui, unfolds_sources=True)
+
+    def _time_line(self, ui: DomWidgets) -> None:
+        build_time_line(ui, self._host.clock, self._host.ticks)
 
     def _help(self, ui: DomWidgets) -> None:
         help_panel.build_help(ui, help_columns(tool_keys(), on_page=True))

@@ -24,9 +24,9 @@ from ..player.capture import capture_pose, line_text, player_geoms, shown_bodies
 from ..player.encode import METRE_STEP, ROTATION_STEP, arrow_looks, encode
 from ..player.items import poses
 from ..player.labels import LabelCollector
+from ..player.model_decor import ModelDecor
 from ..player.soft import flex_vertices
 from ..session.scene_decor import SceneDecor
-from .model_decor import ModelDecor
 from .sections import Sections
 
 _KEYS = ["joint_angles"]  # values of joints that the page computes with
@@ -116,7 +116,7 @@ class PageState:
             put("hover", None)
         put("selected", -1 if frame.toggles.selected is None else int(frame.toggles.selected))
         self._put_bodies(data, frame.buffer)
-        rows = self._of_model.rows(data, frame.toggles)
+        rows = self._of_model.rows(data)
         self._put_geoms(frame.buffer, rows)
         notes = [each for each in decor.panels if not each.in_front]  # of stale data
         self._put_labels(frame, rows, [*self._beside, *notes])
@@ -155,7 +155,11 @@ class PageState:
                 found.append((text, self._in_world(frame.view, centre), panels.kind, int(item)))
         self._sections.put(
             "labels",
-            [[text, *_rounded(place), int(kind), item] for text, place, kind, item in found if text],
+            [
+                [text, *_rounded(place), int(kind), item]
+                for text, place, kind, item in found
+                if text
+            ],
         )
 
     def _put_bodies(self, data: mujoco.MjData, buffer: GeomBuffer) -> None:
@@ -188,9 +192,8 @@ class PageState:
         quats = np.empty((len(rows), 4))
         for quat, mat in zip(quats, state.site_xmat[rows].reshape(-1, 9), strict=True):
             mujoco.mju_mat2Quat(quat, mat)
-        return state.site_xpos[rows].astype(np.float32).tobytes() + quats.astype(
-            np.float32
-        ).tobytes()
+        poses = [state.site_xpos[rows], quats]
+        return b"".join(each.astype(np.float32).tobytes() for each in poses)
 
     def _cards_of(self, frame: Frame, cards: Cards) -> list[dict[str, Any]]:
         """What the page shows of cards: text, the place in the world, and how important it is."""
@@ -229,7 +232,7 @@ def card_lines(texts: list[bytes]) -> tuple[str, list[list[str]]]:
     title, lines = "", []
     for number, text in enumerate(texts):
         words = _WORDS.split(line_text(text).strip())
-        if number == 0 and len(words) > 1 or len(texts) > 1 and number == 0:
+        if number == 0 and max(len(words), len(texts)) > 1:
             title = words.pop(0)
         if words:
             lines.append([" ".join(words[:-1]), words[-1]])

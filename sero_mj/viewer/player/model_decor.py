@@ -1,4 +1,4 @@
-"""`ModelDecor`: what MuJoCo draws of a model besides its surfaces, as geoms for a page.
+"""`ModelDecor`: what MuJoCo draws of a model besides its surfaces, as geoms for a player.
 
 Tendons always; contacts, inertias, joints and names where a view asks for them.
 """
@@ -10,11 +10,9 @@ import numpy as np
 
 from ..decor.geom_buffer import GEOM
 from ..decor.scene_writer import struct_view
-from ..decor.toggles import Toggles
 
-_TENDON = int(mujoco.mjtObj.mjOBJ_TENDON)
+TENDON = int(mujoco.mjtObj.mjOBJ_TENDON)
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-_LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
 _ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
 _MOST_GEOMS = 4000  # besides those of the model
@@ -29,17 +27,15 @@ class ModelDecor:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
-        self._has_tendons = bool(model.ntendon)
+        self._has_tendons = bool((model.ntendon and (model.tendon_width > 0).any()) or model.nwrap)
         self._scene: mujoco.MjvScene | None = None
-        self._camera = mujoco.MjvCamera()
-        self._option = mujoco.MjvOption()
+        self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
 
-    def rows(self, data: mujoco.MjData, toggles: Toggles) -> np.ndarray:
+    def rows(self, data: mujoco.MjData) -> np.ndarray:
         """Returns geoms that are not surfaces, (k,) of `GEOM`.
 
         Args:
-            data: the state, with frames up to date.
-            toggles: what is shown.
+            data: the state, with everything up to date that is drawn of it.
         """
         if not self._has_tendons:
             return np.zeros(0, GEOM)
@@ -52,6 +48,6 @@ class ModelDecor:
         if rows is None:
             return np.zeros(0, GEOM)
         rows = rows[: scene.ngeom]
-        is_tendon = (rows["objtype"] == _TENDON) & (rows["type"] == _CAPSULE)
+        is_tendon = (rows["objtype"] == TENDON) & (rows["type"] == _CAPSULE)
         kept: np.ndarray = rows[is_tendon | (rows["category"] == _DECOR)].copy()
         return kept

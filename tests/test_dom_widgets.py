@@ -1,0 +1,189 @@
+"""Panels as trees of nodes: what is built, and what a user did comes back to who built it."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sero_mj.viewer.panels.dom_widgets import DomWidgets
+from sero_mj.viewer.panels.widgets import Line, Plot, Widgets
+
+SIZE = (20.0, 10.0)
+
+
+@pytest.fixture
+def ui() -> DomWidgets:
+    return DomWidgets(lambda text: None)
+
+
+def test_it_has_all_that_panels_are_made_of(ui: DomWidgets) -> None:
+    widgets: Widgets = ui  # as mypy checks it
+    assert widgets is ui
+
+
+def test_sections_nodes_and_tables_hold_what_is_built_in_them(ui: DomWidgets) -> None:
+    def build() -> None:
+        if ui.header("One", is_open=True):
+            ui.text("in one", "bad")
+            if ui.tree("inner"):
+                raise AssertionError("it is folded")
+        if ui.header("Two"):
+            raise AssertionError("it is folded")
+        if ui.header("Three###third", is_open=True) and ui.table("##t", (0, 3.5)):
+            for name in "ab":
+                ui.row()
+                ui.cell()
+                ui.label(name)
+                ui.cell()
+                ui.button(f"go##{name}")
+            ui.end_table()
+            ui.text("behind the table")
+
+    one, two, three = ui.tree_of(build, SIZE)
+    assert (one["k"], one["s"], one["open"]) == ("header", "One", True)
+    assert one["nodes"][0] == {"k": "text", "s": "in one", "mood": "bad"}
+    assert (one["nodes"][1]["k"], one["nodes"][1]["open"]) == ("tree", False)
+    assert (two["open"], two["nodes"]) == (False, [])
+    assert (three["s"], three["id"]) == ("Three", "third")
+    table, text = three["nodes"]
+    assert [[cell[0]["k"] for cell in row] for row in table["rows"]] == [["label", "button"]] * 2
+    assert table["widths"] == [0, 3.5]
+    assert text["s"] == "behind the table"
+    ui.fold("Two", is_open=True)
+    ui.fold("One", is_open=False)
+    opened = []
+
+    def build_again() -> None:
+        opened.extend([ui.header("One", is_open=True), ui.header("Two")])
+
+    ui.tree_of(build_again, SIZE)
+    assert opened == [False, True]
+
+
+def test_what_a_user_did_is_returned_once_by_its_widget_only(ui: DomWidgets) -> None:
+    found: list[Any] = []
+
+    def build() -> None:
+        ui.tree("robot")
+        ui.scope("s")
+        found.append(
+            (
+                ui.button("go"),
+                ui.button("go"),
+                ui.check("on", is_on=False),
+                ui.choose("##kind", 0, ["a", "b"]),
+                ui.slide("q", 1.0, -2.0, 2.0, "%.1f deg"),
+                ui.number("n", 0.5, "x %.2f"),
+                ui.search("find", "", "search"),
+                ui.select("A1", is_lit=True),
+            )
+        )
+        ui.end_scope()
+        ui.end_tree()
+
+    ui.fold("robot", is_open=True)
+    nodes = ui.tree_of(build, SIZE)[0]["nodes"]
+    nothing = (False, False, (False, False), (False, 0), (False, 1.0), (False, 0.5), "", False)
+    assert found == [nothing]
+    ids = [node["id"] for node in nodes]
+    assert len(set(ids)) == len(ids)  # also of two with the same label
+    assert [node.get("text") for node in nodes[4:6]] == ["1.0 deg", "x 0.50"]
+    assert nodes[3]["aria"] == "kind"
+    for id_, value in zip(ids[1:], [True, True, 1, 9.0, -3, "A", True], strict=True):
+        ui.act(id_, value)
+    assert ui.is_asked
+    ui.tree_of(build, SIZE)
+    assert found[1] == (False, True, (True, True), (True, 1), (True, 2.0), (True, -3.0), "A", True)
+    ui.tree_of(build, SIZE)
+    assert found[2] == nothing
+    assert not ui.is_asked
+
+
+def test_what_takes_no_input_takes_none(ui: DomWidgets) -> None:
+    def build() -> bool:
+        ui.disable(is_off=True)
+        ui.disable(is_off=False)
+        pressed = ui.button("go")
+        ui.enable()
+        ui.enable()
+        return pressed
+
+    pressed: list[bool] = []
+    ui.act("go", True)
+    (node,) = ui.tree_of(lambda: pressed.append(build()), SIZE)
+    assert (node["off"], pressed) == (True, [False])
+
+
+def test_what_was_done_to_a_widget_that_is_gone_is_not_kept_for_its_return(ui: DomWidgets) -> None:
+    ui.act("go", True)
+    ui.tree_of(lambda: ui.text("nothing else"), SIZE)
+    pressed: list[bool] = []
+    ui.tree_of(lambda: pressed.append(ui.button("go")), SIZE)
+    assert pressed == [False]
+
+
+def test_places_and_tips_belong_to_the_widgets_they_are_given_for(ui: DomWidgets) -> None:
+    def build() -> None:
+        ui.width(0.0)
+        ui.button("a", 3.0)
+        ui.same_line(left=9.0)
+        ui.text("b")
+        ui.tip("about b")
+        ui.same_line(gap=2.0)
+        ui.label("c")
+
+    a, b, c = ui.tree_of(build, SIZE)
+    assert a["width"] == 3.0
+    assert "same" not in a
+    assert (b["same"], b["left"], b["tip"]) == (-1.0, 9.0, "about b")
+    assert (c["same"], "tip" in c) == (2.0, False)
+    assert ui.room() == SIZE
+
+
+def test_plots_have_gaps_and_only_finite_limits(ui: DomWidgets) -> None:
+    line = Line("msr", (1.0, 0.5, 0.0), np.array([0.0, 0.123456789]), np.array([np.nan, -1e-9]))
+    plot = Plot("s", "torque [Nm]", [line], (-20.0, 0.0), (-1.0, 1.0), (np.inf, -np.inf))
+    (node,) = ui.tree_of(lambda: ui.plot(plot, 8.0), SIZE)
+    assert node["limits"] == []
+    assert node["lines"][0] == {
+        "name": "msr", "rgb": (1.0, 0.5, 0.0), "x": [0.0, 0.12346], "y": [None, -1e-9],
+    }  # fmt: skip
+    assert node["height"] == 8.0
+    json.dumps(node, allow_nan=False)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=9),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner),
+    max_leaves=5,
+)
+
+
+@given(value=JSON)
+def test_whatever_a_browser_says_a_widget_returns_values_of_its_kind(value: Any) -> None:
+    ui = DomWidgets(lambda text: None)
+    found: list[Any] = []
+
+    def build() -> None:
+        found.extend([
+            ui.check("check", is_on=True), ui.choose("choose", 1, ["a", "b"]),
+            ui.slide("slide", 0.0, -1.0, 1.0, ""), ui.number("number", 0.0, "%.1f"),
+            ui.search("search", "x", ""), ui.button("button"),
+        ])  # fmt: skip
+
+    for label in ("check", "choose", "slide", "number", "search", "button"):
+        ui.act(label, value)
+    nodes = ui.tree_of(build, SIZE)
+    json.dumps(nodes, allow_nan=False)
+    (_, is_on), (_, index), (_, slid), (_, typed), text, pressed = found
+    assert isinstance(is_on, bool)
+    assert index in (0, 1)
+    assert -1.0 <= slid <= 1.0
+    assert np.isfinite(typed)
+    assert isinstance(text, str)
+    assert isinstance(pressed, bool)

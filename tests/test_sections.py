@@ -1,0 +1,88 @@
+"""The state of a page in sections: a browser misses states, and never the last of a section."""
+
+from __future__ import annotations
+
+import json
+import random
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sero_mj.viewer.web.sections import Sections, message_of
+
+
+def read(message: bytes) -> dict[str, Any]:
+    """The sections of a message, as the page's script reads them."""
+    (length,) = struct.unpack_from("<I", message)
+    head = json.loads(message[4 : 4 + length])
+    assert (4 + length) % 4 == 0
+    found: dict[str, Any] = dict(head["json"])
+    at = 4 + length
+    for name, size in head["bytes"]:
+        assert at % 4 == 0
+        found[name] = message[at : at + size]
+        at += -(-size // 4) * 4
+    assert at == len(message)
+    return found
+
+
+def test_a_message_has_what_changed_and_the_next_one_nothing() -> None:
+    sections = Sections()
+    assert sections.since(0) == (None, 0)
+    sections.put("time", 1.5)
+    sections.put("poses", np.arange(3, dtype=np.float32))
+    message, seen = sections.since(0)
+    assert message is not None
+    assert read(message) == {"time": 1.5, "poses": np.arange(3, dtype=np.float32).tobytes()}
+    assert sections.since(seen) == (None, seen)
+    sections.put("time", 1.5)  # as it was
+    assert sections.since(seen) == (None, seen)
+    sections.put("time", 2.0)
+    sections.put("name", '</script>"\u2028')
+    message, _ = sections.since(seen)
+    assert message is not None
+    assert read(message) == {"time": 2.0, "name": '</script>"\u2028'}
+
+
+def test_numbers_that_json_has_not_are_refused() -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        Sections().put("time", float("nan"))
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from("abcd"), st.binary(max_size=9) | st.integers() | st.text()),
+        max_size=40,
+    ),
+    st.integers(0, 2**32),
+)
+def test_who_looks_now_and_then_has_everything_in_the_end(
+    changes: list[tuple[str, Any]], seed: int
+) -> None:
+    sections, chance = Sections(), random.Random(seed)
+    lookers: list[tuple[dict[str, Any], int]] = [({}, 0) for _ in range(3)]
+    expected: dict[str, Any] = {}
+
+    def look(k: int) -> None:
+        found, seen = lookers[k]
+        message, seen = sections.since(seen)
+        if message is not None:
+            found.update(read(message))
+        lookers[k] = found, seen
+
+    for name, value in changes:
+        sections.put(name, value)
+        expected[name] = value
+        if chance.random() < 0.5:
+            look(chance.randrange(3))
+    for k in range(3):
+        look(k)
+        assert lookers[k][0] == expected
+
+
+def test_a_message_without_sections_is_one() -> None:
+    assert read(message_of({})) == {}
