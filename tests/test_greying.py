@@ -5,11 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from sero_mj.viewer.web.studio_decor import Greying, greyed
 
 from sero_mj import World
 from sero_mj.load import load_scene
 from sero_mj.viewer.decor.geom_buffer import GREY
-from sero_mj.viewer.web.studio_decor import Greying, greyed
 
 
 def test_greyed_models_differ_in_colour_only() -> None:

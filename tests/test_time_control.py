@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 from mujoco.studio import messages, sim
+from sero_mj.viewer.web.studio_controls import TimeControl
 
 from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver
 from sero_mj.load import load_scene
 from sero_mj.viewer.decor.staleness import NO_DATA_YET, Staleness
 from sero_mj.viewer.session.clock import Clock
-from sero_mj.viewer.web.studio_controls import TimeControl
 
 
 class Handle:

@@ -11,6 +11,13 @@ import mujoco
 import numpy as np
 import pytest
 from mujoco.studio.web import state_payload
+from sero_mj.viewer.web.studio import (
+    _DISCONNECT_FILTER,
+    ChangesOnlyServer,
+    ThrottledUi,
+    read_page,
+    with_head,
+)
 from websockets.exceptions import ConnectionClosedError
 
 from sero_mj.base.errors import DeclarationError, RenderError, UsageError
@@ -26,13 +33,6 @@ from sero_mj.viewer.session.tool import tool_keys
 from sero_mj.viewer.web import studio_controls
 from sero_mj.viewer.web.guard import Guard
 from sero_mj.viewer.web.host import check_address, page_url
-from sero_mj.viewer.web.studio import (
-    _DISCONNECT_FILTER,
-    ChangesOnlyServer,
-    ThrottledUi,
-    read_page,
-    with_head,
-)
 
 
 def test_the_page_takes_every_geom_of_the_budget() -> None:
