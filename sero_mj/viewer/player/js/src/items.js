@@ -1,17 +1,16 @@
-/** Decor that is stored geom by geom: smart arrows, axes and what other packages draw. */
+/** Decor that is drawn geom by geom: smart arrows, axes and what other packages draw. */
 
 import * as THREE from "three";
 import { stretch, tube } from "./tubes.js";
 
-/** @typedef {import("./data.js").Run} Run */
+/** @typedef {import("./geoms.js").Geoms} Geoms */
 
 // mjtGeom
 const SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5, BOX = 6;
 const ARROW = 100, ARROW1 = 101, ARROW2 = 102, LINE = 103, LINEBOX = 104, TRIANGLE = 108;
-const ARROWS = [1, 5]; // kinds of joints' arrows and smart arrows, `Kind` in Python
+const VECTOR = 5; // kind of smart arrows, `Kind` in Python
 const UP = Math.PI / 2;
-const GLOW = 0.35; // emission of decor that does not say otherwise
-const LIT = 0.45 / GLOW; // as bright as round arrows, also where no lamp is
+const LIT = 0.45 / 0.35; // emission times this is as bright as round arrows, also where no lamp is
 
 /** @typedef {(size: number[]) => [number[], number]} Scale scale, and offset along z */
 /** @typedef {[THREE.BufferGeometry, Scale]} Shape */
@@ -65,7 +64,21 @@ const LINES = {
 
 /** Lets y lean towards x. @param {THREE.Matrix4} matrix @param {number} share of x */
 function lean({ elements }, share) {
-  for (const c of [0, 1, 2]) elements[4 + c] += share * elements[c];
+  for (let c = 0; c < 3; c++) elements[4 + c] += share * elements[c];
+}
+
+// What every geom is computed with.
+const turn = new THREE.Quaternion(), at = new THREE.Vector3(), own = new THREE.Vector3();
+const matrix = new THREE.Matrix4(), scaled = new THREE.Vector3(), colour = new THREE.Color();
+/** @type {number[]} */
+const size = [0, 0, 0];
+
+/** Reads pose, size and colour of a geom. @param {Geoms} geoms @param {number} k */
+function read({ positions, rotations, sizes, rgba }, k) {
+  turn.set(rotations[4 * k + 1], rotations[4 * k + 2], rotations[4 * k + 3], rotations[4 * k]).normalize();
+  at.fromArray(positions, 3 * k);
+  for (let c = 0; c < 3; c++) size[c] = sizes[3 * k + c];
+  colour.setRGB(rgba[4 * k] / 255, rgba[4 * k + 1] / 255, rgba[4 * k + 2] / 255);
 }
 
 /** The material of a type of geoms. @param {number} type @param {boolean} isTransparent */
@@ -85,110 +98,159 @@ function materialOf(type, isTransparent) {
   return material;
 }
 
-/** All of it, one mesh for each shape. */
-export class Items {
-  /** @param {Run} run */
-  constructor(run) {
-    this.run = run;
-    this.group = new THREE.Group();
-    /** Where each kind and item is, for cards. @type {Map<string, THREE.Vector3>} */
-    this.places = new Map();
-    /** @type {{mesh: THREE.InstancedMesh, of: number[], scale: Scale, look: THREE.InstancedBufferAttribute}[]} */
-    this.meshes = [];
-    /** @type {{mesh: THREE.LineSegments, of: number[]}[]} */
-    this.lines = [];
-    const types = new Set(run.items.of.map((/** @type {number[]} */ each) => each[2]));
-    for (const type of types) {
-      const of = [...run.items.of.keys()].filter((k) => run.items.of[k][2] === type);
-      if (LINES[type]) this.#addLines(type, of);
-      for (const [shape, scale] of SHAPES[type]?.() ?? []) {
-        const look = new THREE.InstancedBufferAttribute(new Float32Array(2 * of.length), 2);
-        shape.setAttribute("look", look);
-        const mesh = new THREE.InstancedMesh(shape, materialOf(type, this.#isFaint(of)), of.length);
-        mesh.frustumCulled = false;
-        this.group.add(mesh);
-        this.meshes.push({ mesh, of, scale, look });
-      }
-    }
+/** A mesh that shows geoms of one type by one of its shapes; it grows with their number. */
+class Solids {
+  /** @param {number} type @param {boolean} isFaint @param {Shape} shape @param {THREE.Group} group */
+  constructor(type, isFaint, [shape, scale], group) {
+    this.type = type;
+    this.shape = shape;
+    this.scale = scale;
+    this.group = group;
+    this.material = materialOf(type, isFaint);
+    this.capacity = 0;
+    this.look = new THREE.InstancedBufferAttribute(new Float32Array(0), 2);
+    this.mesh = this.#make(4);
+    /** Which geoms its instances are. @type {number[]} */
+    this.shown = [];
   }
 
-  /** Whether one of these is ever transparent. @param {number[]} of */
-  #isFaint(of) {
-    const { items: { colours }, frames } = this.run;
-    return of.some((k) => colours?.subarray((4 * k + 3) * frames, (4 * k + 4) * frames)
-      .some((/** @type {number} */ alpha) => alpha > 0 && alpha < 0.995));
-  }
-
-  /** @param {number} type @param {number[]} of */
-  #addLines(type, of) {
-    const corners = LINES[type].length * of.length, shape = new THREE.BufferGeometry();
-    shape.setAttribute("position", new THREE.BufferAttribute(new Float32Array(corners), 3));
-    shape.setAttribute("color", new THREE.BufferAttribute(new Float32Array(corners), 3));
-    const mesh = new THREE.LineSegments(shape, new THREE.LineBasicMaterial({ vertexColors: true }));
+  /** @param {number} capacity */
+  #make(capacity) {
+    this.capacity = capacity;
+    this.look = new THREE.InstancedBufferAttribute(new Float32Array(2 * capacity), 2);
+    this.shape.setAttribute("look", this.look);
+    const mesh = new THREE.InstancedMesh(this.shape, this.material, capacity);
+    mesh.setColorAt(0, colour);
     mesh.frustumCulled = false;
     this.group.add(mesh);
-    this.lines.push({ mesh, of });
+    return mesh;
   }
 
-  /** Places it. @param {number} frame @param {boolean} hasArrows whether arrows are on */
-  place(frame, hasArrows) {
-    const { items, frames } = this.run, { visible, positions, rotations, sizes, colours } = items;
-    if (!visible || !positions || !rotations || !sizes || !colours) return;
-    const turn = new THREE.Quaternion(), at = new THREE.Vector3(), matrix = new THREE.Matrix4();
-    const own = new THREE.Vector3(), scaled = new THREE.Vector3(), colour = new THREE.Color();
-    /** @param {Float32Array} of @param {number} channel */
-    const read = (of, channel) => of[channel * frames + frame];
-    this.places.clear();
-    /** @param {number} k */
-    const isSeen = (k) => read(visible, k) > 0.5 && (hasArrows || !ARROWS.includes(items.of[k][0]));
-    /** @param {number} k */
-    const pose = (k) => {
-      turn.set(read(rotations, 4 * k + 1), read(rotations, 4 * k + 2),
-        read(rotations, 4 * k + 3), read(rotations, 4 * k)).normalize();
-      at.set(read(positions, 3 * k), read(positions, 3 * k + 1), read(positions, 3 * k + 2));
-      return [0, 1, 2].map((c) => read(sizes, 3 * k + c));
-    };
-    for (const { mesh, of, scale, look } of this.meshes) {
-      of.forEach((k, i) => {
-        const isShown = isSeen(k), size = pose(k), [factors, offset] = scale(size);
-        own.set(0, 0, offset).applyQuaternion(turn).add(at);
-        scaled.fromArray(factors).multiplyScalar(isShown ? 1 : 0);
-        matrix.compose(own, turn, scaled);
-        if (items.of[k][2] === TRIANGLE) lean(matrix, size[2] / (size[0] || 1));
-        mesh.setMatrixAt(i, matrix);
-        mesh.setColorAt(i, colour.setRGB(
-          read(colours, 4 * k), read(colours, 4 * k + 1), read(colours, 4 * k + 2)));
-        look.setXY(i, read(colours, 4 * k + 3), Math.min(LIT * (items.glow?.[k] ?? GLOW), 1));
-        const key = `${items.of[k][0]} ${items.of[k][1]}`;
-        if (isShown && !this.places.has(key)) this.places.set(key, own.clone());
-      });
-      mesh.instanceMatrix.needsUpdate = look.needsUpdate = true;
-      if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
+  /**
+   * @param {Geoms} geoms @param {number[]} shown which of them
+   * @param {Map<string, THREE.Vector3>} places of smart arrows
+   */
+  place(geoms, shown, places) {
+    this.shown = shown;
+    if (shown.length > this.capacity) {
+      this.group.remove(this.mesh);
+      this.mesh.dispose();
+      this.shape.dispose(); // with the old instances' numbers
+      this.mesh = this.#make(2 * shown.length);
     }
-    for (const { mesh, of } of this.lines) {
-      const { position, color } = mesh.geometry.attributes, count = position.count / of.length;
-      of.forEach((k, i) => {
-        const type = items.of[k][2], isShown = isSeen(k), size = pose(k);
-        if (type === LINE) size[0] = size[1] = 1;
-        colour.setRGB(read(colours, 4 * k), read(colours, 4 * k + 1), read(colours, 4 * k + 2));
-        for (let c = 0; c < count; c++) {
-          own.fromArray(LINES[type], 3 * c).multiply(scaled.fromArray(size));
-          own.multiplyScalar(isShown ? 1 : 0).applyQuaternion(turn).add(at);
-          position.setXYZ(count * i + c, own.x, own.y, own.z);
-          color.setXYZ(count * i + c, colour.r, colour.g, colour.b);
-        }
-      });
-      position.needsUpdate = color.needsUpdate = true;
+    const { mesh, look, scale, type } = this;
+    mesh.count = shown.length;
+    if (!shown.length) return;
+    shown.forEach((k, i) => {
+      read(geoms, k);
+      const [factors, offset] = scale(size);
+      own.set(0, 0, offset).applyQuaternion(turn).add(at);
+      matrix.compose(own, turn, scaled.fromArray(factors));
+      if (type === TRIANGLE) lean(matrix, size[2] / (size[0] || 1));
+      mesh.setMatrixAt(i, matrix);
+      mesh.setColorAt(i, colour);
+      look.setXY(i, geoms.rgba[4 * k + 3] / 255, Math.min(LIT * geoms.emission[k], 1));
+      if (geoms.of[3 * k] !== VECTOR) return;
+      const key = `${VECTOR} ${geoms.of[3 * k + 1]}`;
+      if (!places.has(key)) places.set(key, own.clone());
+    });
+    mesh.instanceMatrix.needsUpdate = look.needsUpdate = true;
+    if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
+  }
+}
+
+/** Lines that show geoms of one type. */
+class Lines {
+  /** @param {number} type @param {THREE.Group} group */
+  constructor(type, group) {
+    this.type = type;
+    this.corners = LINES[type];
+    this.mesh = new THREE.LineSegments(new THREE.BufferGeometry(),
+      new THREE.LineBasicMaterial({ vertexColors: true }));
+    this.mesh.frustumCulled = false;
+    this.capacity = 0;
+    group.add(this.mesh);
+  }
+
+  /** @param {number} capacity */
+  #make(capacity) {
+    this.capacity = capacity;
+    this.mesh.geometry.dispose();
+    this.mesh.geometry = new THREE.BufferGeometry();
+    for (const name of ["position", "color"]) {
+      const numbers = new Float32Array(this.corners.length * capacity);
+      this.mesh.geometry.setAttribute(name, new THREE.BufferAttribute(numbers, 3));
+    }
+  }
+
+  /** @param {Geoms} geoms @param {number[]} shown which of them */
+  place(geoms, shown) {
+    if (shown.length > this.capacity) this.#make(2 * shown.length);
+    const { geometry } = this.mesh, { position, color } = geometry.attributes, count = this.corners.length / 3;
+    this.mesh.visible = shown.length > 0;
+    if (!shown.length) return;
+    geometry.setDrawRange(0, count * shown.length);
+    shown.forEach((k, i) => {
+      read(geoms, k);
+      if (this.type === LINE) size[0] = size[1] = 1;
+      for (let c = 0; c < count; c++) {
+        own.fromArray(this.corners, 3 * c).multiply(scaled.fromArray(size));
+        own.applyQuaternion(turn).add(at);
+        position.setXYZ(count * i + c, own.x, own.y, own.z);
+        color.setXYZ(count * i + c, colour.r, colour.g, colour.b);
+      }
+    });
+    position.needsUpdate = color.needsUpdate = true;
+  }
+}
+
+/** All of it, one mesh for each shape of what is opaque, and one of what is not. */
+export class Items {
+  constructor() {
+    this.group = new THREE.Group();
+    /** Where smart arrows are, for cards. @type {Map<string, THREE.Vector3>} */
+    this.places = new Map();
+    /** By type, negative for what is transparent. @type {Map<number, {shown: number[], solids: Solids[], lines: Lines[]}>} */
+    this.types = new Map();
+    /** @type {Geoms | null} */
+    this.geoms = null;
+  }
+
+  /** @param {number} type @param {boolean} isFaint */
+  #of(type, isFaint) {
+    const key = isFaint ? -type : type;
+    let found = this.types.get(key);
+    if (!found) {
+      const shapes = SHAPES[type]?.() ?? [];
+      found = { shown: [], solids: shapes.map((shape) => new Solids(type, isFaint, shape, this.group)),
+        lines: LINES[type] ? [new Lines(type, this.group)] : [] };
+      this.types.set(key, found);
+    }
+    return found;
+  }
+
+  /** Places it. @param {Geoms} geoms */
+  place(geoms) {
+    this.geoms = geoms;
+    for (const each of this.types.values()) each.shown.length = 0;
+    for (let k = 0; k < geoms.count; k++) {
+      const alpha = geoms.rgba[4 * k + 3];
+      if (alpha) this.#of(geoms.of[3 * k + 2], alpha < 254).shown.push(k);
+    }
+    this.places.clear();
+    for (const { shown, solids, lines } of this.types.values()) {
+      for (const each of solids) each.place(geoms, shown, this.places);
+      for (const each of lines) each.place(geoms, shown);
     }
   }
 
   /** The item on a ray, nearest first. @param {THREE.Raycaster} ray */
   pick(ray) {
-    for (const { mesh } of this.meshes) mesh.boundingSphere = null; // it has moved
-    const [hit] = ray.intersectObjects(this.meshes.map((each) => each.mesh));
-    if (!hit) return null;
-    const found = this.meshes.find((each) => each.mesh === hit.object);
-    const item = found && hit.instanceId !== undefined ? found.of[hit.instanceId] : undefined;
-    return item === undefined ? null : { of: this.run.items.of[item], distance: hit.distance };
+    const all = [...this.types.values()].flatMap(({ solids }) => solids).filter(({ mesh }) => mesh.count);
+    for (const { mesh } of all) mesh.boundingSphere = null; // it has moved
+    const [hit] = ray.intersectObjects(all.map(({ mesh }) => mesh));
+    if (!hit || hit.instanceId === undefined || !this.geoms) return null;
+    const k = all.find(({ mesh }) => mesh === hit.object)?.shown[hit.instanceId] ?? 0;
+    return { of: [...this.geoms.of.subarray(3 * k, 3 * k + 3)], distance: hit.distance };
   }
 }

@@ -1,38 +1,44 @@
 /** Text at places of the world: names of frames, and labels of decor. */
 
 import * as THREE from "three";
+import { made, write } from "./page.js";
 
 /** @typedef {import("./data.js").Run} Run */
+/** @typedef {[text: string, x: number, y: number, z: number]} Label m */
+
+/** The labels of a run at a frame. @param {Run} run @param {number} frame @returns {Label[]} */
+export function labelsAt({ labels, frames }, frame) {
+  if (!labels) return [];
+  return Array.from({ length: labels.at.length / frames }, (_, k) => {
+    const [x, y, z] = [0, 1, 2].map((c) => labels.positions[(3 * k + c) * frames + frame]);
+    return [labels.texts[labels.at[k * frames + frame]], x, y, z];
+  });
+}
 
 /** All of it. */
 export class Labels {
-  /** @param {Run} run @param {HTMLElement} room */
-  constructor(run, room) {
-    this.run = run;
-    const count = run.labels ? run.labels.at.length / run.frames : 0;
-    this.boxes = Array.from({ length: count }, () => {
-      const box = document.createElement("span");
-      box.className = "label";
-      room.append(box);
-      return box;
-    });
+  /** @param {HTMLElement} room */
+  constructor(room) {
+    this.room = room;
+    /** @type {HTMLElement[]} */
+    this.boxes = [];
+    this.place = new THREE.Vector3();
   }
 
-  /**
-   * Writes what a frame has, below its places.
-   * @param {import("./stage.js").Stage} stage @param {number} frame
-   */
-  layOut(stage, frame) {
-    const { labels, frames } = this.run, { width, height } = stage.size;
-    if (!labels) return;
+  /** Writes them below their places. @param {import("./stage.js").Stage} stage @param {Label[]} labels */
+  layOut(stage, labels) {
+    const { width, height } = stage.size;
+    while (this.boxes.length < labels.length) {
+      this.boxes.push(made("span", "", { class: "label" }));
+      this.room.append(this.boxes[this.boxes.length - 1]);
+    }
     this.boxes.forEach((box, k) => {
-      const text = labels.texts[labels.at[k * frames + frame]];
-      const place = [0, 1, 2].map((c) => labels.positions[(3 * k + c) * frames + frame]);
-      const { x, y, isSeen } = stage.pixel(new THREE.Vector3().fromArray(place));
+      const [text, ...at] = labels[k] ?? [""];
+      const { x, y, isSeen } = stage.pixel(this.place.fromArray(at));
       const isShown = text && isSeen && x > 0 && x < width && y > 0 && y < height;
       box.style.display = isShown ? "" : "none";
       if (!isShown) return;
-      if (box.textContent !== text) box.textContent = text;
+      write(box, text);
       box.style.transform = `translate(${x.toFixed(1)}px,${(y + 8).toFixed(1)}px) translateX(-50%)`;
     });
   }

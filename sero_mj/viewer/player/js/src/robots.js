@@ -9,6 +9,7 @@ import { backOf, ball, capsule, cylinder, finish, finishOf, isPlane, placesIn, p
 /** @typedef {import("./data.js").Geom} Geom */
 
 const ONE = new THREE.Vector3(1, 1, 1);
+const FAINT = 0.3; // opacity of surfaces that one sees through, as in MuJoCo
 const TEXELS = 5; // of a body: its pose, and opacity and greyness
 
 /** A pose as a matrix. @param {number[]} pos @param {number[]} quat w first */
@@ -93,6 +94,8 @@ export class Robots {
     this.geoms = run.geoms.concat(run.geoms.filter(isPlane).map(backOf));
     this.solidGeoms = run.geoms.filter((geom) => !isGhost(geom));
     this.pictures = texturesOf(run);
+    /** What is opaque, unless it is shaded otherwise. @type {THREE.Mesh<THREE.BufferGeometry, THREE.MeshPhongMaterial>[]} */
+    this.surfaces = [];
     this.mirrorGeom = mirrorOf(run)?.geom;
     this.mirror = this.mirrorGeom ? new Mirror() : null;
     const [solid, depth, ghosts] = this.#meshes(-1, isGhost);
@@ -113,6 +116,7 @@ export class Robots {
     const own = merged(geoms.filter((geom) => !isGhost(geom)), this.run, texture);
     const solid = this.#mesh(own, {}, false, texture);
     solid.castShadow = solid.receiveShadow = true;
+    this.surfaces.push(solid);
     // Depth first, then colour where it is nearest, so that no inside shines through.
     const shape = merged(ghosts, this.run, texture);
     const depth = this.#mesh(shape, { colorWrite: false }, true, texture);
@@ -183,6 +187,23 @@ export class Robots {
       texels[4 * TEXELS * b + 17] = run.grey[b * frames + before];
     }
     this.texture.needsUpdate = true;
+  }
+
+  /**
+   * Lets one see through what is opaque, or only its edges.
+   * @param {{transparent?: boolean, wireframe?: boolean}} how
+   */
+  shade({ transparent = false, wireframe = false }) {
+    for (const { material } of this.surfaces) {
+      Object.assign(material, { transparent, depthWrite: !transparent, opacity: transparent ? FAINT : 1, wireframe });
+      material.needsUpdate = true;
+    }
+  }
+
+  /** Frees textures and what a mirror draws on. */
+  dispose() {
+    for (const each of [this.texture, ...this.pictures]) each.dispose();
+    this.mirror?.target.dispose();
   }
 
   /**

@@ -3,6 +3,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoundArrows } from "./arrows.js";
+import { placeOf, standingBack, viewFrom } from "./eye.js";
 import { Items } from "./items.js";
 import { Lamps } from "./lights.js";
 import { Robots, matrixOf } from "./robots.js";
@@ -14,27 +15,34 @@ const RADIANS = Math.PI / 180;
 const SLOW = 60; // ms a picture, above which shadows are left out, then the doubles' depth
 const FLOOR_RGB = { light: [0.8, 0.84, 0.88], dark: [0.22, 0.26, 0.31] };
 
+/** What draws on a canvas; raises an error without WebGL 2. @param {HTMLCanvasElement} canvas */
+export function rendererOf(canvas) {
+  // MuJoCo's classic renderer computes with colours as they are displayed.
+  THREE.ColorManagement.enabled = false;
+  const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+  renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
+  renderer.shadowMap.enabled = true;
+  renderer.shadowMap.type = THREE.PCFShadowMap;
+  return renderer;
+}
+
 /** Everything that WebGL draws. */
 export class Stage {
-  /** @param {Run} run @param {HTMLCanvasElement} canvas */
-  constructor(run, canvas) {
+  /** @param {Run} run @param {THREE.WebGLRenderer} renderer */
+  constructor(run, renderer) {
     this.run = run;
-    this.canvas = canvas;
-    // MuJoCo's classic renderer computes with colours as they are displayed.
-    THREE.ColorManagement.enabled = false;
-    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
-    this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
-    this.renderer.shadowMap.enabled = true;
-    this.renderer.shadowMap.type = THREE.PCFShadowMap;
+    this.renderer = renderer;
+    const canvas = this.canvas = renderer.domElement;
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(run.eye.fovy, 1, 0.01,
       run.reach ?? Math.max(100, 4 * run.eye.distance));
     this.camera.up.set(0, 0, 1);
     this.orbit = new OrbitControls(this.camera, canvas);
+    this.orbit.mouseButtons.MIDDLE = THREE.MOUSE.PAN;
     this.fixed = -1;
     this.robots = new Robots(run);
     this.arrows = new RoundArrows(run);
-    this.items = new Items(run);
+    this.items = new Items();
     this.soft = new SoftParts(run);
     /** @type {Lamps | null} */
     this.lamps = null;
@@ -47,6 +55,7 @@ export class Stage {
       this.camera);
     this.size = { width: 1, height: 1 };
     this.spent = 0; // ms of a picture, smoothed
+    this.hasShadows = true;
     this.chooseCamera(run.eye.fixed);
   }
 
@@ -110,17 +119,34 @@ export class Stage {
     this.fixed = number < cameras.length ? number : -1;
     this.orbit.enabled = true;
     if (this.fixed >= 0) return;
-    this.camera.fov = eye.fovy;
-    const { azimuth, elevation } = eye, flat = Math.cos(elevation * RADIANS);
-    const back = Math.max(eye.aspect * this.size.height / this.size.width, 1) * eye.distance;
-    const target = new THREE.Vector3().fromArray(eye.lookAt);
-    this.camera.position.set(
-      target.x - back * Math.cos(azimuth * RADIANS) * flat,
-      target.y - back * Math.sin(azimuth * RADIANS) * flat,
-      target.z - back * Math.sin(elevation * RADIANS));
-    this.orbit.target.copy(target);
+    this.look(eye);
+  }
+
+  /** By how much farther away the camera stands than is said. */
+  get back() { return standingBack(this.run.eye.aspect, this.size.width, this.size.height); }
+
+  /** Sees as a free camera does. @param {import("./eye.js").View} view with the distance of wide pictures */
+  look(view) {
+    this.fixed = -1;
+    this.camera.fov = this.run.eye.fovy;
+    this.camera.position.fromArray(placeOf({ ...view, distance: view.distance * this.back }));
+    this.orbit.target.fromArray(view.lookAt);
     this.camera.updateProjectionMatrix();
     this.orbit.update();
+  }
+
+  /** Moves the free camera. @param {number[]} way m */
+  shift(way) {
+    const moved = new THREE.Vector3().fromArray(way);
+    this.camera.position.add(moved);
+    this.orbit.target.add(moved);
+    this.orbit.update();
+  }
+
+  /** What the free camera sees, with the distance of wide pictures. */
+  get view() {
+    const view = viewFrom(this.camera.position.toArray(), this.orbit.target.toArray());
+    return { ...view, distance: view.distance / this.back };
   }
 
   /** Lets the user turn what a camera of the scene has seen until now. */
@@ -134,13 +160,14 @@ export class Stage {
 
   /** @param {number} width @param {number} height pixels of the page */
   resize(width, height) {
-    const isFirst = this.size.width === 1;
+    const isFirst = this.size.width === 1, before = this.back;
     this.size = { width, height };
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / Math.max(height, 1);
     this.camera.updateProjectionMatrix();
     if (isFirst) this.chooseCamera(this.fixed);
+    else if (this.fixed < 0) this.camera.position.sub(this.orbit.target).multiplyScalar(this.back / before).add(this.orbit.target);
   }
 
   /** @param {"light" | "dark"} look */
@@ -152,19 +179,19 @@ export class Stage {
 
   /**
    * Places everything.
-   * @param {number} at frame, with a fraction @param {Record<string, boolean>} switches
-   * @param {(joint: number) => boolean} hasArrow
+   * @param {number} at frame, with a fraction @param {boolean} hasDoubles
+   * @param {(joint: number) => boolean} hasArrow @param {import("./geoms.js").Geoms} geoms of decor
    */
-  place(at, switches, hasArrow) {
+  place(at, hasDoubles, hasArrow, geoms) {
     const { run, robots } = this;
-    robots.place(at, switches.doubles);
+    robots.place(at, hasDoubles);
     run.joints.forEach((joint, j) =>
       this.sites[j].multiplyMatrices(robots.matrices[joint.body], this.own[j]));
     this.arrows.place(at, this.sites, hasArrow);
-    this.items.place(Math.round(at), switches.arrows);
+    this.items.place(geoms);
     this.soft.place(at, robots.matrices);
     this.lamps?.place(robots.matrices);
-    this.sun.castShadow = switches.shadows;
+    this.sun.castShadow = this.hasShadows;
     if (this.fixed >= 0) {
       const { body, pos, quat, fovy } = run.cameras[this.fixed];
       const pose = robots.matrices[body].clone().multiply(matrixOf(pos, quat));
@@ -186,17 +213,18 @@ export class Stage {
 
   /**
    * Leaves out what is expensive where pictures take long.
-   * @param {number} spent ms since the last picture, while it plays @returns {boolean} whether
-   * shadows are to go
+   * @param {number} spent ms since the last picture, while they follow each other
    */
   notePace(spent) {
     this.spent += 0.1 * (Math.min(spent, 500) - this.spent);
-    if (this.spent < SLOW) return false;
+    if (this.spent < SLOW) return;
     this.spent = 0;
-    if (this.sun.castShadow) return true;
-    this.robots.depth.visible = false;
-    return false;
+    if (this.hasShadows) this.hasShadows = false;
+    else this.robots.depth.visible = false;
   }
+
+  /** The centre of a joint, m. @param {number} joint */
+  centre(joint) { return new THREE.Vector3().setFromMatrixPosition(this.sites[joint]); }
 
   /** Pixel of a place, y down, and whether it is in front. @param {THREE.Vector3} place */
   pixel(place) {
@@ -239,5 +267,19 @@ export class Stage {
     const from = this.camera.position, way = place.clone().sub(from), far = way.length();
     const hit = this.robots.pick(new THREE.Ray(from.clone(), way.normalize()));
     return !hit || hit.distance > far - 0.01;
+  }
+
+  /** Frees what it has on the graphics card; the renderer stays. */
+  dispose() {
+    this.orbit.dispose();
+    this.robots.dispose();
+    this.scene.traverse((each) => {
+      if (each instanceof THREE.Light && "shadow" in each) each.dispose();
+      if (!(each instanceof THREE.Mesh || each instanceof THREE.LineSegments)) return;
+      each.geometry.dispose();
+      each.material.dispose();
+      if (each instanceof THREE.InstancedMesh) each.dispose();
+      each.customDepthMaterial?.dispose();
+    });
   }
 }

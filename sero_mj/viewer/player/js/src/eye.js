@@ -1,0 +1,29 @@
+/** Free cameras: where they stand, and what MuJoCo calls them by. */
+
+/** @typedef {{lookAt: number[], distance: number, azimuth: number, elevation: number}} View
+ *   m and degrees, as of an `MjvCamera` */
+
+const DEGREES = 180 / Math.PI;
+
+/**
+ * By how much farther away a camera stands in a narrow picture; 1 in others.
+ * @param {number} aspect width over height of pictures that distances are meant for
+ * @param {number} width @param {number} height of the picture, pixels
+ */
+export const standingBack = (aspect, width, height) => Math.max(aspect * height / Math.max(width, 1), 1);
+
+/** Where a camera stands, m. @param {View} view @returns {number[]} */
+export function placeOf({ lookAt: [x, y, z], distance, azimuth, elevation }) {
+  const flat = distance * Math.cos(elevation / DEGREES), turn = azimuth / DEGREES;
+  return [x - flat * Math.cos(turn), y - flat * Math.sin(turn), z - distance * Math.sin(elevation / DEGREES)];
+}
+
+/**
+ * The view of a camera that stands somewhere and looks at a point.
+ * @param {number[]} place m @param {number[]} lookAt m @returns {View}
+ */
+export function viewFrom(place, lookAt) {
+  const [x, y, z] = lookAt.map((each, k) => each - place[k]), flat = Math.hypot(x, y);
+  return { lookAt: [...lookAt], distance: Math.hypot(flat, z), azimuth: Math.atan2(y, x) * DEGREES,
+    elevation: Math.atan2(z, flat) * DEGREES };
+}

@@ -1,0 +1,334 @@
+/** The page of a run in a file: its picture, time line, plot, and what was clicked on. */
+
+import { Clock, SPEEDS } from "./clock.js";
+import { textOf, valueOf } from "./data.js";
+import { Geoms, geomsAt } from "./geoms.js";
+import { JointCards } from "./joint_cards.js";
+import { labelsAt } from "./labels.js";
+import { byId, made, valueIn } from "./page.js";
+import { Plot, wordFor } from "./plot.js";
+import { View } from "./view.js";
+
+const KEYS = [
+  ["drag", "turn; with the right button move"],
+  ["wheel", "nearer and farther"],
+  ["click", "name and numbers of an arrow, link or card"],
+  ["space", "play or pause"],
+  [". ,", "a frame on, back"],
+  ["→ ←", "1 s on, back"],
+  ["+ −", "faster, slower"],
+  ["backspace, end", "to the start, to the end"],
+  ["e w", "next mark, the one before"],
+  ["] [", "next joint, the one before"],
+  ["a b d l", "arrows, billboards, doubles, legend"],
+  ["p", "plot"],
+  ["0 … 9", "initial view, cameras"],
+  ["h", "this help"],
+];
+const VECTOR = 5; // kind of smart arrows, `Kind` in Python
+
+/** The whole page. */
+export class Player {
+  /** @param {import("./data.js").Run} run */
+  constructor(run) {
+    this.run = run;
+    this.clock = new Clock(run.frames, run.fps);
+    this.plot = new Plot(run, byId("plot"), (seconds) => this.seek(seconds));
+    this.cards = new JointCards(run);
+    this.geoms = new Geoms();
+    /** @type {Record<string, boolean>} */
+    this.switches = { ...run.switches, shadows: true };
+    this.chosen = -1;
+    /** @type {{joint?: number, body?: string, kind?: number, item?: number} | null} */
+    this.selected = null;
+    this.view = new View({
+      frame: (passed) => this.#frame(passed),
+      card: (key) => { if (key.startsWith("joint ")) this.select({ joint: Number(key.slice(6)) }); },
+      turn: () => {},
+      look: () => this.plot.show(this.chosen),
+      resize: () => this.plot.resize(),
+    });
+    this.#fill();
+    this.view.show(run);
+    this.#listen();
+    const wanted = new URLSearchParams(location.hash.slice(1));
+    this.view.setLook(matchMedia("(prefers-color-scheme: dark)").matches ? "dark"
+      : matchMedia("(prefers-color-scheme: light)").matches ? "light" : run.look);
+    this.choose(this.#mostLoaded());
+    if (wanted.has("t")) this.seek(Number(wanted.get("t")) || 0);
+    else this.clock.isPlaying = run.frames > 1;
+    this.draw();
+  }
+
+  get stage() { return this.view.stage; }
+
+  get calls() { return this.view.calls; }
+
+  #fill() {
+    const { run, clock } = this;
+    document.title = run.title;
+    byId("title").textContent = run.title.replaceAll("_", " ");
+    const own = run.joints.filter((joint) => joint.double < 0).length;
+    const about = [...(own ? [`${own} joints`] : []), run.frames > 1 ? `${clock.end.toFixed(1)} s` : "a pose"];
+    const failed = run.marks.filter((mark) => mark.kind === "failed");
+    const held = run.marks.filter((mark) => mark.kind === "held");
+    const judged = failed.length + held.length;
+    if (judged) about.push(failed.length ? `${failed.length} of ${judged} expectations failed` : `all ${judged} expectations held`);
+    if (run.silent.length) about.push(`no data from ${run.silent.join(", ")}`);
+    byId("about").textContent = about.join(" · ");
+    byId("about").classList.toggle("failed", failed.length > 0);
+    const names = { arrows: "arrows", numbers: "numbers", doubles: "doubles", shadows: "shadows" };
+    for (const [key, name] of Object.entries(names)) {
+      if (!this.#has(key)) continue;
+      const button = made("button", name, { type: "button", "aria-pressed": String(this.switches[key]), "data-switch": key });
+      button.addEventListener("click", () => this.toggle(key));
+      byId("switches").append(button);
+    }
+    const joints = byId("joint");
+    joints.hidden = !own;
+    run.joints.forEach((joint, j) => joints.append(made("option", joint.name, { value: String(j) })));
+    for (const speed of SPEEDS) byId("speed").append(made("option", `${speed}×`, { value: String(speed) }));
+    /** @type {HTMLSelectElement} */ (byId("speed")).value = "1";
+    byId("time").setAttribute("max", String(run.frames - 1));
+    let free = -Infinity; // where the last text on the time line ends, as a share of it
+    for (const mark of [...run.marks].sort((a, b) => a.begin - b.begin)) {
+      const begin = mark.begin / Math.max(clock.end, 1e-9), hasText = mark.end > mark.begin && begin > free;
+      if (hasText) free = begin + 0.012 * Math.min(mark.text.length, 12);
+      byId("marks").append(this.#mark(mark, hasText));
+    }
+    document.body.classList.toggle("still", run.frames < 2);
+    for (const [keys, words] of KEYS) byId("keys").append(made("dt", keys), made("dd", words));
+  }
+
+  /** Whether there is anything that a switch would hide. @param {string} key */
+  #has(key) {
+    const { run } = this, hasJoints = run.joints.length > 0;
+    if (key === "doubles") return run.bodies.some((body) => body.double >= 0);
+    if (key === "arrows") return hasJoints || run.switches.arrows;
+    return key !== "numbers" || hasJoints || run.cards.length > 0;
+  }
+
+  /** @param {import("./data.js").Mark} mark @param {boolean} hasText */
+  #mark(mark, hasText) {
+    const end = Math.max(this.clock.end, 1e-9), { begin, text, kind } = mark;
+    const button = made("button", "", { type: "button", class: `mark ${kind}`, title: `${begin.toFixed(2)} s: ${text}`,
+      "aria-label": `${kind}: ${text}, at ${begin.toFixed(2)} s` });
+    if (hasText) button.append(made("span", text));
+    button.style.left = `${100 * Math.min(Math.max(begin / end, 0), 1)}%`;
+    if (mark.end > begin) button.style.width = `${100 * (Math.min(mark.end, end) - begin) / end}%`;
+    button.addEventListener("click", () => this.seek(begin));
+    return button;
+  }
+
+  #listen() {
+    const { clock, view } = this, on = (/** @type {string} */ id, /** @type {() => void} */ act) =>
+      byId(id).addEventListener("click", () => { act(); view.wake(); });
+    on("play", () => clock.toggle());
+    on("back", () => clock.step(-1));
+    on("on", () => clock.step(1));
+    on("loop", () => { clock.isLooping = !clock.isLooping; });
+    on("help", () => this.toggleHelp());
+    const time = /** @type {HTMLInputElement} */ (byId("time"));
+    time.addEventListener("input", () => {
+      clock.isPlaying = false;
+      clock.seek(Number(time.value));
+      this.view.wake();
+    });
+    byId("camera").addEventListener("change", (event) => this.chooseCamera(Number(valueIn(event))));
+    byId("joint").addEventListener("change", (event) => this.choose(Number(valueIn(event))));
+    byId("speed").addEventListener("change", (event) => { clock.speed = Number(valueIn(event)); });
+    this.#listenToClicks();
+    addEventListener("keydown", (event) => this.#press(event));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (event) => view.setLook(event.matches ? "dark" : "light"));
+  }
+
+  #listenToClicks() {
+    const { canvas } = this.stage;
+    let down = { x: 0, y: 0 };
+    canvas.addEventListener("pointerdown", (event) => { down = { x: event.clientX, y: event.clientY }; });
+    canvas.addEventListener("pointerup", (event) => {
+      if (Math.hypot(event.clientX - down.x, event.clientY - down.y) > 5 || event.button) return;
+      const { left, top } = canvas.getBoundingClientRect();
+      this.select(this.stage.pick(event.clientX - left, event.clientY - top));
+    });
+  }
+
+  /** @param {KeyboardEvent} event */
+  #press(event) {
+    const { clock } = this, target = /** @type {HTMLElement} */ (event.target);
+    const isControl = target.tagName === "SELECT" || target.tagName === "INPUT" || target.tagName === "BUTTON";
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    if (isControl && ["ArrowLeft", "ArrowRight", "Home", "End", " ", "Enter", "Backspace"].includes(event.key)) return;
+    /** @type {Record<string, () => void>} */
+    const acts = {
+      " ": () => clock.toggle(),
+      ".": () => clock.step(1), ",": () => clock.step(-1),
+      ArrowRight: () => clock.seek(clock.at + clock.fps), ArrowLeft: () => clock.seek(clock.at - clock.fps),
+      "+": () => clock.changeSpeed(1), "-": () => clock.changeSpeed(-1),
+      Backspace: () => clock.seek(0), End: () => clock.seek(Infinity),
+      e: () => this.goToMark(1), w: () => this.goToMark(-1),
+      "]": () => this.nextJoint(1), "[": () => this.nextJoint(-1),
+      a: () => this.toggle("arrows"), b: () => this.toggle("numbers"), d: () => this.toggle("doubles"),
+      l: () => this.toggle("legend"), p: () => document.body.classList.toggle("noplot"),
+      h: () => this.toggleHelp(),
+    };
+    const act = /^\d$/.test(event.key) ? () => this.chooseCamera(Number(event.key) - 1) : acts[event.key];
+    if (!act) return;
+    event.preventDefault();
+    act();
+    this.view.wake();
+  }
+
+  toggleHelp() {
+    const dialog = /** @type {HTMLDialogElement} */ (/** @type {unknown} */ (byId("helptext")));
+    if (dialog.open) dialog.close();
+    else dialog.showModal();
+  }
+
+  /** @param {string} key */
+  toggle(key) {
+    this.switches[key] = !this.switches[key];
+    this.view.wake();
+  }
+
+  /** @param {number} number -1 for the scene's view */
+  chooseCamera(number) {
+    this.stage.chooseCamera(number);
+    this.view.wake();
+  }
+
+  /** @param {number} seconds since the start */
+  seek(seconds) {
+    this.clock.isPlaying = false;
+    this.clock.seek(seconds * this.clock.fps);
+    this.view.wake();
+  }
+
+  /** @param {number} places */
+  goToMark(places) {
+    const times = this.run.marks.map((mark) => mark.begin).sort((a, b) => a - b);
+    const there = times.filter((time) => (time - this.clock.time) * places > 1e-3);
+    if (there.length) this.seek(places > 0 ? there[0] : there[there.length - 1]);
+  }
+
+  /** @param {number} places */
+  nextJoint(places) {
+    const count = this.run.joints.length;
+    if (count) this.select({ joint: (this.chosen + places + count) % count });
+  }
+
+  /** The joint whose torque comes nearest to its limit; else the first. */
+  #mostLoaded() {
+    const { joints, frames } = this.run;
+    /** @type {[number, number]} */
+    let [best, most] = [joints.length ? 0 : -1, 0];
+    joints.forEach((joint, j) => {
+      for (let frame = 0; frame < frames && joint.double < 0; frame++) {
+        const share = valueOf(this.run, j, "torque_share", frame);
+        if (share > most) [best, most] = [j, share];
+      }
+    });
+    return best;
+  }
+
+  /** Plots a joint. @param {number} joint */
+  choose(joint) {
+    this.chosen = joint;
+    this.cards.chosen = joint;
+    this.plot.show(joint);
+    /** @type {HTMLSelectElement} */ (byId("joint")).value = String(joint);
+    byId("legend").hidden = joint < 0 || !this.run.values.torques;
+    if (joint >= 0) {
+      byId("legend").dataset.measured = wordFor(this.run, joint, "torques");
+      byId("legend").dataset.commanded = wordFor(this.run, joint, "commanded_torques");
+    }
+    this.view.wake();
+  }
+
+  /** Shows name and numbers of what was clicked on. @param {Player["selected"]} picked */
+  select(picked) {
+    this.selected = picked;
+    this.cards.vector = picked?.kind === VECTOR ? picked.item ?? -1 : -1;
+    if (picked && picked.joint !== undefined && picked.joint >= 0) this.choose(picked.joint);
+    this.view.wake();
+  }
+
+  /** Writes name and numbers of what is selected. */
+  #describe() {
+    const { run, selected } = this, box = byId("details"), { frame } = this.clock;
+    box.hidden = !selected;
+    if (!selected) return;
+    const joint = selected.joint !== undefined && selected.joint >= 0 ? run.joints[selected.joint] : null;
+    /** @type {[string, string][]} */
+    const rows = [];
+    let name = selected.body || (joint ? joint.name : "");
+    if (joint && selected.joint !== undefined) {
+      if (selected.body && selected.body !== joint.name) rows.push(["joint", joint.name]);
+      const angle = valueOf(run, selected.joint, "joint_angles", frame);
+      if (Number.isFinite(angle)) rows.push(["angle", `${angle.toFixed(3)} ${joint.angleUnit}`]);
+      for (const line of joint.details) {
+        const value = valueOf(run, selected.joint, line.key, frame);
+        if (Number.isFinite(value)) rows.push([WORDS[line.label] || line.label, textOf(line, value)]);
+      }
+    } else if (selected.kind === VECTOR && selected.item !== undefined) {
+      const card = run.cards.find((each) => each.item === selected.item);
+      name = run.vectors[selected.item];
+      if (card) rows.push(["value", card.texts[card.at[frame]]]);
+    }
+    const list = document.createElement("dl");
+    for (const [word, text] of rows) list.append(made("dt", word), made("dd", text));
+    box.replaceChildren(made("h2", name || "decor"), list);
+  }
+
+  /** What of the page says what is on. */
+  #show() {
+    const { clock, run, switches } = this;
+    byId("play").textContent = clock.isPlaying ? "❚❚" : "▶";
+    byId("play").setAttribute("aria-label", clock.isPlaying ? "Pause" : "Play");
+    byId("loop").setAttribute("aria-pressed", String(clock.isLooping));
+    for (const button of document.querySelectorAll("[data-switch]")) {
+      button.setAttribute("aria-pressed", String(switches[/** @type {HTMLElement} */ (button).dataset.switch ?? ""]));
+    }
+    /** @type {HTMLSelectElement} */ (byId("speed")).value = String(clock.speed);
+    const time = /** @type {HTMLInputElement} */ (byId("time")), seconds = (run.begin + clock.time).toFixed(2);
+    time.value = String(clock.at);
+    time.style.setProperty("--done", `${100 * clock.at / Math.max(run.frames - 1, 1)}%`);
+    time.setAttribute("aria-valuetext", `${seconds} s`);
+    byId("now").textContent = `${seconds} s`;
+    const notes = run.notes.texts[run.notes.at[clock.frame]];
+    if (byId("notes").textContent !== notes) byId("notes").textContent = notes;
+    byId("notes").hidden = !switches.legend || !notes;
+  }
+
+  /** Draws the time that is shown. */
+  draw() {
+    const { view, switches, clock, run, geoms } = this, { frame } = clock;
+    const areSome = run.joints.some((joint) => joint.arrow.on);
+    geomsAt(run, frame, switches.arrows, geoms);
+    this.stage.hasShadows = switches.shadows;
+    view.draw({
+      at: clock.at, hasDoubles: switches.doubles, geoms, labels: labelsAt(run, frame),
+      hasArrow: (j) => switches.arrows && (run.joints[j].arrow.on || !areSome)
+        && (run.joints[j].double < 0 || switches.doubles),
+      cards: () => switches.numbers ? this.cards.at(this.stage, frame) : [],
+    });
+    this.plot.setTime(clock.time);
+    this.#show();
+    this.#describe();
+  }
+
+  /** @param {number} passed ms since the last picture */
+  #frame(passed) {
+    const { clock, stage, view } = this;
+    if (clock.isPlaying && passed) {
+      clock.advance(Math.min(passed, 250) / 1000);
+      stage.notePace(passed);
+      this.switches.shadows &&= stage.hasShadows;
+    }
+    if (clock.isPlaying) view.wake();
+    this.draw();
+  }
+}
+
+/** @type {Record<string, string>} */
+const WORDS = { cmd: "commanded", msr: "measured", err: "difference", limit: "limit", share: "of the limit" };

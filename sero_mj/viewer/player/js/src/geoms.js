@@ -1,0 +1,60 @@
+/** Geoms of decor at one moment, in arrays that grow as needed. */
+
+/** @typedef {import("./data.js").Run} Run */
+
+const ARROWS = [1, 5]; // kinds of joints' arrows and smart arrows, `Kind` in Python
+const GLOW = 0.35; // emission of decor that does not say otherwise
+
+/** As many geoms as `count` says. */
+export class Geoms {
+  capacity = 0;
+  count = 0;
+  /** Kind, item and type of each. */
+  of = new Int32Array();
+  positions = new Float32Array();
+  /** Quaternions, w first. */
+  rotations = new Float32Array();
+  sizes = new Float32Array();
+  emission = new Float32Array();
+  /** 0 to 255. */
+  rgba = new Uint8Array();
+
+  /** Makes room for so many, whose numbers are then to be set. @param {number} count */
+  resize(count) {
+    this.count = count;
+    if (count <= this.capacity) return;
+    const capacity = this.capacity = 2 * count;
+    this.of = new Int32Array(3 * capacity);
+    this.positions = new Float32Array(3 * capacity);
+    this.rotations = new Float32Array(4 * capacity);
+    this.sizes = new Float32Array(3 * capacity);
+    this.emission = new Float32Array(capacity);
+    this.rgba = new Uint8Array(4 * capacity);
+  }
+}
+
+/**
+ * The geoms of a run that are seen at a frame.
+ * @param {Run} run @param {number} frame @param {boolean} hasArrows whether arrows are on
+ * @param {Geoms} to
+ */
+export function geomsAt({ items, frames }, frame, hasArrows, to) {
+  const { visible, positions, rotations, sizes, colours, of } = items;
+  to.resize(of.length);
+  to.count = 0;
+  if (!visible || !positions || !rotations || !sizes || !colours) return;
+  of.forEach((/** @type {number[]} */ each, /** @type {number} */ k) => {
+    if (visible[k * frames + frame] < 0.5 || (!hasArrows && ARROWS.includes(each[0]))) return;
+    const i = to.count++;
+    to.of.set(each, 3 * i);
+    for (let c = 0; c < 3; c++) {
+      to.positions[3 * i + c] = positions[(3 * k + c) * frames + frame];
+      to.sizes[3 * i + c] = sizes[(3 * k + c) * frames + frame];
+    }
+    for (let c = 0; c < 4; c++) {
+      to.rotations[4 * i + c] = rotations[(4 * k + c) * frames + frame];
+      to.rgba[4 * i + c] = Math.round(255 * colours[(4 * k + c) * frames + frame]);
+    }
+    to.emission[i] = items.glow?.[k] ?? GLOW;
+  });
+}

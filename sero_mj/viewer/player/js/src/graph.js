@@ -1,0 +1,117 @@
+/** A plot of a panel: lines in colours that the server says, with gaps, and limits. */
+
+import uPlot from "uplot";
+import { made, mark } from "./page.js";
+
+/** @typedef {{name: string, rgb: number[], x: number[], y: (number | null)[]}} Line */
+/** @typedef {{x: string, y: string, xRange: [number, number], yRange: [number, number],
+ *   limits: number[], height: number, lines: Line[]}} Content x: unit; y: what, with its unit */
+
+const LIMIT = "rgb(217 77 77)";
+
+/** @param {string} name */
+const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+/** @param {number[]} rgb 0 to 1 */
+const colourOf = (rgb) => `rgb(${rgb.map((each) => Math.round(255 * each)).join(" ")})`;
+
+/**
+ * The numbers of lines as uPlot has them: all at the same places.
+ * @param {Line[]} lines @returns {uPlot.AlignedData}
+ */
+export function dataOf(lines) {
+  const [first] = lines, ends = (/** @type {Line} */ { x }) => [x.length, x[0], x[x.length - 1]].join();
+  if (!first) return [[]];
+  if (lines.every((line) => ends(line) === ends(first))) return [first.x, ...lines.map(({ y }) => y)];
+  return uPlot.join(lines.map(({ x, y }) => /** @type {uPlot.AlignedData} */ ([x, y])));
+}
+
+/** A plot, as wide as its room. */
+export class Graph {
+  constructor() {
+    this.element = made("div", "", { class: "graph" });
+    this.legend = made("div", "", { class: "names" });
+    this.room = made("div", "", { role: "img" });
+    this.element.append(this.legend, this.room);
+    /** @type {uPlot | null} */
+    this.plot = null;
+    /** @type {Content | null} */
+    this.content = null;
+    this.look = ""; // of what cannot be changed
+    this.seen = new ResizeObserver(() => this.plot?.setSize(this.#size()));
+    this.seen.observe(this.room);
+  }
+
+  #size() {
+    const em = parseFloat(getComputedStyle(this.room).fontSize) || 14;
+    return { width: Math.max(this.room.clientWidth, 40), height: Math.max((this.content?.height ?? 10) * em - 20, 60) };
+  }
+
+  /** @param {Content} content */
+  update(content) {
+    const before = this.content;
+    this.content = content;
+    const look = JSON.stringify([content.y, content.x, content.lines.map(({ name, rgb }) => [name, rgb]),
+      document.documentElement.dataset.look]);
+    if (look !== this.look) this.#make(look);
+    else if (before?.height !== content.height) this.plot?.setSize(this.#size());
+    const { plot } = this, [[left, right], [low, high]] = [content.xRange, content.yRange];
+    if (!plot) return;
+    plot.batch(() => {
+      plot.setData(dataOf(content.lines), false);
+      plot.setScale("x", { min: left, max: right });
+      plot.setScale("y", { min: low, max: high });
+    });
+  }
+
+  /** @param {string} look */
+  #make(look) {
+    const { content } = this;
+    if (!content) return;
+    this.look = look;
+    this.plot?.destroy();
+    const axis = { stroke: css("--dim"), grid: { stroke: css("--edge"), width: 1 },
+      ticks: { stroke: css("--edge"), width: 1 }, font: "11px system-ui, sans-serif" };
+    this.plot = new uPlot({
+      ...this.#size(),
+      cursor: { show: false },
+      legend: { show: false },
+      scales: { x: { time: false, auto: false }, y: { auto: false } },
+      padding: [6, 10, 0, 0],
+      axes: [{ ...axis, size: 24, values: (_, all) => all.map((each) => `${each} ${content.x}`) },
+        { ...axis, size: 44 }],
+      series: [{}, ...content.lines.map(({ rgb }) => ({ stroke: colourOf(rgb), width: 1.75, points: { show: false } }))],
+      hooks: { drawAxes: [(plot) => this.#drawLimits(plot)] },
+    }, dataOf(content.lines), this.room);
+    this.legend.replaceChildren(made("span", content.y), ...content.lines.map(({ name, rgb }) => {
+      const entry = made("span", ""), line = made("i", "");
+      line.style.background = colourOf(rgb);
+      entry.append(line, name);
+      return entry;
+    }));
+    mark(this.room, "aria-label", `${content.y}: ${content.lines.map(({ name }) => name).join(", ")}`);
+  }
+
+  /** @param {uPlot} plot */
+  #drawLimits(plot) {
+    const { ctx, bbox } = plot, [low, high] = this.content?.yRange ?? [0, 0];
+    ctx.save();
+    ctx.strokeStyle = ctx.fillStyle = LIMIT;
+    ctx.lineWidth = 1.5 * devicePixelRatio;
+    ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
+    for (const limit of this.content?.limits ?? []) {
+      if (limit < low || limit > high) continue;
+      const y = plot.valToPos(limit, "y", true);
+      ctx.beginPath();
+      ctx.moveTo(bbox.left, y);
+      ctx.lineTo(bbox.left + bbox.width, y);
+      ctx.stroke();
+    }
+    ctx.restore();
+  }
+
+  dispose() {
+    this.seen.disconnect();
+    this.plot?.destroy();
+  }
+}

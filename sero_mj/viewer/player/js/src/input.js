@@ -1,0 +1,148 @@
+/** Pointer, wheel and keys over the picture of a live page, as messages for its server. */
+
+import { isTakenBy, nameOf } from "./keys.js";
+
+/** @typedef {{x: number, y: number}} Pixel of the picture, from its upper left corner */
+
+/**
+ * What input needs of its page.
+ * @typedef {{send: (message: object) => void, canAct: () => boolean, isDragging: () => boolean,
+ *   isOnHandle: (at: Pixel, tolerance: number) => boolean, setTurning: (isOn: boolean) => void,
+ *   localKey: (name: string) => boolean, wake: () => void}} Page
+ *   canAct: whether the server listens to us; setTurning: whether drags turn the camera;
+ *   localKey: does what a key does here without a server
+ */
+
+const HOLD = 500; // ms, that a finger is held still
+const STILL = 8; // pixels, that it may move
+const TOLERANCE = 4, FINGER = 12; // pixels beside a handle, of a mouse and of a finger
+const STEP = 100, LINES = 3; // pixels and lines of a step of a wheel
+/** As the server numbers buttons, by the browser's number. */
+const BUTTONS = [0, 2, 1];
+
+/** The input of a page. */
+export class Input {
+  /** @param {HTMLCanvasElement} canvas @param {Page} page */
+  constructor(canvas, page) {
+    this.canvas = canvas;
+    this.page = page;
+    /** @type {PointerEvent | null} */
+    this.moved = null;
+    /** @type {Set<number>} */
+    this.fingers = new Set();
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.hold = undefined;
+    this.from = { x: 0, y: 0 }; // of a finger
+    this.isPressed = false;
+    /** @type {[keyof HTMLElementEventMap, (event: any) => void][]} */
+    const listeners = [["pointerdown", (event) => this.#press(event)], ["pointermove", (event) => this.#move(event)],
+      ["pointerup", (event) => this.#release(event)], ["pointercancel", (event) => this.#cancel(event)],
+      ["pointerleave", (event) => this.#leave(event)], ["wheel", (event) => this.#wheel(event)]];
+    // Before the controls of the camera, which are told whether to turn.
+    for (const [name, listener] of listeners) canvas.addEventListener(name, listener, { capture: true, passive: false });
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    addEventListener("keydown", (event) => this.#key(event));
+  }
+
+  /** @param {MouseEvent} event @returns {Pixel} */
+  #pixel({ clientX, clientY }) {
+    const { left, top } = this.canvas.getBoundingClientRect();
+    return { x: clientX - left, y: clientY - top };
+  }
+
+  /** @param {string} kind @param {PointerEvent} event */
+  #tell(kind, event) {
+    if (!this.page.canAct()) return;
+    if (kind !== "move") this.flush();
+    this.page.send({ t: "pointer", kind, ...this.#pixel(event), button: BUTTONS[event.button] ?? 0,
+      shift: event.shiftKey || event.ctrlKey || event.metaKey, ctrl: event.ctrlKey || event.metaKey });
+  }
+
+  /** Tells where the pointer has moved to, if it has. */
+  flush() {
+    const event = this.moved;
+    this.moved = null;
+    if (event) this.#tell("move", event);
+  }
+
+  /** @param {PointerEvent} event */
+  #press(event) {
+    const isFinger = event.pointerType === "touch", at = this.#pixel(event);
+    this.fingers.add(event.pointerId);
+    if (this.fingers.size > 1) { // two fingers zoom
+      this.#cancel(event);
+      this.fingers.add(event.pointerId);
+      this.page.setTurning(true);
+      return;
+    }
+    const isOurs = this.page.canAct() && event.button === 0 && (event.ctrlKey || event.metaKey
+      || this.page.isOnHandle(at, isFinger ? FINGER : TOLERANCE));
+    this.page.setTurning(!isOurs);
+    this.canvas.setPointerCapture(event.pointerId);
+    this.isPressed = true;
+    this.#tell("press", event);
+    if (!isFinger) return;
+    this.from = at;
+    this.hold = setTimeout(() => { if (this.page.canAct()) this.page.send({ t: "hold" }); }, HOLD);
+  }
+
+  /** @param {PointerEvent} event */
+  #move(event) {
+    if (this.fingers.size > 1) return;
+    const { x, y } = this.#pixel(event);
+    if (Math.hypot(x - this.from.x, y - this.from.y) > STILL) clearTimeout(this.hold);
+    this.moved = event;
+    this.page.wake();
+  }
+
+  /** @param {PointerEvent} event */
+  #release(event) {
+    this.fingers.delete(event.pointerId);
+    clearTimeout(this.hold);
+    if (!this.isPressed) return;
+    this.isPressed = false;
+    this.#tell("release", event);
+    // The controls are told first that the pointer is gone.
+    setTimeout(() => this.page.setTurning(true));
+  }
+
+  /** What was begun is none: a second finger has come, or the browser takes the finger. @param {PointerEvent} event */
+  #cancel(event) {
+    this.fingers.delete(event.pointerId);
+    clearTimeout(this.hold);
+    this.moved = null;
+    if (this.isPressed) this.#tell("leave", event);
+    this.isPressed = false;
+  }
+
+  /** @param {PointerEvent} event */
+  #leave(event) {
+    if (this.isPressed) return;
+    this.moved = null;
+    this.#tell("leave", event);
+  }
+
+  /** @param {WheelEvent} event */
+  #wheel(event) {
+    if (!this.page.isDragging()) return;
+    event.preventDefault();
+    event.stopImmediatePropagation();
+    const step = event.deltaMode === WheelEvent.DOM_DELTA_PIXEL ? STEP : LINES;
+    this.page.send({ t: "wheel", n: -event.deltaY / step });
+  }
+
+  /** @param {KeyboardEvent} event */
+  #key(event) {
+    const name = nameOf(event), element = /** @type {HTMLInputElement} */ (event.target);
+    if (!name || event.defaultPrevented || isTakenBy(element, event.key)) return;
+    if (name === "ctrl+c" && String(getSelection())) return;
+    if (document.querySelector("dialog[open]") && name !== "h") return;
+    if (!this.page.canAct()) {
+      if (this.page.localKey(name)) event.preventDefault();
+      return;
+    }
+    event.preventDefault();
+    this.flush();
+    this.page.send({ t: "key", key: name, repeat: event.repeat });
+  }
+}

@@ -1,0 +1,48 @@
+/** What the cards of a run in a file say: values of its joints, and of smart arrows. */
+
+import { textOf, valueOf } from "./data.js";
+
+/** @typedef {import("./data.js").Run} Run */
+/** @typedef {import("./cards.js").Content} Content */
+
+const VECTOR = 5; // kind of smart arrows, `Kind` in Python
+
+/** The cards of a run; their keys are `joint N` and `vector N`. */
+export class JointCards {
+  /** @param {Run} run */
+  constructor(run) {
+    this.run = run;
+    this.joints = [...run.joints.keys()].filter((j) => run.joints[j].card && run.joints[j].lines.length);
+    this.chosen = -1;
+    this.vector = -1; // smart arrow that was clicked on
+  }
+
+  /**
+   * What they say at a frame.
+   * @param {import("./stage.js").Stage} stage @param {number} frame @returns {Content[]}
+   */
+  at(stage, frame) {
+    const found = this.joints.map((joint) => this.#ofJoint(stage, joint, frame));
+    for (const { item, texts, at } of this.run.cards) {
+      const place = stage.items.places.get(`${VECTOR} ${item}`), text = texts[at[frame]];
+      if (item !== this.vector || !place || !text) continue;
+      found.push({ key: `vector ${item}`, title: "", lines: [["", text]], sign: "", isStale: false,
+        at: place, load: Infinity, isChosen: false });
+    }
+    return found;
+  }
+
+  /** @param {import("./stage.js").Stage} stage @param {number} joint @param {number} frame @returns {Content} */
+  #ofJoint(stage, joint, frame) {
+    const { run } = this, { lines } = run.joints[joint], isChosen = joint === this.chosen;
+    const values = lines.map((line) => valueOf(run, joint, line.key, frame));
+    const texts = lines.map((line, k) => textOf(line, values[k]));
+    const isNothing = !Number.isFinite(values[0]) || !/[1-9]/.test(texts[0]);
+    const share = valueOf(run, joint, "torque_share", frame);
+    return {
+      key: `joint ${joint}`, title: lines[0].title, lines: lines.map(({ label }, k) => [label, texts[k]]),
+      sign: isNothing ? "" : values[0] > 0 ? "positive" : "negative", isStale: false,
+      at: stage.centre(joint), load: isChosen ? Infinity : Number.isFinite(share) ? share : -1, isChosen,
+    };
+  }
+}

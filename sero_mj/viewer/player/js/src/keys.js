@@ -1,0 +1,39 @@
+/** Names of keys as the server knows them, and which are left to the browser. */
+
+/** @type {Record<string, string>} */
+const NAMED = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "up", ArrowDown: "down", Escape: "escape",
+  Backspace: "backspace", Delete: "delete", Home: "home", End: "end", F1: "f1", F2: "f2", F3: "f3" };
+const WITH_CONTROL = ["z", "y", "c"];
+// What elements do with keys themselves.
+const OF_BUTTONS = [" ", "Enter"];
+const OF_SLIDERS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"];
+
+/**
+ * The name of a key; empty for what is the browser's.
+ * @param {Pick<KeyboardEvent, "key" | "ctrlKey" | "metaKey" | "altKey" | "shiftKey">} event
+ */
+export function nameOf({ key, ctrlKey, metaKey, altKey, shiftKey }) {
+  const isCharacter = [...key].length === 1, low = key.toLowerCase();
+  if (altKey && !isCharacter) return "";
+  if (ctrlKey || metaKey) {
+    if (altKey) return isCharacter && key !== low ? "" : isCharacter ? low : ""; // AltGr
+    if (low === "z" && shiftKey) return "ctrl+y";
+    return WITH_CONTROL.includes(low) ? `ctrl+${low}` : "";
+  }
+  return isCharacter ? low : NAMED[key] ?? "";
+}
+
+/**
+ * Whether the element that has the focus takes a key itself.
+ * @param {{tagName: string, type?: string}} element @param {string} key as in a KeyboardEvent
+ */
+export function isTakenBy({ tagName, type }, key) {
+  switch (tagName) {
+    case "TEXTAREA": case "SELECT": return true;
+    case "INPUT":
+      if (type === "range") return OF_SLIDERS.includes(key);
+      return type !== "checkbox" || OF_BUTTONS.includes(key);
+    case "BUTTON": case "SUMMARY": return OF_BUTTONS.includes(key);
+    default: return false;
+  }
+}

@@ -1,0 +1,287 @@
+/** A live page: it shows the state that a server sends, and sends what its user does. */
+
+import { isOnHandle } from "./handles.js";
+import { Input } from "./input.js";
+import { contentsOf } from "./live_cards.js";
+import { byId, valueIn } from "./page.js";
+import { readSections } from "./sections.js";
+import { State } from "./state.js";
+import { Surround } from "./surround.js";
+import { SocketTransport, liveUrl } from "./transport.js";
+import { View, tell } from "./view.js";
+
+/** @typedef {import("./transport.js").Transport} Transport */
+/** @typedef {import("./eye.js").View & {by: unknown, serial: number, fixed: number}} Seen */
+
+const LOOK = "sero-mj look"; // where the browser keeps it
+// Of JSON sections, those that are seen in the picture.
+const IN_PICTURE = ["labels", "cards", "camera", "lookAt", "selected", "shading"];
+
+/** The page. */
+export class Live {
+  /** @param {Transport & {open: () => void}} transport */
+  constructor(transport = new SocketTransport(liveUrl(location))) {
+    this.transport = transport;
+    /** What has come and is not shown yet, the latest of each. @type {import("./sections.js").Sections} */
+    this.waiting = { json: new Map(), bytes: new Map() };
+    /** The latest of the sections that are asked for later. @type {Record<string, any>} */
+    this.now = {};
+    /** @type {State | null} */
+    this.state = null;
+    this.isFollowing = true; // whether the camera is that of who is in control
+    this.isTurned = false; // whether we have turned it, which nobody knows yet
+    this.surround = new Surround((message) => this.#act(message));
+    this.view = new View({
+      frame: (passed) => this.#frame(passed),
+      card: (key, event) => this.#card(key, event),
+      turn: (isUser) => { if (isUser) this.#turned(); },
+      look: () => {},
+      resize: () => this.#tellSize(),
+    });
+    this.view.setLook(keptLook());
+    this.input = new Input(this.view.renderer.domElement, {
+      send: (message) => this.#act(message),
+      canAct: () => this.isInControl,
+      isDragging: () => Boolean(this.now.dragging),
+      isOnHandle: (at, tolerance) => Boolean(this.view.current && this.state
+        && isOnHandle(this.view.stage, this.state.geoms, at, tolerance)),
+      setTurning: (isOn) => { if (this.view.current) this.view.stage.orbit.enabled = isOn && !this.now.dragging; },
+      localKey: (name) => this.#localKey(name),
+      wake: () => this.view.wake(false),
+    });
+    this.#listen();
+    this.#connect();
+  }
+
+  get stage() { return this.view.stage; }
+
+  get calls() { return this.view.calls; }
+
+  /** Whether the server listens to us. */
+  get isInControl() {
+    return this.now.you !== undefined && this.now.control?.holder === this.now.you.id;
+  }
+
+  #connect() {
+    const { transport } = this;
+    transport.onopen = () => {
+      tell("server", "");
+      this.waiting = { json: new Map(), bytes: new Map() };
+      this.now = {};
+      this.#tellSize();
+    };
+    transport.onclose = () => tell("server", "The viewer has gone. This page connects again as soon as it is back.");
+    transport.onmessage = (message) => {
+      if (typeof message === "string") this.#event(JSON.parse(message));
+      else this.#receive(message);
+    };
+    transport.open();
+  }
+
+  #listen() {
+    const press = (/** @type {string} */ id, /** @type {() => void} */ act) => byId(id).addEventListener("click", act);
+    press("look", () => keep(this.view.look));
+    press("open", () => this.#act({ t: "key", key: "t", repeat: false }));
+    press("help", () => this.#act({ t: "key", key: "h", repeat: false }));
+    press("take", () => this.transport.send(JSON.stringify({ t: "control" })));
+    press("follow", () => {
+      this.isFollowing = true;
+      this.#see(this.now.camera);
+      this.#showControl();
+    });
+    byId("camera").addEventListener("change", (event) => this.#chooseCamera(Number(valueIn(event))));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.view.setLook(keptLook()));
+  }
+
+  /** @param {ArrayBuffer} message */
+  #receive(message) {
+    const { waiting } = this;
+    try {
+      const { json, bytes } = readSections(message);
+      // What has come for another model does not fit any more.
+      if (bytes.has("run")) waiting.bytes.clear();
+      for (const [name, value] of json) waiting.json.set(name, value);
+      for (const [name, value] of bytes) waiting.bytes.set(name, value);
+    } catch (error) {
+      misunderstood(error);
+    }
+    this.view.wake(false);
+  }
+
+  /** @param {{copy?: string, reload?: boolean}} event */
+  #event({ copy, reload }) {
+    if (copy !== undefined) navigator.clipboard?.writeText(copy).catch(() => prompt("Copy:", copy)) ?? prompt("Copy:", copy);
+    if (reload) location.reload();
+  }
+
+  /** Takes what has come. */
+  #take() {
+    const { json, bytes } = this.waiting;
+    if (!json.size && !bytes.size) return;
+    this.waiting = { json: new Map(), bytes: new Map() };
+    try {
+      const run = bytes.get("run");
+      if (run) {
+        this.state = new State(run, this.state?.keys);
+        this.view.show(this.state.run);
+        this.stage.robots.shade(this.now.shading ?? {});
+      }
+      for (const [name, value] of json) this.#takeJson(name, value);
+      for (const [name, value] of bytes) if (this.state?.take(name, value)) this.view.isDirty = true;
+    } catch (error) {
+      misunderstood(error);
+    }
+  }
+
+  /** @param {string} name @param {any} value */
+  #takeJson(name, value) {
+    if (this.state?.takeJson(name, value)) this.view.isDirty = true;
+    if (this.surround.take(name, value)) return;
+    const before = this.now[name];
+    this.now[name] = value;
+    if (IN_PICTURE.includes(name)) this.view.isDirty = true;
+    switch (name) {
+      case "camera": this.#follow(value); break;
+      case "lookAt": this.#shift(before, value); break;
+      case "shading": this.view.current?.robots.shade(value ?? {}); break;
+      case "you": case "control": this.#showControl(); break;
+      case "dragging": case "onHandle": this.#showHand(); break;
+    }
+  }
+
+  /** @param {number} passed ms since the last picture */
+  #frame(passed) {
+    this.#take();
+    this.#tellCamera();
+    this.input.flush();
+    const { state, view, now } = this;
+    if (!state || !view.isDirty) return;
+    view.stage.notePace(passed);
+    view.draw({
+      at: 0, hasDoubles: true, hasArrow: (joint) => state.arrowOn[joint] > 0, geoms: state.geoms,
+      labels: now.labels ?? [], cards: () => contentsOf(now.cards ?? [], now.selected ?? -1),
+    });
+  }
+
+  /** Sends what only counts from who is in control. @param {object} message */
+  #act(message) {
+    if (!this.isInControl) return;
+    this.#tellCamera();
+    this.transport.send(JSON.stringify(message));
+  }
+
+  #tellSize() {
+    const { clientWidth, clientHeight } = byId("stage");
+    this.transport.send(JSON.stringify({ t: "size", w: clientWidth, h: clientHeight }));
+  }
+
+  /** Tells where our camera is, if we have turned it. */
+  #tellCamera() {
+    if (!this.isTurned || !this.isInControl || !this.view.current) return;
+    this.isTurned = false;
+    this.transport.send(JSON.stringify({ t: "camera", fixed: this.stage.fixed, ...this.stage.view }));
+  }
+
+  /** The user has turned the camera. */
+  #turned() {
+    this.isTurned = true;
+    if (this.isInControl || !this.isFollowing) return;
+    this.isFollowing = false;
+    this.#showControl();
+  }
+
+  /** Sees what another one does, or the server wants. @param {Seen} camera */
+  #follow(camera) {
+    if (!camera || camera.by === this.now.you?.id || (!this.isFollowing && !this.isInControl)) return;
+    this.#see(camera);
+  }
+
+  /** @param {Seen | undefined} camera */
+  #see(camera) {
+    if (!camera || !this.view.current) return;
+    if (camera.fixed >= 0) this.stage.chooseCamera(camera.fixed);
+    else this.stage.look(camera);
+    this.view.wake();
+  }
+
+  /** What is followed has moved, and the camera with it. @param {number[] | null} before @param {number[] | null} now */
+  #shift(before, now) {
+    if (!before || !now || !this.view.current || this.stage.fixed >= 0) return;
+    this.stage.shift(now.map((each, k) => each - before[k]));
+  }
+
+  /** @param {number} number -1 for the scene's view */
+  #chooseCamera(number) {
+    if (this.isInControl && number < 9) return this.#act({ t: "key", key: String(number + 1), repeat: false });
+    this.stage.chooseCamera(number);
+    this.#turned();
+    return this.view.wake();
+  }
+
+  /** What keys do for those who only see. @param {string} name */
+  #localKey(name) {
+    if (!/^\d$/.test(name) || !this.view.current) return false;
+    this.#chooseCamera(Number(name) - 1);
+    return true;
+  }
+
+  /** @param {string} key kind and item @param {MouseEvent} event */
+  #card(key, event) {
+    const [kind, item] = key.split(" ").map(Number);
+    this.#act({ t: "card", kind, item, shift: event.shiftKey || event.ctrlKey, double: event.detail === 2 });
+  }
+
+  /** Who is in control, where there are several. */
+  #showControl() {
+    const { control, you } = this.now, { isInControl } = this;
+    document.body.classList.toggle("watching", Boolean(you && control && !isInControl));
+    const isShared = (control?.count ?? 1) > 1;
+    byId("control").hidden = !isShared && isInControl;
+    byId("who").textContent = isInControl ? `in control · ${control?.count} see this` : "another browser is in control";
+    byId("take").hidden = isInControl;
+    byId("follow").hidden = isInControl || this.isFollowing;
+    if (!isInControl || this.wasInControl) {
+      this.wasInControl = isInControl;
+      return;
+    }
+    this.wasInControl = true;
+    this.isFollowing = true;
+    if (isShared && this.isTurned) this.#tellCamera(); // others see what we do
+    const view = new URLSearchParams(location.hash.slice(1)).get("view");
+    if (view && !this.hasAsked) this.transport.send(JSON.stringify({ t: "view", text: view }));
+    this.hasAsked = true;
+  }
+
+  wasInControl = false;
+  hasAsked = false; // for the view of a link
+
+  /** What the pointer does. */
+  #showHand() {
+    const { dragging, onHandle } = this.now, canvas = this.view.renderer.domElement;
+    canvas.style.cursor = dragging ? "grabbing" : onHandle ? "grab" : "";
+    if (this.view.current) this.stage.orbit.enabled = !dragging;
+  }
+}
+
+/** @param {unknown} error */
+function misunderstood(error) {
+  console.warn("from the server:", error);
+  tell("message", "This page does not understand its server: reload it.");
+}
+
+/** @param {import("./view.js").Look} look */
+function keep(look) {
+  try {
+    localStorage.setItem(LOOK, look);
+  } catch { /* the browser keeps nothing */ }
+}
+
+/** @returns {import("./view.js").Look} */
+function keptLook() {
+  let kept = null;
+  try {
+    kept = localStorage.getItem(LOOK);
+  } catch { /* likewise */ }
+  if (kept === "light" || kept === "dark") return kept;
+  return matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+}

@@ -1,0 +1,136 @@
+/**
+ * Trees of widgets as elements: the server says what a panel has, and what users do there goes back.
+ *
+ * A tree comes anew whenever something in it has changed. Elements of widgets that are still there
+ * stay what they are, so that focus, caret, scroll position and open lists do.
+ */
+
+import { WIDGETS } from "./widgets.js";
+import { made } from "./page.js";
+
+/** @typedef {import("./widgets.js").Node} Node */
+/** @typedef {import("./widgets.js").Widget} Widget */
+
+/**
+ * What widgets of a tree need.
+ * @typedef {{send: (message: object) => void, list: (room: HTMLElement) => List}} Context
+ */
+
+/** The key of a node: its id, or the number of those of its kind without one. @param {Node[]} nodes */
+export function keysOf(nodes) {
+  /** @type {Record<string, number>} */
+  const counts = {};
+  return nodes.map(({ k, id }) => {
+    if (id !== undefined) return `${k}:${id}`;
+    counts[k] = (counts[k] ?? 0) + 1;
+    return `${k}#${counts[k]}`;
+  });
+}
+
+/** Nodes in lines, each with those that stand beside its first one. @param {Node[]} nodes */
+export function linesOf(nodes) {
+  /** @type {number[][]} */
+  const lines = [];
+  nodes.forEach(({ same }, k) => {
+    if (same !== undefined && same !== false && lines.length) lines[lines.length - 1].push(k);
+    else lines.push([k]);
+  });
+  return lines;
+}
+
+/**
+ * Makes elements the children of another one, in their order; those that are in order stay in place.
+ * @param {HTMLElement} room @param {HTMLElement[]} wanted
+ */
+export function arrange(room, wanted) {
+  const stay = new Set(wanted);
+  for (const each of [...room.children]) if (!stay.has(/** @type {HTMLElement} */ (each))) each.remove();
+  let next = room.firstElementChild;
+  for (const each of wanted) {
+    if (each === next) next = next.nextElementSibling;
+    else room.insertBefore(each, next);
+  }
+}
+
+/** Nodes of one level. */
+class List {
+  /** @param {HTMLElement} room @param {Context} context */
+  constructor(room, context) {
+    this.room = room;
+    this.context = context;
+    /** @type {Map<string, Widget>} */
+    this.widgets = new Map();
+    /** @type {Map<string, HTMLElement>} */
+    this.lines = new Map();
+  }
+
+  /** @param {Node[]} nodes */
+  update(nodes) {
+    const keys = keysOf(nodes), before = this.widgets;
+    this.widgets = new Map();
+    nodes.forEach((node, k) => {
+      const make = WIDGETS[node.k];
+      if (!make) return;
+      const widget = before.get(keys[k]) ?? make(node, this.context);
+      before.delete(keys[k]);
+      widget.update(node);
+      this.widgets.set(keys[k], widget);
+    });
+    for (const widget of before.values()) widget.dispose?.();
+    const lines = new Map();
+    for (const line of linesOf(nodes)) {
+      const shown = line.filter((k) => this.widgets.has(keys[k])), key = keys[line[0]];
+      if (!shown.length) continue;
+      const element = this.lines.get(key) ?? made("div", "", { class: "line" });
+      arrange(element, shown.map((k) => this.#element(keys[k])));
+      place(line.map((k) => nodes[k]), shown.map((k) => this.#element(keys[k])));
+      lines.set(key, element);
+    }
+    this.lines = lines;
+    arrange(this.room, [...lines.values()]);
+  }
+
+  /** @param {string} key */
+  #element(key) { return /** @type {Widget} */ (this.widgets.get(key)).element; }
+
+  /** Ends what its widgets have begun. */
+  dispose() {
+    for (const widget of this.widgets.values()) widget.dispose?.();
+  }
+}
+
+/** Sets widths, and where in their line widgets begin. @param {Node[]} nodes @param {HTMLElement[]} elements */
+function place(nodes, elements) {
+  let begin = 0; // em, of the widget before
+  nodes.forEach(({ width, same, left }, k) => {
+    const element = elements[k];
+    if (!element) return;
+    element.classList.toggle("rest", width === 0);
+    element.style.width = width ? `${width}em` : "";
+    element.style.marginLeft = typeof same === "number" && same > 0 ? `${same}em` : "";
+    if (!left) return;
+    elements[k - 1]?.style.setProperty("min-width", `calc(${left - begin}em - var(--gap))`);
+    begin = left;
+  });
+}
+
+/** A tree. */
+export class Tree {
+  /**
+   * @param {HTMLElement} room @param {string} name as the server calls it
+   * @param {(message: object) => void} send
+   */
+  constructor(room, name, send) {
+    /** @type {Context} */
+    const context = {
+      send: (message) => send({ ...message, tree: name }),
+      list: (own) => new List(own, context),
+    };
+    this.list = new List(room, context);
+  }
+
+  /** @param {Node[]} nodes */
+  update(nodes) { this.list.update(nodes); }
+
+  dispose() { this.list.dispose(); }
+}

@@ -1,0 +1,115 @@
+/** What a live page shows: a run of one frame, whose arrays the server's sections overwrite. */
+
+import { decode } from "./data.js";
+import { Geoms } from "./geoms.js";
+import { Reader, fill } from "./sections.js";
+
+/** @typedef {import("./data.js").Run} Run */
+
+const TURN = 1 / 16384; // of a component of a unit quaternion
+const BYTES_OF_GEOM = 12 + 12 + 16 + 12 + 4 + 4;
+
+/** The state. */
+export class State {
+  /**
+   * @param {Uint8Array} bytes of the section `run` @param {string[]} [keys] of the values
+   * @throws {Error} if they are none
+   */
+  constructor(bytes, keys = []) {
+    const run = this.run = decode(bytes.slice().buffer);
+    if (run.frames !== 1) throw new Error(`found a run of ${run.frames} frames`);
+    const joints = run.joints.length;
+    this.geoms = new Geoms();
+    this.arrowOn = new Uint8Array(joints);
+    this.turns = new Int16Array(run.rotations.length);
+    this.opacities = new Uint8Array(run.opacity.length);
+    this.greys = new Uint8Array(run.grey.length);
+    this.stales = new Uint8Array(joints);
+    this.keys = keys;
+    run.arrows.values = new Float64Array(joints);
+    run.joints.forEach(({ arrow }, j) => { this.arrowOn[j] = Number(arrow.on); });
+  }
+
+  /**
+   * Takes a section of bytes.
+   * @param {string} name @param {Uint8Array} bytes
+   * @returns {boolean} whether it is one of the state @throws {Error} if it does not fit
+   */
+  take(name, bytes) {
+    const { run } = this;
+    switch (name) {
+      case "poses": return this.#poses(new Reader(bytes));
+      case "opacity": return this.#scaled(bytes, this.opacities, run.opacity, 1 / 255);
+      case "grey": return this.#scaled(bytes, this.greys, run.grey, 1);
+      case "stale": return this.#scaled(bytes, this.stales, run.arrows.stale, 1);
+      case "values": return this.#values(new Reader(bytes));
+      case "items": return this.#items(new Reader(bytes));
+      case "tendons": return this.#tendons(new Reader(bytes));
+      case "arrowValues": return fill(bytes, run.arrows.values ?? new Float64Array());
+      case "arrowOn": return fill(bytes, this.arrowOn);
+      case "soft": return fill(bytes, run.soft ?? new Float32Array());
+      default: return false;
+    }
+  }
+
+  /**
+   * Takes a section of JSON.
+   * @param {string} name @param {any} value @returns {boolean} whether it is one of the state
+   */
+  takeJson(name, value) {
+    if (name === "valueKeys") this.keys = value.map(String);
+    else if (name === "time") this.run.begin = Number(value);
+    else if (name === "arrowLook") this.run.joints.forEach(({ arrow }, j) => Object.assign(arrow, value[j]));
+    else return false;
+    return true;
+  }
+
+  /** @param {Reader} reader */
+  #poses(reader) {
+    const { run, turns } = this;
+    reader.take(run.positions);
+    reader.take(turns);
+    for (let k = 0; k < turns.length; k++) run.rotations[k] = turns[k] * TURN;
+    return true;
+  }
+
+  /** @param {Uint8Array} bytes @param {Uint8Array} through @param {Float32Array} to @param {number} step */
+  #scaled(bytes, through, to, step) {
+    fill(bytes, through);
+    for (let k = 0; k < through.length; k++) to[k] = step * through[k];
+    return true;
+  }
+
+  /** @param {Reader} reader */
+  #values(reader) {
+    const { run } = this;
+    for (const key of this.keys) {
+      const joints = run.joints.length;
+      if (run.values[key]?.length !== joints) run.values[key] = new Float64Array(joints);
+      reader.take(run.values[key]);
+    }
+    return true;
+  }
+
+  /** @param {Reader} reader */
+  #items(reader) {
+    const count = reader.count(BYTES_OF_GEOM), { geoms } = this;
+    geoms.resize(count);
+    reader.take(geoms.of.subarray(0, 3 * count));
+    reader.take(geoms.positions.subarray(0, 3 * count));
+    reader.take(geoms.rotations.subarray(0, 4 * count));
+    reader.take(geoms.sizes.subarray(0, 3 * count));
+    reader.take(geoms.emission.subarray(0, count));
+    reader.take(geoms.rgba.subarray(0, 4 * count));
+    return true;
+  }
+
+  /** @param {Reader} reader */
+  #tendons(reader) {
+    const { tendons } = this.run;
+    if (!tendons) return true;
+    reader.take(tendons.ends);
+    reader.take(tendons.radius);
+    return true;
+  }
+}

@@ -1,0 +1,143 @@
+/** What pages of files and live pages share: the picture, what is written over it, and when to draw. */
+
+import { Cards } from "./cards.js";
+import { Labels } from "./labels.js";
+import { byId, made } from "./page.js";
+import { Stage, rendererOf } from "./stage.js";
+
+/** @typedef {import("./data.js").Run} Run */
+/** @typedef {"light" | "dark"} Look */
+
+/**
+ * What a page does.
+ * @typedef {{frame: (passed: number) => void, card: (key: string, event: MouseEvent) => void,
+ *   turn: (isUser: boolean) => void, look: (look: Look) => void, resize: () => void}} Acts
+ *   frame: draws, so many ms after the last picture, or 0 after a rest;
+ *   turn: the camera has turned
+ */
+
+/** The picture of a page. */
+export class View {
+  /** @param {Acts} acts */
+  constructor(acts) {
+    this.acts = acts;
+    this.renderer = rendererOf(byId("picture"));
+    this.cards = new Cards(byId("cards"), byId("leaders"), acts.card);
+    this.labels = new Labels(byId("stage"));
+    /** @type {Stage | null} */
+    this.current = null;
+    this.calls = 0;
+    this.before = 0; // ms, of the last picture; 0 after a rest
+    this.isAwake = false;
+    this.isDirty = true; // whether the picture is another one
+    this.isUsers = false; // whether it is the user who turns the camera
+    /** @type {Look} */
+    this.look = "light";
+    this.#listen();
+  }
+
+  /** The stage of the run that is shown. */
+  get stage() {
+    if (!this.current) throw new Error("nothing is shown yet");
+    return this.current;
+  }
+
+  /** Shows a run, instead of the one before. @param {Run} run */
+  show(run) {
+    this.current?.dispose();
+    const stage = this.current = new Stage(run, this.renderer);
+    stage.orbit.addEventListener("start", () => {
+      this.isUsers = true;
+      stage.free();
+    });
+    stage.orbit.addEventListener("end", () => { this.isUsers = false; });
+    stage.orbit.addEventListener("change", () => {
+      this.acts.turn(this.isUsers);
+      this.wake();
+    });
+    const cameras = byId("camera"), names = run.cameras.map(({ name }, k) => name || `camera ${k + 1}`);
+    cameras.replaceChildren(...["view", ...names].map((name, k) => made("option", name, { value: String(k - 1) })));
+    cameras.hidden = !names.length;
+    this.setLook(this.look);
+    this.resize();
+  }
+
+  #listen() {
+    const { canvas } = { canvas: this.renderer.domElement };
+    byId("look").addEventListener("click", () => this.setLook(this.look === "dark" ? "light" : "dark"));
+    new ResizeObserver(() => this.resize()).observe(byId("stage"));
+    // Cards are over the picture, but not what the wheel turns.
+    byId("cards").addEventListener("wheel", (event) => {
+      event.preventDefault();
+      canvas.dispatchEvent(new WheelEvent("wheel", event));
+    }, { passive: false });
+    canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      tell("graphics", "The browser has taken the graphics away; the picture comes back when it gives them back.");
+    });
+    canvas.addEventListener("webglcontextrestored", () => {
+      tell("graphics", "");
+      this.wake();
+    });
+  }
+
+  /** @param {Look} look */
+  setLook(look) {
+    this.look = look;
+    document.documentElement.dataset.look = look;
+    byId("look").textContent = look === "dark" ? "☀" : "☾";
+    this.current?.setLook(look);
+    this.acts.look(look);
+    this.wake();
+  }
+
+  resize() {
+    const { clientWidth, clientHeight } = byId("stage");
+    if (!clientWidth || !clientHeight) return;
+    this.current?.resize(clientWidth, clientHeight);
+    this.cards.forgetSizes();
+    this.acts.resize();
+    this.wake();
+  }
+
+  /** Calls `frame` soon, once. @param {boolean} isDirty whether the picture is to be drawn */
+  wake(isDirty = true) {
+    this.isDirty ||= isDirty;
+    if (this.isAwake) return;
+    this.isAwake = true;
+    requestAnimationFrame((time) => {
+      const passed = this.before ? time - this.before : 0;
+      this.isAwake = false;
+      this.acts.frame(passed);
+      this.before = this.isAwake ? time : 0;
+    });
+  }
+
+  /**
+   * Draws a moment.
+   * @param {{at: number, hasDoubles: boolean, hasArrow: (joint: number) => boolean,
+   *   geoms: import("./geoms.js").Geoms, cards: () => import("./cards.js").Content[],
+   *   labels: import("./labels.js").Label[]}} moment
+   */
+  draw({ at, hasDoubles, hasArrow, geoms, cards, labels }) {
+    const { stage } = this;
+    this.isDirty = false;
+    stage.place(at, hasDoubles, hasArrow, geoms);
+    this.calls = stage.draw();
+    const top = byId("tools").offsetHeight + byId("tools").offsetTop + 10;
+    this.cards.layOut(stage, cards(), top);
+    this.labels.layOut(stage, labels);
+    /** @type {HTMLSelectElement} */ (byId("camera")).value = String(stage.fixed);
+  }
+}
+
+/** What is wrong now, by what it concerns. @type {Map<string, string>} */
+const troubles = new Map();
+
+/** Says over the picture what is wrong. @param {string} what it concerns @param {string} text empty for nothing any more */
+export function tell(what, text) {
+  if (text) troubles.set(what, text);
+  else troubles.delete(what);
+  byId("problem").textContent = [...troubles.values()].join("\n");
+  byId("problem").hidden = !troubles.size;
+}

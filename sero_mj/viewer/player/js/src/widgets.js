@@ -1,0 +1,307 @@
+/** The kinds of widgets, each as elements that are made once and then updated. */
+
+import { Graph } from "./graph.js";
+import { made, mark, write } from "./page.js";
+
+/**
+ * What the server says of a widget; see the kinds for what else they have.
+ * @typedef {{k: string, id?: string, s?: string, aria?: string, tip?: string, off?: boolean,
+ *   width?: number, same?: number | boolean, left?: number, mood?: string, open?: boolean,
+ *   nodes?: Node[], widths?: number[], rows?: Node[][][], lit?: boolean, text?: string, hint?: string,
+ *   on?: boolean, index?: number, names?: string[], value?: number, low?: number, high?: number,
+ *   ticks?: [number, string][], count?: number, height?: number, lines?: any[], x?: string, y?: string,
+ *   xRange?: [number, number], yRange?: [number, number], limits?: number[]}} Node
+ */
+/** @typedef {{element: HTMLElement, update: (node: Node) => void, dispose?: () => void}} Widget */
+/** @typedef {import("./panels.js").Context} Context */
+
+const ECHO = 1000; // ms, in which the server is to know what the user has changed
+
+/**
+ * A value that users change: what they have set stands until the server says the same, and while
+ * they are at it nothing overwrites it.
+ * @template T
+ */
+export class Held {
+  constructor() {
+    /** @type {T | undefined} */
+    this.wanted = undefined;
+    this.since = -Infinity;
+    this.isHeld = false;
+  }
+
+  /** Notes what the user has set. @param {T} value */
+  set(value) {
+    this.wanted = value;
+    this.since = performance.now();
+  }
+
+  /** What is to be shown where the server has said a value. @param {T} value @returns {T} */
+  shown(value) {
+    if (this.wanted === undefined) return value;
+    const isOver = this.wanted === value || performance.now() - this.since > ECHO;
+    if (isOver && !this.isHeld) this.wanted = undefined;
+    return this.wanted ?? value;
+  }
+}
+
+/** What all controls have: words, a tip, and whether they take input. @param {HTMLElement} control @param {Node} node */
+function common(control, { s, aria, hint, tip, off }) {
+  const words = s ? "" : aria ?? hint ?? "";
+  if (words) mark(control, "aria-label", words);
+  if ("disabled" in control && control.disabled !== Boolean(off)) control.disabled = Boolean(off);
+  explain(control, tip);
+}
+
+/** @param {HTMLElement} element @param {string} [tip] */
+function explain(element, tip) {
+  if (element.title !== (tip ?? "")) element.title = tip ?? "";
+}
+
+/** A control with its words beside it. @param {HTMLElement} control @param {string} kind */
+function labelled(control, kind) {
+  const element = made("label", "", { class: kind }), words = made("span", "");
+  element.append(control, words);
+  /** @param {Node} node */
+  const say = (node) => {
+    words.hidden = !node.s;
+    write(words, node.s ?? "");
+    common(control, node);
+  };
+  return { element, say };
+}
+
+/** Words. @param {keyof HTMLElementTagNameMap} tag @param {string} kind @returns {() => Widget} */
+const words = (tag, kind) => () => {
+  const element = /** @type {HTMLElement} */ (made(tag, ""));
+  return { element, update: ({ s, mood, tip }) => {
+    write(element, s ?? "");
+    const look = `${kind} ${mood ?? ""}`;
+    if (element.className !== look) element.className = look;
+    explain(element, tip);
+  } };
+};
+
+/** A section or node of a tree that can be folded. @param {string} kind @returns {(node: Node, context: Context) => Widget} */
+const folding = (kind) => ({ id }, { send, list }) => {
+  const element = made("details", "", { class: kind }), summary = made("summary", "");
+  const room = made("div", "", { class: "folded" }), inside = list(room);
+  /** @type {Held<boolean>} */
+  const held = new Held();
+  element.append(summary, room);
+  summary.addEventListener("click", (event) => {
+    event.preventDefault();
+    held.set(!element.open);
+    element.open = !element.open;
+    send({ t: "fold", id, open: element.open });
+  });
+  return { element, update: ({ s, open, nodes, tip }) => {
+    write(summary, s ?? "");
+    explain(summary, tip);
+    const isOpen = held.shown(Boolean(open));
+    if (element.open !== isOpen) element.open = isOpen;
+    inside.update(isOpen ? nodes ?? [] : []);
+  }, dispose: () => inside.dispose() };
+};
+
+/** @type {(node: Node, context: Context) => Widget} */
+const table = (_, { list }) => {
+  const element = made("div", "", { class: "table" });
+  /** @type {ReturnType<Context["list"]>[]} */
+  let cells = [];
+  return { element, update: ({ widths = [], rows = [] }) => {
+    const columns = widths.map((width) => width ? `${width}em` : "minmax(0,1fr)").join(" ");
+    if (element.style.gridTemplateColumns !== columns) element.style.gridTemplateColumns = columns;
+    const wanted = rows.flatMap((row) => widths.map((_width, k) => row[k] ?? []));
+    for (const cell of cells.splice(wanted.length)) {
+      cell.dispose();
+      cell.room.remove();
+    }
+    while (cells.length < wanted.length) {
+      const room = made("div", "", { class: "cell" });
+      element.append(room);
+      cells.push(list(room));
+    }
+    wanted.forEach((nodes, k) => cells[k].update(nodes));
+  }, dispose: () => { for (const cell of cells) cell.dispose(); cells = []; } };
+};
+
+/** @type {(node: Node, context: Context) => Widget} */
+const button = ({ id }, { send }) => {
+  const element = made("button", "", { type: "button" });
+  element.addEventListener("click", () => send({ t: "widget", id, value: true }));
+  return { element, update: (node) => {
+    write(element, node.s ?? "");
+    common(element, node);
+  } };
+};
+
+/** @type {(node: Node, context: Context) => Widget} */
+const select = ({ id }, { send }) => {
+  const element = made("button", "", { type: "button", class: "select" });
+  element.addEventListener("click", () => send({ t: "widget", id, value: true }));
+  return { element, update: (node) => {
+    write(element, node.s ?? "");
+    mark(element, "aria-pressed", String(Boolean(node.lit)));
+    common(element, node);
+  } };
+};
+
+/** @type {(node: Node, context: Context) => Widget} */
+const search = ({ id }, { send }) => {
+  const element = made("input", "", { type: "search", autocomplete: "off", spellcheck: "false" });
+  /** @type {Held<string>} */
+  const held = new Held();
+  element.addEventListener("input", () => {
+    held.set(element.value);
+    send({ t: "widget", id, value: element.value });
+  });
+  return { element, update: (node) => {
+    held.isHeld = document.activeElement === element;
+    const text = held.shown(node.text ?? "");
+    if (element.value !== text) element.value = text;
+    mark(element, "placeholder", node.hint ?? "");
+    common(element, node);
+  } };
+};
+
+/** @type {(node: Node, context: Context) => Widget} */
+const check = ({ id }, { send }) => {
+  const box = made("input", "", { type: "checkbox" }), { element, say } = labelled(box, "check");
+  /** @type {Held<boolean>} */
+  const held = new Held();
+  box.addEventListener("change", () => {
+    held.set(box.checked);
+    send({ t: "widget", id, value: box.checked });
+  });
+  return { element, update: (node) => {
+    const isOn = held.shown(Boolean(node.on));
+    if (box.checked !== isOn) box.checked = isOn;
+    say(node);
+    explain(element, node.tip);
+  } };
+};
+
+/** @type {(node: Node, context: Context) => Widget} */
+const choose = ({ id }, { send }) => {
+  const box = made("select", ""), { element, say } = labelled(box, "choose");
+  /** @type {Held<number>} */
+  const held = new Held();
+  let listed = "";
+  box.addEventListener("change", () => {
+    held.set(box.selectedIndex);
+    send({ t: "widget", id, value: box.selectedIndex });
+  });
+  return { element, update: (node) => {
+    const names = node.names ?? [], list = names.join("\0");
+    if (list !== listed) box.replaceChildren(...names.map((name) => made("option", name)));
+    const index = held.shown(node.index ?? -1);
+    if (box.selectedIndex !== index || list !== listed) box.selectedIndex = index;
+    listed = list;
+    say(node);
+  } };
+};
+
+/** @type {(node: Node, context: Context) => Widget} */
+const slide = ({ id }, { send }) => {
+  const box = made("input", "", { type: "range", step: "any" }), said = made("output", "");
+  const track = made("span", "", { class: "track" }), ticks = made("span", "", { class: "ticks" });
+  const { element, say } = labelled(box, "slide");
+  element.prepend(track);
+  track.append(box, ticks, said);
+  /** @type {Held<number>} */
+  const held = new Held();
+  let marked = "";
+  box.addEventListener("pointerdown", () => {
+    held.isHeld = true;
+    held.set(box.valueAsNumber);
+  });
+  for (const end of ["pointerup", "pointercancel", "blur"]) {
+    box.addEventListener(end, () => { held.isHeld = false; });
+  }
+  box.addEventListener("input", () => {
+    held.set(box.valueAsNumber);
+    send({ t: "widget", id, value: box.valueAsNumber });
+  });
+  return { element, update: (node) => {
+    const { low = 0, high = 1, text = "" } = node, value = held.shown(node.value ?? low);
+    mark(box, "min", String(low));
+    mark(box, "max", String(high));
+    if (box.valueAsNumber !== value) box.value = String(value);
+    box.style.setProperty("--done", `${100 * Math.min(Math.max((value - low) / (high - low || 1), 0), 1)}%`);
+    write(said, text);
+    mark(box, "aria-valuetext", text || String(Number(value.toPrecision(4))));
+    const wanted = JSON.stringify([low, high, node.ticks ?? []]);
+    if (wanted !== marked) ticks.replaceChildren(...(node.ticks ?? []).map(([at, mood]) => {
+      const tick = made("i", "", { class: mood });
+      tick.style.left = `${100 * Math.min(Math.max((at - low) / (high - low || 1), 0), 1)}%`;
+      return tick;
+    }));
+    marked = wanted;
+    say(node);
+  } };
+};
+
+/** @type {(node: Node, context: Context) => Widget} */
+const number = ({ id }, { send }) => {
+  const box = made("input", "", { type: "text", inputmode: "decimal", autocomplete: "off", spellcheck: "false" });
+  const { element, say } = labelled(box, "number");
+  let [text, value, isTyped] = ["", 0, false];
+  box.addEventListener("focus", () => {
+    box.value = plain(text, value);
+    box.select();
+  });
+  box.addEventListener("input", () => { isTyped = true; });
+  box.addEventListener("blur", () => {
+    isTyped = false;
+    box.value = text;
+  });
+  box.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") box.blur();
+    if (event.key !== "Enter") return;
+    const typed = Number(box.value.trim().replace(",", "."));
+    isTyped = false;
+    if (box.value.trim() && Number.isFinite(typed)) send({ t: "widget", id, value: typed });
+    else box.value = plain(text, value);
+    box.select();
+  });
+  return { element, update: (node) => {
+    [text, value] = [node.text ?? "", node.value ?? 0];
+    const isIn = document.activeElement === box;
+    if (!isIn && box.value !== text) box.value = text;
+    if (isIn && !isTyped && box.selectionStart === 0 && box.value !== plain(text, value)) {
+      box.value = plain(text, value);
+      box.select();
+    }
+    say(node);
+  } };
+};
+
+/** The number in a text that has words as well, with as many decimals. @param {string} text @param {number} value */
+function plain(text, value) {
+  return /-?\d+(\.\d+)?(e[-+]?\d+)?/i.exec(text)?.[0] ?? String(value);
+}
+
+/** @type {(node: Node, context: Context) => Widget} */
+const lines = () => {
+  const element = made("textarea", "", { readonly: "", spellcheck: "false" });
+  return { element, update: (node) => {
+    if (element.value !== node.text) element.value = node.text ?? "";
+    mark(element, "rows", String(node.count ?? 2));
+    common(element, { ...node, s: "", aria: node.aria ?? "text to copy" });
+  } };
+};
+
+/** @type {(node: Node, context: Context) => Widget} */
+const plot = () => {
+  const graph = new Graph();
+  return { element: graph.element, update: (node) => graph.update(/** @type {any} */ (node)),
+    dispose: () => graph.dispose() };
+};
+
+/** How widgets of every kind are made. @type {Record<string, (node: Node, context: Context) => Widget>} */
+export const WIDGETS = {
+  text: words("p", "text"), label: words("span", "words"), title: words("h3", "title"),
+  header: folding("header"), tree: folding("tree"),
+  table, button, select, search, check, choose, slide, number, lines, plot,
+};
