@@ -81,10 +81,11 @@ class PageInput:
     # ---- messages
 
     def _size(self, said: dict[str, Any]) -> None:
-        width, height = int(said["w"]), int(said["h"])
-        if not (0 < width < _MOST_PIXELS and 0 < height < _MOST_PIXELS):
+        sizes = [int(said[key]) for key in ("w", "h", "page")]
+        if not all(0 < size < _MOST_PIXELS for size in sizes):
             raise ValueError
-        self._host.size = width, height
+        self._host.size = sizes[0], sizes[1]
+        self._panels.fit(sizes[2])
         self._host.look_again()
 
     def _camera(self, said: dict[str, Any]) -> None:
@@ -112,8 +113,8 @@ class PageInput:
 
     def _pointer(self, said: dict[str, Any]) -> None:
         kind = said["kind"]
-        if kind == "leave":
-            self.under = None
+        if kind == "leave":  # a finger was taken away, say: what was pressed is not released
+            self._leave(said)
             return
         at = self._at(said)
         button = int(said.get("button", LEFT))

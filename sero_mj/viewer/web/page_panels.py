@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _EM = 14.0  # pixels, the height of text in `page.css`
 _INTERVAL = 1.0 / 15.0  # s between two updates of panels
-_NARROW = 1000  # width, pixels, below which a page begins without its panel
+_NARROW = 800  # width of a page, pixels, below which it begins without its panel
 # Of the text's height: width of the panel, and most width and height of an area.
 _PANEL_WIDTH, _AREA_WIDTH, _AREA_HEIGHT = 23.0, 32.0, 34.0
 _TALL = 400.0  # a panel's height, which is scrolled
@@ -41,7 +41,7 @@ class PagePanels:
         self._trees: dict[str, DomWidgets] = {}
         self._built = float("-inf")
         self._is_asked = False
-        self._is_narrow = False
+        self._is_narrow, self._width = False, 1280
         self.shows_panel = True
 
     def act(self, tree: str, id_: str, value: Any) -> None:
@@ -55,6 +55,13 @@ class PagePanels:
         if tree in self._trees:
             self._trees[tree].fold(id_, is_open=is_open)
             self._is_asked = True
+
+    def fit(self, width: int) -> None:
+        """Hides the panel where a page becomes narrow, and shows it where it becomes wide, pixels."""
+        if self._is_narrow != (width < _NARROW):
+            self._is_narrow = width < _NARROW
+            self.shows_panel = not self._is_narrow
+        self._width = width
 
     def put(self, pieces: Sequence[Piece], geoms: int) -> None:
         """Puts the panels; less often than pictures, but at once where the user has acted.
@@ -70,14 +77,11 @@ class PagePanels:
         if not self._is_asked and now - self._built < _INTERVAL:
             return
         self._built, self._is_asked = now, False
-        width, height = host.size
-        if self._is_narrow != (width < _NARROW):
-            self._is_narrow = width < _NARROW
-            self.shows_panel = not self._is_narrow
+        _, height = host.size
         put("about", {"title": host.world.scene.name, "geoms": geoms, "panel": self.shows_panel})
         put("status", [list(piece) for piece in pieces])
         self._put_tree("panel", self.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
-        wide = width / _EM
+        wide = self._width / _EM
         self._put_tree("timeLine", host.has_time_line, self._time_line, (wide, 2.0))
         size = (min(help_panel.WIDTH, wide - 2), _TALL)
         self._put_tree("help", host.shows_help, self._help, size)

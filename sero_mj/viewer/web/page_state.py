@@ -118,7 +118,8 @@ class PageState:
         self._put_bodies(data, frame.buffer)
         rows = self._of_model.rows(data)
         self._put_geoms(frame.buffer, rows)
-        notes = [each for each in decor.panels if not each.in_front]  # of stale data
+        # What is left is said of stale data; the last one is the name beside the pointer.
+        notes = decor.panels[: len(decor.panels) - (hover is not None)]
         self._put_labels(frame, rows, [*self._beside, *notes])
 
     def _put_geoms(self, buffer: GeomBuffer, of_model: np.ndarray) -> None:

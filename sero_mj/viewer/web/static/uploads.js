@@ -1,6 +1,6 @@
 // Files that are dropped on the page, folders with all that is in them, are sent to its server.
 const CHUNK = 262144; // bytes
-const drops = { may: () => true, told: "" };
+var drops = { may: () => true, told: "" };
 drops.tell = function (text, isBad = true, seconds = 12) {
   let box = document.getElementById("sero-told");
   if (box === null) {

@@ -4,7 +4,8 @@ import * as THREE from "three";
 import { made, write } from "./page.js";
 
 /** @typedef {import("./data.js").Run} Run */
-/** @typedef {[text: string, x: number, y: number, z: number]} Label m */
+/** @typedef {[text: string, x: number, y: number, z: number, kind?: number, item?: number]} Label m; a
+ *   click on one that is of a kind tells of its kind and item, `Kind` in Python */
 
 /** The labels of a run at a frame. @param {Run} run @param {number} frame @returns {Label[]} */
 export function labelsAt({ labels, frames }, frame) {
@@ -23,22 +24,29 @@ export class Labels {
     /** @type {HTMLElement[]} */
     this.boxes = [];
     this.place = new THREE.Vector3();
+    /** @type {(key: string, event: MouseEvent) => void} */
+    this.onClick = () => {};
+  }
+
+  #make() {
+    const box = made("span", "", { class: "label" });
+    box.addEventListener("click", (event) => this.onClick(box.dataset.key ?? "", event));
+    this.room.append(box);
+    return box;
   }
 
   /** Writes them below their places. @param {import("./stage.js").Stage} stage @param {Label[]} labels */
   layOut(stage, labels) {
     const { width, height } = stage.size;
-    while (this.boxes.length < labels.length) {
-      this.boxes.push(made("span", "", { class: "label" }));
-      this.room.append(this.boxes[this.boxes.length - 1]);
-    }
+    while (this.boxes.length < labels.length) this.boxes.push(this.#make());
     this.boxes.forEach((box, k) => {
-      const [text, ...at] = labels[k] ?? [""];
-      const { x, y, isSeen } = stage.pixel(this.place.fromArray(at));
+      const [text, atX, atY, atZ, kind, item] = labels[k] ?? ["", 0, 0, 0];
+      const { x, y, isSeen } = stage.pixel(this.place.set(atX, atY, atZ));
       const isShown = text && isSeen && x > 0 && x < width && y > 0 && y < height;
       box.style.display = isShown ? "" : "none";
       if (!isShown) return;
       write(box, text);
+      box.dataset.key = kind ? `${kind} ${item}` : "";
       box.style.transform = `translate(${x.toFixed(1)}px,${(y + 8).toFixed(1)}px) translateX(-50%)`;
     });
   }

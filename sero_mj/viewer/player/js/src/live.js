@@ -24,6 +24,8 @@ export class Live {
     this.transport = transport;
     /** What has come and is not shown yet, the latest of each. @type {import("./sections.js").Sections} */
     this.waiting = { json: new Map(), bytes: new Map() };
+    this.unanswered = 0; // messages that are not shown yet: the server sends few more
+    this.serial = -1; // of the last camera that the server has moved
     /** The latest of the sections that are asked for later. @type {Record<string, any>} */
     this.now = {};
     /** @type {State | null} */
@@ -38,6 +40,7 @@ export class Live {
       look: () => {},
       resize: () => this.#tellSize(),
     });
+    this.view.labels.onClick = (key, event) => this.#card(key, event);
     this.view.setLook(keptLook());
     this.input = new Input(this.view.renderer.domElement, {
       send: (message) => this.#act(message),
@@ -50,6 +53,8 @@ export class Live {
       wake: () => this.view.wake(false),
     });
     this.#listen();
+    // Files that are dropped are sent by a script of their own, `uploads.js`.
+    Object.assign(/** @type {any} */ (globalThis).drops ?? {}, { may: () => this.isInControl });
     this.#connect();
   }
 
@@ -67,6 +72,8 @@ export class Live {
     transport.onopen = () => {
       tell("server", "");
       this.waiting = { json: new Map(), bytes: new Map() };
+      this.unanswered = 0;
+      this.serial = -1;
       this.now = {};
       this.#tellSize();
     };
@@ -75,6 +82,7 @@ export class Live {
       if (typeof message === "string") this.#event(JSON.parse(message));
       else this.#receive(message);
     };
+    transport.onother = () => location.reload();
     transport.open();
   }
 
@@ -96,6 +104,7 @@ export class Live {
   /** @param {ArrayBuffer} message */
   #receive(message) {
     const { waiting } = this;
+    this.unanswered++;
     try {
       const { json, bytes } = readSections(message);
       // What has come for another model does not fit any more.
@@ -136,6 +145,7 @@ export class Live {
   /** @param {string} name @param {any} value */
   #takeJson(name, value) {
     if (this.state?.takeJson(name, value)) this.view.isDirty = true;
+    if (name === "hover" && !this.isInControl) return; // it is beside the pointer of another one
     if (this.surround.take(name, value)) return;
     const before = this.now[name];
     this.now[name] = value;
@@ -154,11 +164,12 @@ export class Live {
     this.#take();
     this.#tellCamera();
     this.input.flush();
+    for (; this.unanswered; this.unanswered--) this.transport.send('{"t":"got"}');
     const { state, view, now } = this;
     if (!state || !view.isDirty) return;
     view.stage.notePace(passed);
     view.draw({
-      at: 0, hasDoubles: true, hasArrow: (joint) => state.arrowOn[joint] > 0, geoms: state.geoms,
+      at: 0, hasDoubles: true, hasArrow: (joint) => state.arrowOn[joint] > 0, geoms: state.geoms, sites: state.sites,
       labels: now.labels ?? [], cards: () => contentsOf(now.cards ?? [], now.selected ?? -1),
     });
   }
@@ -172,7 +183,7 @@ export class Live {
 
   #tellSize() {
     const { clientWidth, clientHeight } = byId("stage");
-    this.transport.send(JSON.stringify({ t: "size", w: clientWidth, h: clientHeight }));
+    this.transport.send(JSON.stringify({ t: "size", w: clientWidth, h: clientHeight, page: innerWidth }));
   }
 
   /** Tells where our camera is, if we have turned it. */
@@ -192,8 +203,10 @@ export class Live {
 
   /** Sees what another one does, or the server wants. @param {Seen} camera */
   #follow(camera) {
-    if (!camera || camera.by === this.now.you?.id || (!this.isFollowing && !this.isInControl)) return;
-    this.#see(camera);
+    if (!camera) return;
+    const isOwn = camera.by === this.now.you?.id && camera.serial === this.serial;
+    this.serial = camera.serial;
+    if (!isOwn && (this.isFollowing || this.isInControl)) this.#see(camera);
   }
 
   /** @param {Seen | undefined} camera */

@@ -181,12 +181,15 @@ export class Stage {
    * Places everything.
    * @param {number} at frame, with a fraction @param {boolean} hasDoubles
    * @param {(joint: number) => boolean} hasArrow @param {import("./geoms.js").Geoms} geoms of decor
+   * @param {{positions: Float32Array, turns: Float32Array} | null} [sites] where joints are, in the world
    */
-  place(at, hasDoubles, hasArrow, geoms) {
+  place(at, hasDoubles, hasArrow, geoms, sites = null) {
     const { run, robots } = this;
     robots.place(at, hasDoubles);
-    run.joints.forEach((joint, j) =>
-      this.sites[j].multiplyMatrices(robots.matrices[joint.body], this.own[j]));
+    run.joints.forEach((joint, j) => {
+      if (sites) this.sites[j].copy(matrixOf([...sites.positions.subarray(3 * j, 3 * j + 3)], [...sites.turns.subarray(4 * j, 4 * j + 4)]));
+      else this.sites[j].multiplyMatrices(robots.matrices[joint.body], this.own[j]);
+    });
     this.arrows.place(at, this.sites, hasArrow);
     this.items.place(geoms);
     this.soft.place(at, robots.matrices);

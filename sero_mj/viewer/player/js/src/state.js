@@ -26,6 +26,8 @@ export class State {
     this.greys = new Uint8Array(run.grey.length);
     this.stales = new Uint8Array(joints);
     this.keys = keys;
+    /** @type {{positions: Float32Array, turns: Float32Array} | null} */
+    this.sites = null;
     run.arrows.values = new Float64Array(joints);
     run.joints.forEach(({ arrow }, j) => { this.arrowOn[j] = Number(arrow.on); });
   }
@@ -44,7 +46,7 @@ export class State {
       case "stale": return this.#scaled(bytes, this.stales, run.arrows.stale, 1);
       case "values": return this.#values(new Reader(bytes));
       case "items": return this.#items(new Reader(bytes));
-      case "tendons": return this.#tendons(new Reader(bytes));
+      case "sites": return this.#sites(new Reader(bytes));
       case "arrowValues": return fill(bytes, run.arrows.values ?? new Float64Array());
       case "arrowOn": return fill(bytes, this.arrowOn);
       case "soft": return fill(bytes, run.soft ?? new Float32Array());
@@ -104,12 +106,12 @@ export class State {
     return true;
   }
 
-  /** @param {Reader} reader */
-  #tendons(reader) {
-    const { tendons } = this.run;
-    if (!tendons) return true;
-    reader.take(tendons.ends);
-    reader.take(tendons.radius);
+  /** Places of the joints in the world, where they are fixed to no body that is drawn. @param {Reader} reader */
+  #sites(reader) {
+    const joints = this.run.joints.length;
+    this.sites ??= { positions: new Float32Array(3 * joints), turns: new Float32Array(4 * joints) };
+    reader.take(this.sites.positions);
+    reader.take(this.sites.turns);
     return true;
   }
 }

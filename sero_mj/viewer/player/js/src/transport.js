@@ -3,8 +3,9 @@
 /**
  * What a page needs of a connection; a notebook's channel can take the websocket's place.
  * @typedef {{send: (message: string | ArrayBuffer) => void, onopen: () => void,
- *   onmessage: (message: ArrayBuffer | string) => void, onclose: () => void}} Transport
- *   onopen: it is there, and the state comes from the start; onclose: it is gone
+ *   onmessage: (message: ArrayBuffer | string) => void, onclose: () => void, onother: () => void}} Transport
+ *   onopen: it is there, and the state comes from the start; onclose: it is gone;
+ *   onother: another page is served there now
  */
 
 const LEAST_PAUSE = 250, MOST_PAUSE = 2000; // ms, between two attempts
@@ -19,6 +20,7 @@ export class SocketTransport {
     this.socket = null;
     this.onopen = () => {};
     this.onclose = () => {};
+    this.onother = () => {};
     /** @type {Transport["onmessage"]} */
     this.onmessage = () => {};
   }
@@ -35,9 +37,16 @@ export class SocketTransport {
     socket.addEventListener("close", () => {
       this.socket = null;
       this.onclose();
-      setTimeout(() => this.open(), this.pause);
+      setTimeout(() => this.#openAgain(), this.pause);
       this.pause = Math.min(2 * this.pause, MOST_PAUSE);
     });
+  }
+
+  /** Connects, unless another page is served there, the start page say. */
+  async #openAgain() {
+    const page = await fetch(location.href).then((found) => found.text(), () => "");
+    if (page && !page.includes("data-live")) this.onother();
+    else this.open();
   }
 
   /** Sends, unless it is gone. @param {string | ArrayBuffer} message */

@@ -117,12 +117,13 @@ export class View {
    * Draws a moment.
    * @param {{at: number, hasDoubles: boolean, hasArrow: (joint: number) => boolean,
    *   geoms: import("./geoms.js").Geoms, cards: () => import("./cards.js").Content[],
-   *   labels: import("./labels.js").Label[]}} moment
+   *   labels: import("./labels.js").Label[],
+   *   sites?: {positions: Float32Array, turns: Float32Array} | null}} moment
    */
-  draw({ at, hasDoubles, hasArrow, geoms, cards, labels }) {
+  draw({ at, hasDoubles, hasArrow, geoms, cards, labels, sites }) {
     const { stage } = this;
     this.isDirty = false;
-    stage.place(at, hasDoubles, hasArrow, geoms);
+    stage.place(at, hasDoubles, hasArrow, geoms, sites);
     this.calls = stage.draw();
     const top = byId("tools").offsetHeight + byId("tools").offsetTop + 10;
     this.cards.layOut(stage, cards(), top);
