@@ -12,19 +12,17 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from page_client import PageClient
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
-from websockets.sync.client import connect
 
 from sero_mj import Mirror
 from sero_mj.load import load_scene
-from sero_mj.viewer.mujoco_private import page_files
-from sero_mj.viewer.web import browsers
+from sero_mj.viewer.web import server
 from sero_mj.viewer.web.compression import CompressedResponses
-from sero_mj.viewer.web.host import WebHost
+from sero_mj.viewer.web.host import _PLAYER, WebHost
 
-# Studio's server ends without closing the connection of its user interface.
-pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
+PLAYER = (_PLAYER / "player.js").read_bytes()
 
 
 @pytest.fixture
@@ -35,20 +33,20 @@ def page(home: None) -> Iterator[WebHost]:
 
 def get(page: WebHost, path: str, **headers: str) -> tuple[http.client.HTTPResponse, bytes]:
     """The answer to a request, and its body."""
-    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", page.server.port, timeout=10)
     named = {key.replace("_", "-"): value for key, value in headers.items()}
-    connection.request("GET", path, headers={"Host": f"localhost:{page.port}", **named})
+    connection.request("GET", path, headers={"Host": f"localhost:{page.server.port}", **named})
     answer = connection.getresponse()
     body = answer.read()
     connection.close()
     return answer, body
 
 
-@pytest.mark.parametrize("path", ["/web_client.wasm", "/model?offset_bytes=0&size_bytes=500000"])
-def test_files_and_models_are_compressed_for_who_can_read_it(page: WebHost, path: str) -> None:
-    plain, whole = get(page, path)
+def test_files_are_compressed_for_who_can_read_it(page: WebHost) -> None:
+    plain, whole = get(page, "/player.js")
     assert "Content-Encoding" not in plain.headers
-    packed, less = get(page, path, Accept_Encoding="gzip, deflate, br")
+    assert whole == PLAYER
+    packed, less = get(page, "/player.js", Accept_Encoding="gzip, deflate, br")
     assert packed.headers["Content-Encoding"] == "gzip"
     assert packed.headers["Vary"] == "Accept-Encoding"
     assert len(less) == int(packed.headers["Content-Length"]) < 0.4 * len(whole)
@@ -58,43 +56,36 @@ def test_files_and_models_are_compressed_for_who_can_read_it(page: WebHost, path
 
 
 def test_a_file_that_a_browser_has_is_not_sent_again(page: WebHost) -> None:
-    first, body = get(page, "/web_client.js")
-    assert body == (page_files() / "web_client.js").read_bytes()
-    again, nothing = get(page, "/web_client.js", If_None_Match=first.headers["ETag"])
+    first, body = get(page, "/player.js")
+    again, nothing = get(page, "/player.js", If_None_Match=first.headers["ETag"])
     assert (again.status, nothing) == (304, b"")
-    other, whole = get(page, "/web_client.js", If_None_Match='"of an older version"')
+    other, whole = get(page, "/player.js", If_None_Match='"of an older version"')
     assert (other.status, whole) == (200, body)
-    model, _ = get(page, "/model")  # the current one, which changes
-    assert model.headers["Cache-Control"] == "no-store"
-    assert "ETag" not in model.headers
+    html, _ = get(page, "/")
+    assert html.headers["Cache-Control"] == "no-store"
+    assert "ETag" not in html.headers
 
 
 def test_states_are_compressed_for_who_can_read_it(page: WebHost) -> None:
-    url = f"ws://127.0.0.1:{page.port}/state?sid="
-    with connect(url + "a") as packed, connect(url + "b", compression=None) as plain:
-        assert "permessage-deflate" in packed.response.headers["Sec-WebSocket-Extensions"]
-        assert "Sec-WebSocket-Extensions" not in plain.response.headers
-        page.frame()
-        states = {}
-        for visitor in (packed, plain):
-            while not isinstance(state := visitor.recv(timeout=5), bytes):
-                pass
-            states[visitor] = state
-        assert states[packed] == states[plain]
+    with PageClient(page) as packed, PageClient(page, compression=None) as plain:
+        assert "permessage-deflate" in packed.line.response.headers["Sec-WebSocket-Extensions"]
+        assert "Sec-WebSocket-Extensions" not in plain.line.response.headers
+        for client in (packed, plain):
+            client.until(lambda client=client: "run" in client.state)
+        assert packed.state["run"] == plain.state["run"]
 
 
 def test_a_slow_link_is_waited_for_and_a_silent_one_is_not(
     page: WebHost, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(browsers, "_REQUEST_TIMEOUT", 0.2)
-    expected = (page_files() / "web_client.wasm").read_bytes()
+    monkeypatch.setattr(server, "_REQUEST_TIMEOUT", 0.2)
     with socket.socket() as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
         slow.settimeout(10)
-        slow.connect(("127.0.0.1", page.port))
-        host = f"localhost:{page.port}"
-        slow.sendall(f"GET /web_client.wasm HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
-        with socket.create_connection(("127.0.0.1", page.port), timeout=10) as silent:
+        slow.connect(("127.0.0.1", page.server.port))
+        host = f"localhost:{page.server.port}"
+        slow.sendall(f"GET /player.js HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
+        with socket.create_connection(("127.0.0.1", page.server.port), timeout=10) as silent:
             begin = time.monotonic()
             with contextlib.suppress(ConnectionResetError):
                 assert silent.recv(1) == b""
@@ -103,7 +94,7 @@ def test_a_slow_link_is_waited_for_and_a_silent_one_is_not(
         found = b""
         while part := slow.recv(65536):
             found += part
-    assert found.partition(b"\r\n\r\n")[2] == expected
+    assert found.partition(b"\r\n\r\n")[2] == PLAYER
 
 
 @given(st.lists(st.binary(max_size=5000), min_size=1, max_size=6))

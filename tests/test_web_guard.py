@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import http.client
-import logging
 import signal
 import socket
 import subprocess
@@ -17,20 +15,17 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
-from mujoco.studio.web import web_server
+from page_client import read_sections
 from web_tools import MISSING, Served
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from sero_mj import Mirror
-from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
 from sero_mj.viewer.web.guard import is_loopback
 from sero_mj.viewer.web.host import WebHost
 
-# Studio's server ends without closing the connection of its user interface.
-pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
-PATHS = ("/", "/index.html", "/web_client.js", "/model", "/model?total_bytes", "/state", "/ui")
+PATHS = ("/", "/index.html", "/player.js", "/player.css", "/uploads.js", "/live", "/sero-mj/files")
 
 
 @pytest.fixture
@@ -71,26 +66,31 @@ def refusal_of(port: int, path: str, **options: Any) -> str:
 
 
 def test_every_path_refuses_hosts_of_others(page: WebHost) -> None:
-    for path in (*PATHS, "/drop", "/nothing"):
-        for host in ("evil.example", f"evil.example:{page.port}", "localhost.evil.example", ""):
-            status, text, _ = get(page.port, path, Host=host)
+    for path in (*PATHS, "/nothing"):
+        for host in (
+            "evil.example",
+            f"evil.example:{page.server.port}",
+            "localhost.evil.example",
+            "",
+        ):
+            status, text, _ = get(page.server.port, path, Host=host)
             assert status == 403, (path, host)
             expected = f"found Host {host!r}; expected localhost; the page is for this machine only"
             assert expected in text
-    before = page.viewer.server._guard.refused
-    assert before == 4 * 9
+    before = page.server.guard.refused
+    assert before == 4 * 8
 
 
 def test_hosts_that_are_this_machine_are_let_in(page: WebHost) -> None:
     # A tunnel may have any port at its other end.
     for host in ("localhost", "localhost:9000", "127.0.0.1:1", "LOCALHOST.:80", "[::1]:8080"):
-        assert get(page.port, "/", Host=host)[0] == 200, host
+        assert get(page.server.port, "/", Host=host)[0] == 200, host
     # Not those of its network: they are not where it listens.
-    assert get(page.port, "/", Host="192.168.1.7")[0] == 403
+    assert get(page.server.port, "/", Host="192.168.1.7")[0] == 403
 
 
 def test_every_path_refuses_origins_of_others(page: WebHost) -> None:
-    port = page.port
+    port = page.server.port
     for path in PATHS:
         for origin in (
             "http://evil.example",
@@ -102,60 +102,54 @@ def test_every_path_refuses_origins_of_others(page: WebHost) -> None:
             status, text, _ = get(port, path, Origin=origin)
             assert status == 403, (path, origin)
             assert f"found Origin {origin!r}; expected the page's own" in text
-    for path in ("/state?sid=a", "/ui?sid=a"):
+    for path in ("/live", "/sero-mj/files"):
         assert "found Origin" in refusal_of(port, path, origin="http://evil.example")
-    with connect(f"ws://127.0.0.1:{port}/state?sid=a", origin=f"http://127.0.0.1:{port}") as own:
-        assert str(own.recv(timeout=5)).startswith("viewers=1;")
+    with connect(f"ws://127.0.0.1:{port}/live", origin=f"http://127.0.0.1:{port}") as own:
+        assert read_sections(own.recv(timeout=5)) == {"you": {"id": 1}}
 
 
 def test_what_other_sites_embed_is_refused_and_links_are_not(page: WebHost) -> None:
     for site in ("cross-site", "same-site"):
         other = {"Sec_Fetch_Site": site, "Sec_Fetch_Mode": "no-cors"}
-        for path in ("/", "/web_client.js", "/model"):
-            status, text, _ = get(page.port, path, **other)
+        for path in ("/", "/player.js", "/player.css"):
+            status, text, _ = get(page.server.port, path, **other)
             assert (status, f"found Sec-Fetch-Site '{site}'" in text) == (403, True)
-        assert get(page.port, "/", Sec_Fetch_Site=site, Sec_Fetch_Mode="navigate")[0] == 200
-        assert get(page.port, "/model", Sec_Fetch_Site=site, Sec_Fetch_Mode="navigate")[0] == 403
+        assert get(page.server.port, "/", Sec_Fetch_Site=site, Sec_Fetch_Mode="navigate")[0] == 200
+        assert (
+            get(page.server.port, "/player.js", Sec_Fetch_Site=site, Sec_Fetch_Mode="navigate")[0]
+            == 403
+        )
 
 
 def test_no_answer_may_be_read_by_others(page: WebHost) -> None:
-    for path in (*PATHS, "/model?crc32=1", "/nothing"):
-        _, _, headers = get(page.port, path)
+    for path in (*PATHS[:5], "/nothing"):
+        _, _, headers = get(page.server.port, path)
         assert "Access-Control-Allow-Origin" not in headers, path
         assert headers["X-Content-Type-Options"] == "nosniff"
-        if path in ("/", "/index.html"):
-            assert headers["Content-Security-Policy"].startswith("frame-ancestors 'self' ")
-        else:
-            assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
-    with connect(f"ws://127.0.0.1:{page.port}/state?sid=a") as own:
+        assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
+        assert headers["Cross-Origin-Opener-Policy"] == "same-origin"
+    with connect(f"ws://127.0.0.1:{page.server.port}/live") as own:
         assert own.response is not None
         assert "Access-Control-Allow-Origin" not in own.response.headers
 
 
-@pytest.mark.parametrize("path", ["/", "/web_client.js", "/model"])
-def test_headers_of_isolation_are_sent_once(page: WebHost, path: str) -> None:
-    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
-    connection.request("GET", path)
-    headers = connection.getresponse().headers
-    connection.close()
-    assert headers.get_all("Cross-Origin-Opener-Policy") == ["same-origin"]
-    assert headers.get_all("Cross-Origin-Embedder-Policy") == ["require-corp"]
+def test_a_page_asks_its_own_server_only_and_runs_no_script_that_stands_in_it(
+    page: WebHost,
+) -> None:
+    for path in ("/", "/index.html"):
+        _, text, headers = get(page.server.port, path)
+        policy = dict(
+            part.strip().split(" ", 1) for part in headers["Content-Security-Policy"].split(";")
+        )
+        assert policy["default-src"] == "'none'"
+        assert policy["script-src"] == policy["style-src"] == policy["connect-src"] == "'self'"
+        assert policy["frame-ancestors"].startswith("'self' ")
+        assert "<script>" not in text
+        assert " style=" not in text
 
 
-def test_any_number_of_browsers_looks_on(page: WebHost) -> None:
-    with contextlib.ExitStack() as browsers:
-        for number in range(40):
-            address = f"ws://127.0.0.1:{page.port}/state?sid={number}"
-            roster = browsers.enter_context(connect(address, close_timeout=0.1)).recv(timeout=10)
-            assert f"viewers={number + 1};" in str(roster)
-
-
-def test_nothing_is_uploaded_to_studio(page: WebHost, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING):
-        found = refusal_of(page.port, "/drop?sid=a")
-    assert "Studio's uploads are disabled; files that are dropped on the page are taken" in found
-    assert "refused a request for '/drop': Studio's uploads are disabled" in caplog.text
-    with connect(f"ws://127.0.0.1:{page.port}/state?sid=a") as own:
+def test_messages_that_are_too_long_end_their_connection(page: WebHost) -> None:
+    with connect(f"ws://127.0.0.1:{page.server.port}/live") as own:
         own.send(bytes(2**20 + 1))
         with pytest.raises(ConnectionClosed, match="1009"):  # message too big
             while True:
@@ -163,7 +157,7 @@ def test_nothing_is_uploaded_to_studio(page: WebHost, caplog: pytest.LogCaptureF
 
 
 def test_requests_that_are_none_are_refused(page: WebHost) -> None:
-    port = page.port
+    port = page.server.port
     for lines in (
         "GET / HTTP/1.1\r\n\r\n",
         "GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n",
@@ -177,16 +171,16 @@ def test_requests_that_are_none_are_refused(page: WebHost) -> None:
 
 def test_refusals_do_not_fill_the_log(page: WebHost, caplog: pytest.LogCaptureFixture) -> None:
     for _ in range(30):
-        get(page.port, "/model", Host="evil.example")
+        get(page.server.port, "/live", Host="evil.example")
     told = [r.getMessage() for r in caplog.records if "refused a request" in r.getMessage()]
     assert len(told) == 10
     assert told[-1].endswith("(further ones are not logged)")
-    assert page.viewer.server._guard.refused == 30
+    assert page.server.guard.refused == 30
 
 
 def test_beyond_this_machine_a_token_is_needed(open_page: WebHost) -> None:
-    page, port = open_page, open_page.port
-    assert not page.is_private
+    page, port = open_page, open_page.server.port
+    assert not page.server.is_private
     assert page.urls[0] == page.url
     assert page.urls[1].startswith(f"http://{socket.gethostname()}:{port}/?token=")
     (token,) = parse_qs(urlsplit(page.url).query)["token"]
@@ -195,7 +189,7 @@ def test_beyond_this_machine_a_token_is_needed(open_page: WebHost) -> None:
         status, text, headers = get(port, path)
         assert (status, "found no valid token; open the address" in text) == (403, True), path
         assert "Set-Cookie" not in headers
-    assert "found no valid token" in refusal_of(port, "/state?sid=a")
+    assert "found no valid token" in refusal_of(port, "/live")
 
     for host in (f"127.0.0.1:{port}", "192.168.1.7", "[fe80::1]", socket.gethostname()):
         assert get(port, f"/?token={token}", Host=host)[0] == 200
@@ -212,49 +206,27 @@ def test_beyond_this_machine_a_token_is_needed(open_page: WebHost) -> None:
         _, _, elsewhere = get(port, f"/?token={token}", Host=host)
         assert elsewhere["Set-Cookie"].startswith("sero-mj-80=")
     stolen = cookie.partition("=")[2]
-    assert get(port, f"/model?token={stolen}")[0] == 403
-    assert get(port, "/model", Cookie=f"sero-mj-{port + 1}={stolen}")[0] == 403
-    assert get(port, "/model", Cookie=f'junk="{{; a b=[; {cookie}')[0] == 200
-    assert get(port, "/model", Cookie=cookie + "x")[0] == 403
+    assert get(port, f"/player.js?token={stolen}")[0] == 403
+    assert get(port, "/player.js", Cookie=f"sero-mj-{port + 1}={stolen}")[0] == 403
+    assert get(port, "/player.js", Cookie=f'junk="{{; a b=[; {cookie}')[0] == 200
+    assert get(port, "/player.js", Cookie=cookie + "x")[0] == 403
     # Who has the cookie, and is sent by another site, does not come in either.
-    assert get(port, "/model", Cookie=cookie, Origin="http://evil.example")[0] == 403
-    assert get(port, "/model", Cookie=cookie, Host="evil.example")[0] == 403
-    with connect(f"ws://127.0.0.1:{port}/state?sid=a&token={token}") as own:
-        assert str(own.recv(timeout=5)).startswith("viewers=1;")
+    assert get(port, "/player.js", Cookie=cookie, Origin="http://evil.example")[0] == 403
+    assert get(port, "/player.js", Cookie=cookie, Host="evil.example")[0] == 403
+    # Files in the page have it, too: in a frame of another site browsers send no cookie.
+    assert f'"/player.js?token={token}"' in text
+    with connect(f"ws://127.0.0.1:{port}/live?token={token}") as own:
+        assert read_sections(own.recv(timeout=5)) == {"you": {"id": 1}}
 
 
 def test_a_token_can_be_had_on_this_machine_too(home: None) -> None:
     with Mirror(load_scene("lwr")) as mirror, WebHost(mirror, token=True) as page:
-        assert page.is_private
-        assert get(page.port)[0] == 403
-        assert get(page.port, page.url.partition(str(page.port))[2])[0] == 200
+        assert page.server.is_private
+        assert get(page.server.port)[0] == 403
+        assert get(page.server.port, page.url.partition(str(page.server.port))[2])[0] == 200
         first = page.url
     with Mirror(load_scene("lwr")) as mirror, WebHost(mirror, token=True) as page:
         assert page.url.partition("token=")[2] != first.partition("token=")[2]
-
-
-CONNECT = """
-import socket, sys
-with socket.create_connection(("127.0.0.1", int(sys.argv[1])), 5) as one:
-    one.sendall(b"POST / HTTP/1.1\\r\\n" + bytes(200))
-    try:
-        print(one.recv(1))
-    except ConnectionResetError:
-        print(b"")
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="whose a socket is cannot be found out")
-def test_nobody_takes_the_place_of_the_user_interface(page: WebHost) -> None:
-    """Its server would send what it gets there to the browser, and all input back."""
-    port = page.viewer._tcp_sock.getsockname()[1]
-    command = [sys.executable, "-c", CONNECT, str(port)]
-    found = subprocess.run(command, check=True, capture_output=True, text=True, timeout=20)
-    assert found.stdout == "b''\n", found.stderr
-    with socket.create_connection(("127.0.0.1", port), 5) as own:
-        own.settimeout(0.2)
-        with pytest.raises(TimeoutError):  # it is let in, and nothing is sent yet
-            own.recv(1)
 
 
 def test_addresses_of_this_machine_are_known() -> None:
@@ -264,30 +236,12 @@ def test_addresses_of_this_machine_are_known() -> None:
         assert not is_loopback(address)
 
 
-def test_a_studio_that_cannot_be_guarded_serves_nothing(
-    home: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As if a later one had another way to its sockets."""
-
-    def other(server: Any, stop: threading.Event) -> None:
-        stop.wait()
-
-    monkeypatch.setattr(web_server, "_run_server", other)
-    waits = "sero_mj.viewer.web.guard.GuardedRun.wait.__defaults__"
-    monkeypatch.setattr(waits, (0.1,), raising=True)
-    with (
-        Mirror(load_scene("lwr")) as mirror,
-        pytest.raises(RenderError, match="requests of other sites could not be refused"),
-    ):
-        WebHost(mirror)
-
-
 ATTACK = """<!doctype html><body></body><script>
 const at = "PAGE";
 async function socket(path) {
   return new Promise((done) => {
     const ws = new WebSocket(at.replace("http", "ws") + path);
-    ws.onopen = () => { ws.send("force_control"); };
+    ws.onopen = () => { ws.send('{"t":"control"}'); };
     ws.onmessage = () => done("read");
     ws.onclose = () => done("refused");
     ws.onerror = () => done("refused");
@@ -319,10 +273,9 @@ async function frame() {
 }
 async function attack() {
   return {
-    state: await socket("/state?sid=x"), ui: await socket("/ui?sid=x"),
-    drop: await socket("/drop?sid=x"), model: await read("/model", "cors"),
-    blind: await read("/model", "no-cors"), page: await read("/", "cors"),
-    script: await script("/web_client.js"),
+    live: await socket("/live"), files: await socket("/sero-mj/files"),
+    player: await read("/player.js", "cors"), blind: await read("/player.js", "no-cors"),
+    page: await read("/", "cors"), script: await script("/player.js"),
   };
 }
 </script>"""
@@ -384,9 +337,9 @@ def test_a_website_in_the_users_browser_gets_nothing(browser: Any, tmp_path: Pat
         assert answer.status == 403
         assert "expected localhost" in answer.text()
         # Nobody has looked at it in all this, and nothing was uploaded.
-        assert served.ask("w.viewer.server.is_watched") is False
-        assert served.ask("w.viewer._drop_queue.qsize()") == 0
-        assert served.ask("w.viewer.server._guard.refused") >= 10
+        assert served.ask("w.is_seen") is False
+        assert served.ask("w._dropped") == []
+        assert served.ask("w.server.guard.refused") >= 10
         rebound.close()
         # No other site has it in a frame, under which clicks would be its; notebooks have.
         with Website(served.url) as site:
@@ -396,10 +349,10 @@ def test_a_website_in_the_users_browser_gets_nothing(browser: Any, tmp_path: Pat
             framing.goto(f"http://evil.example:{site.port}/")
             framing.evaluate("frame()")
             assert any("frame-ancestors" in line for line in said), said
-            assert served.ask("w.viewer.server.is_watched") is False
+            assert served.ask("w.is_seen") is False
             framing.goto(f"http://localhost:{site.port}/")
             framing.evaluate("frame()")
-            served.until("w.viewer.server.is_watched")
+            served.until("w.is_seen")
             framing.close()
 
 
@@ -409,15 +362,10 @@ def test_a_website_in_the_users_browser_gets_nothing(browser: Any, tmp_path: Pat
 def test_a_browser_with_the_address_sees_the_robot(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", token=True) as served:
         page = browser.new_page(viewport={"width": 280, "height": 240}, device_scale_factor=0.5)
-        said: list[str] = []
-        page.on("console", lambda message: said.append(message.text))
         assert page.goto(served.url.partition("?")[0]).status == 403
         page.goto(served.url)
-        with page.expect_console_message(
-            lambda message: "First remote draw frame applied" in message.text, timeout=100_000
-        ):
-            pass
-        served.until("w.viewer.server.is_watched")
+        page.wait_for_function("document.documentElement.dataset.ready === '1' && player.state")
+        served.until("w.is_seen")
         page.close()
 
 

@@ -144,7 +144,10 @@ def wire_bytes(client: PageClient) -> int:
 
 
 def test_a_quiet_source_makes_its_robot_grey(home: None) -> None:
-    source = UdpReceiver(name="udp", port=0, structure="7F")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    source = UdpReceiver(name="udp", port=port, structure="7F")
     scene = Scene(
         robots=[SerialRobot.from_model("lwr", stale_after=0.2)],
         sources={"udp": source},
@@ -165,11 +168,11 @@ def test_a_quiet_source_makes_its_robot_grey(home: None) -> None:
             return "grey" in client.state and bool(grey()[of_robot].all())
 
         client.until(is_grey)
-        client.until(lambda: ["lwr: no data yet"] == [text for text, *_ in client.state["labels"]])
-        address = ("127.0.0.1", mirror.sources["udp"].bound_port)  # type: ignore[attr-defined]
+        client.until(lambda: client.state["labels"])
+        assert [text for text, *_ in client.state["labels"]] == ["lwr: no data yet"]
 
         def is_fresh() -> bool:
-            sender.sendto(struct.pack("<7d", *[0.1] * 7), address)
+            sender.sendto(struct.pack("<7d", *[0.1] * 7), ("127.0.0.1", port))
             return not grey().any()
 
         client.until(is_fresh)
@@ -379,8 +382,8 @@ SAID = st.fixed_dictionaries(
     optional={
         key: st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
         | st.lists(st.floats(), max_size=4)
-        for key in ("w", "h", "page", "fixed", "lookAt", "distance", "azimuth", "elevation", "kind", "x",
-                    "y", "button", "shift", "ctrl", "n", "key", "item", "tree", "id", "value",
+        for key in ("w", "h", "page", "fixed", "lookAt", "distance", "azimuth", "elevation", "kind",
+                    "x", "y", "button", "shift", "ctrl", "n", "key", "item", "tree", "id", "value",
                     "open", "area", "text")
     },
 )  # fmt: skip

@@ -18,7 +18,7 @@ import pytest
 import trimesh
 from driver import ROOT
 from test_web_guard import get
-from web_tools import MISSING, Visitor
+from web_tools import MISSING
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -53,8 +53,8 @@ class Opened:
         return Scene(name=what.scene)
 
     def line(self, path: str, **options: Any) -> Any:
-        token = f"?token={self.page.token}" if self.page.token else ""
-        return connect(f"ws://localhost:{self.page.port}{path}{token}", **options)
+        token = f"?token={self.page.server.token}" if self.page.server.token else ""
+        return connect(f"ws://localhost:{self.page.server.port}{path}{token}", **options)
 
     def close(self) -> None:
         self.page.close()
@@ -77,7 +77,7 @@ def notice(line: Any) -> dict[str, Any]:
 
 
 def test_tiles_are_listed_with_pictures_and_open_their_scenes(opened: Opened) -> None:
-    port = opened.page.port
+    port = opened.page.server.port
     assert get(port)[0] == 200
     status, text, headers = get(port, "/sero-mj/tiles")
     assert (status, headers["Content-Type"]) == (200, "application/json")
@@ -168,16 +168,19 @@ def test_other_sites_and_who_has_no_token_are_refused(opened: Opened) -> None:
         for headers in ({"Origin": "http://evil.example"}, {"Sec_Fetch_Site": "cross-site"},
                         {"Host": "evil.example"}):  # fmt: skip
             if (path, *headers) != ("/", "Sec_Fetch_Site"):
-                assert get(opened.page.port, path, **headers)[0] == 403, (path, headers)
+                assert get(opened.page.server.port, path, **headers)[0] == 403, (path, headers)
     for path in PATHS[3:]:
         with pytest.raises(InvalidStatus), opened.line(path, origin="http://evil.example"):
             pass
     guarded = Opened(token=True)
     try:
         for path in PATHS:
-            assert get(guarded.page.port, path)[0] == 403
-            assert get(guarded.page.port, f"{path}?token=wrong")[0] == 403
-        assert get(guarded.page.port, f"/sero-mj/tiles?token={guarded.page.token}")[0] == 200
+            assert get(guarded.page.server.port, path)[0] == 403
+            assert get(guarded.page.server.port, f"{path}?token=wrong")[0] == 403
+        assert (
+            get(guarded.page.server.port, f"/sero-mj/tiles?token={guarded.page.server.token}")[0]
+            == 200
+        )
         with guarded.line("/sero-mj/start") as line:
             assert json.loads(line.recv(timeout=10)) == {"awaited": []}
     finally:
@@ -233,7 +236,8 @@ def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
             assert command.stdout is not None
             found = re.search(r"start page is at (http://\S+)", command.stdout.readline())
             assert found is not None
-            page = Visitor(browser, None, url=found[1]).page
+            page = browser.new_page(viewport={"width": 900, "height": 600})
+            page.goto(found[1])
             tile = page.locator(".tiles button", has=page.locator("strong", has_text="scara"))
             tile.scroll_into_view_if_needed()
             loaded = "element => element.complete && element.naturalWidth"
@@ -242,21 +246,21 @@ def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
             )
             assert tile.locator("img").evaluate(loaded) in (480, False)
             tile.click()
-            page.wait_for_selector("canvas", timeout=60_000)  # MuJoCo's page, at the same address
-            page.wait_for_function("() => drops.may()", timeout=60_000)
+            page.wait_for_selector("canvas", timeout=60_000)  # the live page, at the same address
+            page.wait_for_function("() => globalThis.player?.state && drops.may()", timeout=60_000)
+            assert page.title() == "scara"
             page.evaluate(_DROP, {"r/notes.txt": ""})
             page.wait_for_function("() => drops.told.startsWith('found notes.txt; expected a')")
             mesh = trimesh.creation.box((0.1, 0.1, 0.3)).export(file_type="stl")
             files = {"r/pair.urdf": URDF.encode(), "r/meshes/arm.stl": mesh}
             encoded = {path: base64.b64encode(data).decode() for path, data in files.items()}
-            run = page.evaluate("SCENE")
-            with page.expect_navigation(timeout=60_000):
-                page.evaluate(_DROP, encoded)
-            page.wait_for_selector("canvas", timeout=60_000)
-            assert page.evaluate("SCENE") != run
-            assert "<title>pair - sero-mj</title>" in page.evaluate(
-                "() => fetch(location.href).then(found => found.text())"
-            )
+            page.evaluate(_DROP, encoded)
+            page.wait_for_function("() => document.title === 'pair'", timeout=60_000)
+            assert page.evaluate("player.state.run.joints.map((joint) => joint.name)") == [
+                "pair/turn"
+            ]
+            page.get_by_role("button", name="start page").click()
+            page.wait_for_selector(".tiles", timeout=60_000)
             page.close()
         finally:
             command.send_signal(2)

@@ -57,7 +57,7 @@ class PagePanels:
             self._is_asked = True
 
     def fit(self, width: int) -> None:
-        """Hides the panel where a page becomes narrow, and shows it where it becomes wide, pixels."""
+        """Hides the panel where a page becomes narrow, shows it where it becomes wide, pixels."""
         if self._is_narrow != (width < _NARROW):
             self._is_narrow = width < _NARROW
             self.shows_panel = not self._is_narrow
