@@ -34,7 +34,7 @@ def captured(
     """
     world = World(Scene(floor=False))  # without joints and decor
     world.model = model
-    bodies, soft = capture_module._bodies(world), SoftCollector(model)
+    bodies, soft = capture_module.shown_bodies(world), SoftCollector(model)
     for data in states:
         soft.take(data)
     n, frames = len(world.joints.names), len(states)

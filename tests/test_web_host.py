@@ -43,7 +43,7 @@ def page(home: None) -> Iterator[WebHost]:
 def client(page: WebHost) -> Iterator[PageClient]:
     with PageClient(page) as client:
         client.say("size", w=SIZE[0], h=SIZE[1], page=SIZE[0])
-        client.until(lambda: page.size == SIZE and client.state.get("panel"))
+        client.until(lambda: page.view.size == SIZE and client.state.get("panel"))
         yield client
 
 
@@ -349,7 +349,7 @@ def test_one_browser_has_control_and_hands_it_over(page: WebHost, client: PageCl
         other.say("size", w=300, h=200, page=300)
         assert other.until(lambda: page.browsers.refused == refused + 1)
         assert page.toggles.arrows.any()
-        assert page.size == SIZE
+        assert page.view.size == SIZE
         other.say("control")
         client.until(lambda: client.state["control"]["holder"] == other.id)
         other.say("key", key="a")
@@ -400,7 +400,7 @@ def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebHost]:
 @given(said=st.lists(SAID, max_size=5))
 def test_whatever_a_browser_says_the_page_goes_on(fuzzed: WebHost, said: list[Any]) -> None:
     fuzzed._input.take(said)
-    fuzzed.decor.lay_out(fuzzed.data, fuzzed._view())
+    fuzzed.decor.lay_out(fuzzed.data, fuzzed.view.picture(fuzzed.data))
     assert np.isfinite(fuzzed.navigator.camera.lookat).all()
 
 

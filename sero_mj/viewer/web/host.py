@@ -11,22 +11,18 @@ from typing import TYPE_CHECKING
 
 import mujoco
 
-from ...base.errors import UsageError
 from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
-from ..camera import Navigator, stand_back
-from ..decor.picture_view import PictureView
 from ..headless.film import Pixels
 from ..session.live import LiveHost
 from ..session.picking import Pixel
-from ..session.restoring import show_state
 from ..session.scene_decor import SceneDecor
 from ..session.status_line import status_pieces
-from ..session.view_state import ViewState
 from .browsers import Browsers
 from .page_input import PageInput
 from .page_panels import PagePanels
 from .page_state import PageState
+from .page_view import PageView
 from .sections import Sections
 from .server import LOOPBACK, PageServer
 
@@ -35,7 +31,6 @@ if TYPE_CHECKING:
 
 RATE = 60.0  # frames per second
 _UNWATCHED_RATE = 10.0  # while no browser is there
-_SIZE = (1280, 800)  # of the page before a browser has told its own, pixels
 _PLAYER = files("sero_mj.viewer.player") / "static"
 
 
@@ -56,8 +51,7 @@ class WebHost(LiveHost):
     Attributes:
         server: of the page.
         browsers: that look at it.
-        navigator: the camera of the browser in control.
-        size: of its picture, pixels.
+        view: the camera of the browser in control.
 
     Raises:
         RenderError: the page cannot be served there.
@@ -78,23 +72,20 @@ class WebHost(LiveHost):
         super().__init__(mirror, folder)
         world = self.world
         self._renderer: HeadlessRenderer | None = None  # of screenshots and films
-        self.navigator = Navigator(world, camera)
+        self.view = PageView(world, camera)
+        self.navigator = self.view.navigator
         self.decor = SceneDecor(world, self.toggles)
-        self.size = _SIZE
         self._sections = Sections()
         self._state = PageState(world, self._sections)
         self._use(self.decor)
         self.decor.add(self._state)  # the last one: it takes what all others have drawn
-        self._scene = mujoco.MjvScene(world.model, maxgeom=0)  # for its camera
         self._is_held = waits and not self.clock.is_live
         self._is_closing = self._is_closed = False
         self.actions.add({"link": self._copy_link, "panel": self.toggle_status})
         self.browsers = Browsers(self._sections)
         self._panels = PagePanels(self, self._sections)
-        self._input = PageInput(self, self._panels)
+        self._input = PageInput(self, self.view, self._panels)
         self._dropped: list[Path] = []
-        self._last_camera: tuple[object, ...] = ()
-        self._serial = 0  # of the camera, where the host has moved it
         page = (_PLAYER / "live.html").read_text("utf-8").replace("%%TITLE%%", "sero-mj")
         own = {name: (_PLAYER / name).read_bytes() for name in ("player.js", "player.css")}
         self.server = PageServer(
@@ -152,15 +143,15 @@ class WebHost(LiveHost):
             self.open_file(self._dropped.pop(0))
         self._advance(lambda: self.clock.advance(0.0 if self._is_held else passed))
         self.navigator.advance(self.data)
-        self.decor.lay_out(self.data, self._view())
+        self.decor.lay_out(self.data, self.view.picture(self.data))
         self._input.point()
         self._state.put(self.data, self.decor)
-        self._put_view()
+        self.view.put(self._sections, self.browsers.holder)
         self._sections.put("dragging", self._input.is_dragging)
         self._sections.put("onHandle", self._input.is_on_handle)
         frame_rate = 1.0 / max(self._interval, 1e-6)
         pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
-        self._panels.put(pieces, self._state.count)
+        self._panels.put(pieces, self._state.count, self.view.size)
         self.server.call(self.browsers.wake)
         self.work = time.monotonic() - begin
         self._give_picture(self.picture)
@@ -170,63 +161,10 @@ class WebHost(LiveHost):
 
     # ---- the view
 
-    def _view(self) -> PictureView:
-        """The camera's view of the browser in control."""
-        scene, camera, (width, height) = self._scene, self.navigator.camera, self.size
-        mujoco.mjv_updateCamera(self.world.model, self.data, camera, scene)
-        stand_back(scene, camera, width, height, self.navigator.needed)
-        return PictureView.of_scene(scene, width, height)
-
-    def look_again(self) -> None:
-        """Lets pixels be those of the camera as it is now, before they are looked at."""
-        self.decor.view = self._view()
-
-    def take_camera(self) -> None:
-        """Notes that the browser in control has moved the camera, which it need not be told."""
-        self._last_camera = self._camera_key()
-
-    def _camera_key(self) -> tuple[object, ...]:
-        camera = self.navigator.camera
-        return (
-            int(camera.type), int(camera.fixedcamid), float(camera.distance),
-            float(camera.azimuth), float(camera.elevation),
-            *(() if self.is_following else camera.lookat.tolist()),
-        )  # fmt: skip
-
-    def _put_view(self) -> None:
-        """Puts the camera: others follow it, and the one in control where the host has moved it."""
-        camera, put = self.navigator.camera, self._sections.put
-        key, by = self._camera_key(), self.browsers.holder
-        if key != self._last_camera:
-            self._last_camera, by = key, None
-            self._serial += 1
-        is_fixed = int(camera.type) == int(mujoco.mjtCamera.mjCAMERA_FIXED)
-        put(
-            "camera",
-            {
-                "by": by,
-                "serial": self._serial,
-                "fixed": int(camera.fixedcamid) if is_fixed else -1,
-                "lookAt": [round(float(each), 5) for each in camera.lookat],
-                "distance": round(float(camera.distance), 5),
-                "azimuth": round(float(camera.azimuth), 4),
-                "elevation": round(float(camera.elevation), 4),
-            },
-        )
-        follows = [round(float(each), 4) for each in camera.lookat] if self.is_following else None
-        put("lookAt", follows)
-
     @property
     def link(self) -> str:
         """Address that opens the page with this view: camera, switches, selection, time."""
         return f"{self.url}#view={urllib.parse.quote(self.view_state().to_text(), safe='')}"
-
-    def follow_link(self, text: str) -> None:
-        """Shows the view of a link."""
-        try:
-            show_state(self, ViewState.from_text(text))
-        except UsageError as error:
-            self.say(str(error), is_bad=True)
 
     def _copy_link(self) -> str:
         self.to_clipboard(self.link)

@@ -5,25 +5,21 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import mujoco
-import numpy as np
-
+from ...base.errors import UsageError
 from ..decor.geom_buffer import Kind
 from ..session.input import LEFT, Clicked, Event, Mouse, Moved
+from ..session.live import LiveHost
 from ..session.picking import Pixel, picked_of
-
-if TYPE_CHECKING:
-    from .host import WebHost
-    from .page_panels import PagePanels
+from ..session.restoring import show_state
+from ..session.view_state import ViewState
+from .page_panels import PagePanels
+from .page_view import PageView
 
 log = logging.getLogger(__name__)
 
-_FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
-_FIXED = int(mujoco.mjtCamera.mjCAMERA_FIXED)
 _MOST_PIXELS = 20_000  # of a page, in either direction
-_MOST_METRES = 1e6
 _BUTTONS = (0, 1, 2)
 
 
@@ -32,6 +28,7 @@ class PageInput:
 
     Args:
         host: of the page.
+        view: of the page.
         panels: of the page.
 
     Attributes:
@@ -41,8 +38,8 @@ class PageInput:
         is_on_handle: whether the pointer is over a handle.
     """
 
-    def __init__(self, host: WebHost, panels: PagePanels) -> None:
-        self._host, self._panels = host, panels
+    def __init__(self, host: LiveHost, view: PageView, panels: PagePanels) -> None:
+        self._host, self._page_view, self._panels = host, view, panels
         self._mouse = Mouse()
         self.under: Pixel | None = None
         self.wrong = 0
@@ -84,32 +81,24 @@ class PageInput:
         sizes = [int(said[key]) for key in ("w", "h", "page")]
         if not all(0 < size < _MOST_PIXELS for size in sizes):
             raise ValueError
-        self._host.size = sizes[0], sizes[1]
+        self._page_view.size = sizes[0], sizes[1]
         self._panels.fit(sizes[2])
-        self._host.look_again()
+        self._look_again()
 
     def _camera(self, said: dict[str, Any]) -> None:
-        host, fixed = self._host, int(said["fixed"])
-        numbers = [*map(float, said["lookAt"]), *(float(said[key]) for key in
-                   ("distance", "azimuth", "elevation"))]  # fmt: skip
-        is_good = np.isfinite(numbers).all() and max(map(abs, numbers)) < _MOST_METRES
-        if len(numbers) != 6 or not is_good or numbers[3] <= 0:
-            raise ValueError
-        camera = host.navigator.camera
-        if not host.is_following:
-            camera.lookat[:] = numbers[:3]
-        camera.distance, camera.azimuth, camera.elevation = numbers[3:]
-        if not -1 <= fixed < host.world.model.ncam:
-            raise ValueError
-        camera.type, camera.fixedcamid = (_FREE, -1) if fixed < 0 else (_FIXED, fixed)
-        host.take_camera()
-        host.look_again()
+        numbers = [float(said[key]) for key in ("distance", "azimuth", "elevation")]
+        self._page_view.take(int(said["fixed"]), [*map(float, said["lookAt"])], numbers)
+        self._look_again()
+
+    def _look_again(self) -> None:
+        """Lets pixels be those of the camera as it is now, before one is pressed."""
+        self._host.decor.view = self._page_view.picture(self._host.data)
 
     def _at(self, said: dict[str, Any]) -> Pixel:
         x, y = float(said["x"]), float(said["y"])
         if not (abs(x) < _MOST_PIXELS and abs(y) < _MOST_PIXELS):  # nor NaN
             raise ValueError
-        return x, self._host.size[1] - y
+        return x, self._page_view.size[1] - y
 
     def _pointer(self, said: dict[str, Any]) -> None:
         kind = said["kind"]
@@ -134,7 +123,7 @@ class PageInput:
             self._host.let_go()
 
     def _is_inside(self, at: Pixel) -> bool:
-        width, height = self._host.size
+        width, height = self._page_view.size
         return 0 <= at[0] < width and 0 <= at[1] < height
 
     def _click(self, clicked: Clicked) -> None:
@@ -183,7 +172,10 @@ class PageInput:
             self._host.toggle_help()
 
     def _view(self, said: dict[str, Any]) -> None:
-        self._host.follow_link(str(said["text"]))
+        try:
+            show_state(self._host, ViewState.from_text(str(said["text"])))
+        except UsageError as error:
+            self._host.say(str(error), is_bad=True)
 
     def _leave(self, said: dict[str, Any]) -> None:
         """Whoever had control has gone, and a button is no longer down."""

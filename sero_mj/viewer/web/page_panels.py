@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..panels import help as help_panel
 from ..panels.dom_widgets import DomWidgets, Node
 from ..panels.time_line import build_time_line
 from ..session.interaction import help_columns
+from ..session.live import LiveHost
 from ..session.status_line import Piece
 from ..session.tool import Tool, tool_keys
 from .sections import Sections
-
-if TYPE_CHECKING:
-    from .host import WebHost
 
 _EM = 14.0  # pixels, the height of text in `page.css`
 _INTERVAL = 1.0 / 15.0  # s between two updates of panels
@@ -36,7 +34,7 @@ class PagePanels:
         shows_panel: whether the panel is shown.
     """
 
-    def __init__(self, host: WebHost, sections: Sections) -> None:
+    def __init__(self, host: LiveHost, sections: Sections) -> None:
         self._host, self._sections = host, sections
         self._trees: dict[str, DomWidgets] = {}
         self._built = float("-inf")
@@ -63,12 +61,13 @@ class PagePanels:
             self.shows_panel = not self._is_narrow
         self._width = width
 
-    def put(self, pieces: Sequence[Piece], geoms: int) -> None:
+    def put(self, pieces: Sequence[Piece], geoms: int, size: tuple[int, int]) -> None:
         """Puts the panels; less often than pictures, but at once where the user has acted.
 
         Args:
             pieces: of the status line.
             geoms: number of geoms of decor.
+            size: of the picture, pixels.
         """
         host, put, now = self._host, self._sections.put, time.monotonic()
         ongoing = host.ongoing
@@ -77,15 +76,14 @@ class PagePanels:
         if not self._is_asked and now - self._built < _INTERVAL:
             return
         self._built, self._is_asked = now, False
-        _, height = host.size
         put("about", {"title": host.world.scene.name, "geoms": geoms, "panel": self.shows_panel})
         put("status", [list(piece) for piece in pieces])
         self._put_tree("panel", self.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
         wide = self._width / _EM
         self._put_tree("timeLine", host.has_time_line, self._time_line, (wide, 2.0))
-        size = (min(help_panel.WIDTH, wide - 2), _TALL)
-        self._put_tree("help", host.shows_help, self._help, size)
-        room = min(_AREA_WIDTH, wide), min(_AREA_HEIGHT, 0.6 * height / _EM)
+        room = min(help_panel.WIDTH, wide - 2), _TALL
+        self._put_tree("help", host.shows_help, self._help, room)
+        room = min(_AREA_WIDTH, wide), min(_AREA_HEIGHT, 0.6 * size[1] / _EM)
         put("areas", [self._area(tool, room) for tool in host.areas])
 
     def _put_tree(

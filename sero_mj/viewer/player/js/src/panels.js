@@ -83,7 +83,7 @@ class List {
       if (!shown.length) continue;
       const element = this.lines.get(key) ?? made("div", "", { class: "line" });
       arrange(element, shown.map((k) => this.#element(keys[k])));
-      place(line.map((k) => nodes[k]), shown.map((k) => this.#element(keys[k])));
+      place(shown.map((k) => nodes[k]), shown.map((k) => /** @type {Widget} */ (this.widgets.get(keys[k]))));
       lines.set(key, element);
     }
     this.lines = lines;
@@ -99,17 +99,17 @@ class List {
   }
 }
 
-/** Sets widths, and where in their line widgets begin. @param {Node[]} nodes @param {HTMLElement[]} elements */
-function place(nodes, elements) {
+/** Sets widths, and where in their line widgets begin. @param {Node[]} nodes @param {Widget[]} widgets */
+function place(nodes, widgets) {
   let begin = 0; // em, of the widget before
   nodes.forEach(({ width, same, left }, k) => {
-    const element = elements[k];
-    if (!element) return;
+    const { element, sized = element } = widgets[k];
     element.classList.toggle("rest", width === 0);
-    element.style.width = width ? `${width}em` : "";
+    // Words on a button may need more than in windows.
+    sized.style[element.tagName === "BUTTON" ? "minWidth" : "width"] = width ? `${width}em` : "";
     element.style.marginLeft = typeof same === "number" && same > 0 ? `${same}em` : "";
     if (!left) return;
-    elements[k - 1]?.style.setProperty("min-width", `calc(${left - begin}em - var(--gap))`);
+    widgets[k - 1]?.element.style.setProperty("min-width", `calc(${left - begin}em - var(--gap))`);
     begin = left;
   });
 }

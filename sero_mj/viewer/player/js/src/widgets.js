@@ -12,7 +12,8 @@ import { made, mark, write } from "./page.js";
  *   ticks?: [number, string][], count?: number, height?: number, lines?: any[], x?: string, y?: string,
  *   xRange?: [number, number], yRange?: [number, number], limits?: number[]}} Node
  */
-/** @typedef {{element: HTMLElement, update: (node: Node) => void, dispose?: () => void}} Widget */
+/** @typedef {{element: HTMLElement, sized?: HTMLElement, update: (node: Node) => void,
+ *   dispose?: () => void}} Widget sized: the part that a width is for; else all of it */
 /** @typedef {import("./panels.js").Context} Context */
 
 const ECHO = 1000; // ms, in which the server is to know what the user has changed
@@ -192,7 +193,7 @@ const choose = ({ id }, { send }) => {
     held.set(box.selectedIndex);
     send({ t: "widget", id, value: box.selectedIndex });
   });
-  return { element, update: (node) => {
+  return { element, sized: box, update: (node) => {
     const names = node.names ?? [], list = names.join("\0");
     if (list !== listed) box.replaceChildren(...names.map((name) => made("option", name)));
     const index = held.shown(node.index ?? -1);
@@ -223,7 +224,7 @@ const slide = ({ id }, { send }) => {
     held.set(box.valueAsNumber);
     send({ t: "widget", id, value: box.valueAsNumber });
   });
-  return { element, update: (node) => {
+  return { element, sized: track, update: (node) => {
     const { low = 0, high = 1, text = "" } = node, value = held.shown(node.value ?? low);
     mark(box, "min", String(low));
     mark(box, "max", String(high));
@@ -265,7 +266,7 @@ const number = ({ id }, { send }) => {
     else box.value = plain(text, value);
     box.select();
   });
-  return { element, update: (node) => {
+  return { element, sized: box, update: (node) => {
     [text, value] = [node.text ?? "", node.value ?? 0];
     const isIn = document.activeElement === box;
     if (!isIn && box.value !== text) box.value = text;

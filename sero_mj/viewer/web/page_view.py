@@ -1,0 +1,105 @@
+"""`PageView`: the camera of a page: that of the browser in control, which others follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from ...robots.assemble.world_view import WorldView
+from ..camera import Navigator, stand_back
+from ..decor.font import DEFAULT_FONT, Font
+from ..decor.picture_view import PictureView
+from .sections import Sections
+
+_SIZE = (1280, 800)  # of the picture before a browser has told its own, pixels
+_LINE = 20  # height of a line of text of `page.css`, pixels
+_FONT = Font(_LINE, DEFAULT_FONT.widths * _LINE / DEFAULT_FONT.height)
+_FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
+_FIXED = int(mujoco.mjtCamera.mjCAMERA_FIXED)
+_MOST_METRES = 1e6
+
+
+class PageView:
+    """The camera of a page, and the size of its picture.
+
+    Args:
+        world: that is seen.
+        camera: see `find_camera`.
+
+    Attributes:
+        navigator: moves the camera.
+        size: of the picture, pixels.
+
+    Raises:
+        UnknownName: no camera of that name.
+    """
+
+    def __init__(self, world: WorldView, camera: str | None) -> None:
+        self._world = world
+        self.navigator = Navigator(world, camera)
+        self.size = _SIZE
+        self._scene = mujoco.MjvScene(world.model, maxgeom=0)  # for its camera
+        self._last: tuple[object, ...] = ()  # camera that browsers know of
+        self._serial = 0  # counts how often the host has moved it
+
+    def picture(self, data: mujoco.MjData) -> PictureView:
+        """Returns the view of the browser in control, of a state with frames up to date."""
+        scene, camera, (width, height) = self._scene, self.navigator.camera, self.size
+        mujoco.mjv_updateCamera(self._world.model, data, camera, scene)
+        stand_back(scene, camera, width, height, self.navigator.needed)
+        return PictureView.of_scene(scene, width, height, _FONT)
+
+    def take(self, fixed: int, look_at: Sequence[float], numbers: Sequence[float]) -> None:
+        """Takes the camera of the browser in control, which it need not be told.
+
+        Args:
+            fixed: index of the scene's camera; -1 for a free one.
+            look_at: what it looks at, (3,), m; what is followed stays followed.
+            numbers: distance, m, azimuth and elevation, degrees.
+
+        Raises:
+            ValueError: these are none of a camera.
+        """
+        every = np.array([*look_at, *numbers], float)
+        is_good = every.shape == (6,) and np.isfinite(every).all() and every[3] > 0
+        if not (is_good and np.abs(every).max() < _MOST_METRES):
+            raise ValueError("found no camera")
+        if not -1 <= fixed < self._world.model.ncam:
+            raise ValueError(f"found camera {fixed}")
+        camera = self.navigator.camera
+        if self.navigator.following is None:
+            camera.lookat[:] = every[:3]
+        camera.distance, camera.azimuth, camera.elevation = every[3:]
+        camera.type, camera.fixedcamid = (_FREE, -1) if fixed < 0 else (_FIXED, fixed)
+        self._last = self._key()
+
+    def _key(self) -> tuple[object, ...]:
+        camera = self.navigator.camera
+        looks_at = () if self.navigator.following is not None else tuple(camera.lookat)
+        return (int(camera.type), int(camera.fixedcamid), camera.distance, camera.azimuth,
+                camera.elevation, *looks_at)  # fmt: skip
+
+    def put(self, sections: Sections, holder: int | None) -> None:
+        """Puts the camera: others follow it, and the one in control where the host has moved it.
+
+        Args:
+            sections: of the page.
+            holder: who is in control.
+        """
+        camera, key, by = self.navigator.camera, self._key(), holder
+        if key != self._last:
+            self._last, by = key, None
+            self._serial += 1
+        found = {
+            "by": by,
+            "serial": self._serial,
+            "fixed": int(camera.fixedcamid) if int(camera.type) == _FIXED else -1,
+            "lookAt": [round(float(each), 5) for each in camera.lookat],
+            "distance": round(float(camera.distance), 5),
+            "azimuth": round(float(camera.azimuth), 4),
+            "elevation": round(float(camera.elevation), 4),
+        }
+        sections.put("camera", found)
+        sections.put("lookAt", found["lookAt"] if self.navigator.following is not None else None)
