@@ -27,6 +27,7 @@ from sero_mj import Mirror
 from sero_mj.viewer.web.host import WebHost
 
 SECONDS = 10.0
+SHOWN = "() => globalThis.player?.calls > 0"  # the first picture is drawn
 _ARGUMENTS = [
     "--use-gl=angle",
     "--use-angle=swiftshader",
@@ -49,7 +50,7 @@ def serve(joints: int) -> None:
             for name, part in world.robots.items()
             for key in ("joint_angles", "torques")
         ]
-        times, begin, server = [], float("inf"), page.viewer.server
+        times, begin, states, sent = [], float("inf"), 0, 0
         while page.frame():
             now = time.monotonic()
             for name, key, n, scale in targets:
@@ -57,34 +58,39 @@ def serve(joints: int) -> None:
                 world.set_input(
                     mirror.data, f"{name}.{key}", wave * (1 if key != "torques" else 20)
                 )
-            if page.viewer.has_ui and begin == float("inf"):
+            if page.is_seen and begin == float("inf"):
                 begin = now + 5.0  # until the browser has drawn its first pictures
             if now < begin:
-                server.sent = server.sent_bytes = 0
+                states, sent = page.browsers.sent, sent_by(page.server.port)
                 continue
             times.append(page.work)
             if now > begin + SECONDS:
                 break
         found = {
-            "geoms": page.decor.count,
-            "left_out": page.decor.dropped,
+            "geoms": page.decor.buffer.count,
             "median": float(np.median(times)),
             "slow": float(np.percentile(times, 95)),
-            "states": server.sent / SECONDS,
-            "megabytes": server.sent_bytes / 1e6 / SECONDS,
+            "states": (page.browsers.sent - states) / SECONDS,
+            "bytes": (sent_by(page.server.port) - sent) / max(page.browsers.sent - states, 1),
         }
         print(json.dumps(found), flush=True)
+
+
+def sent_by(port: int) -> int:
+    """How many bytes a port of this machine has sent over connections that are open now."""
+    words = subprocess.run(
+        ["ss", "-tiHn", "state", "established", f"( sport = :{port} )"],
+        capture_output=True, text=True, check=True,
+    ).stdout.split()  # fmt: skip
+    return sum(int(each.partition(":")[2]) for each in words if each.startswith("bytes_sent:"))
 
 
 def measure_viewer(browser: Any) -> None:
     """Prints what a page costs a loop of the user's own while a browser shows it."""
     with sero_mj.view(loop_scene(), web=True) as viewer:
         page = browser.new_page(viewport={"width": 480, "height": 320})
-        said: list[str] = []
-        page.on("console", lambda message: said.append(message.text))
         page.goto(viewer.url)
-        while not any("First remote draw frame applied" in line for line in said):
-            page.wait_for_timeout(20)
+        page.wait_for_function(SHOWN)
         print(measure_loop(viewer), flush=True)
         page.close()
 
@@ -97,20 +103,17 @@ def measure(browser: Any, joints: int) -> None:
     assert server.stdout is not None
     url = server.stdout.readline().strip()
     page = browser.new_page(viewport={"width": 480, "height": 320})
-    said: list[str] = []
-    page.on("console", lambda message: said.append(message.text))
     begin = time.monotonic()
     page.goto(url)
-    while not any("First remote draw frame applied" in line for line in said):
-        page.wait_for_timeout(20)
+    page.wait_for_function(SHOWN)
     opened = time.monotonic() - begin
     found = json.loads(server.stdout.readline())
     page.close()
     server.wait()
     print(
-        f"{joints:3} joints, {found['geoms']} geoms ({found['left_out']} left out): "
+        f"{joints:3} joints, {found['geoms']} geoms: "
         f"{1e3 * found['median']:.2f} ms a frame, 95 %: {1e3 * found['slow']:.2f} ms; "
-        f"{found['states']:.1f} states/s, {found['megabytes']:.1f} MB/s; "
+        f"{found['states']:.1f} states/s, {found['bytes'] / 1e3:.1f} kB each; "
         f"page with the robot after {opened:.2f} s",
         flush=True,
     )

@@ -29,6 +29,7 @@ class Browsers:
 
     Attributes:
         said: number of messages that were understood.
+        sent: number of states that were sent to any of them.
         refused: number of messages that were none of a page's, or of one without control.
     """
 
@@ -39,7 +40,7 @@ class Browsers:
         self._last_id = 0
         self._holder: int | None = None
         self._said: collections.deque[Said] = collections.deque(maxlen=_MOST_SAID)
-        self.said = self.refused = 0
+        self.said = self.sent = self.refused = 0
         self._put_control()
 
     @property
@@ -74,7 +75,7 @@ class Browsers:
     async def talk(self, connection: ServerConnection) -> None:
         """Sends a browser the state of the page, and hears what it says, until it goes."""
         browser = self._join(connection)
-        sending = asyncio.create_task(browser.send_all(self._sections))
+        sending = asyncio.create_task(self._send_all(browser))
         try:
             async for message in connection:
                 self._hear(browser, message)
@@ -83,6 +84,27 @@ class Browsers:
         finally:
             sending.cancel()
             self._leave(browser)
+
+    async def _send_all(self, browser: _Browser) -> None:
+        """Sends what changes, as fast as a browser answers."""
+        send, seen = browser.connection.send, 0
+        try:
+            await send(message_of({"you": json.dumps({"id": browser.id})}))
+            browser.ahead += 1
+            while True:
+                await browser.wake.wait()
+                browser.wake.clear()
+                while browser.events:
+                    await send(browser.events.popleft())
+                if browser.ahead >= _MOST_AHEAD:
+                    continue
+                message, seen = self._sections.since(seen)
+                if message is not None:
+                    browser.ahead += 1
+                    self.sent += 1
+                    await send(message)
+        except ConnectionClosed:
+            return
 
     def _join(self, connection: ServerConnection) -> _Browser:
         with self._lock:
@@ -131,28 +153,8 @@ class _Browser:
     """A connection, and what is on its way to it."""
 
     def __init__(self, id_: int, connection: ServerConnection) -> None:
-        self.id, self._connection = id_, connection
+        self.id, self.connection = id_, connection
         self.wake = asyncio.Event()
         self.wake.set()
         self.ahead = 0  # messages that were not answered yet
         self.events: collections.deque[str] = collections.deque(maxlen=100)
-
-    async def send_all(self, sections: Sections) -> None:
-        """Sends what changes, as fast as the browser answers."""
-        try:
-            await self._connection.send(message_of({"you": json.dumps({"id": self.id})}))
-            self.ahead += 1
-            seen = 0
-            while True:
-                await self.wake.wait()
-                self.wake.clear()
-                while self.events:
-                    await self._connection.send(self.events.popleft())
-                if self.ahead >= _MOST_AHEAD:
-                    continue
-                message, seen = sections.since(seen)
-                if message is not None:
-                    self.ahead += 1
-                    await self._connection.send(message)
-        except ConnectionClosed:
-            return
