@@ -21,7 +21,6 @@ import pytest
 from conftest import raises_with
 from driver import ROOT
 from polling import until
-from web_tools import DRAWS_ON_DEMAND
 from web_tools import MISSING as NO_BROWSER
 from window_tools import MISSING as NO_WINDOW
 from window_tools import screen
@@ -124,14 +123,13 @@ def test_a_browser_sees_it_live_while_nothing_is_called(viewer: Viewer, browser:
     states: list[str] = []
 
     def watch(socket: Any) -> None:
-        if "/state" in socket.url:
+        if "/live" in socket.url:
             socket.on("framereceived", lambda _: states.append("received"))
             socket.on("close", lambda _: states.append("closed"))
 
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Notebook) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         page = browser.new_page(viewport={"width": 400, "height": 300})
-        page.add_init_script(DRAWS_ON_DEMAND)
         page.on("websocket", watch)
         page.goto(f"http://localhost:{server.server_port}/")
         assert until(lambda: page.wait_for_timeout(100) or len(states) > 10, PATIENCE)

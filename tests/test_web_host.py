@@ -314,6 +314,8 @@ def test_panels_switch_what_is_shown_and_the_time_line_scrubs(
     client.say("widget", tree="timeLine", id="##time", value=0.2)
     client.until(lambda: page.clock.time == 0.2)
     client.until(lambda: client.state["time"] == pytest.approx(0.2, abs=1e-3))
+    client.say("widget", tree="panel", id="copy a link to this view", value=True)
+    assert client.until(lambda: client.events)[0]["copy"].startswith(f"{page.url}#view=")
     client.say("fold", tree="panel", id="Sources", open=False)
     client.until(lambda: client.widget("panel", "Sources")["nodes"] == [])
 

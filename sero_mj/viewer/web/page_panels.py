@@ -112,6 +112,8 @@ class PagePanels:
 
     def _panel(self, ui: DomWidgets) -> None:
         self._host.build_panel(ui, unfolds_sources=True)
+        if ui.button("copy a link to this view"):
+            self._host.actions.perform("link")
 
     def _time_line(self, ui: DomWidgets) -> None:
         build_time_line(ui, self._host.clock, self._host.ticks)
