@@ -201,7 +201,9 @@ def test_mistakes_are_told_with_the_file_and_line_of_the_model(folder: Path) -> 
         ),
         Problem(
             "robots.nail.mount",
-            "no frame 'h_thum/flange'; did you mean 'h_thumb/flange'?",
+            "no frame",
+            found="h_thum/flange",
+            available=["h_thumb/flange"],
             file="hand/group.toml",
             line=17,
         ),
@@ -247,7 +249,9 @@ model = "hand"
     assert told(folder, text) == [
         Problem(
             "groups.h.mount",
-            "no frame 'arm/flanje'; did you mean 'arm/flange'?",
+            "no frame",
+            found="arm/flanje",
+            available=["arm/flange"],
             file="scene.toml",
             line=3,
         ),

@@ -280,7 +280,9 @@ def test_xacro_takes_arguments(folder: Path, capsys) -> None:
     assert {name: robot.reach for name, robot in robots.items()} == reach
     over = load_scene(scene, {"ur10e.show_axes": True}).robots["ur10e"]
     assert (over.reach, over.show_axes) == (reach["ur10e"], True)
+    write(folder, TWO_LEGS, "legs.xml")
     for wrong, message in (
+        ('model = "legs.xml"\narguments = { a = 1 }', "legs.xml: arguments.a: is for xacro"),
         ('model = "lwr"\narguments = { a = 1 }', "robots.x.arguments: are for xacro"),
         ('model = "ur.urdf.xacro"\narguments = [1]', "expected texts and numbers by name"),
     ):

@@ -320,7 +320,7 @@ def test_overrides_stand_over_the_file_and_end_its_routes(read):
                                      available=["arm"], file="s.toml")),
         (ARM, "arm.torqes", Problem("robots.arm.torqes", "unknown key", available=["torques"],
                                     file="s.toml", line=1)),
-        (ARM, "arm", Problem("arm", "names no field; expected robot.field, e.g. arm.joint_angles",
+        (ARM, "arm", Problem("arm", "names no field", expected="robot.field, e.g. arm.joint_angles",
                              file="s.toml")),
         ("x = 1", "arm.torques", Problem("arm.torques", "no robot", found="arm",
                                          of="to set this for", available=[], file="s.toml")),

@@ -56,9 +56,12 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
 
 def _read(file: Path, overrides: dict[str, Any], extending: tuple[Path, ...]) -> Scenario:
     tables = read_toml(file)
-    if "extends" in tables:
-        return _read_extended(file, tables, overrides, (*extending, file.resolve()))
-    return _read_whole(file, tables, overrides)
+    try:
+        if "extends" in tables:
+            return _read_extended(file, tables, overrides, (*extending, file.resolve()))
+        return _read_whole(file, tables, overrides)
+    except DeclarationError as error:
+        raise DeclarationError(located(error.problems, file)) from None
 
 
 def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -> Scenario:
@@ -74,11 +77,11 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
             is_own = key.partition(".")[0] in (*SECTIONS, "run")
             (of_own if is_own else of_scene)[key] = value
     message = "is for a scenario that extends another one; write it into the tables themselves"
-    problems = [Problem("set", message, str(file))] if "set" in own else []
+    problems = [Problem("set", message)] if "set" in own else []
     scene = None
     try:
         if "scene" in own:
-            scene, found = _other_scene(file, own["scene"], tables, of_scene)
+            scene, found = _other_scene(file.parent, own["scene"], tables, of_scene)
         else:
             known = (*SECTIONS, *OTHERS)
             scene, found = scene_from_tables(file, tables, of_scene, known=known)
@@ -108,7 +111,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
     except DeclarationError as error:
         problems += error.problems
     if problems:
-        raise DeclarationError(located(problems, file))
+        raise DeclarationError(problems)
     scenario.file, scenario.settings = file, overrides
     return scenario
 
@@ -158,7 +161,7 @@ def _read_extended(
     except DeclarationError as error:
         problems += _as_set_in(error.problems, settings)
     if problems:
-        raise DeclarationError(located(problems, file))
+        raise DeclarationError(problems)
     scenario.file, scenario.name, scenario.settings = file, file.stem, overrides
     return scenario
 
@@ -208,24 +211,20 @@ def _read_motions(own: dict[str, Any], scene: Scene, beside: Path) -> list[Probl
 
 
 def _other_scene(
-    file: Path, name: Any, tables: Mapping[str, Any], overrides: Mapping[str, Any]
+    folder: Path, name: Any, tables: Mapping[str, Any], overrides: Mapping[str, Any]
 ) -> tuple[Any, list[Problem]]:
-    """The scene that `scene = ...` names, beside the file or a shipped one."""
-    where = str(file)
+    """The scene that `scene = ...` names, in the scenario's folder or a shipped one."""
     if not isinstance(name, str):
-        raise Problem(
-            "scene", found=name, expected="the name or file of a scene", file=where
-        ).error()
+        raise Problem("scene", found=name, expected="the name or file of a scene").error()
     if tables:
         key = next(iter(tables))
         message = f"is of the scene; write it there ({name}), or leave `scene` out"
-        raise Problem(key, message, where).error()
-    beside = file.parent / name
+        raise _wrong(key, message)
+    beside = folder / name
     try:
         path = beside if beside.is_file() else find_scene(name)
     except UnknownName as error:
-        wrong = [replace(each, file=where) for each in problems_of(error, "scene")]
-        raise DeclarationError(wrong) from None
+        raise DeclarationError(problems_of(error, "scene")) from None
     return read_scene_file(path, overrides)
 
 

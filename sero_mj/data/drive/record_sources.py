@@ -6,7 +6,7 @@ The numbers of joints and arrows are called `lwr.A1.torque [Nm]`, in SI units.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -66,26 +66,16 @@ def record_sources(
             is full. Data written before is kept and readable.
     """
     about = {"sero-mj": __version__, "scene": "" if scene is None else scene.name}
-    with Recorder(path, about=about, overwrite=overwrite, signals_rate=signals_rate) as recorder:
-        recorded = []
-        routes = [] if scene is None else wire(scene).routes
-        try:
-            for name, source in sources.items():
-                if source.is_live:
-                    _add(recorder, name, source, scene, routes)
-                    recorded.append(source)
-            if scene is not None:
-                _attach_files(recorder, scene)
-            yield recorder
-        finally:
-            for source in recorded:
-                source.record_to(None)
+    live = {name: source for name, source in sources.items() if source.is_live}
+    recorder = Recorder(path, about=about, overwrite=overwrite, signals_rate=signals_rate)
+    with recorder, _connected(recorder, live, scene):
+        yield recorder
 
 
 @contextmanager
 def record_events(
     sources: Mapping[str, Source],
-    trigger: Trigger,
+    trigger: Trigger | None,
     path_of: Callable[[int, float], Path],
     scene: Scene,
     **options: Any,
@@ -94,7 +84,7 @@ def record_events(
 
     Args:
         sources: by name; opened or not, live or replays.
-        trigger: the condition.
+        trigger: the condition; with None only what `record_now` asks for is recorded.
         path_of: see `TriggeredRecorder`.
         scene: whose files are kept in every recording.
         **options: of `TriggeredRecorder`: `before`, `after`, ...
@@ -104,27 +94,29 @@ def record_events(
     """
 
     def find(name: str, rows: Rows, lengths: Ints) -> tuple[Bools, Callable[[int], str]]:
+        if trigger is None:
+            return np.zeros(len(rows), bool), str
         events, index = sources[name].decode_rows(rows, lengths)
         hits = trigger.find(name, events)
         holds = np.zeros(len(rows), bool)
         holds[index] = hits.holds
         return holds, lambda row: hits.describe(int(np.searchsorted(index, row)))
 
-    about = {"sero-mj": __version__, "scene": scene.name, "trigger": trigger.text}
+    about = {"sero-mj": __version__, "scene": scene.name}
+    about |= {} if trigger is None else {"trigger": trigger.text}
     recorder = TriggeredRecorder(path_of, find, about=about, **options)
     with recorder, _connected(recorder, sources, scene):
         yield recorder
 
 
-@contextmanager
 def record_last(
     sources: Mapping[str, Source],
     path_of: Callable[[int, float], Path],
     scene: Scene,
     seconds: float,
     signals_rate: float = SIGNALS_RATE,
-) -> Iterator[TriggeredRecorder]:
-    """Keeps the packets of the last seconds; `record_now` writes them.
+) -> AbstractContextManager[TriggeredRecorder]:
+    """Keeps the packets of the last seconds within the context; `record_now` writes them.
 
     Args:
         sources: by name; opened or not.
@@ -136,38 +128,27 @@ def record_last(
     Raises:
         RecordingError: a file cannot be written; also at the end.
     """
-
-    def nothing(name: str, rows: Rows, lengths: Ints) -> tuple[Bools, Callable[[int], str]]:
-        return np.zeros(len(rows), bool), str
-
-    about = {"sero-mj": __version__, "scene": scene.name}
-    recorder = TriggeredRecorder(
-        path_of, nothing, about=about, before=seconds, after=0.0, signals_rate=signals_rate
+    return record_events(
+        sources, None, path_of, scene, before=seconds, after=0.0, signals_rate=signals_rate
     )
-    with recorder, _connected(recorder, sources, scene):
-        yield recorder
 
 
 @contextmanager
 def _connected(
-    recorder: TriggeredRecorder, sources: Mapping[str, Source], scene: Scene
+    recorder: Recorder | TriggeredRecorder, sources: Mapping[str, Source], scene: Scene | None
 ) -> Iterator[None]:
     """Connects sources to a recorder, and adds the scene's files to its recordings."""
-    routes = wire(scene).routes
+    routes = [] if scene is None else wire(scene).routes
     try:
-        _attach_files(recorder, scene)
+        for file in [] if scene is None else scene.files():
+            of_file = f"{file.parent.name}/{file.name}"
+            recorder.attach(of_file, media_type(of_file), file.read_bytes())
         for name, source in sources.items():
             _add(recorder, name, source, scene, routes)
         yield
     finally:
         for source in sources.values():
             source.record_to(None)
-
-
-def _attach_files(recorder: Recorder | TriggeredRecorder, scene: Scene) -> None:
-    for file in scene.files():
-        name = f"{file.parent.name}/{file.name}"
-        recorder.attach(name, media_type(name), file.read_bytes())
 
 
 def _add(
@@ -192,7 +173,6 @@ def _add(
         decode=decode,
         signals=None if routed is None else routed.signals,
     )
-
     source.record_to(partial(recorder.take, name))
 
 

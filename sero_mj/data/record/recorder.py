@@ -70,6 +70,39 @@ class RateLimiter:
         return True
 
 
+class PacketWriter(RecordingWriter):
+    """Writes packets as they came, and the decoded values of some of them, for other programs.
+
+    Args:
+        path: the file.
+        signals_rate: of how many packets per second and source the values are written.
+        **options: of `RecordingWriter`.
+    """
+
+    def __init__(self, path: Path | str, *, signals_rate: float, **options: Any) -> None:
+        super().__init__(path, **options)
+        self._signals_rate = signals_rate
+        self._decoders: dict[str, tuple[Decode, RateLimiter]] = {}
+
+    def add_decoded(self, name: str, decode: Decode, **declaration: Any) -> None:
+        """Adds a source whose packets are decoded; see `Recorder.add_source`."""
+        self.add_source(name, **declaration)
+        self._decoders[name] = (decode, RateLimiter(self._signals_rate))
+
+    def write_values(self, name: str, packet: bytes, arrival: float) -> bool:
+        """Writes the values of a packet after its `write_raw`; returns whether it did."""
+        decode, limiter = self._decoders[name]
+        if not limiter.allow(arrival):
+            return False
+        try:
+            values = decode(packet)
+        except ValueError:  # what `Structure.decode` raises for a packet of another size
+            return False
+        if values is not None:
+            self.write_signals(name, values, arrival)
+        return values is not None
+
+
 class Recorder(PacketWorker):
     """Records packets of any number of threads into a file, with bounded memory.
 
@@ -101,11 +134,11 @@ class Recorder(PacketWorker):
         signals_rate: float = SIGNALS_RATE,
     ) -> None:
         self.path = Path(path)
-        self._signals_rate = signals_rate
-        self._decoders: dict[str, tuple[Decode, RateLimiter]] = {}
         self._packets = self._bytes = self._signals = 0
         self._writing = threading.Lock()  # guards the file
-        self._writer = RecordingWriter(path, about=about, overwrite=overwrite)
+        self._writer = PacketWriter(
+            path, about=about, overwrite=overwrite, signals_rate=signals_rate
+        )
         super().__init__("recorder", queue_bytes)
 
     def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:
@@ -118,9 +151,8 @@ class Recorder(PacketWorker):
             **declaration: what `RecordingWriter.add_source` takes, and raises errors about.
         """
         with self._writing:
-            self._writer.add_source(name, **declaration)
+            self._writer.add_decoded(name, decode, **declaration)
         with self._changed:
-            self._decoders[name] = (decode, RateLimiter(self._signals_rate))
             self._lost[name] = 0
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
@@ -163,7 +195,6 @@ class Recorder(PacketWorker):
                 self._write(batch)
 
     def _write(self, batch: Batch) -> None:
-        decode, limiter = self._decoders[batch.name]
         before = self._packets
         try:
             ends, times = batch.lengths.tolist(), batch.arrivals.tolist()
@@ -172,10 +203,7 @@ class Recorder(PacketWorker):
                 self._writer.write_raw(batch.name, packet, arrival)
                 self._packets += 1
                 self._bytes += len(packet)
-                values = decoded(decode, packet) if limiter.allow(arrival) else None
-                if values is not None:
-                    self._writer.write_signals(batch.name, values, arrival)
-                    self._signals += 1
+                self._signals += self._writer.write_values(batch.name, packet, arrival)
         except Exception:
             with self._changed:
                 self._lost[batch.name] += len(batch) - (self._packets - before)
@@ -185,11 +213,3 @@ class Recorder(PacketWorker):
         if not isinstance(error, RecordingError):  # else the file cannot be completed
             with self._writing:
                 self._writer.close(lost=self._lost)
-
-
-def decoded(decode: Decode, packet: bytes) -> Mapping[str, Array] | None:
-    """Returns the values of a packet; None for a malformed one."""
-    try:
-        return decode(packet)
-    except ValueError:  # what `Structure.decode` raises for a packet of another size
-        return None

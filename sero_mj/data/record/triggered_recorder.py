@@ -16,9 +16,8 @@ import numpy as np
 from ...base.frames import Array, Bools, Ints
 from ..receive.structure import Rows
 from .packet_worker import Batch, PacketWorker
-from .recorder import SIGNALS_RATE, Decode, RateLimiter, decoded
+from .recorder import SIGNALS_RATE, Decode, PacketWriter
 from .recording_format import RecordingClock
-from .recording_writer import RecordingWriter
 
 KEPT_BYTES = 256 << 20  # of the last seconds
 _BLOCK = 512  # packets
@@ -133,12 +132,6 @@ class _Ring:
         return found
 
 
-@dataclass(eq=False)
-class _Declared:
-    declaration: dict[str, Any]
-    decode: Decode
-
-
 @dataclass(frozen=True)
 class TriggerStatistics:
     """What was seen so far.
@@ -205,10 +198,9 @@ class TriggeredRecorder(PacketWorker):
         self._before, self._after, self._overwrite = before, after, overwrite
         self._signals_rate, self._clock_at, self._now = signals_rate, clock_at or live_clock, now
         self._ring = _Ring(before, kept_bytes)
-        self._sources: dict[str, _Declared] = {}
+        self._sources: dict[str, tuple[Decode, dict[str, Any]]] = {}  # with their declarations
         self._files: list[tuple[str, str, bytes]] = []
-        self._writer: RecordingWriter | None = None
-        self._limiters: dict[str, RateLimiter] = {}
+        self._writer: PacketWriter | None = None
         self._until = self._last = math.nan
         self._count = 0  # packets of the recording that goes on
         self._packets = 0
@@ -220,7 +212,7 @@ class TriggeredRecorder(PacketWorker):
     def add_source(self, name: str, *, decode: Decode, **declaration: Any) -> None:
         """Adds a source; see `Recorder.add_source`."""
         with self._changed:
-            self._sources[name] = _Declared(declaration, decode)
+            self._sources[name] = decode, declaration
             self._lost[name] = 0
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
@@ -324,14 +316,17 @@ class TriggeredRecorder(PacketWorker):
         number = len(self.events) + 1
         path = self._path_of(number, arrival)
         about = {**self._about, "event": what, "event_time": f"{arrival - began:.6f}"}
-        self._writer = writer = RecordingWriter(
-            path, about=about, overwrite=self._overwrite, clock=self._clock_at(began)
+        self._writer = writer = PacketWriter(
+            path,
+            about=about,
+            overwrite=self._overwrite,
+            clock=self._clock_at(began),
+            signals_rate=self._signals_rate,
         )
-        for name, each in self._sources.items():
-            writer.add_source(name, **each.declaration)
+        for name, (decode, declaration) in self._sources.items():
+            writer.add_decoded(name, decode, **declaration)
         for file in self._files:
             writer.attach(*file)
-        self._limiters = {name: RateLimiter(self._signals_rate) for name in self._sources}
         event = RecordedEvent(number, arrival, what, path, began)
         with self._changed:
             self.events.append(event)
@@ -358,14 +353,9 @@ class TriggeredRecorder(PacketWorker):
             self._put(batch.name, row[:end].tobytes(), arrival)
 
     def _put(self, name: str, packet: bytes, arrival: float) -> None:
-        writer = self._writer
-        assert writer is not None
-        writer.write_raw(name, packet, arrival)
-        values = None
-        if self._limiters[name].allow(arrival):
-            values = decoded(self._sources[name].decode, packet)
-        if values is not None:
-            writer.write_signals(name, values, arrival)
+        assert self._writer is not None
+        self._writer.write_raw(name, packet, arrival)
+        self._writer.write_values(name, packet, arrival)
         self._count += 1
         self._last = arrival
 

@@ -8,12 +8,13 @@ world.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from graphlib import TopologicalSorter
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...base.errors import Problem, did_you_mean
+from ...base.errors import Problem
 from ...base.frames import Array
 from .robot import SerialRobot
 from .robot_parts import frame_labels
@@ -145,10 +146,11 @@ def mount_problems(robots: Mapping[str, SerialRobot], broken: Mapping[str, bool]
         others = [each for each in frames if each.partition("/")[0] != name]
         if below in robots:
             others = [each for each in others if each.partition("/")[0] == below]
-        near = did_you_mean(robot.mount, others)
+        problem = Problem(f"robots.{name}.mount", "no frame", found=robot.mount, available=others)
         if below in robots and "/" not in robot.mount:
-            near = f"; expected a frame of it: {', '.join(others)}"
-        problems.append(Problem(f"robots.{name}.mount", f"no frame '{robot.mount}'{near}"))
+            expected = f"a frame of it: {', '.join(others)}"
+            problem = replace(problem, expected=expected, available=None)
+        problems.append(problem)
     for circle in mount_circles(robots):
         way = " on ".join([*circle, circle[0]])
         message = f"robots are mounted on each other in a circle: {way}"

@@ -170,7 +170,8 @@ class _Reader:
         robots = self.tables.get("robots", {})
         if expanded.robots and isinstance(robots, dict):
             for name in expanded.robots.keys() & robots.keys():
-                self.wrong(f"robots.{name}", "a group with a model has a robot of this name")
+                message = "a group with a model has a robot of this name"
+                self.problems.append(Problem(f"robots.{name}", message))
             self.tables["robots"] = {**robots, **expanded.robots}
 
     def scene(self) -> Scene:
@@ -196,9 +197,11 @@ class _Reader:
         for key in self.tables:
             if key not in sections:
                 every = [*sections, *self.known]
-                self.problems.append(Problem(key, "unknown section", available=every))
-                if (meant := nearest(key, sections)) is not None:
-                    self.broken.append(meant)  # references to its entries are not reported again
+                unknown = Problem(key, "unknown section", available=every)
+                self.problems.append(unknown)
+                meant = unknown.near
+                if meant in sections:  # references to its entries are not reported again
+                    self.broken.append(meant)
         read = {}
         for key, reader in sections.items():
             if key in self.tables:
@@ -208,7 +211,8 @@ class _Reader:
         fields = {"name": self.path.stem, **read, "file": self.path, "broken": self.broken}
         fields["lines"] = self.lines
         if not self.tables and not self.broken:
-            self.wrong("", "is empty; expected at least [robots.NAME] or [objects.NAME]")
+            message = "is empty; expected at least [robots.NAME] or [objects.NAME]"
+            self.problems.append(Problem("", message))
         scene = Scene(**fields)
         for name, robot in scene.robots.items():  # its own values override its group's
             for key, value in self._settings.get(f"robots.{name}", []):
@@ -219,7 +223,8 @@ class _Reader:
                         setattr(robot, field, changed[field])
         for key, messages in self._of_groups.items():  # robots of a group may differ in size
             texts = [f"{message} ({robot})" for message, robot in messages.items()]
-            self.wrong(key, "; ".join([*messages] if len(messages) == 1 else texts[:3]))
+            message = "; ".join([*messages] if len(messages) == 1 else texts[:3])
+            self.problems.append(Problem(key, message))
         self.problems += scene.problems()
         camera = scene.view.camera
         known = camera is None or camera in scene.cameras or f"cameras.{camera}" in self.broken
@@ -275,7 +280,8 @@ class _Reader:
             name, _, field = target.partition(".") if first in entries else rest.partition(".")
             if not field:
                 example = f"{name or first}.joint_angles"
-                self.wrong(target, f"names no field; expected robot.field, e.g. {example}")
+                expected = f"robot.field, e.g. {example}"
+                self.problems.append(Problem(target, "names no field", expected=expected))
                 return
             if name not in tables[section]:
                 self.tables[section] = {**tables[section], name: {}}
@@ -316,8 +322,8 @@ class _Reader:
             return
         key = field.partition(".")[0].partition("[")[0]
         if key not in SerialRobot.model_fields:
-            near = did_you_mean(key, SerialRobot.model_fields)
-            self.wrong(f"{group}.{field}", f"no robot has this{near}")
+            message = f"no robot has this{did_you_mean(key, SerialRobot.model_fields)}"
+            self.problems.append(Problem(f"{group}.{field}", message))
             return
         for robot in robots:
             self._set_for[robot, field] = group
@@ -348,9 +354,6 @@ class _Reader:
         texts = {group: [each for each in names if isinstance(each, str)]
                  for group, names in lists.items()}  # fmt: skip
         return membership(texts).members
-
-    def wrong(self, key: str, message: str) -> None:
-        self.problems.append(Problem(key, message))
 
     def _try(self, key: str, build: Callable[[], T]) -> T | None:
         try:
@@ -477,8 +480,8 @@ class _Reader:
         model = fields.pop("model", None)
         known = [*SerialRobot.model_fields, "model", "arguments"]
         for key in fields:
-            if key not in known and did_you_mean(key, known).endswith("did you mean 'model'?"):
-                raise Problem(key, "unknown key; did you mean 'model'?").error()
+            if key not in known and nearest(key, known) == "model":
+                raise Problem(key, "unknown key", available=known).error()
         declared = self.expanded.declared.get(f"robots.{name}")
         beside = declared[-1][0].parent if declared else self.path.parent
         if "directory" in fields and isinstance(fields["directory"], str):

@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ...base.errors import Problem, SeroError
+from ...base.errors import DeclarationError, Problem, SeroError
 from ...base.paths import format_of_file, read_head
 from ...base.plugins import IMPORTERS, is_own_class, load_all
 from .imported_tables import ImportedTables
@@ -28,6 +28,7 @@ class Importer(ABC):
         is_scene: whether its files are scenes; else robots.
         object_key: the key of a scene's object for such a file without joints, such as `urdf`;
             empty for none.
+        takes_arguments: whether a file may ask for values, as xacro does.
         order: priority among importers that accept a file, lowest first; sero-mj's own have 10 to
             90.
     """
@@ -35,6 +36,7 @@ class Importer(ABC):
     endings: ClassVar[tuple[str, ...]]
     is_scene: ClassVar[bool] = False
     object_key: ClassVar[str] = ""
+    takes_arguments: ClassVar[bool] = True
     order: ClassVar[int] = 100
 
     @classmethod
@@ -111,6 +113,11 @@ def read_imported(
     importer = find_importer(path)
     if importer is None:
         return None
+    if arguments and not importer.takes_arguments:
+        message = "is for xacro; this file takes none"
+        raise DeclarationError(
+            [Problem(f"arguments.{name}", message, str(path)) for name in arguments]
+        )
     try:
         return importer.read(path, packages, arguments)
     except Exception as error:

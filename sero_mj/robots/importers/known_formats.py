@@ -40,6 +40,7 @@ class Mjcf(Importer):
     """Robots of MuJoCo."""
 
     endings: ClassVar[tuple[str, ...]] = (".xml",)
+    takes_arguments: ClassVar[bool] = False
     object_key: ClassVar[str] = "mjcf"
     order: ClassVar[int] = 20
 
@@ -60,6 +61,7 @@ class X3d(Importer):
 
     endings: ClassVar[tuple[str, ...]] = (".x3d", ".x3dv", ".wrl")
     is_scene: ClassVar[bool] = True
+    takes_arguments: ClassVar[bool] = False
     order: ClassVar[int] = 30
 
     def read(
