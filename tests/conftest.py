@@ -18,7 +18,6 @@ import gc
 import importlib.util
 import os
 import sys
-import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -283,9 +282,6 @@ def _chromium(playwright: Any) -> Iterator[Any]:
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """An empty home, where Studio keeps its settings."""
+    """An empty home."""
     monkeypatch.setenv("HOME", str(tmp_path))
     yield
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)
-        gc.collect()  # here, and not in a later test

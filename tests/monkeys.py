@@ -207,8 +207,7 @@ class PageHand:
     """Works a page in a browser: presses, sizes and texts are the browser's own.
 
     To others it would answer with its next frame, later each, so keys and motions come from within
-    the page, several at once. Dear ImGui takes a change of a key or button per frame, so more than
-    that would wait in its queue, and be without effect until long after.
+    the page, several at once.
 
     Args:
         page: Playwright's.
@@ -244,7 +243,7 @@ class PageHand:
         self._waiting.append([("KeyboardEvent", "keyup", how)])
 
     def _move(self, x: float, y: float) -> None:
-        self._waiting[-1].append(("MouseEvent", "mousemove", {"clientX": x, "clientY": y}))
+        self._waiting[-1].append(("PointerEvent", "pointermove", {"clientX": x, "clientY": y}))
 
     def _wheel(self, turns: int) -> None:
         self._waiting[-1].append(("WheelEvent", "wheel", {"deltaY": -100 * turns}))
@@ -262,7 +261,6 @@ class PageHand:
 
     def _text(self, text: str) -> None:
         self._page.keyboard.type(text)
-        self._waiting = [[] for _ in range(2 * len(text) + 1)]
 
     def _resize(self, width: int, height: int) -> None:
         self._page.set_viewport_size({"width": width, "height": height})

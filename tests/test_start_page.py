@@ -25,6 +25,7 @@ from sero_mj.load import load_scene
 from sero_mj.viewer.session import recent_views as recent
 from sero_mj.viewer.session.recent_views import MOST, RecentView, recent_views, remember_view
 from sero_mj.viewer.session.start_page import ExpectedPackets, PortMonitor, sections
+from sero_mj.viewer.web import uploads
 
 ARM = """
 [robots.two]
@@ -224,9 +225,6 @@ def test_files_are_told_apart(tmp_path: Path) -> None:
     view = view_of_file(Path("robot.urdf"), None)
     assert view == RecentView(str(Path.cwd() / "robot.urdf"))
     assert not is_temporary(view)
-
-
-uploads = pytest.importorskip("sero_mj.viewer.web.uploads", reason="MuJoCo without Studio")
 
 
 @pytest.mark.parametrize(
