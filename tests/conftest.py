@@ -16,6 +16,7 @@ import contextlib
 import ctypes
 import gc
 import importlib.util
+import math
 import os
 import sys
 from collections.abc import Iterable, Iterator
@@ -107,15 +108,21 @@ def import_script(path: Path) -> ModuleType:
 
 @contextlib.contextmanager
 def raises_with(error: type[Exception] = DeclarationError, /, **values: object) -> Iterator[None]:
-    """Expects an error with these attributes; of a `DeclarationError`, its only problem."""
+    """Expects an error with these attributes, or those of its only problem."""
     with pytest.raises(error) as caught:
         yield
-    (told,) = getattr(caught.value, "problems", [caught.value])
-    found = {name: getattr(told, name) for name in values}
-    assert {
-        name: value.tolist() if isinstance(value, np.ndarray) else value
-        for name, value in found.items()
-    } == values
+    told = caught.value
+    (problem,) = getattr(told, "problems", [getattr(told, "problem", told)])
+    found = {name: getattr(told if hasattr(told, name) else problem, name) for name in values}
+    assert {name: _plain(value) for name, value in found.items()} == {
+        name: _plain(value) for name, value in values.items()
+    }
+
+
+def _plain(value: Any) -> object:
+    """An array as a list; NaN, which does not equal itself, as a text."""
+    value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    return "NaN" if isinstance(value, float) and math.isnan(value) else value
 
 
 def problems_in(scene: Path) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import examples
+from conftest import examples, raises_with
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from runs import record_run, simulated, sine_run, two_joints
@@ -65,11 +65,22 @@ def test_without_motion_nothing_is_aligned() -> None:
     still = RunLog(
         a.robots, {**a.signals, "arm_joint_angles": np.zeros((4001, 2))}, a.times, "still"
     )
-    with pytest.raises(UsageError, match=r"--offset auto: one of the runs hardly moves"):
+    with raises_with(
+        UsageError,
+        key="--offset auto",
+        reason="one of the runs hardly moves",
+        expected="a number of seconds",
+    ):
         align(a, still, offset="auto")
     noise = np.cumsum(np.random.default_rng(1).normal(0.0, 0.01, (4001, 2)), axis=0)
     other = RunLog(a.robots, {**a.signals, "arm_joint_angles": noise}, a.times, "noise")
-    with pytest.raises(UsageError, match=r"run and noise have a correlation of -?0\.\d\d, below"):
+    with raises_with(
+        UsageError,
+        key="--offset auto",
+        reason="the motions of run and noise have a correlation of",
+        found=0.02,
+        expected="at least 0.5, or a number of seconds",
+    ):
         align(a, other, offset="auto")
 
 
@@ -139,21 +150,32 @@ def test_values_at_other_times_are_those_of_numpy(count: int, seed: int) -> None
 
 def test_what_cannot_be_compared_is_told() -> None:
     a, late = sine_run(name="a"), sine_run(start=20.0, name="late")
-    with pytest.raises(UsageError, match=r"a from 0.000 s to 4.000 s, late from 20.000 s to 24.0"):
+    with raises_with(
+        UsageError,
+        reason="found a from 0.000 s to 4.000 s, late from 20.000 s to 24.000 s",
+        expected="runs that overlap; give --offset S, or --offset auto",
+    ):
         align(a, late)
     other = sine_run(robot=two_joints("leg"), name="b")
     assert align(a, other).robot.name == "arm"  # the only one in each
-    with pytest.raises(UsageError, match=r"--robot: no robot 'leh' in b; did you mean 'leg'\?"):
+    with raises_with(
+        UsageError, key="--robot", reason="no robot", found="leh", of="in b", near="leg"
+    ):
         align(a, other, "arm,leh")
     both = RunLog({**a.robots, **other.robots}, {**a.signals, **other.signals}, a.times, "both")
-    with pytest.raises(UsageError, match=r"both runs have arm, leg; choose with --robot NAME"):
+    with raises_with(UsageError, reason="both runs have arm, leg; choose with --robot NAME"):
         align(both, both)
     assert align(both, both, "leg").robot.name == "leg"
     third = RunLog({"x": two_joints("x"), "y": two_joints("y")}, {}, a.times, "third")
-    with pytest.raises(UsageError, match=r"a has arm, third has x, y: no robot in common"):
+    with raises_with(
+        UsageError,
+        reason="a has arm, third has x, y: no robot in common; choose with --robot NAME,NAME",
+    ):
         align(a, third)
     lwr = simulated().log
-    with pytest.raises(UsageError, match=r"arm has 2 joints in a, lwr has 7 in swing"):
+    with raises_with(
+        UsageError, reason="arm has 2 joints in a, lwr has 7 in swing", expected="the same number"
+    ):
         align(a, lwr)
 
 
@@ -196,7 +218,11 @@ def test_csv_and_json_carry_the_numbers(tmp_path: Path) -> None:
     found = json.loads(json.dumps(as_json(pair, compare(pair))))
     assert (found["robot"], found["rows"], found["offset"]) == ("arm", 101, 0.0)
     assert len(found["differences"]) == 2 * len(pair.signals)
-    with pytest.raises(CsvError, match="cannot be written"):
+    with raises_with(
+        CsvError,
+        path=f"{tmp_path}/nowhere/d.csv",
+        reason="cannot be written: No such file or directory",
+    ):
         write_csv(pair, tmp_path / "nowhere" / "d.csv")
 
 

@@ -93,7 +93,11 @@ def test_what_cannot_be_exported_is_told_and_leaves_no_half_file(tmp_path: Path)
 
     (tmp_path / "a.csv").write_text("before")
     with Recording(record(tmp_path / "a.mcap", [packet(1.0, 2.0)] * 3)) as recording:
-        with pytest.raises(CsvError, match=r"no.a\.csv: cannot be written: No such file or dir"):
+        with raises_with(
+            CsvError,
+            path=f"{tmp_path}/no/a.csv",
+            reason="cannot be written: No such file or directory",
+        ):
             export_csv(recording, "arm", tmp_path / "no" / "a.csv", LAYOUT.decode)
         with raises_with(UnknownName, kind="source", name="leg"):
             export_csv(recording, "leg", tmp_path / "a.csv", LAYOUT.decode)
@@ -182,13 +186,17 @@ def test_columns_without_names(tmp_path: Path) -> None:
 
 
 def test_what_is_no_table_is_told(tmp_path: Path) -> None:
-    with pytest.raises(CsvError, match=r"n\.csv: cannot be read: No such file or directory"):
+    with raises_with(
+        CsvError, path=f"{tmp_path}/n.csv", reason="cannot be read: No such file or directory"
+    ):
         read_csv(tmp_path / "n.csv")
     (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(CsvError, match=r"b\.csv: is no text in UTF-8"):
+    with raises_with(
+        CsvError, path=f"{tmp_path}/b.csv", reason="is no text in UTF-8: invalid start byte"
+    ):
         read_csv(tmp_path / "b.csv")
     for rate in (0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(ValueError, match="expected rows per s, above 0"):
+        with raises_with(key="rate", found=rate, expected="rows per s, above 0"):
             read_csv(tmp_path / "b.csv", rate=rate)
 
 

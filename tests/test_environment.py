@@ -232,10 +232,8 @@ def test_an_action_that_is_no_number_names_the_joint_and_moves_nothing(
     before = environment.data.qpos.copy()
     action = np.zeros(7)
     action[environment.robot.names.index(joint)] = bad
-    with pytest.raises(
-        SimulationError,
-        match=rf"^lwr/{joint} at 0\.0200 s: found an action of {bad}; expected -\d+ to \d+ Nm$",
-    ):
+    told = {"joint": f"lwr/{joint}", "found": bad, "expected": "-100 to 100 Nm"}
+    with raises_with(SimulationError, time=pytest.approx(0.02), **told):
         environment.step(action)
     np.testing.assert_array_equal(environment.data.qpos, before)
     assert environment.step(np.zeros(7)).mid()
@@ -370,7 +368,12 @@ def test_a_robot_file_with_estimated_dynamics_will_do(tmp_path: Any) -> None:
         'dh_convention = "craig"\ndh_params = [[0, 0, 0, 0.3]]\n'
         "[dynamics]\nmotor_inertias = [0.2]\nviscous_friction = [0.1]\ncoulomb_friction = [0.1]\n"
     )
-    with pytest.raises(DeclarationError, match=r"robots.mine.torque_limits: is required"):
+    with raises_with(
+        key="robots.mine.torque_limits",
+        reason=(
+            'is required for torques as actions; expected one per joint, Nm, or action="impedance"'
+        ),
+    ):
         sero_mj.make_environment(f"{folder}/reach")
 
 

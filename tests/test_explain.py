@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import sampled
+from conftest import raises_with, sampled
 from runs import HOME, record_packets, record_run, two_joints
 
 from sero_mj.base.errors import SimulationError, UsageError
@@ -389,13 +389,27 @@ def test_the_command_says_what_does_not_go_together(
 
 def test_too_little_is_an_error() -> None:
     log = swing()
-    with pytest.raises(UsageError, match=r"swing has 0\.2 s of 'lwr'; expected at least 0\.51 s"):
+    with raises_with(
+        UsageError,
+        key="swing",
+        reason="has",
+        found=0.2,
+        of="s of 'lwr'",
+        expected="at least 0.51 s",
+    ):
         torque_residuals(log.between(1.0, 1.2), "lwr")
     angles = {"lwr_joint_angles": log.of("lwr", "joint_angles")}
     silent = RunLog(log.robots, angles, log.times, "silent")
-    with pytest.raises(UsageError, match="silent has no measured torques of 'lwr'"):
+    with raises_with(
+        UsageError, key="silent", reason="has no measured torques of 'lwr'", expected="`torques`"
+    ):
         torque_residuals(silent, "lwr")
-    with pytest.raises(UsageError, match=r"silent has no torques of 'lwr'; expected both kinds"):
+    with raises_with(
+        UsageError,
+        key="silent",
+        reason="has no torques of 'lwr'",
+        expected="both kinds, or another recording to compare with",
+    ):
         pair_with_commands(silent)
 
 

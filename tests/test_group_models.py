@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from poses import chain, move, rot
 
 from sero_mj import DeclarationError, Scene, SerialRobot, World, group_from_model, load_scene
@@ -176,7 +177,7 @@ def test_a_model_is_a_scene_by_itself_and_robots_and_groups_in_python(folder: Pa
     assert scene.members("left") == ["left_index", "left_thumb", "left_nail"]
     assert all(scene.robots[name].mirrored for name in scene.members("left") or [])
     assert scene.robots["left_nail"].show_arrows
-    with pytest.raises(DeclarationError, match="mirored: unknown key; did you mean 'mirr"):
+    with raises_with(key="groups.left.mirored", reason="unknown key", near="mirrored"):
         group_from_model(str(folder / "hand"), "left", mirored=True)
 
 

@@ -417,7 +417,7 @@ def test_groups_and_doubles_have_poses_in_degrees(tmp_path: Path) -> None:
         "3: doubles.goal.joint_angles_deg: is for revolute joints only, and b"
     )
     assert ": groups.pair.joint_angles_deg: is for revolute joints only, and b" in told[1]
-    with pytest.raises(DeclarationError, match="found both joint_angles and joint_angles_deg"):
+    with raises_with(reason="found both joint_angles and joint_angles_deg; expected one"):
         Double(name="goal", of="a", joint_angles=[0], joint_angles_deg=[0])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from conftest import raises_with
 from gymnasium.utils.env_checker import check_env
 from window_tools import MISSING, screen
 
@@ -123,7 +125,12 @@ def test_observations_are_cut_off_at_finite_bounds() -> None:
     for action in actions(environment, 10):
         seen = environment.step(action)[0]
         assert seen in environment.observation_space
-    with pytest.raises(SimulationError, match="found an action of nan; expected -176 to 176 Nm"):
+    with raises_with(
+        SimulationError,
+        joint="lwr/A1",
+        found=math.nan,
+        expected="-176 to 176 Nm",
+    ):
         environment.step(np.full(7, np.nan, np.float32))
 
 

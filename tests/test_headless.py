@@ -183,7 +183,7 @@ def test_a_free_camera_takes_azimuth_elevation_distance(world) -> None:
     camera = find_camera(world, "30,-20,3.5")
     assert (camera.azimuth, camera.elevation, camera.distance) == (30, -20, 3.5)
     for wrong in ("30,-20", "30,-20,0", "a,b,c", "1,2,nan"):
-        with pytest.raises(UsageError, match=r"expected a name or azimuth,elevation,distance"):
+        with raises_with(UsageError, key="camera", found=wrong):
             find_camera(world, wrong)
 
 
@@ -209,7 +209,8 @@ def test_the_default_view_holds_the_whole_robot(lwr) -> None:
 
 def test_sizes_out_of_range_are_refused(world) -> None:
     for size in ((0, 100), (100, 20000)):
-        with pytest.raises(RenderError, match="expected 1 to 16384 a side"):
+        told = {"reason": f"found {size[0]}x{size[1]}", "expected": "1 to 16384 a side"}
+        with raises_with(RenderError, key="picture size", **told):
             HeadlessRenderer(world, *size)
 
 
@@ -273,7 +274,7 @@ def test_a_fine_picture_says_its_resolution(quality, dpi, lwr, tmp_path) -> None
 
 
 def test_an_unknown_quality_is_refused(world) -> None:
-    with pytest.raises(RenderError, match="found quality 'best'; expected draft, normal, fine"):
+    with raises_with(RenderError, key="quality", found="best", expected="draft, normal, fine"):
         HeadlessRenderer(world, 64, 48, quality="best")  # type: ignore[arg-type]
 
 

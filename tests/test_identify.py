@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from runs import HOME, record_run, simulated
 
 from sero_mj.base.errors import UsageError
@@ -215,7 +216,7 @@ def test_the_command_writes_lines_and_a_figure(
         (["--plot", "x.jpg"], "--plot: found 'x.jpg'; expected a name that ends in .png, .pdf"),
         (["-o", "x.txt"], "--output: found 'x.txt'; expected a name that ends in .toml"),
         (["--from", "3", "--to", "2"], "--to: found 2; expected more than 3 s"),
-        (["--to", "0.2"], "run has 0.2 s of 'lwr'"),
+        (["--to", "0.2"], "run: has 0.2 s of 'lwr'"),
     ],
 )
 def test_the_command_says_what_is_wrong(
@@ -229,10 +230,13 @@ def test_the_command_says_what_is_wrong(
 def test_runs_without_torques_or_motion_are_refused() -> None:
     log = log_of(0)
     angles = {"lwr_joint_angles": log.of("lwr", "joint_angles")}
-    with pytest.raises(UsageError, match="silent has no measured torques of 'lwr'"):
+    with raises_with(
+        UsageError, key="silent", reason="has no measured torques of 'lwr'", expected="`torques`"
+    ):
         identify(RunLog(log.robots, angles, log.times, "silent"), "lwr")
     still = {**log.signals, "lwr_joint_angles": np.tile(HOME, (len(log.times), 1))}
-    with pytest.raises(UsageError, match="still: no joint of 'lwr' moves; expected a run that"):
+    told = {"reason": "no joint of 'lwr' moves", "expected": "a run that moves it"}
+    with raises_with(UsageError, key="still", **told):
         identify(RunLog(log.robots, still, log.times, "still"), "lwr")
 
 

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from conftest import raises_with
 from PIL import Image
 from test_mesh_files import COLLADA
 from test_mjcf_robot import TWO_LEGS
@@ -19,7 +20,6 @@ from test_urdf import BALL, CHAIN, GRIPPER, poses_in_xml, write
 
 from sero_mj import HeadlessRenderer, Scene, SerialRobot, load_scene
 from sero_mj.base import paths
-from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.assemble.world import World
@@ -281,12 +281,20 @@ def test_xacro_takes_arguments(folder: Path, capsys) -> None:
     over = load_scene(scene, {"ur10e.show_axes": True}).robots["ur10e"]
     assert (over.reach, over.show_axes) == (reach["ur10e"], True)
     write(folder, TWO_LEGS, "legs.xml")
-    for wrong, message in (
-        ('model = "legs.xml"\narguments = { a = 1 }', "legs.xml: arguments.a: is for xacro"),
-        ('model = "lwr"\narguments = { a = 1 }', "robots.x.arguments: are for xacro"),
-        ('model = "ur.urdf.xacro"\narguments = [1]', "expected texts and numbers by name"),
+    with pytest.raises(DeclarationError, match=re.escape("legs.xml: arguments.a: is for xacro")):
+        wrong = '[robots.x]\nmodel = "legs.xml"\narguments = { a = 1 }'
+        load_scene(write(folder, wrong, "wrong.toml"))
+    for wrong, told in (
+        (
+            'model = "lwr"\narguments = { a = 1 }',
+            {"reason": "are for xacro; robot.toml has none"},
+        ),
+        (
+            'model = "ur.urdf.xacro"\narguments = [1]',
+            {"found": [1], "expected": "texts and numbers by name"},
+        ),
     ):
-        with pytest.raises(DeclarationError, match=re.escape(message)):
+        with raises_with(key="robots.x.arguments", **told):
             load_scene(write(folder, f"[robots.x]\n{wrong}", "wrong.toml"))
     # Last, as an option holds for all that is read after it.
     assert run("check", "ur.urdf.xacro", "--arg", "ur_type=ur10e") == 0

@@ -10,13 +10,13 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from conftest import raises_with
 from decor_tools import view_at
 from scripted_widgets import ScriptedWidgets
 from shown import Shown
 from window_tools import MISSING, SIZE, Driven, screen
 
 import sero_mj
-from sero_mj.base.errors import DeclarationError
 from sero_mj.base.frames import frame, inverse, rotation_from_rpy, rpy_from_rotation
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.robots.assemble.gravity_torques import GravityTorques
@@ -79,7 +79,7 @@ def test_a_carrier_holds_what_is_mounted_on_it() -> None:
 
 def test_what_floats_holds_nothing() -> None:
     robot = sero_mj.SerialRobot.from_model("lwr", free_base=True)
-    with pytest.raises(DeclarationError, match=r"^robots.lwr: has a free base: it holds nothing$"):
+    with raises_with(key="robots.lwr", reason="has a free base: it holds nothing"):
         GravityTorques({"lwr": robot})
 
 

@@ -12,10 +12,10 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from conftest import import_script
+from conftest import import_script, raises_with
 from poses import chain, move, rot
 
-from sero_mj import DeclarationError, Mirror, Scenario, Scene, Simulation, World, load_scene
+from sero_mj import Mirror, Scenario, Scene, Simulation, World, load_scene
 from sero_mj.base.paths import models_dir, scenes_dir
 from sero_mj.data.send.motion import CommonMotion
 from sero_mj.data.send.play import MotionPackets
@@ -286,7 +286,7 @@ def test_a_controller_of_a_group_is_that_of_its_robots_without_one() -> None:
     assert found["justin_head"] is None
     assert found["justin_left_hand_ring"] == [4]
     assert found["justin_right_hand_ring"] == [500]
-    with pytest.raises(DeclarationError, match="no robot 'justinn'; did you mean 'justin'"):
+    with raises_with(key="controllers.justinn", reason="no robot", found="justinn", near="justin"):
         Scenario(scene, controllers={"justinn": {"kind": "gravity_compensation"}})
 
 

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from numpy.typing import NDArray
 from polling import until
 from source_slots import get_source
@@ -312,7 +313,9 @@ def test_if_the_second_source_cannot_open_the_first_is_closed() -> None:
         }
         routes = {"arm.joint_angles": "first.values0", "arm.torques": "second.values0"}
         mirror = Mirror(Scene(robots=[arm()], sources=sources, routes=routes))
-        with pytest.raises(SourceError, match=f"source 'second': UDP port {blocker.port} on"):
+        used = "in use by another program; close that, or choose another port"
+        reason = f"UDP port {blocker.port} on 127.0.0.1 is {used}"
+        with raises_with(SourceError, source="second", reason=reason):
             mirror.open()
         assert not [t.name for t in threading.enumerate() if t.name == "udp first"]
         assert port_of(mirror, "first") == 0  # no socket, hence no port

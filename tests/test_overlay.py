@@ -201,13 +201,17 @@ def test_a_vector_of_the_whole_model_gives_every_robot_its_own() -> None:
         assert overlay.robot(name).torques == pytest.approx(-np.array(expected))
     with raises_with(
         key="b.torques",
-        reason="found shape (3,)",
+        reason="found shape",
+        found=(3,),
         expected="2, one per joint: shape (2,), "
         "or one per degree of freedom of the model: shape (9,)",
     ):
         overlay.set("b.torques", np.zeros(3))
     with raises_with(
-        key="goal.joint_angles", reason="found shape (9,)", expected="2, one per joint: shape (2,)"
+        key="goal.joint_angles",
+        reason="found shape",
+        found=(9,),
+        expected="2, one per joint: shape (2,)",
     ):  # joint angles are not degrees of freedom
         overlay.set("goal.joint_angles", whole)
 
@@ -405,9 +409,14 @@ def test_data_without_frames_is_told(caplog: pytest.LogCaptureFixture) -> None:
 
 def test_arguments_of_another_type_are_refused() -> None:
     model, data = arm()
-    with pytest.raises(UsageError, match=r"robots: found \['arm'\]; expected fields by robot, as"):
+    with raises_with(
+        UsageError,
+        key="robots",
+        found=["arm"],
+        expected="fields by robot, as {'arm': {'arrow_radius': 0.06}}",
+    ):
         sero_mj.overlay(model, data, robots=["arm"])  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="width: found '640'; expected a number of pixels"):
+    with raises_with(UsageError, key="width", found="640", expected="a number of pixels"):
         sero_mj.overlay(model, data).image("640", 480)  # type: ignore[arg-type]
     with raises_with(UnknownName, kind="body or site", name="tp", near="tip"):
         sero_mj.overlay(model, data, frames="tp")

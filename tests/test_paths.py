@@ -371,7 +371,9 @@ def test_a_file_that_is_named_without_its_ending_is_pointed_to(
     (tmp_path / "gripper6.toml").write_text("")
     monkeypatch.chdir(tmp_path)
     said = "'gripper6'; a file is named with its ending: gripper6.toml"
-    with pytest.raises(UnknownName, match=f"no scene {said}"):
+    with raises_with(
+        UnknownName, kind="scene", name="gripper6", hint=said.removeprefix("'gripper6'")
+    ):
         paths.find_scene("gripper6")
     with pytest.raises(SystemExit) as caught:
         main(["check", "gripper6"])

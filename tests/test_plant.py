@@ -446,7 +446,7 @@ def test_an_unstable_motion_stops_with_joint_and_time(tmp_path, monkeypatch):
     with pytest.raises(SimulationError) as caught:
         plant.step([1e8])
     assert str(caught.value) == (
-        "rod/J1 at 0.0020 s: found an acceleration of 1e+11 rad/s2; the motion is unstable: "
+        "rod/J1 at 0.0020 s: the motion is unstable: found an acceleration of 1e+11 rad/s2; "
         "expected lower gains, or a timestep below 0.001 s"
     )
 
@@ -469,5 +469,11 @@ def test_what_cannot_be_simulated_is_told():
         plant.push("lwr/flange", [1, 2])
     with raises_with(key="payload of lwr", found=0.0, expected="a positive mass"):
         plant.attach_payload("lwr", 0.0)
-    with pytest.raises(ValueError, match=r"^payload of lwr: found principal moments 1, 1, 5 kg m2"):
+    with raises_with(
+        key="payload of lwr",
+        reason=(
+            "found principal moments 1, 1, 5 kg m2; expected the largest to be at most "
+            "the sum of the others, 2 (a tensor about the centre of mass?)"
+        ),
+    ):
         plant.attach_payload("lwr", 1.0, inertia=[1, 1, 5, 0, 0, 0])

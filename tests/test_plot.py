@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
+from conftest import raises_with
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.colors import to_rgb
@@ -170,20 +171,32 @@ def test_what_is_missing_is_left_out(tmp_path: Path, figures: list[Figure]) -> N
 
 def test_what_cannot_be_plotted_is_told(tmp_path: Path) -> None:
     log = sine_run()
-    with pytest.raises(UsageError, match=r"x\.jpg: found '\.jpg'; expected .* \.png, \.pdf, \.svg"):
+    with raises_with(
+        UsageError,
+        file=f"{tmp_path}/x.jpg",
+        found=".jpg",
+        expected="a name that ends in .png, .pdf, .svg",
+    ):
         plot_run(log, tmp_path / "x.jpg")
-    with pytest.raises(UsageError, match=r"no robot 'arn' in run; did you mean 'arm'\?"):
+    with raises_with(UsageError, reason="no robot", found="arn", of="in run", near="arm"):
         plot_run(log, tmp_path / "x.png", robots=["arn"])
-    with pytest.raises(UsageError, match=r"no joint 'tur' in run; did you mean 'turn'\?"):
+    with raises_with(UsageError, reason="no joint", found="tur", of="in run", near="turn"):
         plot_run(log, tmp_path / "x.png", joints=["tur"])
     angles = RunLog(
         log.robots, {"arm_joint_angles": log.signals["arm_joint_angles"]}, log.times, "angles"
     )
-    with pytest.raises(UsageError, match=r"run angles has no torques of robot 'arm'"):
+    with raises_with(
+        UsageError,
+        key="run angles",
+        reason="has no torques of robot 'arm'",
+        expected="torques or commanded_torques",
+    ):
         plot_run(angles, tmp_path / "x.png")
-    with pytest.raises(UsageError, match=r"size_mm: found 1e\+06 mm wide; expected 60 mm to"):
+    told = {"found": 1e6, "of": "mm wide", "expected": "60 mm to 2000 mm"}
+    with raises_with(UsageError, key="size_mm", **told):
         plot_run(log, tmp_path / "x.png", size_mm=(1e6, 100.0))
-    with pytest.raises(RenderError, match=r"cannot be written: No such file or directory"):
+    missing = "cannot be written: No such file or directory"
+    with raises_with(RenderError, reason=f"{tmp_path}/nowhere/x.png: {missing}"):
         plot_run(log, tmp_path / "nowhere" / "x.png")
 
 
@@ -266,7 +279,7 @@ def test_a_comparison_shows_both_torques_and_both_differences(
         "angle, mm",
         "angle, A − B, mm",
     ]
-    with pytest.raises(UsageError, match=r"no joint 'A9' of lwr; available: A1, A2"):
+    with raises_with(UsageError, reason="no joint", found="A9", of="of lwr", near=None):
         plot_pair(align(a, b), tmp_path / "x.png", joints=["A9"])
 
 

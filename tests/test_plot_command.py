@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from PIL import Image
 from runs import simulated, sine_run, two_joints
 
@@ -119,9 +120,17 @@ def test_what_is_no_figure_or_no_table_is_told(
         assert said in capsys.readouterr().err
     table = tmp_path / "t.csv"
     table.write_text("time,a,b[0]\n0,1,2\n")
-    with pytest.raises(CsvError, match=r"found the columns a, b\[0\].*such as arm_torques\[0\] to"):
+    with raises_with(
+        CsvError,
+        path=f"{tmp_path}/t.csv",
+        reason="found the columns a, b[0], ...; expected such as arm_torques[0] to [1]",
+    ):
         read_run_table(table, Scene(robots=[two_joints()]))
-    with pytest.raises(CsvError, match=r"expected such as ROBOT_torques\[0\]"):
+    with raises_with(
+        CsvError,
+        path=f"{tmp_path}/t.csv",
+        reason="found the columns a, b[0], ...; expected such as ROBOT_torques[0]",
+    ):
         read_run_table(table, Scene())
 
 
@@ -137,9 +146,20 @@ def test_robots_without_torques_are_left_out_of_a_plot_of_all(tmp_path: Path) ->
     )
     plot_run(both, tmp_path / "x.svg")
     assert words_of(tmp_path / "x.svg").count("turn") == 1
-    with pytest.raises(UsageError, match="has no torques of robot 'hand'"):
+    with raises_with(
+        UsageError,
+        key="run run",
+        reason="has no torques of robot 'hand'",
+        expected="torques or commanded_torques",
+    ):
         plot_run(both, tmp_path / "x.svg", robots=["hand"])
-    with pytest.raises(UsageError, match=r"2 pages; expected a name that ends in \.pdf"):
+    with raises_with(
+        UsageError,
+        file=f"{tmp_path}/x.svg",
+        found=2,
+        of="pages",
+        expected="a name that ends in .pdf",
+    ):
         plot_run([log, log], tmp_path / "x.svg")
 
 
@@ -148,5 +168,7 @@ def test_a_part_of_a_run_has_its_ends() -> None:
     assert (part.times[0], part.times[-1], len(part.times)) == (0.25, 0.5, 251)
     assert len(part.of("arm", "torques")) == 251
     assert len(sine_run(duration=1.0).between(None, 0.1).times) == 101
-    with pytest.raises(UsageError, match=r"found nothing from 2 s to 3 s"):
+    with raises_with(
+        UsageError, reason="run run lasts from 0 s to 1 s; found nothing from 2 s to 3 s"
+    ):
         sine_run(duration=1.0).between(2.0, 3.0)

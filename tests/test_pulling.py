@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from shown import Shown
 from window_tools import MISSING, Driven, screen
 
@@ -135,14 +136,17 @@ def test_what_is_saved_repeats_the_run_to_the_last_bit(tmp_path: Path) -> None:
 
 def test_what_cannot_be_saved_or_grabbed_is_told(tmp_path: Path) -> None:
     simulation = pushed()
-    with pytest.raises(UsageError, match="nothing was pushed yet: drag a link with Ctrl held"):
+    with raises_with(UsageError, reason="nothing was pushed yet: drag a link with Ctrl held"):
         save_pushes(simulation, tmp_path)
     assert simulation.drag_force is not None
-    with pytest.raises(UsageError, match="lwr/base cannot move: nothing to pull"):
+    with raises_with(UsageError, reason="lwr/base cannot move: nothing to pull"):
         simulation.drag_force.grab("lwr/base", np.zeros(3))
     pull(simulation, "lwr/link4", [0.0, 0.1, 0.0], 10)
     simulation.scenario.file = None
-    with pytest.raises(UsageError, match="made in Python has no file"):
+    with raises_with(
+        UsageError,
+        reason="a scenario that was made in Python has no file that another could extend",
+    ):
         save_pushes(simulation, tmp_path)
     assert not [*tmp_path.iterdir()]
 

@@ -198,7 +198,11 @@ def test_wrong_use_is_told(tmp_path: Path) -> None:
             give(recorder, "arn", [b""], [0.0])
         with pytest.raises(ValueError, match="found 2 arrivals and 1 lengths for 1 packets"):
             give(recorder, "arm", [b""], [0.0, 1.0])
-    with pytest.raises(RecordingError, match="exists already"):
+    with raises_with(
+        RecordingError,
+        path=f"{tmp_path}/a.mcap",
+        reason="exists already; choose another name, or remove it",
+    ):
         begin(tmp_path / "a.mcap")
 
 

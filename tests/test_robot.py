@@ -337,9 +337,15 @@ def test_a_pose_in_degrees_is_kept_in_radians_and_replaces_that_of_a_model():
     bent = SerialRobot.from_model("hit_finger", joint_angles_deg=np.full(hand.coupled.k, 10.0))
     free = np.full(hand.coupled.k, np.deg2rad(10.0))
     np.testing.assert_allclose(bent.joint_angles, hand.coupled.positions(free), rtol=1e-15)
-    with pytest.raises(DeclarationError, match="found both joint_angles and joint_angles_deg"):
+    with raises_with(
+        key="joint_angles_deg",
+        reason="found both joint_angles and joint_angles_deg; expected one of them",
+    ):
         robot(joint_angles=[0], joint_angles_deg=[0])
-    with pytest.raises(DeclarationError, match="joint_angles_deg is for revolute joints only"):
+    with raises_with(
+        key="joint_angles_deg",
+        reason="joint_angles_deg is for revolute joints only; use joint_angles in rad, m",
+    ):
         robot(joint_types=["prismatic"], joint_angles_deg=[0])
     with raises_with(key="joint_angles_deg", found=3):
         robot(joint_angles_deg=[0, 0, 0])
@@ -370,7 +376,11 @@ def test_table_in_degrees_becomes_one_in_radians_and_excludes_the_other():
 
 def test_refused_assignment_changes_nothing():
     box = Object(name="a", shape="box", size=[1, 2, 3])
-    with pytest.raises(DeclarationError, match="size of a box: found"):
+    with raises_with(
+        reason=(
+            "size of a box: found [1.0, 2.0]; expected positive length x, length y, length z in m"
+        )
+    ):
         box.size = [1, 2]
     assert box.size.tolist() == [1, 2, 3]
     held = robot(joint_angles=[0.5])

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -204,7 +205,7 @@ def test_any_text_is_a_route_or_a_problem(target: str, event: str) -> None:
 
 
 def test_a_mirror_refuses_what_is_wrong() -> None:
-    with pytest.raises(DeclarationError, match=r"routes\.arm\.torques: no source 'upd'; did you"):
+    with raises_with(key="routes.arm.torques", reason="no source 'upd'; did you mean 'udp'?"):
         Mirror(scene_of({"arm.torques": "upd.values0"}))
 
 

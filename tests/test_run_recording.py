@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from runs import HOME, in_old_words, record_packets, record_run, simulated
@@ -153,7 +154,11 @@ def test_velocities_that_were_not_sent_are_differences(
 def test_robots_and_routes_may_be_given(tmp_path: Path) -> None:
     times, angles = np.arange(5) * 0.01, np.arange(35.0).reshape(5, 7)
     path = record_packets(tmp_path / "bare.mcap", "7F", {"values0": angles}, times, {})
-    with pytest.raises(RecordingError, match=r"bare.mcap: has no robot in it: found no files"):
+    with raises_with(
+        RecordingError,
+        path=f"{tmp_path}/bare.mcap",
+        reason="has no robot in it: found no files; expected a scene, give one",
+    ):
         read_run(path)
     file = tmp_path / "mine.toml"
     file.write_text(
@@ -168,7 +173,11 @@ def test_robots_and_routes_may_be_given(tmp_path: Path) -> None:
 
 def test_a_recorded_simulation_without_its_robot_asks_for_a_scene(tmp_path: Path) -> None:
     path = record_run(simulated(), tmp_path / "alone.mcap", attach=False)
-    with pytest.raises(RecordingError, match=r"does not say what robot 'lwr' is.*give a scene"):
+    with raises_with(
+        RecordingError,
+        path=f"{tmp_path}/alone.mcap",
+        reason="does not say what robot 'lwr' is; none is available; give a scene",
+    ):
         read_run(path)
     assert read_run(path, scene=simulated().scenario.scene).robots["lwr"].n == 7
 
@@ -178,21 +187,36 @@ def test_robots_with_other_joints_are_refused(tmp_path: Path) -> None:
                                         "lwr_angles": np.zeros((3, 6))}  # fmt: skip
     files = {"x/mine.toml": '[robots.lwr]\nmodel = "lwr"\n'}
     path = record_packets(tmp_path / "six.mcap", "time:1F lwr_angles:6F", rows, times, files)
-    with pytest.raises(
-        RecordingError, match=r"lwr_joint_angles are 6; its robot 'lwr' has 7 joints"
+    with raises_with(
+        RecordingError,
+        path=f"{tmp_path}/six.mcap",
+        reason="lwr_joint_angles are 6; its robot 'lwr' has 7 joints",
     ):
         read_run(path)
 
 
 def test_what_is_wrong_is_told(tmp_path: Path, mirrored: tuple[Path, object, object]) -> None:
     path = mirrored[0]
-    with pytest.raises(UsageError, match=r"no source 'udq' in .*did you mean 'udp'\?"):
+    with raises_with(
+        UsageError, reason="no source", found="udq", of=f"in {tmp_path}/real.mcap", near="udp"
+    ):
         read_run(path, "udq")
     text = tmp_path / "text.mcap"
     text.write_text("time,angle\n")
-    with pytest.raises(RecordingError, match="is no MCAP file"):
+    with raises_with(
+        RecordingError,
+        path=f"{tmp_path}/text.mcap",
+        reason=(
+            "is no MCAP file: found b'time,ang' at its beginning; expected a file that "
+            "sero-mj record wrote"
+        ),
+    ):
         read_run(text)
-    with pytest.raises(RecordingError, match=r"missing.mcap: cannot be read"):
+    with raises_with(
+        RecordingError,
+        path=f"{tmp_path}/missing.mcap",
+        reason="cannot be read: No such file or directory",
+    ):
         read_run(tmp_path / "missing.mcap")
     foreign = tmp_path / "foreign.mcap"
     with open(foreign, "wb") as file:
@@ -202,7 +226,14 @@ def test_what_is_wrong_is_told(tmp_path: Path, mirrored: tuple[Path, object, obj
         channel = writer.register_channel("/camera", "json", schema)
         writer.add_message(channel, 0, b"{}", 0)
         writer.finish()
-    with pytest.raises(RecordingError, match=r"is an MCAP file of another program"):
+    with raises_with(
+        RecordingError,
+        path=f"{tmp_path}/foreign.mcap",
+        reason=(
+            "is an MCAP file of another program: found the topics /camera; expected a "
+            "file that sero-mj record wrote"
+        ),
+    ):
         read_run(foreign)
 
 
@@ -213,11 +244,24 @@ def test_a_recording_that_moves_no_robot_is_told(tmp_path: Path) -> None:
     path = record_packets(
         tmp_path / "still.mcap", "7F", rows, np.arange(3.0), {"scenes/x.toml": scene}
     )
-    with pytest.raises(RecordingError, match=r"no source in it moves a robot: .*lwr.torques"):
+    with raises_with(
+        RecordingError,
+        path=f"{tmp_path}/still.mcap",
+        reason=(
+            "no source in it moves a robot: found routes to lwr.torques; expected lwr.joint_angles"
+        ),
+    ):
         read_run(path)
     bad = scene.replace('"udp.values0"', '"udp.values9"').replace("torques", "joint_angles")
     path = record_packets(tmp_path / "bad.mcap", "7F", rows, np.arange(3.0), {"s/x.toml": bad})
-    with pytest.raises(RecordingError, match=r"its routes cannot be followed: .*values9"):
+    with raises_with(
+        RecordingError,
+        path=f"{tmp_path}/bad.mcap",
+        reason=(
+            "its routes cannot be followed: routes.lwr.joint_angles: no event "
+            "'values9' of udp; did you mean 'values0'?"
+        ),
+    ):
         read_run(path)
 
 
@@ -345,12 +389,21 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
         np.testing.assert_allclose(found.of("lwr", signal), expected.of("lwr", signal), rtol=1e-6)
     path.write_text(DEGREES + DEGREES[DEGREES.index("[sources") : DEGREES.index("[routes")].replace(
         "udp", "other").replace("other\"", "udp\"").replace("32000", "32001"))  # fmt: skip
-    with pytest.raises(UsageError, match=r"robot.csv may be of udp, other; choose one"):
+    with raises_with(
+        UsageError, reason=f"{tmp_path}/robot.csv may be of udp, other; choose one of these sources"
+    ):
         read_run_table(table, load_scene(str(path)))
     assert read_run_table(table, load_scene(str(path)), "udp").robots.keys() == {"lwr"}
-    with pytest.raises(CsvError, match=r"no source in it moves a robot"):
+    with raises_with(
+        CsvError,
+        path=f"{tmp_path}/robot.csv",
+        reason=(
+            "no source in it moves a robot: found routes to lwr.joint_angles, "
+            "lwr.torques; expected lwr.joint_angles"
+        ),
+    ):
         read_run_table(table, load_scene(str(path)), "other")
-    with pytest.raises(UsageError, match=r"no source 'upd' in the scene; did you mean 'udp'\?"):
+    with raises_with(UsageError, reason="no source", found="upd", of="in the scene", near="udp"):
         read_run_table(table, load_scene(str(path)), "upd")
 
 

@@ -8,6 +8,7 @@ import sys
 from typing import Any
 
 import pytest
+from conftest import raises_with
 from pydantic import ValidationError
 from shm_tools import block, needs_posix
 
@@ -96,13 +97,19 @@ def test_what_is_no_shared_memory_or_may_not_be_read_is_told(
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(shm, "Block", refuse)
-    with pytest.raises(SourceError, match="no permission to read it; ask its writer for mode 0644"):
+    with raises_with(
+        SourceError,
+        source="shm",
+        reason=(f"shared memory {block}: no permission to read it; ask its writer for mode 0644"),
+    ):
         ShmReader(block=block, structure="1F").open()
 
 
 def test_a_system_without_shared_memory_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shm_block, "_posixshmem", None)
-    with pytest.raises(SourceError, match="this system has no POSIX shared memory"):
+    with raises_with(
+        SourceError, source="shm", reason="shared memory /x: this system has no POSIX shared memory"
+    ):
         ShmReader(block="x", structure="1F").open()
 
 

@@ -17,6 +17,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from conftest import raises_with
 
 import sero_mj  # noqa: F401  registers the environments
 
@@ -134,5 +135,5 @@ def test_what_is_asked_of_single_environments_is_told_of_all(vector: Any) -> Non
     assert vector.env_is_wrapped(gymnasium.Wrapper, 1) == [False]
     with pytest.raises(AttributeError, match="stepped together have no methods"):
         vector.env_method("render")
-    with pytest.raises(ValueError, match="indices: found 1; expected None"):
+    with raises_with(key="indices", reason="found 1", expected="None: all have one render_mode"):
         vector.set_attr("render_mode", "rgb_array", 1)

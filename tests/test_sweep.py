@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from conftest import raises_with, sampled
 
-from sero_mj.base.errors import CsvError, DeclarationError, UsageError
+from sero_mj.base.errors import CsvError, UsageError
 from sero_mj.base.paths import find_scenario
 from sero_mj.cli import main
 from sero_mj.simulate.scenario_file import read_scenario
@@ -182,15 +182,29 @@ def test_a_variant_that_cannot_be_is_a_row_with_its_error(file: Path) -> None:
 
 
 def test_a_key_that_no_variant_can_have_is_told_at_once(file: Path) -> None:
-    with pytest.raises(DeclarationError, match=r"stifness: unknown key; did you mean 'stiffness'"):
+    with raises_with(key="controllers.lwr.stifness", reason="unknown key", near="stiffness"):
         sweep(file, "controllers.lwr.stifness=1:2")
     with raises_with(key="controllers.lvr.stiffness", reason="no robot", found="lvr", near="lwr"):
         sweep(file, "controllers.lvr.stiffness=1:2")
-    with pytest.raises(UsageError, match=r"--grid: found 900 x 900 = 810000 variants; expected up"):
+    with raises_with(
+        UsageError,
+        key="--grid",
+        reason="found 900 x 900 =",
+        found=810000,
+        of="variants",
+        expected="up to 200000: fewer --samples, or no --grid",
+    ):
         sweep(file, f"{STIFFNESS}=1:2", "run.duration=1:2", samples=900, is_grid=True)
-    with pytest.raises(UsageError, match=r"--vary run.seed: is given twice"):
+    with raises_with(
+        UsageError,
+        key="--vary run.seed",
+        reason="is given twice",
+        expected="one range for each key",
+    ):
         sweep(file, "run.seed=0:3", "run.seed=4:5")
-    with pytest.raises(UsageError, match=r"--vary run.seed: is also set"):
+    with raises_with(
+        UsageError, key="--vary run.seed", reason="is also set", expected="one of --vary and --set"
+    ):
         sweep(file, "run.seed=0:3", fixed={"run.seed": 1})
 
 
@@ -281,12 +295,26 @@ def test_a_table_of_another_sweep_is_not_gone_on_with(file: Path, tmp_path: Path
         "samples was 4 and is 5; seed was 0 and is 3"
     )
     file.write_text(SCENARIO.replace("-60.0", "-61.0"))
-    with pytest.raises(UsageError, match=r"another sweep: shove.toml has changed$"):
+    with raises_with(
+        UsageError,
+        key=f"--resume {tmp_path}/out.csv",
+        reason="it belongs to another sweep: shove.toml has changed",
+    ):
         SweepTable(sweep(file, f"{STIFFNESS}=50:900"), path, resume=True)
-    with pytest.raises(UsageError, match=r"is there already; expected --resume .* --overwrite$"):
+    with raises_with(
+        UsageError,
+        reason="is there already",
+        file=f"{tmp_path}/out.csv",
+        expected="--resume to go on with it, or --overwrite",
+    ):
         SweepTable(sweep(file, f"{STIFFNESS}=50:900"), path)
     (tmp_path / "out.csv.json").unlink()
-    with pytest.raises(UsageError, match=r"out.csv.json with its settings is missing"):
+    with raises_with(
+        UsageError,
+        reason="cannot be gone on with: out.csv.json with its settings is missing",
+        file=f"{tmp_path}/out.csv",
+        expected="--overwrite",
+    ):
         SweepTable(sweep(file, f"{STIFFNESS}=50:900"), path, resume=True)
 
 
@@ -295,13 +323,22 @@ def test_a_table_that_is_none_is_told_by_line(file: Path, tmp_path: Path) -> Non
     filled(runs, path, 2)
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join([*lines[:2], "some words\n"]))
-    with pytest.raises(CsvError, match=r"out.csv:3: found 1 entries; expected a variant's number"):
+    with raises_with(
+        CsvError,
+        path=f"{tmp_path}/out.csv",
+        line=3,
+        reason="found 1 entries; expected a variant's number and 10 more",
+    ):
         SweepTable(runs, path, resume=True)
     path.write_text("".join([*lines[:2], lines[2].replace("1,", "77,", 1)]))
-    with pytest.raises(CsvError, match=r"out.csv:3: found variant 77"):
+    with raises_with(
+        CsvError, path=f"{tmp_path}/out.csv", line=3, reason="found variant 77; expected below 4"
+    ):
         SweepTable(runs, path, resume=True)
     path.write_text("a,b\n1,2\n")
-    with pytest.raises(CsvError, match=r"found columns a,b; expected a sweep's"):
+    with raises_with(
+        CsvError, path=f"{tmp_path}/out.csv", reason="found columns a,b; expected a sweep's"
+    ):
         SweepTable(runs, path, resume=True)
 
 

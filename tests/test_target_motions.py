@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import examples
+from conftest import examples, raises_with
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -163,7 +163,7 @@ def test_degrees_are_radians_in_the_end() -> None:
     declared = WayPoints(way_points_deg=[[90.0, 45.0, 0.0]], times=[4.0])
     assert declared.way_points is not None
     np.testing.assert_allclose(declared.way_points, [[np.pi / 2, np.pi / 4, 0]])
-    with pytest.raises(DeclarationError, match="found both way_points and way_points_deg"):
+    with raises_with(reason="found both way_points and way_points_deg; expected one of them"):
         WayPoints(way_points_deg=[[1.0]], way_points=[[1.0]], times=[4.0])
 
 

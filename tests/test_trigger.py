@@ -17,7 +17,7 @@ from conftest import raises_with
 from polling import until
 
 from sero_mj import Scene, SerialRobot, UdpReceiver
-from sero_mj.base.errors import RouteError
+from sero_mj.base.errors import RecordingError, RouteError
 from sero_mj.base.frames import Array
 from sero_mj.cli import main
 from sero_mj.data.drive.record_sources import record_events, record_last, record_sources
@@ -285,7 +285,11 @@ def test_what_cannot_be_written_ends_it_and_is_told(tmp_path: Path) -> None:
     made = recorder(tmp_path)
     made.take("udp", *pad_packets(packets, LAYOUT.size), times)
     made.wait_until_seen()
-    with pytest.raises(OSError, match="exists already"):
+    with raises_with(
+        RecordingError,
+        path=f"{tmp_path}/1.mcap",
+        reason="exists already; choose another name, or remove it",
+    ):
         made.close()
     assert not made.take("udp", *pad_packets(packets, LAYOUT.size), times)
     assert (tmp_path / "1.mcap").read_text() == "mine"

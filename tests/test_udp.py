@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import raises_with
 from polling import until
 
 from sero_mj.base.errors import SeroError, SourceError
@@ -276,7 +277,11 @@ def test_a_machine_without_ipv6_is_told_so(monkeypatch: pytest.MonkeyPatch) -> N
 
     receiver = UdpReceiver(structure="1F", host="::1", port=32123)
     monkeypatch.setattr(socket, "socket", refuse)
-    with pytest.raises(SourceError, match="UDP port 32123 on ::1: Address family not supported"):
+    with raises_with(
+        SourceError,
+        source="udp",
+        reason="UDP port 32123 on ::1: Address family not supported by protocol",
+    ):
         receiver.open()
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 
 import pytest
+from conftest import raises_with
 from polling import until
 
 from sero_mj.base.errors import DeclarationError, SourceError
@@ -269,7 +270,9 @@ def test_an_address_of_every_network_asks_for_the_interface(host: str) -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="the loopback interface is called lo")
 def test_an_address_of_every_network_is_this_machines_on_the_interface_or_is_told() -> None:
     for fields in ({"host": "fe80::1234", "interface": "lo"}, {"host": "fe80::1234%lo"}):
-        with pytest.raises(SourceError, match="not an address of this machine"):
+        wrong = f"UDP port 0 on {fields['host']}: not an address of this machine"
+        reason = f"{wrong}; expected 127.0.0.1 or 0.0.0.0, say"
+        with raises_with(SourceError, source="udp", reason=reason):
             UdpReceiver(structure="1F", **fields).open()  # type: ignore[arg-type]
     with pytest.raises(SourceError, match="no network interface 'eth77'; available: "):
         UdpReceiver(structure="1F", host="fe80::1234", interface="eth77").open()

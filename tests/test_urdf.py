@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 import pytest
+from conftest import raises_with
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -578,8 +579,9 @@ def test_an_mjcf_without_joints_is_an_object(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_and_a_folder_are_told(tmp_path: Path) -> None:
-    for path, message in ((tmp_path / "no.urdf", "no such file"), (tmp_path, "Is a directory")):
-        with pytest.raises(DeclarationError, match=message):
+    folder = "cannot be read: Is a directory"
+    for path, reason in ((tmp_path / "no.urdf", "no such file"), (tmp_path, folder)):
+        with raises_with(file=str(path), reason=reason):
             read_urdf(path)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from conftest import sampled
+from conftest import raises_with, sampled
 from photos import camera, lwr
 from scipy.ndimage import gaussian_filter1d
 
@@ -149,17 +149,42 @@ def test_the_correlation_is_what_numpy_finds_offset_by_offset() -> None:
 
 
 def test_where_there_is_no_clear_offset_none_is_taken() -> None:
-    with pytest.raises(UsageError, match="is it this camera and this recording"):
+    with raises_with(
+        UsageError,
+        key="--offset auto",
+        reason="the motion in the video agrees to",
+        found=0.09,
+        of="at most with that of the recording",
+        expected="0.15 or more: is it this camera and this recording? Else give --offset S",
+    ):
         match(cells(0, 500), cells(9, 150), 25.0)
     periodic = cells(0, 500, period=50)
-    with pytest.raises(
-        UsageError, match=r"fit alike .* as of a motion that repeats; give --offset"
+    with raises_with(
+        UsageError,
+        key="--offset auto",
+        reason=(
+            "16.40 s and 14.40 s fit alike (1.00 and 1.00), as of a motion that "
+            "repeats; give --offset S"
+        ),
     ):
         match(periodic, periodic[60:210], 25.0)
     still = np.zeros((150, 30), np.float32)
-    with pytest.raises(UsageError, match="the robot does not move in the video"):
+    with raises_with(
+        UsageError,
+        key="--offset auto",
+        reason="the robot does not move in the video, as the camera sees it; give --offset S",
+    ):
         match(cells(0, 500), still, 25.0)
-    with pytest.raises(UsageError, match="the robot does not move in the recording"):
+    with raises_with(
+        UsageError,
+        key="--offset auto",
+        reason=("the robot does not move in the recording, as the camera sees it; give --offset S"),
+    ):
         match(still, cells(0, 150), 25.0)
-    with pytest.raises(UsageError, match="too short"):
+    with raises_with(
+        UsageError,
+        key="--offset auto",
+        reason="recording and video are too short",
+        expected="1.5 s or more",
+    ):
         match(cells(0, 20), cells(1, 20), 25.0)

@@ -236,7 +236,13 @@ def test_what_holds_mjcf_is_taken_as_text_is():
 
 
 def test_what_holds_no_mjcf_is_told_by_its_type():
-    with pytest.raises(DeclarationError, match="mjcf: found dict; expected a file's name, MJCF"):
+    with raises_with(
+        key="mjcf",
+        reason=(
+            "found dict; expected a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF "
+            "RootElement or a composer entity"
+        ),
+    ):
         Object(name="it", mjcf={})
 
 

@@ -256,7 +256,19 @@ def _pointing(text: str, position: int, length: int) -> str:
     return f"'{text}', character {position + 1}: found {found}"
 
 
-class SourceError(SeroError, OSError):
+class _ProblemError(SeroError):
+    """An error with one problem.
+
+    Attributes:
+        problem: what is wrong, and with what; of a text alone, it is the reason.
+    """
+
+    def __init__(self, problem: Problem | str, place: str = "") -> None:
+        self.problem = problem if isinstance(problem, Problem) else Problem("", problem)
+        super().__init__(": ".join(part for part in (place, str(self.problem)) if part))
+
+
+class SourceError(_ProblemError, OSError):
     """A source that cannot be opened.
 
     Attributes:
@@ -264,13 +276,13 @@ class SourceError(SeroError, OSError):
         reason: what stood in the way and what would help.
     """
 
-    def __init__(self, source: str, reason: str) -> None:
+    def __init__(self, source: str, reason: Problem | str) -> None:
+        super().__init__(reason, f"source '{source}'")
         self.source = source
-        self.reason = reason
-        super().__init__(f"source '{source}': {reason}")
+        self.reason = str(self.problem)
 
 
-class RecordingError(SeroError, OSError):
+class RecordingError(_ProblemError, OSError):
     """A recording that cannot be written on, or read.
 
     Attributes:
@@ -278,13 +290,13 @@ class RecordingError(SeroError, OSError):
         reason: what stood in the way, what is kept, and what would help.
     """
 
-    def __init__(self, path: object, reason: str) -> None:
+    def __init__(self, path: object, reason: Problem | str) -> None:
+        super().__init__(reason, str(path))
         self.path = str(path)
-        self.reason = reason
-        super().__init__(f"{path}: {reason}")
+        self.reason = str(self.problem)
 
 
-class CsvError(SeroError, ValueError):
+class CsvError(_ProblemError, ValueError):
     """A table of comma-separated values that cannot be read or written.
 
     Attributes:
@@ -295,17 +307,22 @@ class CsvError(SeroError, ValueError):
     """
 
     def __init__(
-        self, path: object, reason: str, *, line: int | None = None, column: str | None = None
+        self,
+        path: object,
+        reason: Problem | str,
+        *,
+        line: int | None = None,
+        column: str | None = None,
     ) -> None:
+        place = str(path) if line is None else f"{path}:{line}"
+        super().__init__(reason, f"{place}: {column}" if column else place)
         self.path = str(path)
-        self.reason = reason
+        self.reason = str(self.problem)
         self.line = line
         self.column = column
-        place = str(path) if line is None else f"{path}:{line}"
-        super().__init__(": ".join(part for part in (place, column, reason) if part))
 
 
-class SimulationError(SeroError, RuntimeError):
+class SimulationError(_ProblemError, RuntimeError):
     """A simulation that cannot continue; data recorded so far is kept.
 
     Attributes:
@@ -314,14 +331,14 @@ class SimulationError(SeroError, RuntimeError):
         reason: what was found and what would be right.
     """
 
-    def __init__(self, time: float, joint: str, reason: str) -> None:
+    def __init__(self, time: float, joint: str, reason: Problem | str) -> None:
+        super().__init__(reason, f"{joint} at {time:.4f} s")
         self.time = time
         self.joint = joint
-        self.reason = reason
-        super().__init__(f"{joint} at {time:.4f} s: {reason}")
+        self.reason = str(self.problem)
 
 
-class RenderError(SeroError, RuntimeError):
+class RenderError(_ProblemError, RuntimeError):
     """No picture can be made: no software or hardware GL, or no place to write to."""
 
 
@@ -342,5 +359,5 @@ class PluginError(SeroError):
         )
 
 
-class UsageError(SeroError, ValueError):
+class UsageError(_ProblemError, ValueError):
     """A command line that asks for something impossible; exit status 2."""

@@ -349,9 +349,15 @@ class PlantRow:
         """The error of invalid motor torques, which are set to zero."""
         torques = self._plant.joints.motor_torques[self.index]
         joint = int(np.argmax(~(np.abs(torques) < MAX_TORQUE / np.sqrt(self.n))))
-        reason = f"found a motor torque of {torques[joint]:g} Nm; expected a finite one, below 1e9"
+        problem = Problem(
+            "",
+            "found a motor torque of",
+            found=float(torques[joint]),
+            of="Nm",
+            expected="a finite one, below 1e9",
+        )
         torques[:] = 0.0
-        return SimulationError(float(self.data.time), self._joint_name(joint), reason)
+        return SimulationError(float(self.data.time), self._joint_name(joint), problem)
 
     def motion_error(self) -> SimulationError:
         """The error of an unstable motion, with its joint."""
@@ -362,8 +368,11 @@ class PlantRow:
         revolute = np.concatenate([part.kinematics.revolute for part in parts])
         joint = int(np.argmax(broken) if broken.any() else np.argmax(np.abs(found)))
         unit = "rad/s2" if revolute[joint] else "m/s2"
-        reason = (
-            f"found an acceleration of {found[joint]:g} {unit}; the motion is unstable: "
-            f"expected lower gains, or a timestep below {self.timestep:g} s"
+        problem = Problem(
+            "",
+            "the motion is unstable: found an acceleration of",
+            found=float(found[joint]),
+            of=unit,
+            expected=f"lower gains, or a timestep below {self.timestep:g} s",
         )
-        return SimulationError(time, self._joint_name(joint), reason)
+        return SimulationError(time, self._joint_name(joint), problem)

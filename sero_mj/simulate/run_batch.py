@@ -13,7 +13,7 @@ from weakref import ref
 
 import numpy as np
 
-from ..base.errors import DeclarationError, SimulationError
+from ..base.errors import DeclarationError, Problem, SimulationError
 from ..base.frames import Array, RowIndex
 from ..robots.assemble.world import World
 from ..robots.declared.joint_speeds import joint_speeds
@@ -300,11 +300,12 @@ class RunBatch:
         named = f"its velocity limit, {limit}"
         if robot.velocity_limits is None:
             named = f"{limit}, which stands for a velocity limit where none is declared"
-        reason = (
-            f"found {speeds[row]:.4g} {unit}, more than {self._runaway:g} times {named}: it runs "
-            "away; expected other gains or torques, or another run.runaway_speed (0 for none)"
+        problem = Problem(
+            found=float(speeds[row]),
+            of=f"{unit}, more than {self._runaway:g} times {named}: it runs away",
+            expected="other gains or torques, or another run.runaway_speed (0 for none)",
         )
-        return SimulationError(time, f"{robot.name}/{robot.names[joint]}", reason)
+        return SimulationError(time, f"{robot.name}/{robot.names[joint]}", problem)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..base.errors import UsageError, did_you_mean
+from ..base.errors import Problem, UsageError
 from ..base.frames import Array
 from ..robots.declared.robot import SerialRobot
 from ..simulate.runs.run_log import RunLog, compared_signal
@@ -183,13 +183,15 @@ def align(
         shift = find_shift(a.times, a.of(of_a, "joint_angles"), b.times, b.of(of_b, "joint_angles"))
         if shift is None:
             found = "one of the runs hardly moves"
-            raise UsageError(f"--offset auto: {found}; expected a number of seconds")
+            raise UsageError(Problem("--offset auto", found, expected="a number of seconds"))
         if shift.correlation < _MIN_CORRELATION:
-            found = (
-                f"the motions of {a.name} and {b.name} have a correlation of "
-                f"{shift.correlation:.2f}, below {_MIN_CORRELATION:g}"
+            problem = Problem(
+                "--offset auto",
+                f"the motions of {a.name} and {b.name} have a correlation of",
+                found=round(shift.correlation, 2),
+                expected=f"at least {_MIN_CORRELATION:g}, or a number of seconds",
             )
-            raise UsageError(f"--offset auto: {found}; expected a number of seconds")
+            raise UsageError(problem)
     seconds = float(offset) if shift is None else shift.seconds
     moved = b.times + seconds
     begin, end = max(a.times[0], moved[0]), min(a.times[-1], moved[-1])
@@ -200,8 +202,8 @@ def align(
         spans = [f"{name} from {t[0]:.3f} s to {t[-1]:.3f} s"
                  for name, t in ((a.name, a.times), (b.name, moved))]  # fmt: skip
         where = f" with the offset {seconds:g} s" if seconds else ""
-        hint = "expected runs that overlap; give --offset S, or --offset auto"
-        raise UsageError(f"found {spans[0]}, {spans[1]}{where}; {hint}")
+        expected = "runs that overlap; give --offset S, or --offset auto"
+        raise UsageError(Problem("", f"found {spans[0]}, {spans[1]}{where}", expected=expected))
     return Pair(
         a.robots[of_a],
         times,
@@ -227,8 +229,9 @@ def pair_with_commands(log: RunLog, robot: str | None = None) -> Pair:
     name = choose_robot(log, robot)
     for signal in ("torques", "commanded_torques"):
         if not log.has(name, signal):
-            found = f"{log.name} has no {signal} of '{name}'"
-            raise UsageError(f"{found}; expected both kinds, or another recording to compare with")
+            found = f"has no {signal} of '{name}'"
+            expected = "both kinds, or another recording to compare with"
+            raise UsageError(Problem(log.name, found, expected=expected))
     angles = log.of(name, "joint_angles")
     return Pair(
         log.robots[name],
@@ -248,8 +251,8 @@ def choose_robot(log: RunLog, name: str | None) -> str:
         UsageError: there is no such robot, or there are several.
     """
     if name is not None and name not in log.robots:
-        near = did_you_mean(name, log.robots)
-        raise UsageError(f"--robot: no robot '{name}' in {log.name}{near}")
+        where, known = f"in {log.name}", log.robots
+        raise UsageError(Problem("--robot", "no robot", found=name, of=where, available=known))
     if name is None and len(log.robots) != 1:
         has = ", ".join(log.robots) or "no robot"
         raise UsageError(f"{log.name} has {has}; choose with --robot NAME")
@@ -272,8 +275,9 @@ def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, s
         pair = in_a.strip(), (in_b or in_a).strip()
         for run, wanted in zip((a, b), pair, strict=True):
             if wanted not in run.robots:
-                near = did_you_mean(wanted, run.robots)
-                raise UsageError(f"--robot: no robot '{wanted}' in {run.name}{near}")
+                where, known = f"in {run.name}", run.robots
+                problem = Problem("--robot", "no robot", found=wanted, of=where, available=known)
+                raise UsageError(problem)
     else:
         common = [each for each in a.robots if each in b.robots]
         if len(common) == 1:
@@ -289,7 +293,7 @@ def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, s
     first, second = a.robots[pair[0]], b.robots[pair[1]]
     if first.n != second.n:
         found = f"{pair[0]} has {first.n} joints in {a.name}, {pair[1]} has {second.n} in {b.name}"
-        raise UsageError(f"{found}; expected the same number")
+        raise UsageError(Problem("", found, expected="the same number"))
     return pair
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..base.errors import RenderError, UsageError
+from ..base.errors import Problem, RenderError, UsageError
 from ..base.frames import Array
 from ..base.reduction import envelope
 
@@ -94,9 +94,8 @@ def check_suffix(path: Path | str) -> Path:
     """Raises UsageError for a suffix that is not a figure's."""
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
-        found = f"found '{path.suffix}'" if path.suffix else "found none"
-        expected = ", ".join(SUFFIXES)
-        raise UsageError(f"{path}: {found}; expected a name that ends in {expected}")
+        expected = f"a name that ends in {', '.join(SUFFIXES)}"
+        raise UsageError(Problem(file=str(path), found=path.suffix, expected=expected))
     return path
 
 
@@ -148,8 +147,8 @@ class Figure:
             (width, _MIN_MM[0], _MAX_MM[0], "wide"), (height, _MIN_MM[1], _MAX_MM[1], "high"),
         ):  # fmt: skip
             if not least <= value <= most:
-                expected = f"expected {least:g} mm to {most:g} mm"
-                raise UsageError(f"size_mm: found {value:g} mm {what}; {expected}")
+                of, expected = f"mm {what}", f"{least:g} mm to {most:g} mm"
+                raise UsageError(Problem("size_mm", found=value, of=of, expected=expected))
         self.figure = matplotlib_figure.Figure(
             figsize=(width * _MM, height * _MM), dpi=_DPI, facecolor="white", layout="constrained"
         )
@@ -301,7 +300,10 @@ def save_figures(figures: Sequence[Figure], path: Path) -> None:
         each.lay_out()
     suffix = path.suffix.lower()
     if len(figures) > 1 and suffix != ".pdf":
-        raise UsageError(f"{path}: {len(figures)} pages; expected a name that ends in .pdf")
+        problem = Problem(
+            file=str(path), found=len(figures), of="pages", expected="a name that ends in .pdf"
+        )
+        raise UsageError(problem)
     try:
         if suffix == ".pdf":  # with dates, files of the same run would differ
             with PdfPages(path, metadata={"CreationDate": None}) as pages:

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..base.errors import UsageError
+from ..base.errors import Problem, UsageError
 from ..base.frames import Array
 from ..base.reduction import rms
 from ..robots.declared.robot import SerialRobot
@@ -146,7 +146,8 @@ def identify(log: RunLog, name: str) -> Identified:
     found = torque_residuals(log, name, most_rows=_MAX_ROWS)
     n = found.robot.n
     if bool(found.slow.all()):
-        raise UsageError(f"{log.name}: no joint of '{name}' moves; expected a run that moves it")
+        reason = f"no joint of '{name}' moves"
+        raise UsageError(Problem(log.name, reason, expected="a run that moves it"))
     motors = [_motor_side(found, log.has(name, "commanded_torques"), k) for k in range(n)]
     payload, offsets, condition, link_fit = _link_side(found)
     joints = [

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..base.errors import UsageError, did_you_mean
+from ..base.errors import Problem, UsageError
 from ..base.frames import Array
 from ..base.reduction import peak, rms
 from ..simulate.runs.run_log import RunLog, compared_signal, torque_error
@@ -183,7 +183,8 @@ def _choose(
     """Robot and index of every joint to show."""
     for name in robots or ():
         if name not in log.robots:
-            raise UsageError(f"no robot '{name}' in {log.name}{did_you_mean(name, log.robots)}")
+            where, known = f"in {log.name}", log.robots
+            raise UsageError(Problem("", "no robot", found=name, of=where, available=known))
     if robots is None:  # those with torques
         signals = ("torques", "commanded_torques")
         robots = [robot for robot in log.robots if any(log.has(robot, each) for each in signals)]
@@ -191,11 +192,13 @@ def _choose(
     names = [joint for robot in wanted for joint in log.robots[robot].names]
     for joint in joints or ():
         if joint not in names:
-            raise UsageError(f"no joint '{joint}' in {log.name}{did_you_mean(joint, names)}")
+            where = f"in {log.name}"
+            raise UsageError(Problem("", "no joint", found=joint, of=where, available=names))
     for robot in wanted:
         if not (log.has(robot, "torques") or log.has(robot, "commanded_torques")):
-            found = f"run {log.name} has no torques of robot '{robot}'"
-            raise UsageError(f"{found}; expected torques or commanded_torques")
+            found = f"has no torques of robot '{robot}'"
+            expected = "torques or commanded_torques"
+            raise UsageError(Problem(f"run {log.name}", found, expected=expected))
     chosen = [(robot, k) for robot in wanted for k, joint in enumerate(log.robots[robot].names)
               if joints is None or joint in joints]  # fmt: skip
     if not chosen or len(log.times) == 0:
@@ -354,8 +357,8 @@ def plot_pair(
     names = pair.robot.names
     for joint in joints or ():
         if joint not in names:
-            near = did_you_mean(joint, names)
-            raise UsageError(f"no joint '{joint}' of {pair.robot.name}{near}")
+            where = f"of {pair.robot.name}"
+            raise UsageError(Problem("", "no joint", found=joint, of=where, available=names))
     shown = differ_most(pair) if joints is None else joints
     chosen = [k for k, joint in enumerate(names) if joint in shown]
     main = "torques" if "torques" in pair.signals else "joint_angles"

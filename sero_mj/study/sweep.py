@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from .. import __version__
-from ..base.errors import DeclarationError, UsageError
+from ..base.errors import DeclarationError, Problem, UsageError
 from ..base.frames import Array
 from ..simulate.log_output import files_of
 from ..simulate.scenario import Scenario
@@ -162,8 +162,11 @@ def full_grid(varied: Sequence[Vary], count: int) -> list[dict[str, Any]]:
     many = math.prod(map(len, columns))
     if many > MAX_VARIANTS:
         sizes = " x ".join(str(len(column)) for column in columns)
-        message = f"found {sizes} = {many} variants; expected up to {MAX_VARIANTS}"
-        raise UsageError(f"--grid: {message}: fewer --samples, or no --grid")
+        expected = f"up to {MAX_VARIANTS}: fewer --samples, or no --grid"
+        problem = Problem(
+            "--grid", f"found {sizes} =", found=many, of="variants", expected=expected
+        )
+        raise UsageError(problem)
     return _named(varied, itertools.product(*columns))
 
 
@@ -218,9 +221,11 @@ class Sweep:
         keys = [vary.key for vary in self.varied]
         for key in keys:
             if keys.count(key) > 1:
-                raise UsageError(f"--vary {key}: is given twice; expected one range for each key")
+                expected = "one range for each key"
+                raise UsageError(Problem(f"--vary {key}", "is given twice", expected=expected))
             if key in self.fixed:
-                raise UsageError(f"--vary {key}: is also set; expected one of --vary and --set")
+                expected = "one of --vary and --set"
+                raise UsageError(Problem(f"--vary {key}", "is also set", expected=expected))
         self._check_variants()
 
     @cached_property

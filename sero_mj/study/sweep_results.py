@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..base.errors import CsvError, RenderError, UsageError
+from ..base.errors import CsvError, Problem, RenderError, UsageError
 from ..data.record.csv_files import csv_table
 from .sweep import Sweep, Vary
 from .variant import UNITS
@@ -75,7 +75,8 @@ class SweepTable:
                 self._read(path)
             elif path.exists() and not overwrite:
                 expected = "--resume to go on with it, or --overwrite"
-                raise UsageError(f"{path}: is there already; expected {expected}")
+                there = Problem("", "is there already", str(path), expected=expected)
+                raise UsageError(there)
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 about.write_text(json.dumps(sweep.settings, indent=2) + "\n", encoding="utf-8")
@@ -89,12 +90,13 @@ class SweepTable:
             found = json.loads(about.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             message = f"cannot be gone on with: {about.name} with its settings is missing"
-            raise UsageError(f"{path}: {message}; expected --overwrite") from None
+            raise UsageError(Problem("", message, str(path), expected="--overwrite")) from None
         wanted = json.loads(json.dumps(self._sweep.settings))
         differences = _differences(found, wanted)
         if differences:
             text = "; ".join(differences[:6])
-            raise UsageError(f"--resume {path}: it belongs to another sweep: {text}")
+            message = f"it belongs to another sweep: {text}"
+            raise UsageError(Problem(f"--resume {path}", message))
 
     def _read(self, path: Path) -> None:
         """Takes over complete rows, and drops a partial row of a killed process."""
@@ -108,15 +110,18 @@ class SweepTable:
             path.write_text(_line(self._columns), encoding="utf-8")
             return
         if lines[0] != self._columns:
-            raise CsvError(path, f"found columns {','.join(lines[0])[:80]}; expected a sweep's")
+            found = f"found columns {','.join(lines[0])[:80]}"
+            raise CsvError(path, Problem("", found, expected="a sweep's"))
         for number, cells in enumerate(lines[1:], start=2):
             if len(cells) != len(self._columns) or not cells[0].isdecimal():
-                expected = f"expected a variant's number and {len(self._columns) - 1} more"
-                raise CsvError(path, f"found {len(cells)} entries; {expected}", line=number)
+                expected = f"a variant's number and {len(self._columns) - 1} more"
+                problem = Problem(found=len(cells), of="entries", expected=expected)
+                raise CsvError(path, problem, line=number)
             variant = int(cells[0])
             if variant >= len(self._sweep.variants):
-                message = f"found variant {variant}; expected below {len(self._sweep.variants)}"
-                raise CsvError(path, message, line=number)
+                expected = f"below {len(self._sweep.variants)}"
+                problem = Problem("", "found variant", found=variant, expected=expected)
+                raise CsvError(path, problem, line=number)
             given = self._sweep.variants[variant]
             row = dict(zip(self._columns, (_value(cell) for cell in cells), strict=True))
             self.rows[variant] = {**row, "error": cells[self._columns.index("error")], **given}

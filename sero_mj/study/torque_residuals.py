@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.errors import UsageError
+from ..base.errors import Problem, UsageError
 from ..base.frames import Array, Bools
 from ..robots.assemble.robot_dynamics import GRAVITY, robot_dynamics
 from ..robots.declared.robot import SerialRobot
@@ -159,10 +159,15 @@ def torque_residuals(
     at, measured, commanded = rows["t"][2:, 0], rows["measured"][2:], rows["commanded"][2:]
     low_pass = _LowPass(at, step, times, most_rows, window)
     if len(low_pass.times) < _MIN_ROWS:
-        raise UsageError(
-            f"{log.name} has {log.times[-1] - log.times[0]:.3g} s of '{name}'; expected at least "
-            f"{_MIN_ROWS * low_pass.step + 2 * _SUPPORT * low_pass.width:.2g} s"
+        least = _MIN_ROWS * low_pass.step + 2 * _SUPPORT * low_pass.width
+        problem = Problem(
+            log.name,
+            "has",
+            found=round(float(log.times[-1] - log.times[0]), 3),
+            of=f"s of '{name}'",
+            expected=f"at least {least:.2g} s",
         )
+        raise UsageError(problem)
     model = _link_torques(robot, q, v, a)
     dynamics = robot_dynamics(robot)
     smooth = low_pass(v + a * step)
@@ -252,7 +257,8 @@ def _checked(log: RunLog, name: str) -> SerialRobot:
         raise UsageError(f"no robot '{name}' in {log.name}; it has {', '.join(log.robots)}")
     robot = log.robots[name]
     if not log.has(name, "torques"):
-        raise UsageError(f"{log.name} has no measured torques of '{name}'; expected `torques`")
+        found = f"has no measured torques of '{name}'"
+        raise UsageError(Problem(log.name, found, expected="`torques`"))
     return robot
 
 

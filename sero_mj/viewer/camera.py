@@ -7,7 +7,7 @@ import contextlib
 import mujoco
 import numpy as np
 
-from ..base.errors import DeclarationError, UnknownName, UsageError
+from ..base.errors import DeclarationError, Problem, UnknownName, UsageError
 from ..base.frames import Array
 from ..data.drive.place import Placer
 from ..robots.assemble.solids import geom_boxes
@@ -94,10 +94,11 @@ def _numbers(text: str) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) not in (3, 6) or not np.isfinite(numbers).all() or numbers[2] <= 0:
-        raise UsageError(
-            f"camera '{text}': expected a name or azimuth,elevation,distance "
-            "(degrees, degrees, m above 0), e.g. 150,-15,2.2; with ,x,y,z of what it looks at (m)"
+        expected = (
+            "a name or azimuth,elevation,distance (degrees, degrees, m above 0), e.g. "
+            "150,-15,2.2; with ,x,y,z of what it looks at (m)"
         )
+        raise UsageError(Problem("camera", found=text, expected=expected))
     return numbers
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..base.errors import UsageError
+from ..base.errors import Problem, UsageError
 from ..base.frames import Array
 from ..robots.declared.cartesian import SmartArrow
 from ..robots.declared.double import Double
@@ -134,7 +134,8 @@ class Overlay:
         camera = own_camera if camera is None else camera
         width, height = size or own_size
         if not (width > 0 and height > 0):
-            raise UsageError(f"size: found {width} x {height}; expected pixels above 0")
+            found = f"found {width} x {height}"
+            raise UsageError(Problem("size", found, expected="pixels above 0"))
         if camera is not None:
             look = find_camera(self.world, camera) if isinstance(camera, str) else camera
             mujoco.mjv_updateCamera(self.model, self.data, look, scene)
@@ -206,7 +207,7 @@ class Overlay:
         """
         for key, value in (("width", width), ("height", height)):
             if not isinstance(value, int | np.integer):
-                raise UsageError(f"{key}: found {value!r}; expected a number of pixels")
+                raise UsageError(Problem(key, found=value, expected="a number of pixels"))
         self.check_frames()
         renderer = self._renderer
         if renderer is None or renderer.size != (width, height):
@@ -267,10 +268,8 @@ def _canvas_of(target: Any) -> tuple[mujoco.MjvScene, Font, Any, tuple[int, int]
         size = _SCENE_SIZE if view is None else (int(view.width), int(view.height))
         target.user_scn.ngeom = 0  # clears the geoms of the last frame; MuJoCo does not
         return target.user_scn, DEFAULT_FONT, target.cam, size
-    raise UsageError(
-        f"found {type(target).__name__}; expected a mujoco.Renderer, a viewer of "
-        "mujoco.viewer.launch_passive, or a mujoco.MjvScene"
-    )
+    expected = "a mujoco.Renderer, a viewer of mujoco.viewer.launch_passive, or a mujoco.MjvScene"
+    raise UsageError(Problem("", f"found {type(target).__name__}", expected=expected))
 
 
 def overlay(
@@ -318,10 +317,8 @@ def overlay(
         model = as_spec(model, Path()).compile()
     _check_model(model)
     if robots is not None and not isinstance(robots, Mapping):
-        raise UsageError(
-            f"robots: found {robots!r:.80}; expected fields by robot, as {{'arm': "
-            "{'arrow_radius': 0.06}}"
-        )
+        expected = "fields by robot, as {'arm': {'arrow_radius': 0.06}}"
+        raise UsageError(Problem("robots", found=robots, expected=expected))
     if isinstance(frames, str):
         frames = [frames]
     adopt_backend()  # also for a renderer of the user's own
@@ -346,28 +343,32 @@ def overlay(
 
 def _check_model(model: Any) -> None:
     if not isinstance(model, mujoco.MjModel):
-        raise UsageError(
-            f"model: found {type(model).__name__}; expected a compiled mujoco.MjModel, as of "
-            "mujoco.MjModel.from_xml_path, or an MjSpec or a PyMJCF model"
+        expected = (
+            "a compiled mujoco.MjModel, as of mujoco.MjModel.from_xml_path, or an MjSpec or a "
+            "PyMJCF model"
         )
+        raise UsageError(Problem("model", f"found {type(model).__name__}", expected=expected))
 
 
 def _check_data(model: mujoco.MjModel, data: Any) -> None:
     if not isinstance(data, mujoco.MjData):
-        raise UsageError(f"data: found {type(data).__name__}; expected mujoco.MjData(model)")
+        found = f"found {type(data).__name__}"
+        raise UsageError(Problem("data", found, expected="mujoco.MjData(model)"))
     other = data.model
     if other is model:
         return
     for field in ("nq", "nv", "nbody", "njnt", "nsite", "ngeom", "nmocap"):
         found, expected = getattr(other, field), getattr(model, field)
         if found != expected:
-            raise UsageError(
-                f"data: found that of a model with {field} = {found}; expected {expected}: "
-                "mujoco.MjData(model) of the same model"
+            problem = Problem(
+                "data",
+                f"found that of a model with {field} =",
+                found=found,
+                expected=f"{expected}: mujoco.MjData(model) of the same model",
             )
+            raise UsageError(problem)
     for field in ("jnt_type", "jnt_bodyid", "body_parentid"):
         if not np.array_equal(getattr(other, field), getattr(model, field)):
-            raise UsageError(
-                f"data: found that of a model with another {field}; expected "
-                "mujoco.MjData(model) of the same model"
-            )
+            found = f"found that of a model with another {field}"
+            expected = "mujoco.MjData(model) of the same model"
+            raise UsageError(Problem("data", found, expected=expected))

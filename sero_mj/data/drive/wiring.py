@@ -506,8 +506,10 @@ class _RouteChecker:
             return None
         events = {**self._sources[name].events, **SIGNALS}
         if event not in events:
-            hint = _missing_spaces(event, events) or did_you_mean(event, events)
-            return Problem("", f"no event '{event}' of {name}{hint}")
+            hint, of = _missing_spaces(event, events), f"of {name}"
+            if hint:
+                return Problem("", f"no event '{event}' {of}{hint}")
+            return Problem("", "no event", found=event, of=of, available=events)
         origin = Origin(name, event, True)
         if origin not in self._events:
             self._events[origin] = numbers_of(origin, tuple(events[event]))

@@ -316,7 +316,7 @@ class Structure:
             allowed = [item.shape, item.shape[1:]] if item.count == 1 else [item.shape]
             if array.shape not in allowed:
                 expected = " or ".join(map(str, allowed))
-                raise Problem(name, f"found {array.shape}", expected=expected).error()
+                raise Problem(name, found=array.shape, expected=expected).error()
             _numbers(packet, item)[:] = self._to_write(item, array.reshape(item.shape)).ravel()
         for item, constant in self._constants:
             if item.name in values and _is_wrong(packet, item, constant).any():
@@ -352,8 +352,8 @@ class Structure:
         with np.errstate(over="ignore"):
             unscaled = array / self.scale
         if (wrong := np.isinf(unscaled) & np.isfinite(array)).any():
-            found = array[wrong].flat[0]
-            raise ValueError(f"{item.name}: found {found}; too large for scale {self.scale:g}")
+            expected = f"less, for scale {self.scale:g}"
+            raise Problem(item.name, found=array[wrong].flat[0], expected=expected).error()
         return unscaled
 
 
@@ -401,7 +401,8 @@ def _as_numbers(item: Item, given: ArrayLike) -> NDArray[Any]:
             elif array.dtype.kind not in "biuf":
                 raise TypeError
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{item.name}: expected numbers, all rows of one length") from None
+        problem = Problem(item.name, found=given, expected="numbers, all rows of one length")
+        raise problem.error() from None
     return array
 
 
@@ -426,5 +427,5 @@ def _fitted(item: Item, array: NDArray[Any]) -> NDArray[Any]:
         fitted = (whole != 0) if item.is_bool else whole
         expected = f"whole numbers from {low} to {high}"
     if not fits.all():
-        raise Problem(item.name, f"found {array[~fits].flat[0]}", expected=expected).error()
+        raise Problem(item.name, found=array[~fits].flat[0], expected=expected).error()
     return fitted

@@ -170,7 +170,7 @@ def read_csv(
         ValueError: a rate that is not above 0.
     """
     if rate is not None and not 0.0 < rate < math.inf:
-        raise Problem("rate", f"found {rate}", expected="rows per s, above 0").error()
+        raise Problem("rate", found=rate, expected="rows per s, above 0").error()
     path = Path(path)
     try:
         with io.TextIOWrapper(open_file(path), newline="", encoding="utf-8-sig") as file:

@@ -16,7 +16,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
 from mcap.writer import MCAP0_MAGIC
 
-from ...base.errors import RecordingError, UnknownName, UsageError, did_you_mean
+from ...base.errors import Problem, RecordingError, UnknownName, UsageError
 from ...base.paths import open_file
 from ._mcap_reader import (
     BROKEN,
@@ -38,7 +38,7 @@ from .recording_format import (
 )
 
 _LATEST_NS = 2**64
-_EXPECTED = "expected a file that sero-mj record wrote"
+_EXPECTED = "a file that sero-mj record wrote"
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ class Recording:
     def _read_all_but_messages(self) -> None:
         begin = self._file.read(len(MCAP0_MAGIC))
         if begin != MCAP0_MAGIC:
-            found = f"is no MCAP file: found {begin!r} at its beginning" if begin else "is empty"
-            raise RecordingError(self.path, f"{found}; {_EXPECTED}")
+            reason = f"is no MCAP file: found {begin!r} at its beginning" if begin else "is empty"
+            raise RecordingError(self.path, Problem("", reason, expected=_EXPECTED))
         index = read_index(self._file)
         self._index = index
         self.faults += index.faults
@@ -149,10 +149,10 @@ class Recording:
             return found
         if not index.channels:
             why = "; ".join(index.faults) or "has no channels"
-            raise RecordingError(self.path, f"{why}; {_EXPECTED}")
+            raise RecordingError(self.path, Problem("", why, expected=_EXPECTED))
         topics = ", ".join(sorted(channel.topic for channel in index.channels.values())[:10])
-        reason = f"is an MCAP file of another program: found the topics {topics}; {_EXPECTED}"
-        raise RecordingError(self.path, reason)
+        reason = f"is an MCAP file of another program: found the topics {topics}"
+        raise RecordingError(self.path, Problem("", reason, expected=_EXPECTED))
 
     def _read_clock(self, index: FileIndex) -> RecordingClock:
         metadata = index.metadata.get(CLOCK)
@@ -163,7 +163,8 @@ class Recording:
             number = int(metadata["format"])
             clock = RecordingClock.from_metadata(metadata)
         except (KeyError, ValueError) as error:
-            raise RecordingError(self.path, f"metadata {CLOCK}: {error!r}; {_EXPECTED}") from error
+            problem = Problem(f"metadata {CLOCK}", repr(error), expected=_EXPECTED)
+            raise RecordingError(self.path, problem) from error
         if number > FORMAT:
             reason = f"is of format {number}; this version of sero-mj reads up to {FORMAT}"
             raise RecordingError(self.path, reason)
@@ -201,7 +202,8 @@ class Recording:
         if chosen in names:
             return chosen
         if name:
-            raise UsageError(f"no source '{name}' in {self.path}{did_you_mean(name, names)}")
+            where = f"in {self.path}"
+            raise UsageError(Problem("", "no source", found=name, of=where, available=names))
         found = f"has several sources: {', '.join(names)}; choose one" if names else "has no source"
         raise UsageError(f"{self.path} {found}")
 

@@ -63,9 +63,7 @@ class RecordingClock:
             ValueError: the time is out of the file's range.
         """
         if not math.isfinite(arrival):
-            raise Problem(
-                "arrival", f"found {arrival}", expected="seconds on time.monotonic"
-            ).error()
+            raise Problem("arrival", found=arrival, expected="seconds on time.monotonic").error()
         log_time = round(arrival * 1e9) - self.monotonic_ns + self.epoch_ns
         if not 0 <= log_time <= _MAX_NS:
             raise ValueError(f"arrival: found {arrival}, which is before 1970 or after 2554")

@@ -315,11 +315,11 @@ class ModelWorld(WorldView):
         if item.kind == "values" and array.shape == (self.model.nv,):
             array = array[self._dofs(name)]
         if array.shape != item.shape:
-            found = f"shape {array.shape}" if array.size else repr(values)
+            found, reason = (array.shape, "found shape") if array.size else (values, "")
             many = item.meaning if item.count == 1 else f"{item.meaning}: shape {item.shape}"
             if item.kind == "values" and item.shape != (self.model.nv,):
                 many += f", or one per degree of freedom of the model: shape ({self.model.nv},)"
-            raise Problem(target, f"found {found}", expected=many).error()
+            raise Problem(target, reason, found=found, expected=many).error()
         bad = ~np.isfinite(array)
         if bad.any() and not isinstance(values, _ByName):
             if not self.not_finite:

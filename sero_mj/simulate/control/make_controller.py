@@ -166,14 +166,16 @@ class LimitedController:
         for values, what in zip(sensed.values[row], ("angle", "velocity", "torque"), strict=True):
             if not np.isfinite(values).all():
                 joint = int(np.argmax(~np.isfinite(values)))
-                reason = f"the controller gets a measured {what} of {values[joint]:g}"
+                reason, found, unit = f"the controller gets a measured {what} of", values[joint], ""
                 break
         else:
             bad = ~np.isfinite(requested)
             joint = int(np.argmax(bad if bad.any() else np.abs(requested)))
-            reason = f"the controller asks for {requested[joint]:g} Nm"
+            reason, found, unit = "the controller asks for", requested[joint], "Nm"
         place = f"{self._robot}/{self._names[joint]}"
-        return SimulationError(sensed.time, place, f"{reason}; expected a finite number")
+        expected = "a finite number"
+        problem = Problem("", reason, found=float(found), of=unit, expected=expected)
+        return SimulationError(sensed.time, place, problem)
 
 
 def _limit_problems(key: str, limits: Array, unit: str, names: Sequence[str]) -> list[Problem]:

@@ -15,6 +15,7 @@ from ...base import paths
 from ...base.errors import (
     CsvError,
     DeclarationError,
+    Problem,
     RecordingError,
     UnknownName,
     UsageError,
@@ -99,7 +100,8 @@ def read_run_table(path: Path | str, scene: Scene, source: str | None = None) ->
     """
     path = Path(path)
     if source is not None and source not in scene.sources:
-        raise UsageError(f"no source '{source}' in the scene{did_you_mean(source, scene.sources)}")
+        where, known = "in the scene", scene.sources
+        raise UsageError(Problem("", "no source", found=source, of=where, available=known))
     times, columns = read_csv(path)
     log = run_of_columns(path, times, columns, scene.robots)
     if log is not None:
@@ -153,8 +155,8 @@ def _mirrored(
 def _chosen(recording: Recording, source: str | None) -> list[str]:
     names = list(recording.sources)
     if source is not None and source not in names:
-        near = did_you_mean(source, names)
-        raise UsageError(f"no source '{source}' in {recording.path}{near}")
+        where = f"in {recording.path}"
+        raise UsageError(Problem("", "no source", found=source, of=where, available=names))
     if not names:
         raise RecordingError(recording.path, "has no source")
     return names if source is None else [source]

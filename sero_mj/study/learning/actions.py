@@ -260,7 +260,12 @@ def checked_action(
         place = tuple(np.argwhere(bad)[0].tolist())
         joint = place[-1]
         low, high = spec.minimum[joint], spec.maximum[joint]
-        whose = "" if m is None else f" in environment {place[0]}"
-        reason = f"found an action of {values[place]:g}{whose}; expected {low:g} to {high:g} {unit}"
-        raise SimulationError(time, f"{robot.name}/{robot.names[joint]}", reason)
+        problem = Problem(
+            "",
+            "found an action of",
+            found=float(values[place]),
+            of="" if m is None else f"in environment {place[0]}",
+            expected=f"{low:g} to {high:g} {unit}",
+        )
+        raise SimulationError(time, f"{robot.name}/{robot.names[joint]}", problem)
     return np.clip(values, spec.minimum, spec.maximum)

@@ -327,14 +327,14 @@ def _task_of_many(environment: Environment, m: int) -> ManyEpisodes:
     """The task of m robots; raises DeclarationError where they can only be taken one by one."""
     simulation, scenario = environment.simulation, environment.scenario
     task = environment.task.make_many(m)
-    reason = None
+    found = expected = None
     if len(simulation.robots) > 1 or simulation.whole_body is not None:
-        reason = "found robots that carry others, or whose base moves; expected one robot"
+        found, expected = "robots that carry others, or whose base moves", "one robot"
     elif scenario.disturbances or task is None:
-        reason = "found a scenario; expected a robot with a task"
+        found, expected = "a scenario", "a robot with a task"
     elif scenario.run.runaway_speed:
-        reason = "found run.runaway_speed; expected 0, for none"
-    if reason is not None or task is None:
-        advice = "; such environments are stepped one by one: vectorization_mode='sync'"
-        raise Problem("num_envs", f"{reason}{advice}").error()
+        found, expected = "run.runaway_speed", "0, for none"
+    if found is not None or task is None:
+        advice = "such environments are stepped one by one: vectorization_mode='sync'"
+        raise Problem("num_envs", f"found {found}", expected=f"{expected}; {advice}").error()
     return task

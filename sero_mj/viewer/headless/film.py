@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ...base.errors import RenderError, reason_of
+from ...base.errors import Problem, RenderError, reason_of
 from .film_kinds import FILMS
 
 if TYPE_CHECKING:  # importing it takes 0.1 s, and only films need it
@@ -68,7 +68,8 @@ def check_film(path: Path | str) -> Path:
     """Returns the path of a film; raises RenderError if its extension is not that of a film."""
     path = Path(path)
     if path.suffix.lower() not in FILMS:
-        raise RenderError(f"{path}: expected a name that ends in {', '.join(FILMS)}")
+        expected = f"a name that ends in {', '.join(FILMS)}"
+        raise RenderError(Problem(file=str(path), found=path.suffix, expected=expected))
     return path
 
 
@@ -107,10 +108,13 @@ class FilmWriter:
         if min(self._width, self._height) < 2:
             raise RenderError(f"film size {width}x{height}: expected at least 2x2 pixels")
         if fps > kind.most_fps:
-            raise RenderError(
-                f"{path}: found {fps:g} frames per second; expected at most {kind.most_fps:g}: "
-                "programs show a faster GIF slowly"
+            problem = Problem(
+                file=str(path),
+                found=fps,
+                of="frames per second",
+                expected=f"at most {kind.most_fps:g}: programs show a faster GIF slowly",
             )
+            raise RenderError(problem)
         import av
 
         check_writable(path)

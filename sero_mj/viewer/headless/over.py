@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from ...base.errors import RenderError, UsageError
+from ...base.errors import Problem, RenderError, UsageError
 from ...data.drive.mirror import Mirror
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
@@ -55,7 +55,7 @@ class PhotoRenderer(Painter):
 
     def __init__(self, world: WorldView, camera: PhotoCamera, quality: Quality = "normal") -> None:
         if quality not in QUALITIES:
-            raise RenderError(f"found quality {quality!r}; expected {', '.join(QUALITIES)}")
+            raise RenderError(Problem("quality", found=quality, expected=", ".join(QUALITIES)))
         scale = SUPERSAMPLING if quality == "fine" else 1
         self.world, self.size = world, (camera.width, camera.height)
         self.photo: Pixels = np.zeros((camera.height, camera.width, 3), np.uint8)

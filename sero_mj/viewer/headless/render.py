@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from PIL import Image
 
-from ...base.errors import RenderError
+from ...base.errors import Problem, RenderError
 from ...data.drive.mirror import Mirror, restore
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
@@ -66,7 +66,8 @@ def check_size(what: str, width: int, height: int) -> None:
         RenderError: the size is out of range.
     """
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise RenderError(f"{what} size {width}x{height}: expected 1 to {MAX_SIDE} a side")
+        found, expected = f"found {width}x{height}", f"1 to {MAX_SIDE} a side"
+        raise RenderError(Problem(f"{what} size", found, expected=expected))
 
 
 @contextmanager
@@ -139,7 +140,7 @@ class HeadlessRenderer(Painter):
     ) -> None:
         check_stereo(stereo, eye_distance)
         if quality not in QUALITIES:
-            raise RenderError(f"found quality {quality!r}; expected {', '.join(QUALITIES)}")
+            raise RenderError(Problem("quality", found=quality, expected=", ".join(QUALITIES)))
         self._scale = SUPERSAMPLING if quality == "fine" else 1
         check_size("picture", width * self._scale, height * self._scale)
         self.world = world

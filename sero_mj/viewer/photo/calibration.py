@@ -32,9 +32,10 @@ _AMBIGUOUS = 1.5  # times the least error; cameras with smaller errors fit as we
 _CLICK_ERROR = 3.0  # maximum error of a careful click
 _MAX_SUBSETS = 1000
 _MAX_MEAN_ERROR = 0.05  # of the picture's width; mean error above which nothing fits
-_NO_CAMERA = (
-    "no camera sees the points so; expected the pose that the photo shows, and names that are not "
-    "mixed up"
+_NO_CAMERA = Problem(
+    "",
+    "no camera sees the points so",
+    expected="the pose that the photo shows, and names that are not mixed up",
 )
 _FOCAL = (0.3, 6.0)  # of the picture's larger side
 _SAME_POINT = 2e-3  # m
@@ -319,10 +320,8 @@ def calibrate(
     projected, depth = found.project(points)
     for name, ahead in zip(names, depth, strict=True):
         if ahead <= 0:
-            raise UsageError(
-                f"{name} would be behind the camera; expected points that the photo shows, with "
-                "their names not mixed up"
-            )
+            expected = "points that the photo shows, with their names not mixed up"
+            raise UsageError(Problem("", f"{name} would be behind the camera", expected=expected))
     errors = projected - pixels
     position_error, focal_error = solver.standard_errors(found, points[used], errors[used])
     return Calibration(found, errors, used, position_error, focal_error)

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.errors import UsageError
+from ...base.errors import Problem, UsageError
 from ...base.frames import Array
 from ...data.drive.mirror import Mirror
 from ...robots.assemble.world import World
@@ -32,6 +32,7 @@ _NOISE, _FULL_CHANGE = 4.0, 40.0  # grey levels: noise, and a full change
 _MIN_OVERLAP = 1.5  # s
 _PEAK_DISTANCE = 0.4  # s; minimum separation of distinct peaks
 _MIN_CORRELATION = 0.15  # correlation
+_KEY = "--offset auto"  # of errors
 _PEAK_RATIO = 1.25  # minimum ratio of the best peak to any other
 _MAX_DURATION = 3600.0  # s of a recording that are searched
 _HIDDEN_GROUP = 3  # the first hidden group of geoms
@@ -203,32 +204,36 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
     """
     for what, cells in (("recording", swept), ("video", changed)):
         if float(np.abs(cells - cells.mean(axis=0)).sum(axis=1).max(initial=0.0)) < 0.02:
-            raise UsageError(
-                f"--offset auto: the robot does not move in the {what}, as the camera sees it; "
-                "give --offset S"
+            reason = (
+                f"the robot does not move in the {what}, as the camera sees it; give --offset S"
             )
+            raise UsageError(Problem(_KEY, reason))
     lags, scores = correlate(swept, changed, max(round(_MIN_OVERLAP * fps), 2))
     if not len(lags):
-        raise UsageError(
-            f"--offset auto: recording and video are too short; expected {_MIN_OVERLAP:g} s or more"
-        )
+        expected = f"{_MIN_OVERLAP:g} s or more"
+        raise UsageError(Problem(_KEY, "recording and video are too short", expected=expected))
     best = int(np.argmax(scores))
     apart = np.abs(lags - lags[best]) > max(_PEAK_DISTANCE * fps, 2)
     other = float(scores[apart].max(initial=0.0))
     score = float(scores[best])
     offset = (lags[best] + _peak(scores, best)) / fps
     if score < _MIN_CORRELATION:
-        raise UsageError(
-            f"--offset auto: the motion in the video agrees to {score:.2f} at most with that of "
-            f"the recording; expected {_MIN_CORRELATION:g} or more: is it this camera and this "
-            "recording? Else give --offset S"
+        problem = Problem(
+            _KEY,
+            "the motion in the video agrees to",
+            found=round(score, 2),
+            of="at most with that of the recording",
+            expected=f"{_MIN_CORRELATION:g} or more: is it this camera and this recording? Else "
+            "give --offset S",
         )
+        raise UsageError(problem)
     if score < _PEAK_RATIO * other:
         second = float(lags[apart][int(np.argmax(scores[apart]))] / fps)
-        raise UsageError(
-            f"--offset auto: {offset:.2f} s and {second:.2f} s fit alike ({score:.2f} and "
-            f"{other:.2f}), as of a motion that repeats; give --offset S"
+        reason = (
+            f"{offset:.2f} s and {second:.2f} s fit alike ({score:.2f} and {other:.2f}), as of a "
+            "motion that repeats; give --offset S"
         )
+        raise UsageError(Problem(_KEY, reason))
     return FoundOffset(float(offset), score, other)
 
 
