@@ -20,6 +20,7 @@ from test_urdf import BALL, CHAIN, GRIPPER, poses_in_xml, write
 
 from sero_mj import HeadlessRenderer, Scene, SerialRobot, load_scene
 from sero_mj.base import paths
+from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.assemble.world import World
