@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from web_tools import MISSING
+from web_tools import MISSING, TORQUES, Served, Visitor
 
 import sero_mj
 from sero_mj.load import load_scene
@@ -66,3 +66,22 @@ def test_axe_finds_nothing_serious(
     page.locator("#help").click()
     assert page.evaluate(FOUND) == []
     context.close()
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_axe_finds_nothing_serious_on_a_live_page(
+    browser: Any, axe: str, tmp_path: Path, scheme: str
+) -> None:
+    settings = (TORQUES, "lwr.show_billboards=true")
+    with Served(tmp_path, "lwr", settings=settings, control="joint") as served:
+        visitor = Visitor(browser, served, (1280, 844), color_scheme=scheme, bypass_csp=True)
+        page = visitor.page
+        served.ask("w.actions.perform('plot')")
+        page.locator(".area canvas").first.wait_for()
+        page.evaluate(axe)
+        assert page.evaluate(FOUND) == []
+        page.locator("#help").click()
+        page.locator("dialog[open] .table").first.wait_for()
+        assert page.evaluate(FOUND) == []
+        visitor.close()

@@ -1,4 +1,4 @@
-"""Robots that are moved on a page, in a real browser: by sliders, by their links."""
+"""Robots that are moved on a page, in a real browser: by sliders, links and handles."""
 
 from __future__ import annotations
 
@@ -14,72 +14,104 @@ pytestmark = [
     pytest.mark.timeout(300),
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
 ]
+CAMERA = "w.view_state().camera"
 
 
-@pytest.mark.thorough
 def test_sliders_links_and_the_clipboard(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", settings=(POSE,)) as served:
-        visitor = Visitor(browser, served, size=(560, 640))
-        visitor.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
-        visitor.hears("First remote draw frame applied")
-        left, top, right, bottom = served.until("places.get('##A2')")
-        y = (top + bottom) / 2
-        visitor.move(left + 0.6 * (right - left), y)
-        visitor.hold()
-        visitor.move(left + 0.4 * (right - left), y)
-        served.until("w.data.qpos[1] < -0.3")
-        assert served.ask("w.data.qpos[1]") == pytest.approx(np.deg2rad(-24), abs=0.15)
-        visitor.release()
-        visitor.click(*served.middle("home"))
+        visitor = Visitor(browser, served, size=(1000, 640))
+        page = visitor.page
+        page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        slider = page.get_by_role("slider", name="A2", exact=True)
+        slider.fill("-24")
+        served.until("abs(w.data.qpos[1] - np.deg2rad(-24)) < 1e-3")
+        page.get_by_role("button", name="home").click()
         served.until("abs(w.data.qpos[1] - 0.6) < 1e-9")
-        visitor.click(*served.middle("copy the pose"))
-        visitor.click(*served.middle("command"))
-        visitor.page.wait_for_function(
+        field = page.get_by_role("textbox", name="A2 typed")
+        field.fill("30")
+        field.press("Enter")
+        served.until("abs(w.data.qpos[1] - np.deg2rad(30)) < 1e-9")
+        page.get_by_role("button", name="home").click()
+        page.get_by_text("copy the pose").click()
+        page.get_by_role("button", name="command").click()
+        page.wait_for_function(
             "async () => (await navigator.clipboard.readText()).startsWith('sero-mj view lwr --')"
         )
-        copied = visitor.page.evaluate("navigator.clipboard.readText()")
+        copied = page.evaluate("navigator.clipboard.readText()")
         assert copied == "sero-mj view lwr --set lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0\n"
-        served.ask("setattr(w, 'shows_status', False)")  # it would cover the robot
-        served.settle()
-        camera = "[w.viewer.camera.azimuth, w.viewer.camera.distance]"
-        seen = served.ask(camera)
-        x, y = served.joint(3)
-        visitor.move(x, y)
-        visitor.page.keyboard.down("Control")
-        served.settle()
-        visitor.hold()
-        visitor.page.mouse.move(x + 30, y + 10, steps=3)
+        seen = served.ask(CAMERA)
+        x, y = visitor.joint(3)
+        page.mouse.move(x, y)
+        page.keyboard.down("Control")
+        page.mouse.down()
+        page.mouse.move(x + 30, y + 10, steps=3)
         served.until("w.tools['jogging'].is_on")
         served.until("np.abs(w.data.qpos - [0, 0.6, 0, -1.2, 0, 0.8, 0]).max() > 0.05")
-        visitor.release()
-        visitor.page.keyboard.up("Control")
+        page.mouse.up()
+        page.keyboard.up("Control")
         served.until("not w.tools['jogging'].is_on")
-        assert served.ask(camera) == seen
+        assert served.ask(CAMERA) == seen
         visitor.close()
 
 
 def test_a_handle_moves_the_target_and_the_robot_follows(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", settings=(POSE,), control="joint") as served:
-        served.ask("setattr(w, 'shows_status', False)")  # it would cover the robot
         visitor = Visitor(browser, served)
-        visitor.hears("First remote draw frame applied")
+        page = visitor.page
         served.until("w.toggles.handles is not None and w.clock.time > 0.2")
-        served.settle()
-        camera = "[w.viewer.camera.azimuth, w.viewer.camera.elevation]"
-        seen = served.ask(camera)
+        seen = served.ask(CAMERA)
         served.ask("globals().update(start=w.toggles.handles.pose.copy())")
         x, y, height = served.ask(
             "[*w.decor.view.project(start[:3, 3])[0].tolist(), w.decor.view.height]"
         )
         y = height - y
-        visitor.move(x, y)  # the cube
+        page.mouse.move(x, y)  # the cube
         served.until("w.toggles.handles.lit == 6")
-        visitor.hold()
-        visitor.page.mouse.move(x + 30, y - 20, steps=4)
+        page.wait_for_function("() => player.now.onHandle")
+        page.mouse.down()
+        page.mouse.move(x + 30, y - 20, steps=4)
         goal = "w.tools['steering'].goals['lwr'].flange(np.eye(4))"
         served.until(f"np.abs({goal} - start)[:3, 3].max() > 0.03")
-        visitor.release()
+        page.mouse.up()
         served.until("not w.tools['steering'].is_on")
         served.until(f"np.abs(w.world.frame(w.data, 'lwr/flange') - {goal}).max() < 5e-3")
-        assert served.ask(camera) == seen
+        assert served.ask(CAMERA) == seen
+        visitor.close()
+
+
+def test_a_long_press_pulls_and_two_fingers_zoom(browser: Any, tmp_path: Path) -> None:
+    with Served(tmp_path, "impedance_push", settings=("run.duration=100",)) as served:
+        visitor = Visitor(browser, served, has_touch=True)
+        served.until("w.clock.time > 0.1")
+        seen = served.ask(CAMERA)
+        x, y = visitor.joint(3)
+        send = visitor.page.context.new_cdp_session(visitor.page).send
+
+        def touch(kind: str, *offsets: float) -> None:
+            points = [{"x": x + by, "y": y, "id": i} for i, by in enumerate(offsets)]
+            send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+        touch("touchStart", 0)
+        served.until("w.notice.text == 'drag to pull lwr/link4'")
+        for by in (10, 20, 45):
+            touch("touchMove", by)
+        served.until("w.tools['pulling'].is_on")
+        touch("touchEnd")
+        served.until("not w.tools['pulling'].is_on and len(w.tools['pulling']._force.pulls) == 1")
+        assert served.ask(CAMERA) == seen
+        assert served.ask("clicks") == []
+        far = served.ask("w.navigator.camera.distance")
+        touch("touchStart", -30)
+        touch("touchStart", -30, 30)
+        for half in (36, 42, 48, 54, 60):
+            touch("touchMove", -half, half)
+        touch("touchEnd")
+        served.until(f"w.navigator.camera.distance < {0.8 * far}")
+        assert served.ask("clicks") == []
+        x, y = visitor.joint(1)
+        touch("touchStart", 0)
+        touch("touchEnd")
+        served.until("clicks")
+        assert [gesture for gesture, _ in served.ask("clicks")] == ["click"]
+        assert np.isfinite(served.ask("w.navigator.camera.distance"))
         visitor.close()
