@@ -98,6 +98,9 @@ class Shown(Protocol):
     def to_clipboard(self, text: str) -> None:
         """Copies a text to the user's clipboard."""
 
+    def open_panel(self) -> None:
+        """Shows the panel, where that can be hidden."""
+
 
 class Grab(NamedTuple):
     """The effect of a drag that begins at a pixel.
@@ -224,6 +227,15 @@ class Tool:
 
     def next_message(self) -> tuple[str, bool] | None:
         """A message about background work, and whether it is an error; None for none."""
+        return None
+
+    # ---- the program that has opened the view, see `sero_mj.view`
+
+    def hear(self, message: Any) -> None:
+        """Takes what that program sends it."""
+
+    def answer(self) -> Any:
+        """What it sends to that program, in every frame; None for nothing."""
         return None
 
     # ---- pictures
