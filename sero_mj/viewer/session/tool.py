@@ -262,6 +262,14 @@ class Tool:
     def restore(self, state: Any) -> None:
         """Restores an earlier state."""
 
+    @property
+    def kept(self) -> Any:
+        """What its user sees again at the next start of this scene, for JSON; None for nothing."""
+        return None
+
+    def take_kept(self, kept: Any) -> None:
+        """Takes over what was kept, as far as it fits; raises TypeError or so where it does not."""
+
     def render_words(self) -> list[str]:
         """Arguments of `sero-mj render` that reproduce its changes in a picture."""
         return []

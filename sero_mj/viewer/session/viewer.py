@@ -27,6 +27,7 @@ from .live import OnClick
 from .outbox import Outbox
 from .user_panels import TOOL as PANELS
 from .user_panels import UserPanel, UserPanels
+from .user_signals import UserSignals
 from .viewer_memory import OverlayMemory, SceneMemory, ViewerMemory
 from .viewer_process import ViewerProcess
 
@@ -58,6 +59,7 @@ class Viewer:
         self._on_click: OnClick | None = None
         self._outbox = Outbox(process.tell)
         self._panels = UserPanels(self._outbox, lambda: self.is_open)
+        self._signals = UserSignals(self._outbox)
         process.answers[PANELS] = self._panels.hear
         _shown.append(self)
 
@@ -157,6 +159,21 @@ class Viewer:
             RenderError: it is closed.
         """
         return self._panels.panel(title)
+
+    def plot(self, name: str, value: float) -> None:
+        """Plots a value over time: every name is a line in a plot beside the picture.
+
+        It takes about a microsecond, so it can be called in every cycle of a fast loop; the least
+        and the greatest value of every 2 ms are shown. A closed viewer ignores it.
+
+        Args:
+            name: of the signal; 100 at most.
+            value: now; NaN for a gap.
+
+        Raises:
+            UsageError: no name, no number, or too many signals.
+        """
+        self._signals.add(name, value)
 
     def picture(self) -> Picture:
         """Returns a picture of the values set so far, without status line and messages.
