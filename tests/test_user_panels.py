@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from page_client import PageClient
 from polling import until
 from scripted_widgets import ScriptedWidgets
 from shown import Shown
@@ -24,6 +25,7 @@ from sero_mj.base.errors import RenderError, SeroError, UsageError
 from sero_mj.viewer.session.outbox import Outbox
 from sero_mj.viewer.session.user_panels import TOOL, UserPanels
 from sero_mj.viewer.tools.user_panels import UserPanels as UserPanelsTool
+from sero_mj.viewer.web.host import WebHost
 
 
 class Both:
@@ -234,6 +236,36 @@ def test_the_outbox_waits_for_no_one_and_keeps_the_latest() -> None:
     assert until(lambda: sent[-1] == 5000, 20)
     assert len(sent) < 10
     outbox.close()
+
+
+def test_widgets_work_on_a_page(home: None) -> None:
+    both = Both()
+    panel = both.panels.panel("Tuning")
+    gain = panel.slider("gain", 0, 10, value=5, unit="%")
+    law = panel.choice("law", ["impedance", "gravity"])
+    reset = panel.button("reset")
+    text = panel.text("<b>idle</b>")
+    with WebHost(both.shown.mirror) as page, PageClient(page) as client:
+        tool = page.tools[TOOL]
+        assert isinstance(tool, UserPanelsTool)
+        both.tool = tool
+        both.to_view()
+        client.until(lambda: "Tuning" in str(client.state.get("panel")))
+        nodes = client.widget("panel", "Tuning")["nodes"]
+        assert [node["k"] for node in nodes] == ["slide", "choose", "button", "text"]
+        assert nodes[0]["text"] == "5 %" and nodes[-1]["s"] == "<b>idle</b>"
+        for node, value in zip(nodes, (7.5, 1, True), strict=False):
+            client.say("widget", tree="panel", id=node["id"], value=value)
+
+        def is_heard() -> bool:
+            both.to_program()
+            return (gain.value, law.value, reset.value) == (7.5, "gravity", 1)
+
+        client.until(is_heard)
+        text.value, gain.value = "moves", 2.0
+        both.to_view()
+        client.until(lambda: client.widget("panel", "Tuning")["nodes"][-1]["s"] == "moves")
+        assert client.widget("panel", "gain")["value"] == 2.0
 
 
 @pytest.mark.gl
