@@ -21,6 +21,7 @@ class ScriptedWidgets:
         lit: labels of what is selected.
         copied: what was put onto the clipboard last.
         ticks: of the last slider.
+        plots: all that were built.
     """
 
     points, interval = 980, 0.0
@@ -30,6 +31,7 @@ class ScriptedWidgets:
     ) -> None:
         self.size = size
         self.ticks: list[tuple[float, str]] = []
+        self.plots: list[Any] = []
         self._does = dict(does or {})
         self.built: list[tuple[str, str]] = []
         self.ways: list[str] = []
@@ -116,6 +118,7 @@ class ScriptedWidgets:
         return self._done("slide", label, value)
 
     def plot(self, plot: Any, height: float) -> None:
+        self.plots.append(plot)
         self.built.append(("plot", plot.y_label))
 
     def number(self, label: str, value: float, text: str) -> tuple[bool, float]:

@@ -15,8 +15,10 @@ from sero_mj import World
 from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.mailbox import Packets
 from sero_mj.load import load_scene
-from sero_mj.viewer.panels.torque_plots import TorquePlots, y_range
-from sero_mj.viewer.session.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
+from sero_mj.viewer.panels.time_plots import y_range
+from sero_mj.viewer.panels.torque_plots import TorquePlots
+from sero_mj.viewer.session.binned_history import SPAN
+from sero_mj.viewer.session.torque_history import TorqueHistory, joint_name, split_at_gaps
 
 
 @pytest.fixture(scope="module")
@@ -133,18 +135,18 @@ def test_a_plot_has_a_gap_while_there_is_no_fresh_data() -> None:
 
 
 def test_the_range_of_a_plot_holds_what_is_in_it() -> None:
-    low, high = y_range(np.full(3, np.nan), 10.0)
+    low, high = y_range(np.full(3, np.nan), 10.0, 0.5)
     assert low < 0 < high
-    low, high = y_range(np.array([2.0, np.nan, 6.0]), np.inf)
+    low, high = y_range(np.array([2.0, np.nan, 6.0]), np.inf, 0.5)
     assert (low, high) == (1.5, 6.5)  # round numbers
-    low, high = y_range(np.array([-95.0, 20.0]), 100.0)
+    low, high = y_range(np.array([-95.0, 20.0]), 100.0, 0.5)
     assert low < -100.0
     assert high > 20.0
 
 
 @given(st.floats(-500, 500), st.floats(1e-3, 1000), st.sampled_from([20.0, 176.0, np.inf]))
 def test_the_range_of_a_plot_is_round(low: float, span: float, limit: float) -> None:
-    bottom, top = y_range(np.array([low, low + span]), limit)
+    bottom, top = y_range(np.array([low, low + span]), limit, 1e-9)
     assert bottom <= low and low + span <= top
     step = 10.0 ** np.floor(np.log10(top - bottom)) / 20
     for end in (bottom, top):

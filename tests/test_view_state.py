@@ -137,10 +137,10 @@ def test_a_view_is_kept_for_its_scene(
     scene = world.scene
     assert find_view(scene) is None
     state = ViewState("150,-15,2.2,0.1,0,0.5", {"legend": "0"}, "lwr/A2", 1.25)
-    keep_view(scene, state, {"plot": True})
+    keep_view(scene, state, {"plot": True}, {"plot": [1]})
     (file,) = (tmp_path / "sero-mj" / "views").iterdir()
     assert file == file_of(scene) and file.name.startswith("impedance_push-")
-    assert find_view(scene) == (state._replace(time=None), {"plot": True})
+    assert find_view(scene) == (state._replace(time=None), {"plot": True}, {"plot": [1]})
     assert find_view(load_scene("lwr")) is None
     for text in ("", "{}", '{"view": "[]", "layout": {}}', '{"view": "{}", "layout": 3}', "\0"):
         file.write_text(text)
@@ -149,7 +149,7 @@ def test_a_view_is_kept_for_its_scene(
     file.unlink()
     file.parent.rmdir()
     file.parent.write_text("a file where the folder should be")
-    keep_view(scene, state, {})  # is no reason to fail
+    keep_view(scene, state, {}, {})  # is no reason to fail
 
 
 def test_what_changes_without_a_rest_is_one_step() -> None:

@@ -6,17 +6,15 @@ import time
 
 import numpy as np
 
-from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
-from ..session.torque_history import SPAN, TorqueHistory, joint_name, split_at_gaps
+from ..session.torque_history import TorqueHistory, joint_name
+from .time_plots import time_plot, with_gaps
 from .widgets import Line, Plot, Rgb, Widgets
 
 # Light blue and orange: distinct for the colour-blind and on a dark background.
 _MEASURED: Rgb = (0.45, 0.78, 1.0)
 _COMMANDED: Rgb = (1.0, 0.62, 0.18)
 _ERROR: Rgb = (0.75, 0.88, 0.45)
-_NEAR = 0.8  # fraction of the limit from which on it is in the visible range
-_MARGIN = 1.15  # of the range over that of the values
 _LEAST = 0.5  # Nm or N, minimum half range
 # Widths of the list of joints and of what is beside it, of the text's height.
 _NAMES, _BESIDE = 11.0, 8.0
@@ -41,13 +39,14 @@ class TorquePlots:
         self._when = float("-inf")
         self._joint = -1
 
-    def build(self, ui: Widgets, history: TorqueHistory, joint: int) -> int:
+    def build(self, ui: Widgets, history: TorqueHistory, joint: int, height: float = np.inf) -> int:
         """Builds the plots of a joint and returns the joint that the user has selected.
 
         Args:
             ui: takes them.
             history: the torques.
             joint: index in the world.
+            height: at most, of the text's height.
         """
         ui.width(max(min(_NAMES, ui.room()[0] - _BESIDE), 1.0))
         changed, chosen = ui.choose("##joint", joint, self._names)
@@ -60,12 +59,12 @@ class TorquePlots:
         ui.same_line()
         ui.label(f"limit {limit:g} {unit}" if np.isfinite(limit) else "no limit")
         torques, error = self._plots
-        _, room = ui.room()
+        room = min(ui.room()[1], height)
         is_for_two = room >= _ROOM_FOR_TWO
         if room >= _LEAST_HEIGHT:
             ui.plot(torques, _SHARE * room if is_for_two else room)
         if is_for_two:
-            ui.plot(error, ui.room()[1])
+            ui.plot(error, ui.room()[1] if height >= ui.room()[1] else (1 - _SHARE) * room)
         return joint
 
     def _unit(self, joint: int) -> str:
@@ -77,55 +76,11 @@ class TorquePlots:
         limit, unit = float(self._world.joints.torque_limit[joint]), self._unit(joint)
         what = "torque" if unit == "Nm" else "force"
         torques = [
-            Line("measured", _MEASURED, *_with_gaps(times, measured)),
-            Line("commanded", _COMMANDED, *_with_gaps(times, commanded)),
+            Line("measured", _MEASURED, *with_gaps(times, measured)),
+            Line("commanded", _COMMANDED, *with_gaps(times, commanded)),
         ]
-        errors = [Line("commanded - measured", _ERROR, *_with_gaps(times, error))]
+        errors = [Line("commanded - measured", _ERROR, *with_gaps(times, error))]
         return [
-            _plot(f"{what} [{unit}]", torques, limit),
-            _plot(f"error [{unit}]", errors, np.inf),
+            time_plot(f"{what} [{unit}]", torques, limit, _LEAST),
+            time_plot(f"error [{unit}]", errors, np.inf, _LEAST),
         ]
-
-
-def _plot(label: str, lines: list[Line], limit: float) -> Plot:
-    values = np.concatenate([line.y for line in lines])
-    ends = y_range(values, limit)
-    return Plot("s", label, lines, (-SPAN, 0.0), ends, (limit, -limit))
-
-
-def _with_gaps(times: Array, values: Array) -> tuple[Array, Array]:
-    """Returns the samples of a line, with one NaN in every gap.
-
-    Args:
-        times: (k,), s, rising.
-        values: (k,), NaN for no data.
-    """
-    values = values.astype(float)
-    x, y = [times[:0]], [values[:0]]
-    for piece in split_at_gaps(times, values):
-        if len(x) > 1:
-            x.append(times[piece[:1]])
-            y.append(np.array([np.nan]))
-        x.append(times[piece])
-        y.append(values[piece])
-    return np.concatenate(x), np.concatenate(y)
-
-
-def y_range(values: Array, limit: float) -> tuple[float, float]:
-    """Returns lower and upper end of a plot, Nm or N, rounded so that they rarely change.
-
-    Args:
-        values: all values of the plot, Nm or N, NaN for no data.
-        limit: of the torque, inf for none; it is in the range when torques come close to it.
-    """
-    finite = values[np.isfinite(values)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    if np.isfinite(limit):
-        high = max(high, limit) if high > _NEAR * limit else high
-        low = min(low, -limit) if low < -_NEAR * limit else low
-    middle, half = (low + high) / 2, max((high - low) / 2 * _MARGIN, _LEAST)
-    step = 10.0 ** np.floor(np.log10(half)) / 2
-    return (
-        float(np.floor((middle - half) / step) * step),
-        float(np.ceil((middle + half) / step) * step),
-    )

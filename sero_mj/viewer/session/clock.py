@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from ...data.drive.mirror import LiveWorld
+from .binned_history import SPAN
 from .live_history import LiveHistory
-from .torque_history import SPAN
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 _STEP = 1.0 / 60.0  # s, for recordings without a time step
@@ -163,6 +163,10 @@ class Clock:
         if self._history is not None:
             self._history.put_back()
         return "live"
+
+    def look_back(self) -> None:
+        """Calls `on_moment` for past times as after a jump, if they can be shown again."""
+        self._is_heard = False
 
     def _show(self) -> bool:
         jumps = not self._is_heard and self.on_moment is not None

@@ -8,6 +8,7 @@ import logging
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from platformdirs import user_state_path
 
@@ -45,20 +46,24 @@ def write_state(path: Path, data: bytes) -> None:
         log.info("not kept: %s: %s", path, error)
 
 
-def keep_view(scene: Scene, state: ViewState, layout: Mapping[str, bool]) -> None:
+def keep_view(
+    scene: Scene, state: ViewState, layout: Mapping[str, bool], tools: Mapping[str, Any]
+) -> None:
     """Saves a view for the next start; logs failures.
 
     Args:
         scene: that was shown.
         state: set by the user; the time is not saved.
         layout: visible parts of the window or page.
+        tools: what tools keep, by their names.
     """
-    text = json.dumps({"view": state._replace(time=None).to_text(), "layout": dict(layout)})
+    view = state._replace(time=None).to_text()
+    text = json.dumps({"view": view, "layout": dict(layout), "tools": dict(tools)})
     write_state(file_of(scene), text.encode())
 
 
-def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool]] | None:
-    """Returns a saved view, and the layout; None for none.
+def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool], dict[str, Any]] | None:
+    """Returns a saved view, the layout, and what tools have kept; None for none.
 
     Raises:
         UsageError: the file is damaged.
@@ -72,6 +77,6 @@ def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool]] | None:
     try:
         found = json.loads(text)
         layout = {str(name): bool(on) for name, on in found["layout"].items()}
-        return ViewState.from_text(found["view"]), layout
+        return ViewState.from_text(found["view"]), layout, dict(found.get("tools", {}))
     except (ValueError, KeyError, TypeError, AttributeError, UsageError) as error:
         raise UsageError(f"{path}: found no view ({error}); --fresh makes a new one") from None

@@ -6,9 +6,10 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -250,6 +251,9 @@ class LiveHost(ABC):
         """Shows or hides the help."""
         self.shows_help = not self.shows_help
 
+    def open_panel(self) -> None:  # noqa: B027 (pages show it anyway)
+        """Shows the panel, where that can be hidden."""
+
     def toggle_status(self) -> None:
         """Shows or hides status line or panel."""
         self.shows_status = not self.shows_status
@@ -346,6 +350,21 @@ class LiveHost(ABC):
         self.shows_status = layout.get("status", self.shows_status)
         for name, tool in self.tools.items():
             tool.shows_area = layout.get(name, tool.shows_area)
+
+    @property
+    def kept(self) -> dict[str, Any]:
+        """What tools keep of the scene, by their names."""
+        found = {
+            name: self.tools.call(tool, lambda tool: tool.kept) for name, tool in self.tools.items()
+        }
+        return {name: kept for name, kept in found.items() if kept is not None}
+
+    def show_kept(self, kept: Mapping[str, Any]) -> None:
+        """Hands tools what they have kept; what does not fit is left out."""
+        for name, of_tool in kept.items():
+            with suppress(TypeError, ValueError, KeyError, AttributeError, IndexError):
+                if name in self.tools:
+                    self.tools[name].take_kept(of_tool)
 
     def view_state(self) -> ViewState:
         """The user's settings of the view, as text; a free camera to 0.1 mm and 1e-4 deg."""

@@ -10,8 +10,8 @@ from .view_state import ViewState, apply_state
 
 
 def keep(host: LiveHost) -> None:
-    """Saves camera, switches, selection and layout."""
-    keep_view(host.world.scene, host.view_state(), host.layout)
+    """Saves camera, switches, selection, layout, and what tools keep."""
+    keep_view(host.world.scene, host.view_state(), host.layout, host.kept)
 
 
 def restore(host: LiveHost, *, with_camera: bool = True) -> None:
@@ -27,9 +27,10 @@ def restore(host: LiveHost, *, with_camera: bool = True) -> None:
         host.say(str(error), is_bad=True)
         return
     if found is not None:
-        state, layout = found
+        state, layout, kept = found
         show_state(host, state if with_camera else state._replace(camera=""))
         host.show_layout(layout)
+        host.show_kept(kept)
 
 
 def show_state(host: LiveHost, state: ViewState) -> None:

@@ -98,6 +98,9 @@ class Shown(Protocol):
     def to_clipboard(self, text: str) -> None:
         """Copies a text to the user's clipboard."""
 
+    def open_panel(self) -> None:
+        """Shows the panel, where that can be hidden."""
+
 
 class Grab(NamedTuple):
     """The effect of a drag that begins at a pixel.
@@ -226,6 +229,15 @@ class Tool:
         """A message about background work, and whether it is an error; None for none."""
         return None
 
+    # ---- the program that has opened the view, see `sero_mj.view`
+
+    def hear(self, message: Any) -> None:
+        """Takes what that program sends it."""
+
+    def answer(self) -> Any:
+        """What it sends to that program, in every frame; None for nothing."""
+        return None
+
     # ---- pictures
 
     @property
@@ -249,6 +261,14 @@ class Tool:
 
     def restore(self, state: Any) -> None:
         """Restores an earlier state."""
+
+    @property
+    def kept(self) -> Any:
+        """What its user sees again at the next start of this scene, for JSON; None for nothing."""
+        return None
+
+    def take_kept(self, kept: Any) -> None:
+        """Takes over what was kept, as far as it fits; raises TypeError or so where it does not."""
 
     def render_words(self) -> list[str]:
         """Arguments of `sero-mj render` that reproduce its changes in a picture."""

@@ -13,21 +13,20 @@ from ...data.receive.mailbox import Packets
 from ...robots.assemble.world_view import WorldView
 from ..decor.quantities import joint_values
 from ..decor.staleness import Staleness
+from .binned_history import SHOWN, SPAN, BinnedHistory
 
-SPAN = 8.0  # duration of the plots, s
 _GAP = 0.25  # minimum duration of a visible gap, s
-_BIN = 0.002  # duration for which the least and the greatest value are kept, s
-_SHOWN = round(SPAN / _BIN) + 1  # bins of the plots
 _MEASURED, _COMMANDED, _ERROR = range(3)
 _ROWS = {"torques": _MEASURED, "commanded_torques": _COMMANDED}
+ROWS = {**_ROWS, "torque_error": _ERROR}  # that are kept of every joint
 
 
 class TorqueHistory:
-    """The least and the greatest torques of all joints, in every 2 ms of the last seconds.
+    """The torques of all joints in the last seconds, see `BinnedHistory`.
 
-    So no peak is lost, however many packets come between two frames: those of a live source are
-    added by `add_packets`, everything else by `add`, with a sample for every frame or every few ms.
-    When time goes back, later samples are deleted.
+    Those of a live source are added by `add_packets`, all that have come between two frames,
+    everything else by `add`, with a sample for every frame or every few ms. When time goes back,
+    later samples are deleted.
 
     Args:
         world: the compiled scene.
@@ -41,14 +40,9 @@ class TorqueHistory:
     def __init__(self, world: WorldView, routes: Iterable[Route] = (), kept: float = SPAN) -> None:
         joints = len(world.joints.names)
         self.until: float | None = None
-        self._count = count = round(kept / _BIN) + 1  # of bins
         self._world = world
         self._staleness = Staleness(world)
-        self._times = np.full(count, np.nan)  # of the last sample of a bin
-        self._low = np.full((count, 3, joints), np.nan, np.float32)
-        self._high = np.full((count, 3, joints), np.nan, np.float32)
-        self._last: int | None = None  # newest bin; bin i is in row i % count
-        self._newest = 0.0  # time, s
+        self._history = BinnedHistory((3, joints), kept)
         # By source: where the torques of a packet go.
         self._routes: dict[str, list[tuple[Route, int, slice]]] = {}
         self._by_packet = np.zeros((3, joints), bool)
@@ -60,18 +54,16 @@ class TorqueHistory:
 
     def add(self, data: mujoco.MjData) -> None:
         """Adds the torques at `data.time`, except those that packets bring."""
-        if data.time < self._newest - 1e-9:
-            self._last = None
+        history = self._history
+        if data.time < history.newest - 1e-9:
+            history.restart()
         stale = self._staleness.find(data)
         values = self._received(data)
         values[self._by_packet] = np.nan
-        self._put(np.array([data.time]), values[None])
+        history.add(np.array([data.time]), values[None])
         if stale:  # the line ends at the time of the last data, not when it became stale
             gap = self._staleness.time_without_data(data, stale)
-            with np.errstate(invalid="ignore"):
-                past = (gap > 0) & (self._times[:, None] > data.time - gap + 1e-6)
-            for extremes in (self._low, self._high):
-                np.copyto(extremes, np.nan, where=past[:, None])
+            history.forget(np.where(gap > 0, data.time - gap + 1e-6, np.inf)[None])
 
     def add_packets(self, data: mujoco.MjData, source: str, packets: Packets, now: float) -> None:
         """Adds the torques of packets, each at its arrival.
@@ -96,38 +88,14 @@ class TorqueHistory:
             came[[row, _ERROR], joints] = True
         values[:, _ERROR] = values[:, _COMMANDED] - values[:, _MEASURED]
         values[:, ~came] = np.nan
-        self._put(data.time - now + packets.arrivals, values)
+        self._history.add(data.time - now + packets.arrivals, values)
 
     def _received(self, data: mujoco.MjData) -> Array:
         """Returns measured and commanded torques and their error, (3, N)."""
         found = joint_values(self._world, data)
         return np.array([found["torques"], found["commanded_torques"], found["torque_error"]])
 
-    def _put(self, times: Array, values: Array) -> None:
-        """Adds samples at times (n,), s, rising, with values (n, 3, N)."""
-        bins = np.floor(times / _BIN + 1e-6).astype(np.intp)
-        newest = int(bins[-1])
-        if self._last is None:
-            self._newest = -np.inf
-            self._times[:] = np.nan
-            self._low[:] = self._high[:] = np.nan
-        elif newest > self._last:
-            new = np.arange(max(self._last, newest - self._count) + 1, newest + 1) % self._count
-            self._times[new] = np.nan
-            self._low[new] = self._high[new] = np.nan
-        self._last = newest if self._last is None else max(newest, self._last)
-        self._newest = max(float(times[-1]), self._newest)
-        kept = bins > self._last - self._count
-        bins, times, values = bins[kept], times[kept], values[kept]
-        bins, begins = np.unique(bins, return_index=True)
-        ends = np.append(begins[1:], len(times)) - 1
-        rows = bins % self._count
-        self._times[rows] = np.fmax(self._times[rows], times[ends])
-        with np.errstate(over="ignore"):  # nonsense that was received is beyond float32
-            self._low[rows] = np.fmin(self._low[rows], np.fmin.reduceat(values, begins, axis=0))
-            self._high[rows] = np.fmax(self._high[rows], np.fmax.reduceat(values, begins, axis=0))
-
-    def of(self, joint: int, points: int = 2 * _SHOWN) -> tuple[Array, Array]:
+    def of(self, joint: int, points: int = 2 * SHOWN) -> tuple[Array, Array]:
         """Returns the torques of a joint, oldest first.
 
         Args:
@@ -139,32 +107,24 @@ class TorqueHistory:
             times (k,), s, relative to the newest (0 and below), and values (3, k): measured,
             commanded, and commanded - measured, Nm or N, NaN for no data.
         """
-        if self._last is None:
-            return np.zeros(0), np.zeros((3, 0))
-        last = self._last
-        if self.until is not None:
-            last = min(last, int(np.floor(self.until / _BIN + 1e-6)))
-        bins = np.arange(max(last - _SHOWN, self._last - self._count) + 1, last + 1)
-        bins = bins[np.isfinite(self._times[bins % self._count])]
-        if not len(bins):
-            return np.zeros(0), np.zeros((3, 0))
-        rows = bins % self._count
-        times = self._times[rows]
-        low, high = self._low[rows, :, joint], self._high[rows, :, joint]
-        points = max(points, 2)
-        if 2 * len(bins) > points:
-            # Stretches begin at multiples of their length, so that a line does not flicker.
-            stretches = bins // -(-2 * (int(bins[-1] - bins[0]) + 1) // points)
-            begins = np.flatnonzero(np.diff(stretches, prepend=stretches[0] - 1))
-            low = np.fmin.reduceat(low, begins, axis=0)
-            high = np.fmax.reduceat(high, begins, axis=0)
-            times = times[np.append(begins[1:], len(times)) - 1]
-        both = np.arange(len(times)).repeat(1 + (low < high).any(axis=1))
-        is_high = np.diff(both, prepend=-1) == 0
-        values = np.where(is_high[:, None], high[both], low[both]).T
-        times = times[both] - times[-1]
+        times, values = self._history.until(self.until, points, (slice(None), joint))
+        times = times - times[-1:]
         kept = times >= -SPAN
         return times[kept], values[:, kept]
+
+    def one(self, joint: int, key: str, points: int) -> tuple[Array, Array]:
+        """Returns a torque of a joint until `until`, oldest first.
+
+        Args:
+            joint: index in the world.
+            key: one of `ROWS`.
+            points: see `of`.
+
+        Returns:
+            times (k,), s, and values (k,), Nm or N, NaN for no data.
+        """
+        times, values = self._history.until(self.until, points, (ROWS[key], joint))
+        return times, values[0]
 
 
 def split_at_gaps(times: Array, values: Array) -> list[Ints]:

@@ -24,6 +24,10 @@ from ..headless.picture_options import DEFAULT_SIZE
 from ..overlay import Overlay
 from ..tools.robot_inputs import RobotInputs
 from .live import OnClick
+from .outbox import Outbox
+from .user_panels import TOOL as PANELS
+from .user_panels import UserPanel, UserPanels
+from .user_signals import UserSignals
 from .viewer_memory import OverlayMemory, SceneMemory, ViewerMemory
 from .viewer_process import ViewerProcess
 
@@ -53,6 +57,10 @@ class Viewer:
         self.url: str | None = urls[0] if urls else None
         self._process, self._memory = process, memory
         self._on_click: OnClick | None = None
+        self._outbox = Outbox(process.tell)
+        self._panels = UserPanels(self._outbox, lambda: self.is_open)
+        self._signals = UserSignals(self._outbox)
+        process.answers[PANELS] = self._panels.hear
         _shown.append(self)
 
     @property
@@ -103,7 +111,7 @@ class Viewer:
         return RobotInputs(self, name)
 
     def sync(self) -> bool:
-        """Sends the state of an overlay's model, receives the displayed state, and handles clicks.
+        """Sends the state of an overlay's model, receives the displayed state, calls callbacks.
 
         It never blocks (1 us for a scene, some 30 us for an overlay), so it can be called in every
         cycle of a fast loop, and errors of the viewer are not raised. A viewer that only shows
@@ -118,6 +126,8 @@ class Viewer:
             picked, gesture = clicks.popleft()
             if self._on_click is not None:
                 self._on_click(picked, gesture)
+        if self._panels.has_changes:
+            self._panels.call()
         return self.is_open
 
     def on_click(self, callback: OnClick) -> None:
@@ -133,6 +143,37 @@ class Viewer:
             found = type(callback).__name__
             raise UsageError(f"on_click: found {found}; expected callback(picked, gesture)")
         self._on_click = callback
+
+    def panel(self, title: str) -> UserPanel:
+        """Returns a section of the panel for widgets of the program: sliders, buttons, ...
+
+            stiffness = viewer.panel("Tuning").slider("stiffness", 0, 2000, value=500)
+
+        `stiffness.value` is what its user has set; see `UserPanel`.
+
+        Args:
+            title: of the section; the same title returns the same section.
+
+        Raises:
+            UsageError: no title.
+            RenderError: it is closed.
+        """
+        return self._panels.panel(title)
+
+    def plot(self, name: str, value: float) -> None:
+        """Plots a value over time: every name is a line in a plot beside the picture.
+
+        It takes about a microsecond, so it can be called in every cycle of a fast loop; the least
+        and the greatest value of every 2 ms are shown. A closed viewer ignores it.
+
+        Args:
+            name: of the signal; 100 at most.
+            value: now; NaN for a gap.
+
+        Raises:
+            UsageError: no name, no number, or too many signals.
+        """
+        self._signals.add(name, value)
 
     def picture(self) -> Picture:
         """Returns a picture of the values set so far, without status line and messages.
@@ -151,6 +192,7 @@ class Viewer:
         """Closes window or page, and the scene's sources; otherwise done at exit."""
         if self in _shown:
             _shown.remove(self)
+        self._outbox.close()
         self._process.close()
 
     def _repr_html_(self) -> str:

@@ -203,14 +203,32 @@ def _serve(user: _User, host: LiveHost, memory: ViewerMemory) -> None:
     """Shows frames until the host is closed or the user is gone."""
     while host.frame() and not user.is_gone:
         memory.show()
+        for name, tool in host.tools.items():
+            answer = host.tools.call(tool, lambda tool: tool.answer())
+            if answer is not None:
+                user.send("answer", name, answer)
+        timeout = 0.0 if host.is_seen else _HIDDEN_INTERVAL
         with suppress(queue.Empty):
-            message = user.messages.get(timeout=0.0 if host.is_seen else _HIDDEN_INTERVAL)
-            if message is None:
-                return
-            _, number = message
-            host.frame()  # with all that was set before it was asked for
-            memory.show()
-            user.send("picture", number, _picture(host))
+            while True:
+                message = user.messages.get(timeout=timeout)
+                if message is None:
+                    return
+                _take(message, user, host, memory)
+                timeout = 0.0
+
+
+def _take(message: tuple[Any, ...], user: _User, host: LiveHost, memory: ViewerMemory) -> None:
+    """Does what a message asks for while it is shown."""
+    kind, *rest = message
+    if kind == "tell":
+        name, words = rest
+        if name in host.tools:
+            host.tools.call(host.tools[name], lambda tool: tool.hear(words))
+    else:
+        (number,) = rest
+        host.frame()  # with all that was set before it was asked for
+        memory.show()
+        user.send("picture", number, _picture(host))
 
 
 def _picture(host: LiveHost) -> Any:

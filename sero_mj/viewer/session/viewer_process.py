@@ -19,6 +19,7 @@ import tempfile
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,7 @@ class ViewerProcess:
     Attributes:
         clicks: what was clicked on and how, oldest first; whoever handles them takes them out.
         is_open: whether it shows, or is about to.
+        answers: takes what a tool of the view sends, by the tool's name; called by another thread.
     """
 
     def __init__(self, *, is_window: bool) -> None:
@@ -72,6 +74,7 @@ class ViewerProcess:
         )
         self.clicks: deque[tuple[Picked | None, str]] = deque(maxlen=_MAX_CLICKS)
         self.is_open = True
+        self.answers: dict[str, Callable[[Any], None]] = {}
         self._owner = os.getpid()
         self._is_closing = False  # or has said that its user has closed it
         self._pictures: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
@@ -90,6 +93,10 @@ class ViewerProcess:
         except (OSError, ValueError):  # it has ended; `_listen` tells why
             return False
         return True
+
+    def tell(self, tool: str, message: Any) -> bool:
+        """Sends a message to a tool of the view; returns whether it was there to receive it."""
+        return self._send(("tell", tool, message))
 
     def describe(self, shown: Any) -> None:
         """Says what is shown, so that it is compiled there while this process goes on.
@@ -148,6 +155,10 @@ class ViewerProcess:
         elif kind == "picture":
             number, found = rest
             self._pictures.put((number, found))
+        elif kind == "answer":
+            tool, answer = rest
+            if tool in self.answers:
+                self.answers[tool](answer)
         elif kind == "log":
             name, level, text = rest
             logging.getLogger(name).log(level, "%s", text)
@@ -204,10 +215,13 @@ class ViewerProcess:
         process = self._process
         assert process.stdin is not None
         assert process.stdout is not None
-        if at_once:
+        is_mine = self._sending.acquire(timeout=_CLOSE_TIMEOUT)
+        if at_once or not is_mine:  # it takes nothing any more, and another thread waits for it
             process.kill()
         with suppress(OSError, ValueError):
             process.stdin.close()
+        if is_mine:
+            self._sending.release()
         try:
             process.wait(_CLOSE_TIMEOUT)
         except subprocess.TimeoutExpired:

@@ -303,6 +303,10 @@ class Window(LiveHost):
         """Whether the panel is shown."""
         return self._chrome.shows_panel
 
+    def open_panel(self) -> None:
+        """Shows the panel."""
+        self._chrome.shows_panel = True
+
     def toggle_panel(self) -> None:
         """Shows or hides the panel."""
         self._chrome.shows_panel = not self._chrome.shows_panel

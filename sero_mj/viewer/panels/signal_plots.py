@@ -1,0 +1,133 @@
+"""`SignalPlots`: plots of signals that the user has arranged, one below the other."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection
+
+import numpy as np
+
+from ..session.signals import Signal, Signals
+from .time_plots import time_plot, with_gaps
+from .widgets import Line, Plot, Rgb, Widgets
+
+# Distinct for the colour-blind, on a dark background (after Okabe and Ito).
+_COLOURS: tuple[Rgb, ...] = (
+    *((0.45, 0.78, 1.0), (1.0, 0.62, 0.18), (0.75, 0.88, 0.45), (0.80, 0.60, 0.70)),
+    *((0.94, 0.89, 0.26), (0.00, 0.62, 0.45), (0.84, 0.37, 0.00), (0.90, 0.90, 0.90)),
+)
+MOST_PLOTS, MOST_LINES = 8, len(_COLOURS)
+_LEAST = 1e-9  # minimum half range
+_NEW = "new plot"
+_HINT = "add or remove a signal"
+_SHOWN = " (shown)"
+_TARGET, _GROUP = 7.0, 7.0  # widths of lists, of the text's height
+_LEAST_HEIGHT = 8.0  # of a plot, likewise; what finds no room is reached by scrolling
+
+
+class SignalPlots:
+    """Plots of signals, and the lists by which signals are put into them and taken out.
+
+    Args:
+        signals: all that can be plotted.
+
+    Attributes:
+        shown: the signals of every plot, from top to bottom.
+    """
+
+    def __init__(self, signals: Signals) -> None:
+        self._signals = signals
+        self.shown: list[list[Signal]] = []
+        self._target, self._group = 0, 0  # chosen in the lists
+        self._plots: list[Plot] = []
+        self._built: list[list[Signal]] = []  # what these show
+        self._when = float("-inf")
+
+    @property
+    def wanted(self) -> Collection[Signal]:
+        """All signals that are plotted."""
+        return {signal for plot in self.shown for signal in plot}
+
+    def add(self, signal: Signal) -> None:
+        """Adds a plot of a signal, where there is room for one and none has it."""
+        if signal not in self.wanted and len(self.shown) < MOST_PLOTS:
+            self.shown.append([signal])
+
+    def toggle(self, plot: int, signal: Signal) -> str:
+        """Puts a signal into a plot, a new one behind the last, or takes it out of it.
+
+        Returns:
+            why it cannot be put there; empty where it can.
+        """
+        if plot >= len(self.shown):
+            if len(self.shown) == MOST_PLOTS:
+                return f"{MOST_PLOTS} plots are as many as there can be"
+            self.shown.append([signal])
+            return ""
+        lines = self.shown[plot]
+        if signal in lines:
+            lines.remove(signal)
+            self.shown = [lines for lines in self.shown if lines]
+            return ""
+        if len(lines) == MOST_LINES:
+            return f"{MOST_LINES} signals are as many as a plot can show"
+        lines.append(signal)
+        return ""
+
+    def build_choice(self, ui: Widgets) -> str:
+        """Builds the lists of plots, groups and signals.
+
+        Args:
+            ui: takes them.
+
+        Returns:
+            a message for the user; empty for none.
+        """
+        groups = self._signals.groups
+        if not groups:
+            return ""
+        targets = [f"plot {k + 1}" for k in range(len(self.shown))] + [_NEW]
+        ui.width(_TARGET)
+        _, self._target = ui.choose("##plot", min(self._target, len(targets) - 1), targets)
+        ui.same_line()
+        ui.width(_GROUP)
+        _, self._group = ui.choose("##group", min(self._group, len(groups) - 1), [*groups])
+        group = [*groups][self._group]
+        lines = self.shown[self._target] if self._target < len(self.shown) else []
+        names = groups[group]
+        labels = [_HINT, *(name + _SHOWN * (Signal(group, name) in lines) for name in names)]
+        ui.same_line()
+        ui.width(0)
+        changed, chosen = ui.choose("##signal", 0, labels)
+        if not changed or chosen == 0:
+            return ""
+        return self.toggle(self._target, Signal(group, names[chosen - 1]))
+
+    def build(self, ui: Widgets, now: float) -> None:
+        """Builds the plots, all as high as there is room for.
+
+        Args:
+            ui: takes them.
+            now: displayed time, s.
+        """
+        if not self.shown:
+            return
+        passed = time.monotonic() - self._when
+        if passed >= ui.interval or self._built != self.shown:
+            self._when = time.monotonic()
+            self._built = [[*lines] for lines in self.shown]
+            self._plots = [self._plot(lines, now, ui.points) for lines in self.shown]
+        height = max(ui.room()[1] / len(self._plots), _LEAST_HEIGHT)
+        for index, plot in enumerate(self._plots):
+            ui.scope(f"plot {index}")
+            ui.plot(plot, height)
+            ui.end_scope()
+
+    def _plot(self, shown: list[Signal], now: float, points: int) -> Plot:
+        lines, names = [], [signal.name for signal in shown]
+        for signal, colour in zip(shown, _COLOURS, strict=False):
+            times, values = with_gaps(*self._signals.of(signal, now, points))
+            is_one = names.count(signal.name) == 1
+            name = signal.name if is_one else f"{signal.group} {signal.name}"
+            lines.append(Line(name, colour, times, values))
+        return time_plot(f"plot {self.shown.index(shown) + 1}", lines, np.inf, _LEAST)

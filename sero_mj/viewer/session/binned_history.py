@@ -1,0 +1,115 @@
+"""`BinnedHistory`: the least and the greatest values of signals, in every 2 ms of the last time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...base.frames import Array
+
+SPAN = 8.0  # duration of the plots, s
+_BIN = 0.002  # duration for which the least and the greatest value are kept, s
+SHOWN = round(SPAN / _BIN) + 1  # bins of the plots
+
+
+class BinnedHistory:
+    """Keeps the extremes of all samples, so that no peak is lost, however many there are.
+
+    Args:
+        shape: of a sample.
+        kept: duration that is kept, s.
+
+    Attributes:
+        newest: time of the newest sample, s.
+    """
+
+    def __init__(self, shape: tuple[int, ...] = (), kept: float = SPAN) -> None:
+        self._count = count = round(kept / _BIN) + 1  # of bins
+        self._times = np.full(count, np.nan)  # of the last sample of a bin
+        self._low = np.full((count, *shape), np.nan, np.float32)
+        self._high = np.full((count, *shape), np.nan, np.float32)
+        self._last: int | None = None  # newest bin; bin i is in row i % count
+        self.newest = 0.0
+
+    def restart(self) -> None:
+        """Forgets everything with the next sample."""
+        self._last = None
+
+    def add(self, times: Array, values: Array) -> None:
+        """Adds samples.
+
+        Args:
+            times: (n,), s, rising, n >= 1; may be before those of earlier samples.
+            values: (n, ...), NaN for no data.
+        """
+        bins = np.floor(times / _BIN + 1e-6).astype(np.intp)
+        newest = int(bins[-1])
+        if self._last is None:
+            self.newest = -np.inf
+            self._times[:] = np.nan
+            self._low[:] = self._high[:] = np.nan
+        elif newest > self._last:
+            new = np.arange(max(self._last, newest - self._count) + 1, newest + 1) % self._count
+            self._times[new] = np.nan
+            self._low[new] = self._high[new] = np.nan
+        self._last = newest if self._last is None else max(newest, self._last)
+        self.newest = max(float(times[-1]), self.newest)
+        kept = bins > self._last - self._count
+        if not kept.any():
+            return
+        bins, times, values = bins[kept], times[kept], values[kept]
+        bins, begins = np.unique(bins, return_index=True)
+        ends = np.append(begins[1:], len(times)) - 1
+        rows = bins % self._count
+        self._times[rows] = np.fmax(self._times[rows], times[ends])
+        with np.errstate(over="ignore"):  # nonsense that was received is beyond float32
+            self._low[rows] = np.fmin(self._low[rows], np.fmin.reduceat(values, begins, axis=0))
+            self._high[rows] = np.fmax(self._high[rows], np.fmax.reduceat(values, begins, axis=0))
+
+    def forget(self, since: Array) -> None:
+        """Forgets values after times that broadcast to a sample's shape, s; inf for none."""
+        with np.errstate(invalid="ignore"):
+            past = self._times.reshape(-1, *(1,) * np.ndim(since)) > since
+        for extremes in (self._low, self._high):
+            np.copyto(extremes, np.nan, where=past)
+
+    def until(
+        self, time: float | None, points: int = 2 * SHOWN, at: tuple[Any, ...] = ()
+    ) -> tuple[Array, Array]:
+        """Returns the samples in the last `SPAN` before a time, oldest first.
+
+        Args:
+            time: s; the newest when None.
+            points: about as many are returned at most, two at least; each stands for the least or
+                the greatest value of its stretch of time.
+            at: index of the values in a sample, of one dimension at most; all when empty.
+
+        Returns:
+            times (k,), s, and values (m, k), NaN for no data.
+        """
+        nothing = np.zeros(0), np.zeros((self._low[(0, *at)].size, 0))
+        if self._last is None:
+            return nothing
+        last = self._last
+        if time is not None:
+            last = min(last, int(np.floor(time / _BIN + 1e-6)))
+        bins = np.arange(max(last - SHOWN, self._last - self._count) + 1, last + 1)
+        bins = bins[np.isfinite(self._times[bins % self._count])]
+        if not len(bins):
+            return nothing
+        rows = bins % self._count
+        times = self._times[rows]
+        low = self._low[(rows, *at)].reshape(len(rows), -1)
+        high = self._high[(rows, *at)].reshape(len(rows), -1)
+        points = max(points, 2)
+        if 2 * len(bins) > points:
+            # Stretches begin at multiples of their length, so that a line does not flicker.
+            stretches = bins // -(-2 * (int(bins[-1] - bins[0]) + 1) // points)
+            begins = np.flatnonzero(np.diff(stretches, prepend=stretches[0] - 1))
+            low = np.fmin.reduceat(low, begins, axis=0)
+            high = np.fmax.reduceat(high, begins, axis=0)
+            times = times[np.append(begins[1:], len(times)) - 1]
+        both = np.arange(len(times)).repeat(1 + (low < high).any(axis=1))
+        is_high = np.diff(both, prepend=-1) == 0
+        return times[both], np.where(is_high[:, None], high[both], low[both]).T

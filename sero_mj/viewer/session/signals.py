@@ -1,0 +1,182 @@
+"""`Signals`: all that can be plotted over time, and the history of what is plotted.
+
+Signals are values of the displayed joints, numbers of the sources' packets (for recordings and
+runs as well, whose packets have the columns of their log), and what a program plots.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base.frames import Array
+from ...data.drive.mirror import LiveWorld
+from ...data.receive.mailbox import Packets
+from ...data.receive.source import Source
+from ...robots.assemble.world_view import WorldView
+from ..decor.quantities import joint_values
+from ..decor.staleness import Staleness
+from . import live_history
+from .binned_history import SPAN, BinnedHistory
+from .torque_history import ROWS, TorqueHistory
+
+PROGRAM = "program"  # group of what a program plots
+_KEPT = SPAN + live_history.SPAN  # s
+_LATE = 0.1  # s that the displayed time may be behind the clock, by slow frames
+_WENT_BACK = 1.0  # s by which the time of a program's samples has to go back to begin anew
+
+
+class Signal(NamedTuple):
+    """A signal.
+
+    Attributes:
+        group: the program, a robot or double, or a source.
+        name: in its group: `A2.torques`, `values0[3]`.
+    """
+
+    group: str
+    name: str
+
+
+class Signals:
+    """The signals of a view.
+
+    Args:
+        mirror: what is shown.
+        torques: of its joints.
+    """
+
+    def __init__(self, mirror: LiveWorld, torques: TorqueHistory) -> None:
+        self._mirror, self._torques = mirror, torques
+        self._joints = dict(_joint_signals(mirror.world))
+        self._numbers = dict(_numbers(mirror.sources))
+        self._staleness = Staleness(mirror.world)
+        self._program: dict[Signal, BinnedHistory] = {}
+        self._followed: dict[Signal, BinnedHistory] = {}
+        self._is_listening = False
+        self._offset = 0.0  # of the displayed time to that of `time.monotonic`, s
+
+    @property
+    def groups(self) -> dict[str, list[str]]:
+        """Names of all signals, by group."""
+        found: dict[str, list[str]] = {}
+        for signal in (*self._program, *self._joints, *self._numbers):
+            found.setdefault(signal.group, []).append(signal.name)
+        return found
+
+    def may_have(self, signal: Signal) -> bool:
+        """Whether there is such a signal, or a program may plot it."""
+        return signal.group == PROGRAM or signal in self._joints or signal in self._numbers
+
+    def follow(self, wanted: Collection[Signal]) -> bool:
+        """Keeps the history of these signals, besides torques and those of a program.
+
+        Returns:
+            whether there are new ones, so that the past should be shown to `watch` again.
+        """
+        kept = {*wanted} & {*self._joints, *self._numbers}
+        new = {each for each in kept - {*self._followed} if not self._has_torque(each)}
+        for signal in {*self._followed} - kept:
+            del self._followed[signal]
+        self._followed |= {signal: BinnedHistory((), _KEPT) for signal in new}
+        if not self._is_listening and new & {*self._numbers}:
+            self._is_listening = True
+            self._mirror.listen(self._hear, to_all=True)
+        return bool(new)
+
+    def _has_torque(self, signal: Signal) -> bool:
+        """Whether the history of torques has it, with all packets of live sources."""
+        return signal in self._joints and self._joints[signal][1] in ROWS
+
+    def watch(self) -> None:
+        """Adds a new state of the world."""
+        world, data = self._mirror.world, self._mirror.data
+        offset = data.time - time.monotonic()
+        if offset > self._offset or offset < self._offset - _LATE:
+            self._offset = offset
+        joints = [signal for signal in self._followed if signal in self._joints]
+        if not joints:
+            return
+        values, stale = joint_values(world, data), self._staleness.find(data)
+        for signal in joints:
+            joint, key = self._joints[signal]
+            value = np.nan if signal.group in stale else float(values[key][joint])
+            self._add(signal, np.array([data.time]), np.array([value]))
+
+    def _hear(self, source: str, packets: Packets) -> None:
+        """Adds packets, each at its arrival."""
+        now = self._mirror.sources[source].now()
+        times = self._mirror.data.time - now + packets.arrivals
+        for signal in self._followed:
+            if signal.group == source and signal in self._numbers:
+                event, index = self._numbers[signal]
+                values = packets.values[event].reshape(len(packets), -1)[:, index]
+                self._add(signal, times, values)
+
+    def _add(self, signal: Signal, times: Array, values: Array) -> None:
+        history = self._followed[signal]
+        if self._mirror.data.time < history.newest - 1e-9:
+            history.restart()
+        history.add(times, np.where(np.isfinite(values), values, np.nan))
+
+    def hear_program(self, samples: Mapping[str, Array]) -> list[Signal]:
+        """Adds samples of a program: (n, 2), times on the clock of `time.monotonic` and values.
+
+        Returns:
+            the signals among them that are new.
+        """
+        new = []
+        for name, rows in samples.items():
+            signal = Signal(PROGRAM, name)
+            if signal not in self._program:
+                self._program[signal] = BinnedHistory((), _KEPT)
+                new.append(signal)
+            history, times = self._program[signal], rows[:, 0] + self._offset
+            if times[0] < history.newest - _WENT_BACK:
+                history.restart()
+            history.add(times, np.where(np.isfinite(rows[:, 1]), rows[:, 1], np.nan))
+        return new
+
+    def of(self, signal: Signal, until: float, points: int) -> tuple[Array, Array]:
+        """Returns a signal in the last `SPAN`, oldest first.
+
+        Args:
+            signal: one that is followed, or of a program.
+            until: displayed time, s.
+            points: about as many are returned at most.
+
+        Returns:
+            times (k,), s, relative to `until`, and values (k,), NaN for no data.
+        """
+        if self._has_torque(signal):
+            joint, key = self._joints[signal]
+            times, values = self._torques.one(joint, key, points)
+        else:
+            history = self._program.get(signal) or self._followed.get(signal)
+            if history is None:
+                return np.zeros(0), np.zeros(0)
+            times, (values,) = history.until(until, points)
+        return times - until, values
+
+
+def _joint_signals(world: WorldView) -> Iterator[tuple[Signal, tuple[int, str]]]:
+    """All signals of joints: index of the joint, and key in `joint_values`."""
+    slots = world.joints.slots
+    for name, owner in world.owners.items():
+        for joint in range(owner.joints.start, owner.joints.stop):
+            label = world.joints.names[joint].removeprefix(f"{name}/")
+            has = [key for key in slots if slots[key][joint] >= 0]
+            for key in dict.fromkeys(["joint_angles", *has, "torque_error"]):
+                yield Signal(name, f"{label}.{key}"), (joint, key)
+
+
+def _numbers(sources: Mapping[str, Source]) -> Iterator[tuple[Signal, tuple[str, int]]]:
+    """All numbers in the packets of sources: their event, and flat index in it."""
+    for name, source in sources.items():
+        for event, shape in source.events.items():
+            for index, place in enumerate(np.ndindex(*shape)):
+                where = "".join(f"[{i}]" for i in place) if np.prod(shape) > 1 else ""
+                yield Signal(name, f"{event}{where}"), (event, index)

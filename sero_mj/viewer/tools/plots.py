@@ -1,0 +1,142 @@
+"""`Plots`: torques of the selected joint, and any other signals, over the last seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any, ClassVar
+
+from ...base.frames import Array
+from ...data.receive.mailbox import Packets
+from ..panels.signal_plots import SignalPlots
+from ..panels.torque_plots import TorquePlots
+from ..panels.widgets import Widgets
+from ..session import live_history
+from ..session.binned_history import SPAN
+from ..session.interaction import Key
+from ..session.signals import Signal, Signals
+from ..session.tool import Action, Shown, Tool
+from ..session.torque_history import TorqueHistory
+
+_AREA = "Plots"
+_FEWEST_ABOVE = 12.0  # height of the torques above other plots, of the text's height
+_SHARE = 0.4  # of the height, for these
+
+
+class Plots(Tool):
+    """The key p.
+
+    Args:
+        shown: where it works.
+
+    Attributes:
+        history: the torques.
+        signals: all that can be plotted.
+        plots: of these.
+        shows_torques: whether those of the selected joint are plotted.
+    """
+
+    order: ClassVar[int] = 15
+    keys: ClassVar[Mapping[str, Key]] = {"p": Key("plot", "torques of the selected joint, signals")}
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        mirror, clock = shown.mirror, shown.clock
+        # Live sources receive packets between frames; otherwise the clock provides samples.
+        kept = SPAN + live_history.SPAN if clock.is_live and clock.can_go_back else SPAN
+        routes = mirror.routes if mirror.is_live else ()
+        self.history = TorqueHistory(shown.world, routes, kept)
+        self.signals = Signals(mirror, self.history)
+        self.plots = SignalPlots(self.signals)
+        self._has_joints = self.shows_torques = bool(shown.world.joints.names)
+        self.area = _AREA if self.signals.groups else ""
+        if mirror.is_live:
+            mirror.listen(self._hear, to_all=True)
+        self._torques: TorquePlots | None = None
+
+    def actions(self) -> Mapping[str, Action]:
+        """See `Tool`."""
+        return {"plot": self._toggle}
+
+    def _toggle(self) -> str:
+        self.shows_area = not self.shows_area
+        return "" if self.area else "nothing to plot"
+
+    @property
+    def active(self) -> Collection[str]:
+        """See `Tool`."""
+        return ["plot"] if self.shows_area else []
+
+    @property
+    def watches_closely(self) -> bool:
+        """See `Tool`: while something is plotted."""
+        return bool(self.area and self.shows_area)
+
+    def watch(self) -> None:
+        """Adds a new state."""
+        self.history.add(self.shown.data)
+        self.signals.watch()
+
+    def _hear(self, source: str, packets: Packets) -> None:
+        now = self.shown.mirror.sources[source].now()
+        self.history.add_packets(self.shown.data, source, packets, now)
+
+    def hear(self, message: Mapping[str, Array]) -> None:
+        """Takes samples of the program, see `session/user_signals.py`."""
+        if not self.shown.clock.is_live and self.shown.clock.is_paused:
+            return  # there is no time to plot them over
+        new = self.signals.hear_program(message)
+        if new:
+            self.area, self.shows_area = _AREA, True
+        for signal in new:
+            self.plots.add(signal)
+
+    def build_area(self, ui: Widgets) -> None:
+        """See `Tool`."""
+        message = self.plots.build_choice(ui)
+        if message:
+            self.shown.say(message, is_bad=True)
+        if self._has_joints and self.plots.shown:
+            _, self.shows_torques = ui.check("torques of the joint", self.shows_torques)
+        if self.signals.follow(self.plots.wanted):
+            self.shown.clock.look_back()
+        clock = self.shown.clock
+        self.history.until = clock.time if clock.is_past else None
+        if self._has_joints and (self.shows_torques or not self.plots.shown):
+            self._build_torques(ui)
+        self.plots.build(ui, clock.time if clock.is_past else self.shown.data.time)
+
+    def _build_torques(self, ui: Widgets) -> None:
+        shown = self.shown
+        if self._torques is None:
+            self._torques = TorquePlots(shown.world, ui.points, ui.interval)
+        height = float("inf")
+        if self.plots.shown:
+            height = max(_SHARE * ui.room()[1], _FEWEST_ABOVE)
+        joint = self._torques.build(ui, self.history, shown.joint, height)
+        if joint != shown.joint:
+            shown.select(joint)
+
+    @property
+    def state(self) -> tuple[bool, tuple[tuple[Signal, ...], ...]]:
+        """What is plotted."""
+        return self.shows_torques, tuple(tuple(lines) for lines in self.plots.shown)
+
+    def restore(self, state: tuple[bool, tuple[tuple[Signal, ...], ...]]) -> None:
+        """Plots that again."""
+        self.shows_torques = state[0]
+        self.plots.shown = [[*lines] for lines in state[1]]
+
+    @property
+    def kept(self) -> Any:
+        """What is plotted, but for nothing but torques."""
+        if not self.plots.shown:
+            return None
+        plots = [[[*signal] for signal in lines] for lines in self.plots.shown]
+        return {"torques": self.shows_torques, "plots": plots}
+
+    def take_kept(self, kept: Any) -> None:
+        """Plots that again, as far as there are such signals, or a program may have them."""
+        plots = [[Signal(*map(str, signal)) for signal in lines] for lines in kept["plots"]]
+        known = [[each for each in lines if self.signals.may_have(each)] for lines in plots]
+        self.plots.shown = [lines for lines in known if lines]
+        self.shows_torques = bool(kept["torques"])

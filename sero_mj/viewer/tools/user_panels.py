@@ -1,0 +1,66 @@
+"""`UserPanels`: shows the widgets that the program of a viewer has added to it.
+
+Their other side is `session/user_panels.py`, which says what is sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from ...base.errors import UsageError
+from ..panels.widgets import Widgets
+from ..session.tool import Shown, Tool
+from ..session.user_panels import Place, Placed
+
+
+class UserPanels(Tool):
+    """A section of the panel for each panel of the program.
+
+    Args:
+        shown: where it works.
+    """
+
+    order: ClassVar[int] = 10
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        self._placed: dict[Place, Placed] = {}
+        self._changes: dict[Place, tuple[Any, int]] = {}
+
+    def hear(self, message: Mapping[Place, Placed | None]) -> None:
+        """Takes over what the program has added, changed and removed."""
+        if not self._placed:
+            self.shown.open_panel()
+        now = {**self._placed, **message}
+        there = [(place, placed) for place, placed in now.items() if placed is not None]
+        self._placed = dict(sorted(there, key=lambda each: each[1].order))
+
+    def answer(self) -> dict[Place, tuple[Any, int]] | None:
+        """Returns what the user has changed since the last call; None for nothing."""
+        changes, self._changes = self._changes, {}
+        return changes or None
+
+    def build(self, ui: Widgets) -> None:
+        """Builds all panels in the order in which they were added."""
+        panels: dict[str, list[tuple[Place, Placed]]] = {}
+        for place, placed in self._placed.items():
+            panels.setdefault(place[0], []).append((place, placed))
+        for title, widgets in panels.items():
+            ui.scope(title)
+            if ui.header(title, is_open=True):
+                for place, placed in widgets:
+                    self._build(ui, place, placed)
+            ui.end_scope()
+
+    def _build(self, ui: Widgets, place: Place, placed: Placed) -> None:
+        found = placed.widget.build(ui, placed.value)
+        if found is None:
+            return
+        try:
+            value = placed.widget.checked(found)
+        except UsageError as error:
+            self.shown.say(str(error), is_bad=True)
+            return
+        self._placed[place] = placed._replace(value=value)
+        self._changes[place] = value, placed.number
