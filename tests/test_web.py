@@ -6,13 +6,15 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from web_tools import FEW, MISSING, POSE, TORQUES, Served, Visitor, blue, orange
+from web_tools import FEW, MISSING, POSE, SIZE, TORQUES, Served, Visitor, blue, orange
 
 pytestmark = [
     pytest.mark.gl,
     pytest.mark.timeout(300),
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
 ]
+NO_ARROWS = "player.state.arrowOn.every(isOn => !isOn)"
+NO_CARDS = "document.getElementById('cards').childElementCount === 0"
 
 
 @pytest.fixture(scope="module")
@@ -28,8 +30,6 @@ def visitor(browser: Any, served: Served) -> Iterator[Visitor]:
     link = served.ask("w.link")
     served.ask("w.toggles.reset() or setattr(w.toggles, 'selected', None)")
     visitor = Visitor(browser, served, url=link)
-    visitor.hears("First remote draw frame applied")
-    served.until("w.decor.view is not None and w.decor.count > 0")
     served.until("w.toggles.axes.all() and w.toggles.selected == 3")  # by the link
     served.ask("setattr(w.toggles, 'selected', None)")
     yield visitor
@@ -38,27 +38,28 @@ def visitor(browser: Any, served: Served) -> Iterator[Visitor]:
 
 @pytest.fixture
 def page(served: Served, visitor: Visitor) -> Visitor:
-    """The page as it was when it was opened."""
-    visitor.move(500, 60)
-    served.ask("w.toggles.reset()")
+    """The page as it was when it was opened, without its panel and arrows."""
+    visitor.page.mouse.move(500, 380)
+    served.ask("w.toggles.reset() or w.toggles.arrows.fill(False)")
     served.ask("w.choose_camera(0)[:0]")
-    served.ask("setattr(w, 'shows_status', False)")  # it would cover the robot
-    served.settle()
+    served.ask("w.show_layout({'panel': False})")
+    visitor.sees_camera()
+    visitor.until(f"{NO_ARROWS} && {NO_CARDS} && document.getElementById('panel').hidden")
     return visitor
 
 
 def test_arrows_are_seen_in_both_colours_and_go_with_their_key(
     served: Served, page: Visitor
 ) -> None:
-    served.ask("w.toggles.arrows.fill(False)")
-    without = page.still()
-    page.press("F2")
+    without = page.picture()
+    page.page.keyboard.press("F2")
     served.until("w.notice.text.startswith('screenshot saved: ')")
-    page.press("a")
+    page.page.get_by_text("screenshot saved: ").wait_for()
+    page.page.keyboard.press("a")
     served.until("w.toggles.arrows.all()")
     for colour in (orange, blue):
         page.shows(lambda p, seen=colour: seen(p) > seen(without) + FEW)
-    page.press("a")
+    page.page.keyboard.press("a")
     for colour in (orange, blue):
         page.shows(lambda p, seen=colour: abs(seen(p) - seen(without)) < FEW / 3)
 
@@ -66,90 +67,127 @@ def test_arrows_are_seen_in_both_colours_and_go_with_their_key(
 def test_a_click_on_a_link_shows_its_billboard_and_selects_its_joint(
     served: Served, page: Visitor
 ) -> None:
-    served.ask("w.toggles.arrows.fill(False)")
-    page.click(*served.joint(1))
-    assert served.until("w.toggles.billboards.nonzero()[0].tolist()") == [1]
+    page.page.mouse.click(*page.joint(1))
+    page.page.locator("#cards button", has_text="A2").wait_for()
+    assert served.ask("w.toggles.billboards.nonzero()[0].tolist()") == [1]
     assert served.ask("w.joint") == 1
     assert served.ask("clicks[-1]") == ["click", "lwr/link2"]
 
 
 def test_a_click_on_an_arrow_shows_its_precise_numbers(served: Served, page: Visitor) -> None:
+    served.ask("w.toggles.arrows.fill(True)")
+    served.ask("setattr(w.clock, 'is_paused', True)")  # an arrow that turns moves away
+    page.until("player.state.arrowOn.every(isOn => isOn)")
     place = (
         "(lambda d, n: w.decor.view.project(d.rows['pos'][:n][(d.kinds[:n] == 1)"
         " & (d.items[:n] == 1)].astype(float))[0])(w.decor.buffer, w.decor.buffer.count).tolist()"
     )
-    served.ask("setattr(w.clock, 'is_paused', True)")  # an arrow that turns moves away
-    served.settle()
     seen = served.until(
         f"[(x, w.decor.view.height - y) for x, y in {place}"
         " if getattr(w.decor.pick(w.data, (x, y)), 'kind', '') == 'arrow']"
     )
-    page.click(*seen[len(seen) // 2])
+    page.page.mouse.click(*seen[len(seen) // 2])
     assert served.until("w.toggles.details.nonzero()[0].tolist()") == [1]
     served.ask("setattr(w.clock, 'is_paused', False)")
 
 
 def test_shift_acts_on_the_whole_robot(served: Served, page: Visitor) -> None:
-    served.ask("w.toggles.arrows.fill(False)")
     page.page.keyboard.down("Shift")
-    page.click(*served.joint(3))
+    page.page.mouse.click(*page.joint(3))
     page.page.keyboard.up("Shift")
     served.until("w.toggles.billboards.all()")
+    page.until("document.querySelectorAll('#cards button').length === 7")
 
 
 def test_the_name_of_what_is_under_the_pointer_is_written(served: Served, page: Visitor) -> None:
-    served.ask("w.toggles.arrows.fill(False)")
-    page.move(*served.joint(3))
-    assert served.until("w.toggles.hover and w.toggles.hover[0]") == "lwr/link4"
+    page.page.mouse.move(*page.joint(3))
+    page.page.locator("#hover", has_text="lwr/link4").wait_for()
+    assert served.ask("w.toggles.hover[0]") == "lwr/link4"
 
 
 def test_a_drag_turns_the_view_and_clicks_on_nothing(served: Served, page: Visitor) -> None:
-    before, clicks = served.ask("w.viewer.camera.azimuth"), served.ask("len(clicks)")
-    page.move(430, 260)
-    page.hold()
-    for x in range(450, 540, 20):
-        page.move(x, 260)
-    served.until(f"abs(w.viewer.camera.azimuth - {before}) > 5")
-    page.release()
+    before, clicks = served.ask("w.navigator.camera.azimuth"), served.ask("len(clicks)")
+    mouse = page.page.mouse
+    mouse.move(430, 260)
+    mouse.down()
+    mouse.move(530, 260, steps=5)
+    served.until(f"abs(w.navigator.camera.azimuth - {before}) > 5")
+    mouse.up()
+    mouse.move(430, 300)
+    served.until("w._input.under == (430, w.view.size[1] - 300)")  # all that came before was taken
     assert served.ask("len(clicks)") == clicks
 
 
-def test_the_tab_names_the_scene_and_the_page_is_isolated(page: Visitor) -> None:
+def test_the_tab_names_the_scene(page: Visitor) -> None:
     assert page.page.title() == "lwr - sero-mj"
-    assert page.page.evaluate("window.crossOriginIsolated")
 
 
 def test_the_wheel_comes_nearer_when_it_is_turned_up(served: Served, page: Visitor) -> None:
-    page.move(430, 260)
-    page.settle()
-    far = served.ask("w.viewer.camera.distance")
+    page.page.mouse.move(430, 260)
+    far = served.ask("w.navigator.camera.distance")
     page.page.mouse.wheel(0, -100)
-    served.until(f"w.viewer.camera.distance < {0.97 * far}")
+    served.until(f"w.navigator.camera.distance < {0.97 * far}")
     page.page.mouse.wheel(0, 200)
-    served.until(f"w.viewer.camera.distance > {1.03 * far}")
+    served.until(f"w.navigator.camera.distance > {1.03 * far}")
 
 
 def test_the_panel_switches_what_is_shown(served: Served, page: Visitor) -> None:
-    page.press("t")
-    page.click(*served.middle("Move lwr"))  # folds what would push the others out of the page
-    served.settle()
-    page.click(*served.middle("axes"))
+    page.page.keyboard.press("t")
+    axes = page.page.locator("#panel").get_by_label("axes", exact=True)
+    axes.check()
     served.until("w.toggles.axes.any()")
-    page.click(*served.middle("axes"))
+    axes.uncheck()
     served.until("not w.toggles.axes.any()")
+    page.page.get_by_role("button", name="panel").click()
+    page.until("document.getElementById('panel').hidden")
 
 
 def test_billboards_stay_clear_of_the_panel(served: Served, page: Visitor) -> None:
-    served.ask("w.toggles.billboards.fill(True)")
-    served.ask("setattr(w, 'shows_status', True)")
-    served.settle()
-    left = served.ask("w._panels.inset[0]")
-    assert left > 300
-    edges = served.ask(
-        "(lambda buffer, rows: (w.decor.view.project((rows['pos'] - rows['size'][:, :1] *"
-        " rows['mat'][:, :, 0]).astype(float))[0][:, 0]))(w.decor.buffer,"
-        " w.decor.buffer.rows[:w.decor.count][w.decor.buffer.kinds[:w.decor.count] == 2])"
-        ".tolist()"
+    page.page.set_viewport_size({"width": 1000, "height": 600})  # else it is below
+    served.ask("w.toggles.billboards.fill(True) or w.show_layout({'panel': True})")
+    served.until("w.view.size[0] < 700")
+    page.until("document.querySelectorAll('#cards button').length === 7")
+    edge, cards = page.page.evaluate(
+        """() => [document.getElementById("panel").getBoundingClientRect().right,
+            [...document.querySelectorAll("#cards button")].filter(card => card.offsetWidth)
+                .map(card => card.getBoundingClientRect().left)]"""
     )
-    assert len(edges) == 7
-    assert min(edges) >= left - 1
+    assert edge > 300
+    assert cards and min(cards) >= edge
+    page.page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
+    served.until(f"w.view.size[0] == {SIZE[0]}")
+
+
+def test_a_page_is_dark_or_light_as_its_reader_has_it(page: Visitor) -> None:
+    def background() -> float:
+        pixels = page.picture()
+        return float(pixels[60:100, 5:15].mean())
+
+    page.page.emulate_media(color_scheme="dark")
+    page.until("document.documentElement.dataset.look === 'dark'")
+    assert background() < 100
+    page.page.locator("#look").click()
+    page.until("document.documentElement.dataset.look === 'light'")
+    assert background() > 150
+
+
+def test_a_telephone_has_everything_within_its_width(served: Served, page: Visitor) -> None:
+    before = page.page.viewport_size
+    page.page.set_viewport_size({"width": 390, "height": 844})
+    served.until("w.view.size[0] == 390")
+    page.page.keyboard.press("t")
+    page.until("!document.getElementById('panel').hidden")
+    low, high, wide = page.page.evaluate(
+        """() => {
+            const boxes = [...document.querySelectorAll("#panel, #tools, #tools button")]
+                .filter(each => each.offsetWidth).map(each => each.getBoundingClientRect());
+            return [Math.min(...boxes.map(box => box.left)),
+                Math.max(...boxes.map(box => box.right)),
+                document.documentElement.scrollWidth];
+        }"""
+    )
+    assert low >= 0 and high <= 390 and wide <= 390
+    page.page.keyboard.press("t")
+    page.until("document.getElementById('panel').hidden")
+    page.page.set_viewport_size(before)
+    served.until(f"w.view.size[0] == {before['width']}")

@@ -248,14 +248,14 @@ def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
             tile.click()
             page.wait_for_selector("canvas", timeout=60_000)  # the live page, at the same address
             page.wait_for_function("() => globalThis.player?.state && drops.may()", timeout=60_000)
-            assert page.title() == "scara"
+            assert page.title() == "scara - sero-mj"
             page.evaluate(_DROP, {"r/notes.txt": ""})
             page.wait_for_function("() => drops.told.startsWith('found notes.txt; expected a')")
             mesh = trimesh.creation.box((0.1, 0.1, 0.3)).export(file_type="stl")
             files = {"r/pair.urdf": URDF.encode(), "r/meshes/arm.stl": mesh}
             encoded = {path: base64.b64encode(data).decode() for path, data in files.items()}
             page.evaluate(_DROP, encoded)
-            page.wait_for_function("() => document.title === 'pair'", timeout=60_000)
+            page.wait_for_function("() => document.title === 'pair - sero-mj'", timeout=60_000)
             assert page.evaluate("player.state.run.joints.map((joint) => joint.name)") == [
                 "pair/turn"
             ]

@@ -37,11 +37,13 @@ export class Input {
     /** @type {[keyof HTMLElementEventMap, (event: any) => void][]} */
     const listeners = [["pointerdown", (event) => this.#press(event)], ["pointermove", (event) => this.#move(event)],
       ["pointerup", (event) => this.#release(event)], ["pointercancel", (event) => this.#cancel(event)],
-      ["pointerleave", (event) => this.#leave(event)], ["wheel", (event) => this.#wheel(event)]];
+      ["pointerleave", (event) => this.#leave(event)]];
     // Before the controls of the camera, which are told whether to turn.
     for (const [name, listener] of listeners) canvas.addEventListener(name, listener, { capture: true, passive: false });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     addEventListener("keydown", (event) => this.#key(event));
+    // Wherever the pointer is by then: what is dragged has the wheel.
+    addEventListener("wheel", (event) => this.#wheel(event), { capture: true, passive: false });
   }
 
   /** @param {MouseEvent} event @returns {Pixel} */

@@ -124,7 +124,7 @@ export class Surround {
   /** @param {{title?: string, hasPanel?: boolean} | null} about */
   #about(about) {
     const title = about?.title ?? "";
-    document.title = title;
+    document.title = title ? `${title} - sero-mj` : "sero-mj";
     write(byId("title"), title.replaceAll("_", " "));
     byId("open").hidden = about?.hasPanel === false;
     return true;
