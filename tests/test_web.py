@@ -145,7 +145,8 @@ def test_the_panel_switches_what_is_shown(served: Served, page: Visitor) -> None
 def test_billboards_stay_clear_of_the_panel(served: Served, page: Visitor) -> None:
     page.page.set_viewport_size({"width": 1000, "height": 600})  # else it is below
     served.ask("w.toggles.billboards.fill(True) or w.show_layout({'panel': True})")
-    served.until("w.view.size[0] < 700")
+    page.until("document.getElementById('panel').getBoundingClientRect().right > 300")
+    served.until("550 < w.view.size[0] < 700 and w._panels._width == 1000")
     page.until("document.querySelectorAll('#cards button').length === 7")
     edge, cards = page.page.evaluate(
         """() => [document.getElementById("panel").getBoundingClientRect().right,

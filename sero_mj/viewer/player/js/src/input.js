@@ -34,6 +34,7 @@ export class Input {
     this.hold = undefined;
     this.from = { x: 0, y: 0 }; // of a finger
     this.isPressed = false;
+    this.isOver = false; // whether the server knows of a pointer over the picture
     /** @type {[keyof HTMLElementEventMap, (event: any) => void][]} */
     const listeners = [["pointerdown", (event) => this.#press(event)], ["pointermove", (event) => this.#move(event)],
       ["pointerup", (event) => this.#release(event)], ["pointercancel", (event) => this.#cancel(event)],
@@ -56,6 +57,7 @@ export class Input {
   #tell(kind, event) {
     if (!this.page.canAct()) return;
     if (kind !== "move") this.flush();
+    this.isOver = kind !== "leave";
     this.page.send({ t: "pointer", kind, ...this.#pixel(event), button: BUTTONS[event.button] ?? 0,
       shift: event.shiftKey || event.ctrlKey || event.metaKey, ctrl: event.ctrlKey || event.metaKey });
   }
@@ -121,7 +123,7 @@ export class Input {
   #leave(event) {
     if (this.isPressed) return;
     this.moved = null;
-    this.#tell("leave", event);
+    if (this.isOver) this.#tell("leave", event);
   }
 
   /** @param {WheelEvent} event */
