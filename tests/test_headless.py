@@ -209,8 +209,8 @@ def test_the_default_view_holds_the_whole_robot(lwr) -> None:
 
 def test_sizes_out_of_range_are_refused(world) -> None:
     for size in ((0, 100), (100, 20000)):
-        told = {"reason": f"found {size[0]}x{size[1]}", "expected": "1 to 16384 a side"}
-        with raises_with(RenderError, key="picture size", **told):
+        key = f"picture size {size[0]}x{size[1]}"
+        with raises_with(RenderError, key=key, reason="expected 1 to 16384 a side"):
             HeadlessRenderer(world, *size)
 
 

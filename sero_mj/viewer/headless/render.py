@@ -66,8 +66,8 @@ def check_size(what: str, width: int, height: int) -> None:
         RenderError: the size is out of range.
     """
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        found, expected = f"found {width}x{height}", f"1 to {MAX_SIDE} a side"
-        raise RenderError(Problem(f"{what} size", found, expected=expected))
+        problem = Problem(f"{what} size {width}x{height}", f"expected 1 to {MAX_SIDE} a side")
+        raise RenderError(problem)
 
 
 @contextmanager
