@@ -14,7 +14,7 @@ from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.declared.shapes import housing_radii
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.geom_buffer import CAPACITY, MAX_GEOMS, Kind
+from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.decor.ribbons import ribbon_shape
 from sero_mj.viewer.decor.round_arrows import (
     NEGATIVE_RGBA,
@@ -270,11 +270,10 @@ def test_arrows_of_51_joints_stay_within_their_budget() -> None:
         show_axes=True,
     )
     world = World(Scene(robots=[robot], floor=False))
-    for capacity, most in ((MAX_GEOMS, MAX_GEOMS), (CAPACITY, 2 * MAX_GEOMS)):
-        decor = Decor(world, capacity)
-        buffer = decor.draw(world.make_data(), toggles_of(world), view_at(distance=12))
-        assert buffer.dropped == 0
-        assert 0.8 * most < buffer.count <= most
+    decor, most = Decor(world), 2048
+    buffer = decor.draw(world.make_data(), toggles_of(world), view_at(distance=12))
+    assert buffer.dropped == 0
+    assert 0.8 * most < buffer.count <= most
 
 
 def test_below_the_dead_band_there_is_no_arrow_and_it_grows_from_there() -> None:
