@@ -370,7 +370,7 @@ def test_51_joints_with_everything_and_a_double_each_find_room() -> None:
     toggles = toggles_of(world)
     toggles.legend = True
     view = view_at(azimuth=0.0, distance=12, width=3840, height=2160)
-    buffer = draw(world, toggles=toggles, view=view, capacity=1024)  # a page's
+    buffer = draw(world, toggles=toggles, view=view)
     assert buffer.dropped == 0
     assert len(set(buffer.items[: buffer.count][buffer.kinds[: buffer.count] == Kind.ARROW])) == 51
     assert len(belonging(buffer, Kind.BILLBOARD)) == 51

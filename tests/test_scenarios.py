@@ -352,7 +352,7 @@ def test_what_would_do_nothing_or_cannot_be_is_told(tmp_path: Path) -> None:
     with pytest.raises(DeclarationError) as caught:
         read(tmp_path, wrong + later)
     assert [problem.key for problem in caught.value.problems] == ["run.seed"]
-    with raises_with(key="robots.lwr.modl", reason="unknown key; did you mean 'model'?"):
+    with raises_with(key="robots.lwr.modl", reason="unknown key", near="model"):
         read(tmp_path, BASE.replace("model", "modl"))
     with pytest.raises(DeclarationError) as caught:
         read(tmp_path, BASE, {"robots.lwr.joint_angles": [3.0, 0, 0, 0, 0, 0, 0]})

@@ -232,12 +232,12 @@ def test_keys_of_the_table_act_on_the_page(page: WebHost, client: PageClient) ->
         ("t", lambda: client.state["panel"] is not None),
         ("h", lambda: client.state["help"] is not None),
         ("escape", lambda: client.state["help"] is None),
-        ("p", lambda: [area["title"] for area in client.state["areas"]] == ["Torques"]),
+        ("p", lambda: [area["title"] for area in client.state["areas"]] == ["Plots"]),
     ):
         client.say("key", key=key)
         client.until(found)
     assert client.until(lambda: client.state["message"]) is not None
-    client.say("close", area="Torques")
+    client.say("close", area="Plots")
     client.until(lambda: client.state["areas"] == [])
 
 
