@@ -105,13 +105,18 @@ def compare(page: Any, found: Any, data: mujoco.MjData, time: float = 0.0) -> tu
     return overlap(covered, seen), away
 
 
-@pytest.mark.parametrize("look", ["flat", "many", "even", "cube"])
-@pytest.mark.parametrize("geom", list(GEOMS))
+@pytest.mark.parametrize(
+    ("geom", "look"),
+    [
+        (geom, look)
+        for geom in GEOMS
+        for look in ("flat", "many", "even", "cube")
+        if look != "cube" or geom not in ("plane", "endless", "mesh")  # MuJoCo draws none there
+    ],
+)
 def test_textures_are_where_they_are_in_our_pictures(
     opened: Callable[..., Any], geom: str, look: str
 ) -> None:
-    if geom in ("plane", "endless", "mesh") and look == "cube":
-        pytest.skip("MuJoCo draws no cube there")
     model = of_texture(geom, look)
     (data,) = rolled_out(model, 1, 0)
     found = captured(model, [data], CAMERA)

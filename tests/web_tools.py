@@ -77,6 +77,13 @@ class Served(Driver):
         arguments = [scene, list(settings), replay, options, control]
         super().__init__(_PROGRAM, arguments, folder, errors=errors)
         self.url: str = self.ask("w.url")
+        self.visitors: list[Visitor] = []
+
+    def close(self) -> None:
+        """Ends it; pages that look at it would look at the next one on its port."""
+        for visitor in self.visitors:
+            visitor.page.close()
+        super().close()
 
 
 class Visitor:
@@ -116,6 +123,10 @@ class Visitor:
         self.until(
             "document.documentElement.dataset.ready === '1' && player.state && player.now.control"
         )
+        served.visitors.append(self)
+        if self.page.evaluate("player.isInControl"):
+            told = self.page.evaluate("(({ size }) => [size.width, size.height])(player.stage)")
+            served.until(f"[*w.view.size] == {told}")
 
     def until(self, expression: str) -> None:
         """Waits until an expression of the page is true, and what it has is drawn."""

@@ -7,7 +7,7 @@ import { isTakenBy, nameOf } from "./keys.js";
 /**
  * What input needs of its page.
  * @typedef {{send: (message: object) => void, canAct: () => boolean, isDragging: () => boolean,
- *   isOnHandle: (at: Pixel, tolerance: number) => boolean, setTurning: (isOn: boolean) => void,
+ *   isOnHandle: (at: Pixel, tolerance: number) => boolean, isOnSomething: (at: Pixel) => boolean, setTurning: (isOn: boolean) => void,
  *   localKey: (name: string) => boolean, wake: () => void}} Page
  *   canAct: whether the server listens to us; setTurning: whether drags turn the camera;
  *   localKey: does what a key does here without a server
@@ -87,7 +87,11 @@ export class Input {
     this.#tell("press", event);
     if (!isFinger) return;
     this.from = at;
-    this.hold = setTimeout(() => { if (this.page.canAct()) this.page.send({ t: "hold" }); }, HOLD);
+    this.hold = setTimeout(() => {
+      if (!this.page.canAct()) return;
+      if (this.page.isOnSomething(at)) this.page.setTurning(false); // before the server answers
+      this.page.send({ t: "hold" });
+    }, HOLD);
   }
 
   /** @param {PointerEvent} event */

@@ -48,6 +48,7 @@ export class Live {
       isDragging: () => Boolean(this.now.dragging),
       isOnHandle: (at, tolerance) => Boolean(this.view.current && this.state
         && isOnHandle(this.view.stage, this.state.geoms, at, tolerance)),
+      isOnSomething: ({ x, y }) => Boolean(this.view.current && this.view.stage.pick(x, y)),
       setTurning: (isOn) => { if (this.view.current) this.view.stage.orbit.enabled = isOn && !this.now.dragging; },
       localKey: (name) => this.#localKey(name),
       wake: () => this.view.wake(false),
