@@ -100,6 +100,7 @@ def test_a_long_press_pulls_and_two_fingers_zoom(browser: Any, tmp_path: Path) -
         served.until("not w.tools['pulling'].is_on and len(w.tools['pulling']._force.pulls) == 1")
         assert served.ask(CAMERA) == seen
         assert served.ask("clicks") == []
+        visitor.until("!player.now.dragging")
         far = served.ask("w.navigator.camera.distance")
         touch("touchStart", -30)
         touch("touchStart", -30, 30)

@@ -124,6 +124,8 @@ class Visitor:
             "document.documentElement.dataset.ready === '1' && player.state && player.now.control"
         )
         served.visitors.append(self)
+        if served.ask("w.has_time_line"):  # which takes room from the picture
+            self.until("!document.getElementById('timeline').hidden")
         if self.page.evaluate("player.isInControl"):
             told = self.page.evaluate("(({ size }) => [size.width, size.height])(player.stage)")
             served.until(f"[*w.view.size] == {told}")
