@@ -38,7 +38,7 @@ export class Input {
     /** @type {[keyof HTMLElementEventMap, (event: any) => void][]} */
     const listeners = [["pointerdown", (event) => this.#press(event)], ["pointermove", (event) => this.#move(event)],
       ["pointerup", (event) => this.#release(event)], ["pointercancel", (event) => this.#cancel(event)],
-      ["pointerleave", (event) => this.#leave(event)]];
+      ["pointerenter", (event) => this.#enter(event)], ["pointerleave", (event) => this.#leave(event)]];
     // Before the controls of the camera, which are told whether to turn.
     for (const [name, listener] of listeners) canvas.addEventListener(name, listener, { capture: true, passive: false });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
@@ -121,6 +121,11 @@ export class Input {
     this.moved = null;
     if (this.isPressed) this.#tell("leave", event);
     this.isPressed = false;
+  }
+
+  /** Something that was over the picture has gone, and the mouse rests there. @param {PointerEvent} event */
+  #enter(event) {
+    if (event.pointerType === "mouse") this.#move(event);
   }
 
   /** @param {PointerEvent} event */
