@@ -17,14 +17,17 @@ PATIENCE = 400  # frames
 
 
 def read_sections(message: bytes) -> dict[str, Any]:
-    """The sections of a message: values, or bytes."""
+    """The sections of a message, as the page's script reads them: values, or bytes."""
     (length,) = struct.unpack_from("<I", message)
     head = json.loads(message[4 : 4 + length])
+    assert (4 + length) % 4 == 0
     found: dict[str, Any] = dict(head["json"])
     at = 4 + length
     for name, size in head["bytes"]:
+        assert at % 4 == 0
         found[name] = message[at : at + size]
         at += -(-size // 4) * 4
+    assert at == len(message)
     return found
 
 

@@ -2,42 +2,27 @@
 
 from __future__ import annotations
 
-import json
 import random
-import struct
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from page_client import read_sections
 
 from sero_mj.viewer.web.sections import Sections, message_of
-
-
-def read(message: bytes) -> dict[str, Any]:
-    """The sections of a message, as the page's script reads them."""
-    (length,) = struct.unpack_from("<I", message)
-    head = json.loads(message[4 : 4 + length])
-    assert (4 + length) % 4 == 0
-    found: dict[str, Any] = dict(head["json"])
-    at = 4 + length
-    for name, size in head["bytes"]:
-        assert at % 4 == 0
-        found[name] = message[at : at + size]
-        at += -(-size // 4) * 4
-    assert at == len(message)
-    return found
 
 
 def test_a_message_has_what_changed_and_the_next_one_nothing() -> None:
     sections = Sections()
     assert sections.since(0) == (None, 0)
     sections.put("time", 1.5)
-    sections.put("poses", np.arange(3, dtype=np.float32))
+    poses = np.arange(3, dtype=np.float32)
+    sections.put("poses", poses)
     message, seen = sections.since(0)
     assert message is not None
-    assert read(message) == {"time": 1.5, "poses": np.arange(3, dtype=np.float32).tobytes()}
+    assert read_sections(message) == {"time": 1.5, "poses": poses.tobytes()}
     assert sections.since(seen) == (None, seen)
     sections.put("time", 1.5)  # as it was
     assert sections.since(seen) == (None, seen)
@@ -45,7 +30,7 @@ def test_a_message_has_what_changed_and_the_next_one_nothing() -> None:
     sections.put("name", '</script>"\u2028')
     message, _ = sections.since(seen)
     assert message is not None
-    assert read(message) == {"time": 2.0, "name": '</script>"\u2028'}
+    assert read_sections(message) == {"time": 2.0, "name": '</script>"\u2028'}
 
 
 def test_numbers_that_json_has_not_are_refused() -> None:
@@ -71,7 +56,7 @@ def test_who_looks_now_and_then_has_everything_in_the_end(
         found, seen = lookers[k]
         message, seen = sections.since(seen)
         if message is not None:
-            found.update(read(message))
+            found.update(read_sections(message))
         lookers[k] = found, seen
 
     for name, value in changes:
@@ -85,4 +70,4 @@ def test_who_looks_now_and_then_has_everything_in_the_end(
 
 
 def test_a_message_without_sections_is_one() -> None:
-    assert read(message_of({})) == {}
+    assert read_sections(message_of({})) == {}

@@ -84,13 +84,7 @@ def test_a_long_press_pulls_and_two_fingers_zoom(browser: Any, tmp_path: Path) -
         visitor = Visitor(browser, served, has_touch=True)
         served.until("w.clock.time > 0.1")
         seen = served.ask(CAMERA)
-        x, y = visitor.joint(3)
-        send = visitor.page.context.new_cdp_session(visitor.page).send
-
-        def touch(kind: str, *offsets: float) -> None:
-            points = [{"x": x + by, "y": y, "id": i} for i, by in enumerate(offsets)]
-            send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-
+        touch = visitor.finger(*visitor.joint(3))
         touch("touchStart", 0)
         served.until("w.notice.text == 'drag to pull lwr/link4'")
         for by in (10, 20, 45):
@@ -109,7 +103,7 @@ def test_a_long_press_pulls_and_two_fingers_zoom(browser: Any, tmp_path: Path) -
         touch("touchEnd")
         served.until(f"w.navigator.camera.distance < {0.8 * far}")
         assert served.ask("clicks") == []
-        x, y = visitor.joint(1)
+        touch = visitor.finger(*visitor.joint(1))
         touch("touchStart", 0)
         touch("touchEnd")
         served.until("clicks")

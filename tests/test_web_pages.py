@@ -120,7 +120,7 @@ def test_a_finger_taps_once_and_two_zoom(browser: Any, tmp_path: Path) -> None:
         hand = Visitor(browser, served, has_touch=True)
         served.until("w.view.size == (560, 400)")
         x, y = hand.joint(1)
-        touch = _finger(hand, x, y)
+        touch = hand.finger(x, y)
         touch("touchStart", 0)
         served.until("w._input._mouse.is_down")
         touch("touchEnd")
@@ -136,17 +136,6 @@ def test_a_finger_taps_once_and_two_zoom(browser: Any, tmp_path: Path) -> None:
         # Mouse events of fingers would have clicked again by now.
         assert served.ask("clicks") == [["click", "lwr/link2"]]
         hand.close()
-
-
-def _finger(hand: Visitor, x: float, y: float) -> Any:
-    """Touches a page beside a pixel: the kind of event, and a distance to the right for each."""
-    send = hand.page.context.new_cdp_session(hand.page).send
-
-    def touch(kind: str, *offsets: float) -> None:
-        points = [{"x": x + by, "y": y, "id": i} for i, by in enumerate(offsets)]
-        send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
-
-    return touch
 
 
 def test_a_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path) -> None:
@@ -171,7 +160,7 @@ def test_a_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path
         mouse.up()
         served.until("not w.tools['pulling'].is_on")
         assert served.ask(camera) == seen
-        touch = _finger(visitor, *visitor.joint(3))
+        touch = visitor.finger(*visitor.joint(3))
         touch("touchStart", 0)
         visitor.page.get_by_text("drag to pull lwr/link4").wait_for()
         for by in (20, 45):

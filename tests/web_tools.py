@@ -152,6 +152,16 @@ class Visitor:
         )
         return x, y
 
+    def finger(self, x: float, y: float) -> Callable[..., None]:
+        """Touches a page: the kind of event, and how far right of a pixel each finger is."""
+        send = self.page.context.new_cdp_session(self.page).send
+
+        def touch(kind: str, *offsets: float) -> None:
+            points = [{"x": x + by, "y": y, "id": i} for i, by in enumerate(offsets)]
+            send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+        return touch
+
     def picture(self) -> NDArray[np.int16]:
         """What is seen, (height / 2, width / 2, 3)."""
         png = self.page.screenshot(timeout=60_000)

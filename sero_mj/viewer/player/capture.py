@@ -205,6 +205,16 @@ def player_geoms(buffer: GeomBuffer, revolute: Bools) -> tuple[np.ndarray, np.nd
     return buffer.rows[index], kinds[index], items[index]
 
 
+def body_opacity(model: mujoco.MjModel, buffer: GeomBuffer) -> Array:
+    """Returns by how much every body is faded in a frame, (nbody,): 0 where it is not drawn."""
+    found = np.ones(model.nbody)
+    if buffer.opacity is not None:
+        np.minimum.at(found, model.geom_bodyid, buffer.opacity)
+    if buffer.hidden is not None:
+        found[model.geom_bodyid[buffer.hidden]] = 0.0
+    return found
+
+
 def line_text(line: bytes) -> str:
     """A line as text; the legend's scale has bars, of which only the last one has a name."""
     text = line.decode("latin-1").rstrip()
@@ -259,10 +269,7 @@ def capture(
             buffer = decor.draw(data, seen, view)
             soft.take(data)
             poses[k, :, :3], poses[k, :, 3:] = data.xpos[bodies], data.xquat[bodies]
-            if buffer.opacity is not None:
-                factors = np.ones(model.nbody)
-                np.minimum.at(factors, model.geom_bodyid, buffer.opacity)
-                opacity[k] = factors[bodies]
+            opacity[k] = body_opacity(model, buffer)[bodies]
             if on_progress is not None:
                 on_progress(k + 1, count)
     _hide_far_away(poses, opacity)

@@ -34,10 +34,15 @@ def poses(rows: np.ndarray) -> tuple[Array, Array]:
         mats[skew] = np.stack([first, across, normal], axis=-1)
         sizes[skew, 1] = _along(second, across)
         sizes[skew, 2] = _along(second, first)
-    quaternions = np.empty((len(rows), 4))
+    return quaternions_of(mats), sizes
+
+
+def quaternions_of(mats: Array) -> Array:
+    """Returns the quaternions, scalar first (k, 4), of rotations (k, 3, 3)."""
+    quaternions = np.empty((len(mats), 4))
     for quaternion, mat in zip(quaternions, mats.reshape(-1, 9), strict=True):
         mujoco.mju_mat2Quat(quaternion, mat)
-    return quaternions, sizes
+    return quaternions
 
 
 def _along(vectors: Array, ways: Array) -> Any:

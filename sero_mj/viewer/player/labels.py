@@ -16,6 +16,25 @@ _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 _Key = tuple[str, int]
 
 
+def labels_of(world: WorldView, frame: Frame) -> dict[_Key, tuple[str, Array]]:
+    """Returns text and place, (3,), m, of all that a frame shows, once its geoms are drawn.
+
+    Args:
+        world: what is shown.
+        frame: of its decor.
+    """
+    frames, buffer = world.frames, frame.buffer
+    found: dict[_Key, tuple[str, Array]] = {}
+    for i in frame.shown.frame_names.nonzero()[0].tolist():
+        found["name", i] = frames.names[i], np.array(frame.data.site_xpos[frames.site[i]])
+    rows = buffer.rows[: buffer.count]
+    has_text = rows["label"] != b""
+    has_text[buffer.text] = False  # of panels, which a player lays out itself
+    for k, row in enumerate(rows[has_text]):
+        found["geom", k] = row["label"].decode("latin-1"), np.array(row["pos"], float)
+    return found
+
+
 class LabelCollector:
     """Collects text, frame by frame.
 
@@ -29,16 +48,7 @@ class LabelCollector:
 
     def take(self, frame: Frame) -> None:
         """Takes what a frame of decor has, once its geoms are drawn."""
-        frames, buffer = self._world.frames, frame.buffer
-        found: dict[_Key, tuple[str, Array]] = {}
-        for i in frame.shown.frame_names.nonzero()[0].tolist():
-            found["name", i] = frames.names[i], np.array(frame.data.site_xpos[frames.site[i]])
-        rows = buffer.rows[: buffer.count]
-        has_text = rows["label"] != b""
-        has_text[buffer.text] = False  # of panels, which a player lays out itself
-        for k, row in enumerate(rows[has_text]):
-            found["geom", k] = row["label"].decode("latin-1"), np.array(row["pos"], float)
-        self._frames.append(found)
+        self._frames.append(labels_of(self._world, frame))
 
     def result(self) -> list[dict[_Key, tuple[str, Array]]]:
         """Returns text and place, (3,), m, of all that is shown, for every frame."""

@@ -28,7 +28,6 @@ class Browsers:
         sections: the state that they are sent.
 
     Attributes:
-        said: number of messages that were understood.
         sent: number of states that were sent to any of them.
         refused: number of messages that were none of a page's, or of one without control.
     """
@@ -40,7 +39,7 @@ class Browsers:
         self._last_id = 0
         self._holder: int | None = None
         self._said: collections.deque[Said] = collections.deque(maxlen=_MOST_SAID)
-        self.said = self.sent = self.refused = 0
+        self.sent = self.refused = 0
         self._put_control()
 
     @property
@@ -143,7 +142,6 @@ class Browsers:
                 self._said.append({"t": "left"})  # whoever had it holds no button any more
                 self._put_control()
         elif browser.id == self._holder and isinstance(kind, str):
-            self.said += 1
             self._said.append(said)
         elif kind != "size":
             self.refused += 1

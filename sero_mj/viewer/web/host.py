@@ -17,7 +17,6 @@ from ..headless.film import Pixels
 from ..session.live import LiveHost
 from ..session.picking import Pixel
 from ..session.scene_decor import SceneDecor
-from ..session.status_line import status_pieces
 from .browsers import Browsers
 from .page_input import PageInput
 from .page_panels import PagePanels
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
     from ..headless.render import HeadlessRenderer
 
 RATE = 60.0  # frames per second
-_UNWATCHED_RATE = 10.0  # while no browser is there
 _PLAYER = files("sero_mj.viewer.player") / "static"
 
 
@@ -149,9 +147,7 @@ class WebHost(LiveHost):
         self.view.put(self._sections, self.browsers.holder)
         self._sections.put("dragging", self._input.is_dragging)
         self._sections.put("onHandle", self._input.is_on_handle)
-        frame_rate = 1.0 / max(self._interval, 1e-6)
-        pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
-        self._panels.put(pieces, self._state.count, self.view.size)
+        self._panels.put(1.0 / max(self._interval, 1e-6), self._state.count, self.view.size)
         self.server.call(self.browsers.wake)
         self.work = time.monotonic() - begin
         self._give_picture(self.picture)

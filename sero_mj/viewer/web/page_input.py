@@ -164,12 +164,9 @@ class PageInput:
         self._panels.fold(str(said["tree"]), str(said["id"]), is_open=bool(said["open"]))
 
     def _close(self, said: dict[str, Any]) -> None:
-        if "area" in said:
-            for tool in self._host.areas:
-                if tool.area == said["area"]:
-                    tool.shows_area = False
-        elif said.get("what") == "help" and self._host.shows_help:
-            self._host.toggle_help()
+        for tool in self._host.areas:
+            if tool.area == said["area"]:
+                tool.shows_area = False
 
     def _view(self, said: dict[str, Any]) -> None:
         try:

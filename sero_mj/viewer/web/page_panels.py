@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from ..panels import help as help_panel
@@ -11,7 +11,7 @@ from ..panels.dom_widgets import DomWidgets, Node
 from ..panels.time_line import build_time_line
 from ..session.interaction import help_columns
 from ..session.live import LiveHost
-from ..session.status_line import Piece
+from ..session.status_line import status_pieces
 from ..session.tool import Tool, tool_keys
 from .sections import Sections
 
@@ -61,11 +61,11 @@ class PagePanels:
             self.shows_panel = not self._is_narrow
         self._width = width
 
-    def put(self, pieces: Sequence[Piece], geoms: int, size: tuple[int, int]) -> None:
+    def put(self, frame_rate: float, geoms: int, size: tuple[int, int]) -> None:
         """Puts the panels; less often than pictures, but at once where the user has acted.
 
         Args:
-            pieces: of the status line.
+            frame_rate: frames per second.
             geoms: number of geoms of decor.
             size: of the picture, pixels.
         """
@@ -77,7 +77,8 @@ class PagePanels:
             return
         self._built, self._is_asked = now, False
         put("about", {"title": host.world.scene.name, "geoms": geoms, "panel": self.shows_panel})
-        put("status", [list(piece) for piece in pieces])
+        sources = host.mirror.sources.values()
+        put("status", [list(piece) for piece in status_pieces(sources, host.clock, frame_rate)])
         self._put_tree("panel", self.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
         wide = self._width / _EM
         self._put_tree("timeLine", host.has_time_line, self._time_line, (wide, 2.0))

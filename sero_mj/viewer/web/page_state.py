@@ -20,10 +20,10 @@ from ..decor.feature import Frame
 from ..decor.geom_buffer import GeomBuffer, Kind
 from ..decor.panels import Panels
 from ..decor.picture_view import PictureView
-from ..player.capture import capture_pose, line_text, player_geoms, shown_bodies
+from ..player.capture import body_opacity, capture_pose, line_text, player_geoms, shown_bodies
 from ..player.encode import METRE_STEP, ROTATION_STEP, arrow_looks, encode
-from ..player.items import poses
-from ..player.labels import LabelCollector
+from ..player.items import poses, quaternions_of
+from ..player.labels import labels_of
 from ..player.model_decor import ModelDecor
 from ..player.soft import flex_vertices
 from ..session.scene_decor import SceneDecor
@@ -79,7 +79,7 @@ class PageState:
         self._notes = [
             [line_text(line) for line in lines] for each in frame.corners for lines in each.texts
         ]
-        # Names of frames have places of their own, see `LabelCollector`.
+        # Names of frames have places of their own, see `labels_of`.
         self._beside = [each for each in frame.panels if each.kind != Kind.NAME]
         for groups in (frame.corners, frame.cards, frame.panels):
             groups.clear()
@@ -142,10 +142,8 @@ class PageState:
         self._sections.put("items", b"".join(part.tobytes() for part in parts))
 
     def _put_labels(self, frame: Frame, of_model: np.ndarray, beside: list[Panels]) -> None:
-        collector = LabelCollector(self._world)
-        collector.take(frame)
         found: list[tuple[str, Any, int, int]] = []
-        for (what, item), (text, place) in collector.result()[0].items():
+        for (what, item), (text, place) in labels_of(self._world, frame).items():
             found.append((text, place, Kind.NAME if what == "name" else Kind.NONE, item))
         for row in of_model[of_model["label"] != b""]:
             found.append((row["label"].decode("latin-1"), row["pos"], Kind.NONE, 0))
@@ -170,11 +168,7 @@ class PageState:
         places = np.round(data.xpos[bodies] / METRE_STEP) * METRE_STEP
         turns = np.round(data.xquat[bodies] / ROTATION_STEP).astype(np.int16)
         put("poses", places.astype(np.float32).tobytes() + turns.tobytes())
-        opacity = np.ones(model.nbody)
-        if buffer.opacity is not None:
-            np.minimum.at(opacity, model.geom_bodyid, buffer.opacity)
-        if buffer.hidden is not None:
-            opacity[model.geom_bodyid[buffer.hidden]] = 0.0
+        opacity = body_opacity(model, buffer)
         opacity[data.xpos[:, 2] < OUT_OF_SIGHT[2] / 2] = 0.0
         put("opacity", np.round(255 * opacity[bodies]).astype(np.uint8))
         put("grey", _bodies_of(model, buffer.grey)[bodies].astype(np.uint8))
@@ -190,11 +184,9 @@ class PageState:
     def _sites(self, data: mujoco.MjData) -> bytes:
         """Poses of the centres of all joints, which are no sites of the model."""
         state, rows = self._world.state(data), self._world.joints.centre_site
-        quats = np.empty((len(rows), 4))
-        for quat, mat in zip(quats, state.site_xmat[rows].reshape(-1, 9), strict=True):
-            mujoco.mju_mat2Quat(quat, mat)
-        poses = [state.site_xpos[rows], quats]
-        return b"".join(each.astype(np.float32).tobytes() for each in poses)
+        turns = quaternions_of(np.asarray(state.site_xmat[rows]))
+        parts = [state.site_xpos[rows], turns]
+        return b"".join(each.astype(np.float32).tobytes() for each in parts)
 
     def _cards_of(self, frame: Frame, cards: Cards) -> list[dict[str, Any]]:
         """What the page shows of cards: text, the place in the world, and how important it is."""
