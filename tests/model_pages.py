@@ -15,8 +15,9 @@ from sero_mj.viewer.camera import find_camera
 from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.player import capture as capture_module
 from sero_mj.viewer.player.capture import Capture
+from sero_mj.viewer.player.model_decor import ModelDecor
 from sero_mj.viewer.player.page import write_page
-from sero_mj.viewer.player.soft import SoftCollector
+from sero_mj.viewer.player.soft import flex_vertices, soft_frame, soft_of
 
 NO_SKY = (0, 0, 0)  # of what no geom covers
 
@@ -34,9 +35,12 @@ def captured(
     """
     world = World(Scene(floor=False))  # without joints and decor
     world.model = model
-    bodies, soft = capture_module.shown_bodies(world), SoftCollector(model)
-    for data in states:
-        soft.take(data)
+    bodies, vertices, decor = (
+        capture_module.shown_bodies(world),
+        flex_vertices(model),
+        ModelDecor(model),
+    )
+    soft = [soft_frame(data, vertices, decor) for data in states]
     n, frames = len(world.joints.names), len(states)
     nothing = np.full((frames, n), np.nan)
     lines, details = capture_module._lines(world, {"torques": nothing})
@@ -47,7 +51,7 @@ def captured(
         rotations=capture_module._continuous(poses[..., 3:]),
         opacity=np.ones((frames, len(bodies))), grey=np.zeros((frames, len(bodies)), bool),
         values={}, arrows=nothing, limit=np.full(n, np.inf),
-        stale=np.zeros((frames, n), bool), soft=soft.result(), items=[],
+        stale=np.zeros((frames, n), bool), soft=soft_of(soft), items=[],
         labels=[{}] * frames, notes=[""] * frames, cards={},
     )  # fmt: skip
 

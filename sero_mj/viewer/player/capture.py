@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from ...base.errors import RenderError
 from ...base.frames import Array, Bools, Ints
 from ...data.drive.mirror import Mirror, restore
+from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
@@ -30,9 +31,10 @@ from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..sampling import sampled_states
 from ..session.torque_history import joint_name
-from .labels import LabelCollector
+from .labels import labels_of
 from .model import drawn_bodies, visible_geoms
-from .soft import Soft, SoftCollector, bytes_of_frame
+from .model_decor import ModelDecor
+from .soft import Soft, SoftFrame, bytes_of_frame, flex_vertices, soft_frame, soft_of
 
 DEFAULT_FPS = 30.0
 DEFAULT_SECONDS = 10.0  # of what has no end
@@ -100,7 +102,7 @@ class Capture:
         stale: joints without fresh data, (F, N) bool.
         soft: tendons and flexes.
         items: decor besides round arrows of joints, and text.
-        labels: text at places, of `LabelCollector`.
+        labels: text at places, see `labels_of`.
         notes: text in the corners, by frame.
         cards: of the smart arrows: index to text by frame, empty where there is none.
         marks: on the time line.
@@ -147,41 +149,154 @@ class Capture:
         return visible_geoms(self.world.model)
 
 
-class _Collector:
-    """The last feature of a world's decor: collects what the others have made.
+class CapturedFrame(NamedTuple):
+    """What a player shows of one state; arrays as of `Capture`, without the axis of frames.
 
-    Args:
-        world: the world; the player itself draws the arrows of joints that turn.
+    Attributes:
+        poses: of the bodies, place and unit quaternion, (B, 7).
+        opacity: of the bodies, (B,).
+        soft: tendons and flexes.
+        values: of the joints by name, (N,) each.
+        arrows: what the round arrows show, (N,).
+        limit: value of an arrow of full width, (N,).
+        stale: joints without fresh data, (N,) bool.
+        geoms: of decor: rows, kinds and items, see `player_geoms`.
+        labels: see `labels_of`.
+        note: text in the corners.
+        cards: text of the smart arrows, by their index.
     """
 
-    def __init__(self, world: World) -> None:
-        self._revolute = world.joints.revolute
-        self.labels = LabelCollector(world)
-        self.frames: list[Frame] = []
-        self.rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-        self.notes: list[str] = []
-        self.cards: list[dict[int, str]] = []
+    poses: Array
+    opacity: Array
+    soft: SoftFrame
+    values: dict[str, Array]
+    arrows: Array
+    limit: Array
+    stale: Bools
+    geoms: tuple[np.ndarray, np.ndarray, np.ndarray]
+    labels: dict[Any, Any]
+    note: str
+    cards: dict[int, str]
+
+
+class FrameCapturer:
+    """Captures states of a world one by one.
+
+    It is the last feature of a decor of its own, and takes what all others have made; the player
+    itself draws the arrows of joints that turn.
+
+    Args:
+        world: the compiled scene.
+        camera: of the first picture.
+    """
+
+    def __init__(self, world: WorldView, camera: mujoco.MjvCamera) -> None:
+        self._world, self._camera = world, camera
+        self._shown = Toggles(world)
+        self._shown.billboards[:] = False
+        self._shown.doubles[:] = self._shown.cards[:] = True
+        self._decor = Decor(world, arrow_geoms=_ARROW_GEOMS)
+        self._decor.features.append(self)
+        self._view: PictureView | None = None
+        self._bodies = shown_bodies(world)
+        self._vertices, self._of_model = flex_vertices(world.model), ModelDecor(world.model)
+        self._note, self._cards = "", dict[int, str]()
+        self._frame: Frame | None = None
 
     def lay_out(self, frame: Frame) -> None:
         """Takes texts; places of panels are left to the player."""
         texts = [text for group in frame.corners for text in group.texts]
-        self.notes.append("\n\n".join("\n".join(map(line_text, lines)) for lines in texts))
-        self.cards.append(
-            {
-                int(item): "\n".join(map(line_text, lines))
-                for group in frame.cards
-                if group.kind == Kind.CARD
-                for item, lines in zip(group.items, group.texts, strict=True)
-            }
-        )
+        self._note = "\n\n".join("\n".join(map(line_text, lines)) for lines in texts)
+        self._cards = {
+            int(item): "\n".join(map(line_text, lines))
+            for group in frame.cards
+            if group.kind == Kind.CARD
+            for item, lines in zip(group.items, group.texts, strict=True)
+        }
         for groups in (frame.corners, frame.cards, frame.panels):
             groups.clear()
 
     def draw(self, frame: Frame) -> None:
-        """Takes geoms and values."""
-        self.labels.take(frame)
-        self.rows.append(player_geoms(frame.buffer, self._revolute))
-        self.frames.append(frame)
+        """Takes the frame, with all geoms."""
+        self._frame = frame
+
+    def take(self, data: mujoco.MjData) -> CapturedFrame:
+        """Captures a state, with everything up to date that is drawn of it."""
+        world, bodies = self._world, self._bodies
+        if self._view is None:
+            self._view = _view(world.model, data, self._camera)
+        buffer = self._decor.draw(data, self._shown, self._view)
+        frame = self._frame
+        assert frame is not None  # `draw` has just been called
+        return CapturedFrame(
+            poses=np.concatenate([data.xpos[bodies], data.xquat[bodies]], axis=1),
+            opacity=body_opacity(world.model, buffer)[bodies],
+            soft=soft_frame(data, self._vertices, self._of_model),
+            values=frame.values,
+            arrows=frame.arrow_values,
+            limit=frame.arrow_limit,
+            stale=frame.stale_joints,
+            geoms=player_geoms(frame.buffer, world.joints.revolute),
+            labels=labels_of(world, frame),
+            note=self._note,
+            cards=self._cards,
+        )
+
+    def result(
+        self,
+        frames: Sequence[CapturedFrame],
+        *,
+        fps: float,
+        begin: float = 0.0,
+        marks: Sequence[Mark] = (),
+        silent: Sequence[str] = (),
+    ) -> Capture:
+        """Returns frames as one; at least one.
+
+        Args:
+            frames: of this world, in their order.
+            fps: of them.
+            begin: time of the first one, s.
+            marks: on the time line.
+            silent: names of the sources without data.
+        """
+        world, bodies = self._world, self._bodies
+        poses = np.array([each.poses for each in frames])
+        opacity = np.array([each.opacity for each in frames])
+        _hide_far_away(poses, opacity)
+        values = {key: np.array([f.values[key] for f in frames]) for key in frames[0].values}
+        lines, details = _lines(world, values)
+        stale = np.array([each.stale for each in frames], bool)
+        grey = np.zeros((len(frames), len(bodies)), bool)
+        for part in world.owners.values():
+            if part.joints.stop > part.joints.start and not isinstance(part, DoublePart):
+                is_stale = np.all(stale[:, part.joints], axis=1)
+                grey[:, np.isin(bodies, part.bodies)] = np.asarray(is_stale)[:, None]
+        return Capture(
+            world=world,
+            fps=fps,
+            begin=begin,
+            toggles=Toggles(world),
+            camera=self._camera,
+            lines=lines,
+            details=details,
+            bodies=bodies,
+            positions=poses[..., :3],
+            rotations=_continuous(poses[..., 3:]),
+            opacity=opacity,
+            grey=grey,
+            values={key: each for key, each in values.items() if np.isfinite(each).any()},
+            arrows=np.array([each.arrows for each in frames]),
+            limit=frames[0].limit,
+            stale=stale,
+            soft=soft_of([each.soft for each in frames]),
+            items=_items([each.geoms for each in frames]),
+            labels=[each.labels for each in frames],
+            notes=[each.note for each in frames],
+            cards=_cards([each.cards for each in frames]),
+            marks=marks,
+            silent=list(silent),
+        )
 
 
 def player_geoms(buffer: GeomBuffer, revolute: Bools) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -251,62 +366,15 @@ def capture(
     with Mirror(scene) as mirror:
         world = mirror.world
         count = _frame_count(mirror, seconds, begin, fps)
-        toggles, collector = Toggles(world), _Collector(world)
-        seen = Toggles(world)
-        seen.billboards[:] = False
-        seen.doubles[:] = seen.cards[:] = True
-        decor = Decor(world, arrow_geoms=_ARROW_GEOMS)
-        decor.features.append(collector)
-        first_view = find_camera(world, camera)
-        view = _view(world, first_view)
-        model, data = world.model, world.make_data()
-        bodies, soft = shown_bodies(world), SoftCollector(model)
-        poses = np.zeros((count, len(bodies), 7))
-        opacity = np.ones((count, len(bodies)))
+        capturer = FrameCapturer(world, find_camera(world, camera))
+        data, frames = world.make_data(), list[CapturedFrame]()
         silent = mirror.wait(wait)
-        for k, state in enumerate(sampled_states(mirror, count, fps, begin)):
+        for state in sampled_states(mirror, count, fps, begin):
             restore(world, data, state)
-            buffer = decor.draw(data, seen, view)
-            soft.take(data)
-            poses[k, :, :3], poses[k, :, 3:] = data.xpos[bodies], data.xquat[bodies]
-            opacity[k] = body_opacity(model, buffer)[bodies]
+            frames.append(capturer.take(data))
             if on_progress is not None:
-                on_progress(k + 1, count)
-    _hide_far_away(poses, opacity)
-    frames = collector.frames
-    values = {key: np.array([f.values[key] for f in frames]) for key in frames[0].values}
-    lines, details = _lines(world, values)
-    grey = np.zeros((count, len(bodies)), bool)
-    stale = np.array([f.stale_joints for f in frames], bool)
-    for part in world.robots.values():
-        if part.robot.n:
-            is_stale = np.all(stale[:, part.joints], axis=1)
-            grey[:, np.isin(bodies, part.bodies)] = np.asarray(is_stale)[:, None]
-    return Capture(
-        world=world,
-        fps=fps,
-        begin=begin,
-        toggles=toggles,
-        camera=first_view,
-        lines=lines,
-        details=details,
-        bodies=bodies,
-        positions=poses[..., :3],
-        rotations=_continuous(poses[..., 3:]),
-        opacity=opacity,
-        grey=grey,
-        values={key: each for key, each in values.items() if np.isfinite(each).any()},
-        arrows=np.array([f.arrow_values for f in frames]),
-        limit=frames[0].arrow_limit,
-        stale=stale,
-        soft=soft.result(),
-        items=_items(collector.rows),
-        labels=collector.labels.result(),
-        notes=collector.notes,
-        cards=_cards(collector.cards),
-        marks=marks,
-        silent=silent,
-    )
+                on_progress(len(frames), count)
+    return capturer.result(frames, fps=fps, begin=begin, marks=marks, silent=silent)
 
 
 def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera) -> Capture:
@@ -317,8 +385,7 @@ def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera
         data: its state, with frames up to date.
         camera: of the first picture.
     """
-    joints, bodies, soft = world.joints, shown_bodies(world), SoftCollector(world.model)
-    soft.take(data)
+    joints, bodies, model = world.joints, shown_bodies(world), world.model
     formats = joint_formats(world)
     count = len(joints.names)
     nothing = np.full((1, count), np.nan)
@@ -339,7 +406,7 @@ def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera
         arrows=nothing,
         limit=joints.torque_limit,
         stale=np.zeros((1, count), bool),
-        soft=soft.result(),
+        soft=soft_of([soft_frame(data, flex_vertices(model), ModelDecor(model))]),
         items=[],
         labels=[{}],
         notes=[""],
@@ -374,13 +441,12 @@ def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float
     return int(np.floor(seconds * fps + 1e-9)) + 1
 
 
-def _view(world: World, camera: mujoco.MjvCamera) -> PictureView:
-    scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + 64)
-    data = world.make_data()
-    mujoco.mj_forward(world.model, data)
+def _view(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera) -> PictureView:
+    """Returns a view of a state, for decor that depends on a picture's."""
+    scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 64)
     everything = int(mujoco.mjtCatBit.mjCAT_ALL)
     option, perturb = mujoco.MjvOption(), mujoco.MjvPerturb()
-    mujoco.mjv_updateScene(world.model, data, option, perturb, camera, everything, scene)
+    mujoco.mjv_updateScene(model, data, option, perturb, camera, everything, scene)
     return PictureView.of_scene(scene, *_SIZE)
 
 
@@ -413,7 +479,7 @@ def _continuous(rotations: Array) -> Array:
     return rotations
 
 
-def _lines(world: World, values: dict[str, Array]) -> tuple[list[list[Line]], list[list[Line]]]:
+def _lines(world: WorldView, values: dict[str, Array]) -> tuple[list[list[Line]], list[list[Line]]]:
     """The lines of the cards of all joints; angles give way to torques where there are some."""
     formats = joint_formats(world)
     declared = list(formats.declared)

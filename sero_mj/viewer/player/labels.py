@@ -35,33 +35,13 @@ def labels_of(world: WorldView, frame: Frame) -> dict[_Key, tuple[str, Array]]:
     return found
 
 
-class LabelCollector:
-    """Collects text, frame by frame.
-
-    Args:
-        world: what is shown.
-    """
-
-    def __init__(self, world: WorldView) -> None:
-        self._world = world
-        self._frames: list[dict[_Key, tuple[str, Array]]] = []
-
-    def take(self, frame: Frame) -> None:
-        """Takes what a frame of decor has, once its geoms are drawn."""
-        self._frames.append(labels_of(self._world, frame))
-
-    def result(self) -> list[dict[_Key, tuple[str, Array]]]:
-        """Returns text and place, (3,), m, of all that is shown, for every frame."""
-        return self._frames
-
-
 def labels_head(
     frames: list[dict[_Key, tuple[str, Array]]], parts: Parts, step: float
 ) -> dict[str, Any]:
     """Returns what the head of a page has of labels; nothing where there are none.
 
     Args:
-        frames: of `LabelCollector`.
+        frames: see `labels_of`.
         parts: where arrays go.
         step: of places, m.
     """

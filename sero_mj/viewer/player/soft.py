@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -50,49 +51,51 @@ class Soft:
         return found
 
 
-class SoftCollector:
-    """Collects what is soft, frame by frame.
+class SoftFrame(NamedTuple):
+    """What is soft in one state.
 
-    Args:
-        model: compiled.
+    Attributes:
+        vertices: of all flexes that are drawn, (V, 3), m.
+        tendons: rows of `GEOM` of their pieces.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self._model = model
-        self._flexes = flex_vertices(model)
-        self._decor = ModelDecor(model)
-        self._vertices: list[Array] = []
-        self._tendons: list[np.ndarray] = []
+    vertices: Array
+    tendons: np.ndarray
 
-    def take(self, data: mujoco.MjData) -> None:
-        """Takes the frame that a state is in, with everything up to date that is drawn of it."""
-        self._vertices.append(data.flexvert_xpos[self._flexes].copy())
-        rows = self._decor.rows(data)
-        self._tendons.append(rows[rows["objtype"] == TENDON])
 
-    def result(self) -> Soft:
-        """Returns all frames; each piece of a tendon has a place of its own."""
-        frames = len(self._vertices)
-        most: dict[int, int] = {}
-        for rows in self._tendons:
-            for tendon, count in zip(*np.unique(rows["objid"], return_counts=True), strict=True):
-                most[int(tendon)] = max(most.get(int(tendon), 0), int(count))
-        starts = dict(zip(sorted(most), np.cumsum([0, *(most[k] for k in sorted(most))]),
-                          strict=False))  # fmt: skip
-        pieces = sum(most.values())
-        ends, radius = np.zeros((frames, pieces, 2, 3)), np.zeros((frames, pieces))
-        colours = np.ones((pieces, 4))
-        for k, rows in enumerate(self._tendons):
-            if k:
-                ends[k] = ends[k - 1]  # a piece that goes stays where it was
-            for tendon, start in starts.items():
-                own = rows[rows["objid"] == tendon]
-                at = slice(start, start + len(own))
-                half = own["mat"][:, :, 2] * own["size"][:, 2:3]
-                ends[k, at] = own["pos"][:, None] + np.stack([-half, half], axis=1)
-                radius[k, at], colours[at] = own["size"][:, 0], own["rgba"]
-        vertices = np.array(self._vertices).reshape(frames, -1, 3)
-        return Soft(vertices, ends, radius, colours)
+def soft_frame(data: mujoco.MjData, vertices: Ints, decor: ModelDecor) -> SoftFrame:
+    """Returns what is soft in a state, with everything up to date that is drawn of it.
+
+    Args:
+        data: the state.
+        vertices: see `flex_vertices`.
+        decor: of the model.
+    """
+    rows = decor.rows(data)
+    return SoftFrame(data.flexvert_xpos[vertices].copy(), rows[rows["objtype"] == TENDON])
+
+
+def soft_of(found: Sequence[SoftFrame]) -> Soft:
+    """Returns all frames as one; each piece of a tendon has a place of its own."""
+    frames = len(found)
+    most: dict[int, int] = {}
+    for rows in (each.tendons for each in found):
+        for tendon, count in zip(*np.unique(rows["objid"], return_counts=True), strict=True):
+            most[int(tendon)] = max(most.get(int(tendon), 0), int(count))
+    starts = dict(zip(sorted(most), np.cumsum([0, *(most[k] for k in sorted(most))]), strict=False))
+    pieces = sum(most.values())
+    ends, radius = np.zeros((frames, pieces, 2, 3)), np.zeros((frames, pieces))
+    colours = np.ones((pieces, 4))
+    for k, rows in enumerate(each.tendons for each in found):
+        if k:
+            ends[k] = ends[k - 1]  # a piece that goes stays where it was
+        for tendon, start in starts.items():
+            own = rows[rows["objid"] == tendon]
+            at = slice(start, start + len(own))
+            half = own["mat"][:, :, 2] * own["size"][:, 2:3]
+            ends[k, at] = own["pos"][:, None] + np.stack([-half, half], axis=1)
+            radius[k, at], colours[at] = own["size"][:, 0], own["rgba"]
+    return Soft(np.array([each.vertices for each in found]), ends, radius, colours)
 
 
 def flex_vertices(model: mujoco.MjModel) -> Ints:
