@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import nbformat
 import numpy as np
 import pytest
 from conftest import raises_with
 from foreign_models import JACO_TORQUES, arm, jaco
+from nbclient import NotebookClient
 from PIL import Image
 
 import sero_mj
@@ -297,9 +299,6 @@ def test_a_picture_of_a_scene_is_shown_as_well() -> None:
 
 
 def test_a_real_notebook_shows_it(tmp_path: Any) -> None:
-    nbformat = pytest.importorskip("nbformat")
-    client = pytest.importorskip("nbclient")
-    pytest.importorskip("ipykernel")
     from foreign_models import ARM
 
     book = nbformat.v4.new_notebook()
@@ -312,6 +311,6 @@ def test_a_real_notebook_shows_it(tmp_path: Any) -> None:
         ),
         nbformat.v4.new_code_cell("overlay.image(64, 48)"),
     ]
-    client.NotebookClient(book, timeout=60, resources={"metadata": {"path": tmp_path}}).execute()
+    NotebookClient(book, timeout=60, resources={"metadata": {"path": tmp_path}}).execute()
     for cell in book.cells:
         assert "image/png" in cell.outputs[-1]["data"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import http.server
 import os
 import re
 import signal
@@ -16,10 +15,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import nbformat
 import numpy as np
 import pytest
 from conftest import raises_with
 from driver import ROOT
+from nbclient import NotebookClient
 from polling import until
 from web_tools import MISSING as NO_BROWSER
 from window_tools import MISSING as NO_WINDOW
@@ -110,16 +111,6 @@ def test_a_picture_has_all_that_was_set_before(viewer: Viewer) -> None:
 
 @pytest.mark.skipif(bool(NO_BROWSER), reason=f"needs {', '.join(NO_BROWSER)}")
 def test_a_browser_sees_it_live_while_nothing_is_called(viewer: Viewer, browser: Any) -> None:
-    class Notebook(http.server.BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            self.send_response(200)
-            self.send_header("Content-Type", "text/html")
-            self.end_headers()
-            self.wfile.write(f"<!doctype html><body>{viewer._repr_html_()}</body>".encode())
-
-        def log_message(self, *_: Any) -> None:
-            pass
-
     states: list[str] = []
 
     def watch(socket: Any) -> None:
@@ -127,18 +118,15 @@ def test_a_browser_sees_it_live_while_nothing_is_called(viewer: Viewer, browser:
             socket.on("framereceived", lambda _: states.append("received"))
             socket.on("close", lambda _: states.append("closed"))
 
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Notebook) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        page = browser.new_page(viewport={"width": 400, "height": 300})
-        page.on("websocket", watch)
-        page.goto(f"http://localhost:{server.server_port}/")
-        assert until(lambda: page.wait_for_timeout(100) or len(states) > 10, PATIENCE)
-        before = viewer.pictures
-        page.wait_for_timeout(1500)
-        assert viewer.pictures > before + 22  # and not 10 a second, as where nobody looks
-        seen = len(states)
-        assert until(lambda: page.wait_for_timeout(100) or len(states) > seen, PATIENCE)
-        server.shutdown()
+    page = browser.new_page(viewport={"width": 400, "height": 300})
+    page.on("websocket", watch)
+    page.goto(viewer.url)
+    assert until(lambda: page.wait_for_timeout(100) or len(states) > 10, PATIENCE)
+    before = viewer.pictures
+    page.wait_for_timeout(1500)
+    assert viewer.pictures > before + 22  # and not 10 a second, as where nobody looks
+    seen = len(states)
+    assert until(lambda: page.wait_for_timeout(100) or len(states) > seen, PATIENCE)
     assert "closed" not in states
     page.close()
 
@@ -238,14 +226,16 @@ def test_it_ends_with_the_script_and_not_before(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(bool(NO_WINDOW), reason=f"needs {', '.join(NO_WINDOW)}")
 def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with screen() as display:
         monkeypatch.setenv("DISPLAY", display)
         monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
         robot = SerialRobot.from_model("lwr", show_arrows=True)
         with sero_mj.view(Scene(robots=[robot], name="window"), size=(400, 300)) as viewer:
-            assert viewer.url is None and "in a window on the screen" in viewer._repr_html_()
+            assert viewer.url is None
+            viewer._ipython_display_()
+            assert "window is in a window on the screen" in capfd.readouterr().out
             assert until(lambda: viewer.pictures > 3, PATIENCE)
             clicks: list[tuple[Any, str, threading.Thread]] = []
             viewer.on_click(lambda *click: clicks.append((*click, threading.current_thread())))
@@ -272,23 +262,20 @@ def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
 
 
 def test_a_notebook_shows_it_while_no_cell_runs(tmp_path: Path) -> None:
-    nbformat = pytest.importorskip("nbformat")
-    client = pytest.importorskip("nbclient")
-    pytest.importorskip("ipykernel")
     book = nbformat.v4.new_notebook()
     book.cells = [
         nbformat.v4.new_code_cell(f"import sys; sys.path.insert(0, {str(ROOT)!r}); import sero_mj"),
         nbformat.v4.new_code_cell("viewer = sero_mj.view('lwr', web=True)\nviewer"),
         nbformat.v4.new_code_cell("viewer.set('lwr.torques', [9.0] * 7)\nviewer.pictures"),
     ]
-    notebook = client.NotebookClient(book, resources={"metadata": {"path": str(tmp_path)}})
+    notebook = NotebookClient(book, resources={"metadata": {"path": str(tmp_path)}})
     with notebook.setup_kernel():
         urls, shown = [], []
         for index in (0, 1, 2, 1, 2):  # cells are run again
             notebook.execute_cell(book.cells[index], index)
             for output in book.cells[index].outputs:
                 data = output.get("data", {})
-                urls += re.findall(r'iframe src="(\S+)"', data.get("text/html", ""))
+                urls += re.findall(r"lwr is at (http\S+)", output.get("text", ""))
             if index == 2:
                 shown.append(int(data["text/plain"]))
         assert len(urls) == 2 and urls[0] == urls[1]

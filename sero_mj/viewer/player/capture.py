@@ -87,7 +87,7 @@ class Capture:
         world: the compiled scene.
         fps: frames per second.
         begin: time of the first frame, s.
-        toggles: as declared.
+        toggles: what is shown at first.
         camera: of the first picture.
         lines: of the card of every joint, (N,).
         details: lines of the values of every joint, (N,).
@@ -250,6 +250,7 @@ class FrameCapturer:
         begin: float = 0.0,
         marks: Sequence[Mark] = (),
         silent: Sequence[str] = (),
+        toggles: Toggles | None = None,
     ) -> Capture:
         """Returns frames as one; at least one.
 
@@ -259,6 +260,7 @@ class FrameCapturer:
             begin: time of the first one, s.
             marks: on the time line.
             silent: names of the sources without data.
+            toggles: what is shown at first; as declared when None.
         """
         world, bodies = self._world, self._bodies
         poses = np.array([each.poses for each in frames])
@@ -276,7 +278,7 @@ class FrameCapturer:
             world=world,
             fps=fps,
             begin=begin,
-            toggles=Toggles(world),
+            toggles=toggles or Toggles(world),
             camera=self._camera,
             lines=lines,
             details=details,

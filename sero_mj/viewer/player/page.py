@@ -26,6 +26,9 @@ _LOADER = (
     ".catch(()=>{document.getElementById('problem').hidden=false})"
 )
 
+_RUN = '<script type="text/plain" id="run">%%RUN%%</script>\n'
+_PLAYER = '<script type="text/plain" id="player">%%PLAYER%%</script>\n<script>%%LOADER%%</script>\n'
+
 
 def export_html(
     scene: Scene, path: Path | str, *, title: str = "", marks: Sequence[Mark] = (), **keywords: Any
@@ -69,24 +72,57 @@ def write_page(captured: Capture, path: Path, title: str = "") -> None:
         raise UsageError(f"cannot write {path}: {error.strerror}") from error
 
 
-def _page(run: bytes, title: str) -> str:
-    static = files(__package__) / "static"
-    script, style, page, licences = (
-        (static / name).read_text(encoding="utf-8")
-        for name in ("player.js", "player.css", "page.html", "LICENCES.txt")
+def cell_page(cell: str, title: str) -> str:
+    """Returns a page for a cell of a notebook: live, or the run that its notebook has kept.
+
+    Args:
+        cell: id, which the page tells its kernel, see `web/notebook.py`.
+        title: of the page.
+    """
+    bodies = "".join(
+        f'<template id="{name}">{_body(template)}</template>\n'
+        for name, template in (("live", "live.html"), ("file", "page.html"))
     )
+    head, _, _ = _static("page.html").partition("<body>")
+    head = head.replace("<html", f'<html data-cell="{html.escape(cell)}"')
+    page = f"{head}<body>\n{bodies}{_PLAYER}</body>\n</html>\n"
+    return _filled(page, TITLE=html.escape(title))
+
+
+def packed(data: bytes) -> str:
+    """Returns bytes as pages hold them: base64 of a raw deflate stream."""
+    deflate = zlib.compressobj(9, zlib.DEFLATED, -15)
+    return base64.b64encode(deflate.compress(data) + deflate.flush()).decode()
+
+
+def _page(run: bytes, title: str) -> str:
+    page = _static("page.html").replace("</body>", f"{_RUN}{_PLAYER}</body>")
+    return _filled(page, TITLE=html.escape(title), RUN=packed(run))
+
+
+def _static(name: str) -> str:
+    return (files(__package__) / "static" / name).read_text(encoding="utf-8")
+
+
+def _body(name: str) -> str:
+    """Returns what is in the body of a page."""
+    return _static(name).partition("<body")[2].partition(">")[2].partition("</body>")[0]
+
+
+def _filled(page: str, **values: str) -> str:
+    """Returns a page with its placeholders filled in, which may stand in values as well."""
+    script, style = _static("player.js"), _static("player.css")
     policy = (
         f"default-src 'none'; script-src {_hash(_LOADER)} {_hash(script)}; "
         f"style-src {_hash(style)}; img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
     filled = {
         "POLICY": policy,
-        "TITLE": html.escape(title),
         "STYLE": style,
-        "LICENCES": html.escape(licences),
-        "RUN": _packed(run),
-        "PLAYER": _packed(script.encode()),
+        "LICENCES": html.escape(_static("LICENCES.txt")),
+        "PLAYER": packed(script.encode()),
         "LOADER": _LOADER,
+        **values,
     }
     before, *parts = page.split("%%")
     for name, after in zip(parts[::2], parts[1::2], strict=True):
@@ -96,8 +132,3 @@ def _page(run: bytes, title: str) -> str:
 
 def _hash(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
-
-
-def _packed(data: bytes) -> str:
-    deflate = zlib.compressobj(9, zlib.DEFLATED, -15)
-    return base64.b64encode(deflate.compress(data) + deflate.flush()).decode()

@@ -33,7 +33,9 @@ from .viewer_process import ViewerProcess
 
 if TYPE_CHECKING:
     from ..web.host import WebHost
+    from ..web.notebook import Cells
 
+RUN = "shown_run"  # the tool that makes runs for notebooks
 _shown: list[Viewer] = []  # open viewers, even without other references (in a notebook)
 
 
@@ -61,6 +63,7 @@ class Viewer:
         self._panels = UserPanels(self._outbox, lambda: self.is_open)
         self._signals = UserSignals(self._outbox)
         process.answers[PANELS] = self._panels.hear
+        self._cells: Cells | None = None
         _shown.append(self)
 
     @property
@@ -190,20 +193,34 @@ class Viewer:
 
     def close(self) -> None:
         """Closes window or page, and the scene's sources; otherwise done at exit."""
+        if self._cells is not None and self.is_open:
+            self._cells.keep_last()
+        self._end()
+
+    def _end(self) -> None:
         if self in _shown:
             _shown.remove(self)
+        if self._cells is not None:
+            self._cells.close()
         self._outbox.close()
         self._process.close()
 
-    def _repr_html_(self) -> str:
-        """Returns the page as an HTML frame, for notebooks; a text for a window."""
+    def _ipython_display_(self) -> None:
+        """Shows the page in a notebook's cell; tells where it is elsewhere."""
+        from ..web.notebook import Cells, has_channel, in_notebook, show_address
+
+        name = self.world.scene.name
         if self.url is None:
-            return f"<p>{self.world.scene.name} is in a window on the screen.</p>"
-        frame = 'width="100%" height="600" allow="cross-origin-isolated" style="border:0"'
-        return (
-            f'<p><a href="{self.url}" target="_blank">{self.url}</a></p>'
-            f'<iframe src="{self.url}" {frame}></iframe>'
-        )
+            print(f"{name} is in a window on the screen.")
+        elif not in_notebook():
+            print(f"{name} is at {self.url}")
+        elif not has_channel():
+            show_address(name, self.url)
+        else:
+            if self._cells is None:
+                self._cells = Cells(name, self.url, lambda what: self._process.tell(RUN, what))
+                self._process.answers[RUN] = self._cells.keep
+            self._cells.show()
 
     def __enter__(self) -> Viewer:
         return self
@@ -215,7 +232,7 @@ class Viewer:
 @atexit.register
 def _close_all() -> None:
     for viewer in list(_shown):
-        viewer.close()
+        viewer._end()
 
 
 def view(
@@ -318,7 +335,7 @@ def _replace(scene: Scene, options: dict[str, Any]) -> None:
             print(f"{other.name} is opened again; its viewer before is closed", flush=True)
         if viewer.is_open and viewer.url is not None:
             options["last_port"] = urlsplit(viewer.url).port
-        viewer.close()
+        viewer._end()
 
 
 def open_page(mirror: LiveWorld, **options: Any) -> WebHost:

@@ -1,8 +1,9 @@
-/** The player: of a run in a file, or of a live page. */
+/** The player: of a run in a file, of a live page, or of a cell of a notebook. */
 
 import { decode, inflate } from "./data.js";
 import { Player } from "./file.js";
 import { Live } from "./live.js";
+import { fromNotebook } from "./notebook.js";
 import { byId } from "./page.js";
 
 /** The run in the page, base64 of a raw deflate stream. */
@@ -14,8 +15,9 @@ async function fromFile() {
 
 /** Begins, and says so for tests. */
 async function main() {
-  const isLive = document.documentElement.hasAttribute("data-live");
-  Object.assign(globalThis, { player: isLive ? new Live() : await fromFile() }); // for consoles and tests
+  const { live, cell } = document.documentElement.dataset;
+  const player = cell ? await fromNotebook(cell) : live === undefined ? await fromFile() : new Live();
+  Object.assign(globalThis, { player }); // for consoles and tests
   document.documentElement.dataset.ready = "1";
 }
 

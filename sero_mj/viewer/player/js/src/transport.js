@@ -58,3 +58,76 @@ export class SocketTransport {
 /** The address of a page's own server. @param {Location} location */
 export const liveUrl = ({ protocol, host, search }) =>
   `${protocol === "https:" ? "wss" : "ws"}://${host}/live${search}`;
+
+const ASKING = 500, ALIVE = 4000, GONE = 20_000, LOST = 2000; // ms
+
+/**
+ * A page in a cell of a notebook: what it says goes through the frame's parent, in which
+ * `bridge.js` hands it to the kernel.
+ * @implements {Transport}
+ */
+export class CellTransport {
+  /** @param {string} cell id of the cell's page, which its kernel knows */
+  constructor(cell) {
+    this.cell = cell;
+    this.client = crypto.getRandomValues(new Uint32Array(2)).join("-"); // several browsers may show a cell
+    this.isOpen = false;
+    this.heard = 0; // when, ms
+    this.onopen = () => {};
+    this.onclose = () => {};
+    this.onother = () => {};
+    this.onlost = () => {}; // it is gone, and does not come back soon
+    /** @type {Transport["onmessage"]} */
+    this.onmessage = () => {};
+    this.isAsking = false;
+  }
+
+  /** Whether the kernel answers. @param {number} patience ms */
+  finds(patience) {
+    return new Promise((/** @type {(found: boolean) => void} */ answer) => {
+      this.onopen = () => answer(true);
+      this.open();
+      setTimeout(() => answer(false), patience);
+    });
+  }
+
+  /** Asks for the kernel until it answers, and again whenever it is gone. */
+  open() {
+    if (this.isOpen) queueMicrotask(() => this.onopen());
+    if (this.isAsking) return;
+    this.isAsking = true;
+    addEventListener("message", ({ data, source }) => {
+      if (source === parent && data?.cell === this.cell && data.to === this.client) this.#hear(data);
+    });
+    addEventListener("pagehide", () => this.#post("close"));
+    setInterval(() => { if (!this.isOpen) this.#post("open"); }, ASKING);
+    setInterval(() => {
+      if (this.isOpen && performance.now() - this.heard > GONE) this.#hear({ kind: "closed" });
+      if (this.isOpen) this.#post("alive");
+    }, ALIVE);
+    this.#post("open");
+  }
+
+  /** @param {{kind: string, message?: ArrayBuffer | string}} data */
+  #hear({ kind, message }) {
+    this.heard = performance.now();
+    if (kind === "opened" && !this.isOpen) {
+      this.isOpen = true;
+      this.onopen();
+    } else if (kind === "closed" && this.isOpen) {
+      this.isOpen = false;
+      this.onclose();
+      setTimeout(() => { if (!this.isOpen) this.onlost(); }, LOST);
+    } else if (kind === "message" && this.isOpen && message !== undefined) this.onmessage(message);
+  }
+
+  /** @param {string} kind @param {string | ArrayBuffer} [message] */
+  #post(kind, message) {
+    parent.postMessage({ cell: this.cell, from: this.client, kind, message }, "*");
+  }
+
+  /** Sends, unless it is gone. @param {string | ArrayBuffer} message */
+  send(message) {
+    if (this.isOpen) this.#post("say", message);
+  }
+}

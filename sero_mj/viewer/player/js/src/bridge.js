@@ -1,0 +1,56 @@
+/**
+ * Joins the pages in a notebook's cells with its kernel: an anywidget without a view of its own.
+ *
+ * Pages are frames beside it; several browsers, and several cells, may show the same.
+ */
+
+/** @typedef {{get: (name: string) => any, send: (content: object, callbacks?: object, buffers?: ArrayBuffer[]) => void,
+ *   on: (event: string, act: (content: any, buffers: DataView[]) => void) => void}} Model */
+
+const FIRST = "first"; // the connection that the kernel opens when it shows the cell
+const MOST_EARLY = 2000; // messages that wait for its page
+
+/** The page's messages to the kernel, and back. @param {{model: Model}} widget */
+function initialize({ model }) {
+  const cell = model.get("cell");
+  /** @type {Map<string, MessageEventSource>} */
+  const pages = new Map();
+  // The first page that comes gets what has been sent to the first connection from its start on. So
+  // it need not ask a kernel that is busy with its cell, and hears it only at the end.
+  /** @type {string | null} */
+  let first = null;
+  /** @type {{kind: string, message?: ArrayBuffer | string}[] | null} */
+  let early = null;
+  /** @param {string | null} to @param {{kind: string, message?: ArrayBuffer | string}} said */
+  const tell = (to, said) => pages.get(to ?? "")?.postMessage({ cell, to, ...said }, { targetOrigin: "*" });
+  /** @param {MessageEvent} event */
+  const toKernel = ({ data, source }) => {
+    if (data?.cell !== cell || typeof data.from !== "string" || !source) return;
+    const { from, kind, message } = data;
+    pages.set(from, source);
+    if (kind === "open" && early) {
+      first = from;
+      for (const said of early) tell(first, said);
+      early = null;
+      return;
+    }
+    model.send({ from: from === first ? FIRST : from, kind, message });
+    if (kind !== "close") return;
+    pages.delete(from);
+    if (from === first) first = null;
+  };
+  model.on("msg:custom", ({ to, kind, message }, buffers) => {
+    const bytes = buffers?.[0];
+    const content = bytes ? bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength) : message;
+    const said = { kind, message: content };
+    if (to !== FIRST) return tell(to, said);
+    if (kind === "opened" && first === null) early = [];
+    else if (kind === "closed" || (early?.length ?? 0) > MOST_EARLY) early = null;
+    if (early) early.push(said);
+    else tell(first, said);
+  });
+  globalThis.addEventListener("message", toKernel);
+  return () => globalThis.removeEventListener("message", toKernel);
+}
+
+export default { initialize };

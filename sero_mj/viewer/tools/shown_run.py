@@ -1,0 +1,103 @@
+"""`ShownRun`: what was shown in the last minute, as a run that a notebook keeps."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..decor.feature import Frame
+from ..player.capture import CapturedFrame, FrameCapturer
+from ..player.encode import encode
+from ..player.page import packed
+from ..session.tool import Shown, Tool
+
+SPAN = 60.0  # s
+_FPS = 20.0
+_LONGEST_REST = 0.5  # s that nothing changes; the rest of it is left out
+_INTERVAL = 10.0  # s between two runs
+
+
+class ShownRun(Tool):
+    """Captures what is shown, once its program has asked for it.
+
+    Args:
+        shown: where it works.
+    """
+
+    order: ClassVar[int] = 80
+
+    def __init__(self, shown: Shown) -> None:
+        super().__init__(shown)
+        self._capturer: FrameCapturer | None = None
+        self._frames: deque[tuple[float, CapturedFrame]] = deque()
+        self._taken = 0.0  # when the last frame was, s of `time.monotonic`
+        self._time = 0.0  # of the run, s
+        self._sent = 0.0  # when the last run was, s of `time.monotonic`
+        self._is_new = False
+        self._thread: threading.Thread | None = None
+        self._run: str | None = None  # that is ready
+
+    def hear(self, message: str) -> None:
+        """Begins (`begin`), or makes the run at once (`now`), which is then the next answer."""
+        if message == "now":
+            self._sent, self._is_new = 0.0, bool(self._frames)
+        elif self._capturer is None:
+            self._capturer = FrameCapturer(self.shown.world, self.shown.view_camera)
+
+    def draw(self, frame: Frame) -> None:
+        """Captures a state that is another one."""
+        now = time.monotonic()
+        passed = now - self._taken
+        if self._capturer is None or passed < 1.0 / _FPS - 1e-3:
+            return
+        found = self._capturer.take(self.shown.data)
+        if self._frames and _are_equal(found, self._frames[-1][1]):
+            return
+        self._taken, self._is_new = now, True
+        self._time += min(passed, _LONGEST_REST) if self._frames else 0.0
+        self._frames.append((self._time, found))
+        while self._time - self._frames[0][0] > SPAN:
+            self._frames.popleft()
+
+    def answer(self) -> str | None:
+        """Returns the run, packed as in pages, when there is a new one."""
+        run, self._run = self._run, None
+        is_making = self._thread is not None and self._thread.is_alive()
+        if run is None and self._is_new and not is_making:
+            now = time.monotonic()
+            if now - self._sent > _INTERVAL:
+                self._sent, self._is_new = now, False
+                self._thread = threading.Thread(target=self._make, args=([*self._frames],))
+                self._thread.start()
+        return run
+
+    def _make(self, frames: list[tuple[float, CapturedFrame]]) -> None:
+        capturer = self._capturer
+        assert capturer is not None
+        times = np.array([time for time, _ in frames])
+        grid = np.arange(times[0], times[-1] + 0.5 / _FPS, 1.0 / _FPS)
+        rows = np.searchsorted(times, grid + 0.25 / _FPS, side="right") - 1
+        chosen = [frames[row][1] for row in rows.tolist()]
+        captured = capturer.result(chosen, fps=_FPS, toggles=self.shown.toggles)
+        self._run = packed(encode(captured, self.shown.world.scene.name))
+
+
+def _are_equal(one: CapturedFrame, other: CapturedFrame) -> bool:
+    """Whether two frames show the same."""
+
+    def same(a: Any, b: Any) -> bool:
+        return bool(np.array_equal(a, b, equal_nan=True))
+
+    return (
+        same(one.poses, other.poses)
+        and same(one.opacity, other.opacity)
+        and same(one.stale, other.stale)
+        and all(same(each, other.values[key]) for key, each in one.values.items())
+        and same(one.soft.vertices, other.soft.vertices)
+        and one.cards == other.cards
+        and one.note == other.note
+    )

@@ -1,0 +1,277 @@
+"""A page in a cell of a notebook, by the kernel's own channel: browsers need no port and no proxy.
+
+The cell has two outputs: the page in a frame, and beside it, hidden, the run of what was shown in
+the last minute. Once saved, the notebook holds both; without a kernel the page plays the run.
+A page's messages go through an anywidget, `player/js/src/bridge.js`, to a connection with the
+viewer's server, one for every browser that shows the cell.
+"""
+
+from __future__ import annotations
+
+import html
+import secrets
+import sys
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from importlib.resources import files
+from importlib.util import find_spec
+from typing import Any
+from urllib.parse import urlsplit
+
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import ClientConnection, connect
+
+from ..player.page import cell_page
+
+_HEIGHT = 600  # pixels
+_FIRST = "first"  # the connection that waits for the first page, see `bridge.js`
+_ALIVE = 5.0  # s between two messages that say that this kernel is there
+_GONE = 15.0  # s that a page may say nothing; it says something every 4 s
+_TICK = 0.05  # s to wait for a page's answer; a busy kernel does not hear it
+_GOT = '{"t":"got"}'  # the answer of a page to a message
+_LAST_RUN = 3.0  # s to wait for the run, before a viewer is closed
+
+Send = Callable[[Mapping[str, Any], Sequence[bytes]], None]
+
+
+def in_notebook() -> bool:
+    """Whether this program is the kernel of a notebook."""
+    return getattr(_shell(), "kernel", None) is not None
+
+
+def has_channel() -> bool:
+    """Whether the package is there that carries messages of pages."""
+    return find_spec("anywidget") is not None
+
+
+def show_address(title: str, url: str) -> None:
+    """Says in the cell where a page is, and what is missing to show it there.
+
+    Args:
+        title: of the page.
+        url: of the page.
+    """
+    _display(
+        f'<p>{html.escape(title)} is at <a href="{url}" target="_blank">{url}</a>; '
+        "<code>pip install 'sero-mj[notebook]'</code> shows it here.</p>",
+        text=f"{title} is at {url}",
+    )
+
+
+def _shell() -> Any:
+    return sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+
+
+class Cells:
+    """The cells of a notebook that show a viewer.
+
+    Args:
+        title: of the page.
+        url: of the page, for programs on this machine.
+        tell: sends a message to the tool `shown_run` of the viewer.
+    """
+
+    def __init__(self, title: str, url: str, tell: Callable[[str], object]) -> None:
+        self._title, self._url, self._tell = title, url, tell
+        self._cells: list[_Cell] = []
+        self._is_last = threading.Event()
+        events = _shell().events
+        events.register("pre_run_cell", lambda *_: self._note_busy(True))
+        events.register("post_run_cell", lambda *_: self._note_busy(False))
+
+    def _note_busy(self, is_busy: bool) -> None:
+        for cell in self._cells:
+            cell.note_busy(is_busy)
+
+    def show(self) -> None:
+        """Shows the page in the cell that runs."""
+        self._cells.append(_Cell(self._title, self._url))
+        self._tell("begin")
+
+    def keep(self, run: str) -> None:
+        """Keeps a run in all cells, for when there is no kernel."""
+        for cell in self._cells:
+            cell.keep(run)
+        self._is_last.set()
+
+    def keep_last(self) -> None:
+        """Keeps the run until now; call it before the viewer is closed."""
+        self._is_last.clear()
+        self._tell("now")
+        self._is_last.wait(_LAST_RUN)
+
+    def close(self) -> None:
+        """Tells the pages that nothing comes any more."""
+        for cell in self._cells:
+            cell.close()
+
+
+class _Cell:
+    """The outputs of one cell.
+
+    Args:
+        title: of the page.
+        url: of the page, for programs on this machine.
+    """
+
+    def __init__(self, title: str, url: str) -> None:
+        self._id = secrets.token_hex(8)
+        self._url = url
+        self._visitors: dict[str, _Visitor] = {}
+        self.is_busy = True  # with the cell that shows it
+        self._bridge = _bridge(self._id)
+        self._bridge.on_msg(self._hear)
+        self.keep("", is_update=False)
+        page = html.escape(cell_page(self._id, title))
+        _display(
+            f'<iframe srcdoc="{page}" width="100%" height="{_HEIGHT}" style="border:0" '
+            f'title="{html.escape(title)}"></iframe>',
+            text=f"{title}, live in a notebook that shows HTML",
+        )
+        self._open(_FIRST)
+
+    def keep(self, run: str, *, is_update: bool = True) -> None:
+        """Keeps a run in the notebook."""
+        kept = f'<div hidden data-sero-mj-run="{self._id}">{run}</div>'
+        _display(kept, display_id=f"sero-mj {self._id}", update=is_update)
+
+    def close(self) -> None:
+        """Tells the pages that nothing comes any more."""
+        for visitor in [*self._visitors.values()]:
+            visitor.close()
+        self._visitors.clear()
+
+    def _hear(self, _: Any, message: Any, __: Any) -> None:
+        try:
+            client, kind, text = message["from"], message["kind"], message.get("message")
+        except (KeyError, TypeError, AttributeError):
+            return
+        visitor = self._visitors.get(client)
+        if kind == "open" and (visitor is None or visitor.is_gone):
+            self._open(client)
+        elif visitor is not None:
+            visitor.hear(kind, text)
+            if kind == "close":
+                self._visitors.pop(client, None)
+
+    def _open(self, client: str) -> None:
+        def send(message: Mapping[str, Any], buffers: Sequence[bytes]) -> None:
+            self._bridge.send({"to": client, **message}, buffers=list(buffers))
+
+        self._visitors[client] = _Visitor(self._url, send, self.is_busy)
+
+    def note_busy(self, is_busy: bool) -> None:
+        """Notes whether the kernel runs a cell, and may hear no page."""
+        self.is_busy = is_busy
+        for visitor in [*self._visitors.values()]:
+            visitor.note_busy(is_busy)
+
+
+class _Visitor:
+    """A browser that shows a cell: its connection with the viewer's server.
+
+    Args:
+        url: of the page.
+        send: sends the page a message.
+        is_busy: whether the kernel runs a cell.
+
+    Attributes:
+        is_gone: whether the connection has ended.
+    """
+
+    def __init__(self, url: str, send: Send, is_busy: bool) -> None:
+        self._url, self._send = url, send
+        self._is_busy, self._heard = is_busy, time.monotonic()
+        self._lock = threading.Lock()
+        self._ahead = 0  # messages that nobody has answered
+        self._owed = 0  # answers of the page that were given before they came
+        self._socket: ClientConnection | None = None
+        self.is_gone = False
+        threading.Thread(target=self._run, name="sero-mj cell", daemon=True).start()
+
+    def note_busy(self, is_busy: bool) -> None:
+        """Notes whether the kernel runs a cell."""
+        self._is_busy, self._heard = is_busy, time.monotonic()
+
+    def hear(self, kind: str, text: Any) -> None:
+        """Takes what the page says: something to its server, that it is there, or that it goes."""
+        self._heard = time.monotonic()
+        if kind == "close":
+            self.close()
+        elif kind == "say" and isinstance(text, str):
+            with self._lock:
+                is_given = text == _GOT and self._owed > 0
+                self._owed -= is_given
+                self._ahead -= text == _GOT and not is_given
+            if not is_given:
+                self._say(text)
+
+    def _say(self, text: str) -> None:
+        if self._socket is not None:
+            with suppress(WebSocketException):
+                self._socket.send(text)
+
+    def close(self) -> None:
+        """Ends the connection."""
+        if self._socket is not None:
+            self._socket.close()
+
+    def _run(self) -> None:
+        parts = urlsplit(self._url)
+        address = f"ws://{parts.netloc}/live{f'?{parts.query}' * bool(parts.query)}"
+        with (
+            suppress(OSError, TimeoutError, WebSocketException),
+            connect(address, compression=None, max_size=None, proxy=None) as self._socket,
+        ):
+            self._send({"kind": "opened"}, [])
+            self._carry(self._socket)
+        self.is_gone = True
+        self._send({"kind": "closed"}, [])
+
+    def _carry(self, socket: ClientConnection) -> None:
+        """Carries messages to the page, until it says nothing any more."""
+        told = time.monotonic()
+        while self._is_busy or time.monotonic() - self._heard < _GONE:
+            try:
+                message = socket.recv(timeout=_TICK)
+            except TimeoutError:
+                self._answer()
+                if time.monotonic() - told > _ALIVE:
+                    told = time.monotonic()
+                    self._send({"kind": "alive"}, [])
+                continue
+            with self._lock:
+                self._ahead += isinstance(message, bytes)
+            if isinstance(message, bytes):
+                self._send({"kind": "message"}, [message])
+            else:
+                self._send({"kind": "message", "message": message}, [])
+
+    def _answer(self) -> None:
+        """Answers for the page, whose answers wait until the cell that runs has ended."""
+        with self._lock:
+            is_owed = self._ahead > 0
+            self._ahead -= is_owed
+            self._owed += is_owed
+        if is_owed:
+            self._say(_GOT)
+
+
+def _display(page: str, text: str = "", **keywords: Any) -> None:
+    from IPython.display import display
+
+    display({"text/html": page, "text/plain": text}, raw=True, **keywords)
+
+
+def _bridge(cell: str) -> Any:
+    """Returns the widget that carries the messages of a cell's pages; it has no view."""
+    import anywidget
+    import traitlets
+
+    class Bridge(anywidget.AnyWidget):  # type: ignore[misc]
+        _esm = (files("sero_mj.viewer.player") / "static" / "bridge.js").read_text("utf-8")
+        cell = traitlets.Unicode().tag(sync=True)
+
+    return Bridge(cell=cell)
