@@ -1,4 +1,4 @@
-"""Films of what was kept: one at a time, told, and ended with the viewer, however that ends."""
+"""Pages and films of what was kept: one at a time, told, ended with the viewer however it ends."""
 
 import logging
 import os
@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from sero_mj.viewer.tools.rolling_recorder import Films
+from sero_mj.viewer.session.background_exports import BackgroundExports
 
 pytestmark = pytest.mark.gl
 
-SHORT = ["lwr", "--size", "64x48", "--quality", "draft", "--duration", "0.1"]
-LONG = ["lwr", "--size", "640x480", "--duration", "600"]
+SHORT = ["render", "lwr", "--size", "64x48", "--quality", "draft", "--duration", "0.1"]
+LONG = ["render", "lwr", "--size", "640x480", "--duration", "600"]
 
 
-def wait_for(films: Films, count: int) -> list[tuple[str, bool]]:
+def wait_for(films: BackgroundExports, count: int) -> list[tuple[str, bool]]:
     """What is told until `count` films are finished; each is waited for."""
     said = []
     while len(said) < count:
@@ -43,7 +43,7 @@ def has_ended(process: int, seconds: float = 30.0) -> bool:
 
 @pytest.mark.thorough
 def test_films_are_made_one_after_the_other_and_told(tmp_path: Path) -> None:
-    films = Films()
+    films = BackgroundExports()
     paths = [tmp_path / f"{k}.mp4" for k in range(3)]
     assert [films.add(SHORT, path) for path in paths] == [0, 1, 2]
     assert films.advance() is None
@@ -53,16 +53,18 @@ def test_films_are_made_one_after_the_other_and_told(tmp_path: Path) -> None:
     expected = [(f"film of what was kept: {path.name}", False) for path in paths]
     assert wait_for(films, 3) == expected
     assert sorted(tmp_path.iterdir()) == paths
-    films.add(["no_such_robot"], tmp_path / "no.mp4")
+    films.add(["render", "no_such_robot"], tmp_path / "no.mp4")
     ((text, is_bad),) = wait_for(films, 1)
     assert is_bad and text.startswith("no film no.mp4: ") and "no_such_robot" in text
+    films.add(["export", "lwr"], tmp_path / "pose.html")
+    assert wait_for(films, 1) == [("page of what was kept: pose.html", False)]
     films.close(finish=False)
 
 
 def test_what_is_not_finished_ends_with_the_viewer_and_leaves_nothing(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    films = Films()
+    films = BackgroundExports()
     paths = [tmp_path / "first.mp4", tmp_path / "second.mp4"]
     for path in paths:
         films.add(LONG, path)
@@ -81,7 +83,7 @@ def test_what_is_not_finished_ends_with_the_viewer_and_leaves_nothing(
 
 @pytest.mark.thorough
 def test_films_are_finished_where_that_is_asked_for(tmp_path: Path) -> None:
-    films = Films()
+    films = BackgroundExports()
     for k in range(2):
         films.add(SHORT, tmp_path / f"{k}.mp4")
     films.close(finish=True)
@@ -92,8 +94,9 @@ def test_films_are_finished_where_that_is_asked_for(tmp_path: Path) -> None:
 @pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="waits for a process by Linux's pidfd")
 def test_a_film_ends_with_a_viewer_that_is_killed(tmp_path: Path) -> None:
     viewer = (
-        "import sys, pathlib; from sero_mj.viewer.tools.rolling_recorder import Films;"
-        " films = Films();"
+        "import sys, pathlib;"
+        " from sero_mj.viewer.session.background_exports import BackgroundExports;"
+        " films = BackgroundExports();"
         f"films.add({LONG!r}, pathlib.Path('long.mp4')); films.advance();"
         "print(films._made[0].pid, flush=True); sys.stdin.read()"
     )
@@ -110,7 +113,7 @@ def test_a_film_ends_with_a_viewer_that_is_killed(tmp_path: Path) -> None:
 
 def test_a_film_that_is_ended_by_kill_leaves_no_part_of_a_file(tmp_path: Path) -> None:
     with subprocess.Popen(
-        [sys.executable, "-m", "sero_mj", "render", *LONG, "-o", "long.mp4"],
+        [sys.executable, "-m", "sero_mj", *LONG, "-o", "long.mp4"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     ) as process:  # fmt: skip
         while not list(tmp_path.glob(".long*")) and process.poll() is None:

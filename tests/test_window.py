@@ -326,13 +326,14 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
             window.until("w.clock.time in [each.time for each in w.tools['bookmarks'].all()]")
             assert window.ask("any(bookmark.is_mark for bookmark in w.tools['bookmarks'].all())")
             window.key("k")
-            window.until("w.tools['rolling_recorder']._films._made is not None")
-            film = window.ask("w.tools['rolling_recorder']._films._made[0].args")
-            window.ask(
-                "w.tools['rolling_recorder']._films._made[0].kill()"
-            )  # it takes its time without a GPU
+            window.until("'page of what was kept: live_' in w.notice.text")
+            window.until("w.tools['rolling_recorder']._exports._made is not None")
+            film = window.ask("w.tools['rolling_recorder']._exports._made[0].args")
+            # It takes its time without a GPU.
+            window.ask("w.tools['rolling_recorder']._exports._made[0].kill()")
             window.until("w.notice.text.startswith('no film live_') and w.notice.is_bad")
             kept = tmp_path / next(each for each in film if each.endswith(".mcap"))
+            assert kept.with_suffix(".html").stat().st_size > 200_000
             run = read_run(kept)
             assert run.times[-1] > 2.5 and len(run.times) > 100
             assert film[3:6] == ["render", scene.name, "--camera"]

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ...base.errors import SeroError
+from ...viewer.session.background_exports import BackgroundExports
 from ...viewer.session.picking import Pixel
 from ...viewer.session.tool import Action, Grab, Shown, Tool
 from ...viewer.tools.handle_drag import target_of
@@ -43,6 +44,7 @@ class Pulling(Tool):
         self._at: Pixel = (0.0, 0.0)
         self._card: int | None = None  # of the arrow, shown only while it is pulled
         self.is_on = False
+        self._exports = BackgroundExports()
 
     def actions(self) -> Mapping[str, Action]:
         """See `Tool`."""
@@ -148,6 +150,21 @@ class Pulling(Tool):
         folder, run = self.shown.folder or Path(), self._source.run
         if self._source.end is None or run.scenario.file is None:
             path = save_run(run, folder)
+            self._write_page(path)
             return f"kept: {path.name}; sero-mj plot {path.name} draws it"
         path = save_pushes(run, folder)
+        self._write_page(path)
         return f"kept: {path.name} repeats the pushes, {path.stem}.mcap is the run"
+
+    def _write_page(self, path: Path) -> None:
+        """Writes the page of a run, `NAME.html` beside it."""
+        words = ["export", str(path.with_suffix(".mcap"))]
+        self._exports.add(words, path.with_suffix(".html"))
+
+    def next_message(self) -> tuple[str, bool] | None:
+        """See `Tool`: what became of the page."""
+        return self._exports.advance()
+
+    def close(self) -> None:
+        """See `Tool`: ends the page that is made."""
+        self._exports.close(finish=False)
