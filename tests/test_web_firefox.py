@@ -1,0 +1,77 @@
+"""Files and live pages in Firefox."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from firefox import MISSING, Firefox
+from web_tools import Served
+
+import sero_mj
+
+pytestmark = [
+    pytest.mark.gl,
+    pytest.mark.live,
+    pytest.mark.slow,
+    pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
+]
+
+
+@pytest.fixture(scope="module")
+def firefox() -> Iterator[Firefox]:
+    with Firefox() as firefox:
+        yield firefox
+
+
+def test_a_file_plays_with_the_numbers_of_the_run(firefox: Firefox, tmp_path: Path) -> None:
+    scene = sero_mj.load_scene("impedance_push")
+    sero_mj.export_html(scene, tmp_path / "run.html", seconds=2.0, fps=10)
+    firefox.goto(f"{(tmp_path / 'run.html').as_uri()}#t=1")
+    log = scene.sources["simulation"].run.log
+    frames = [0, 4, 9, 15, 20]
+    rows = [int(np.argmin(np.abs(log.times - frame / 10))) for frame in frames]
+    found = firefox.evaluate(
+        f"{frames}.map(f => [0, 1, 2, 3, 4, 5, 6].map(j =>"
+        " player.run.values.torques[j * player.run.frames + f]))"
+    )
+    assert np.array_equal(found, log.of("lwr", "torques")[rows])
+    assert 0 < firefox.evaluate("player.calls") <= 20
+    firefox.click(".card")
+    firefox.until("document.querySelector('#details h2')?.textContent.startsWith('lwr/')")
+    firefox.press("h")
+    firefox.until("document.getElementById('helptext').open")
+    firefox.press("h")
+    firefox.click("#play")
+    firefox.until("player.clock.isPlaying")
+    before = firefox.evaluate("player.clock.at")
+    firefox.until(f"player.clock.at !== {before}")
+    assert firefox.faults == []
+
+
+def test_a_live_page_shows_what_comes_and_takes_clicks_and_keys(
+    firefox: Firefox, tmp_path: Path
+) -> None:
+    with Served(tmp_path, "impedance_push") as served:
+        firefox.goto(served.url)
+        firefox.until("player.state && player.isInControl && !player.view.isDirty")
+        size = "[player.stage.size.width, player.stage.size.height]"
+        served.until(f"[*w.view.size] == {firefox.evaluate(size)}")
+        begin = firefox.evaluate("player.state.run.begin")
+        firefox.until(f"player.state.run.begin > {begin} + 0.2")
+        is_on = served.ask("bool(w.toggles.arrows.any())")
+        firefox.press("a")
+        served.until(f"bool(w.toggles.arrows.any()) != {is_on}")
+        served.until("w.view.picture(w.data) is not None")
+        x, y = firefox.evaluate(
+            "(({ x, y }, { left, top }) => [x + left, y + top])"
+            "(player.stage.pixel(player.stage.centre(1)),"
+            " document.getElementById('picture').getBoundingClientRect())"
+        )
+        firefox.click_at(x, y)
+        served.until("[*clicks]")
+        assert served.ask("clicks[0][1]").startswith("lwr/")
+        assert firefox.evaluate("player.calls") <= 20 and firefox.faults == []
+    firefox.until("document.getElementById('problem').textContent.includes('has gone')")
