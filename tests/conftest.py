@@ -18,7 +18,10 @@ import gc
 import importlib.util
 import math
 import os
+import shutil
+import subprocess
 import sys
+import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -256,6 +259,26 @@ def lwr() -> SerialRobot:
 def lwr_world(lwr: SerialRobot) -> World:
     """The LWR without a floor; tests make their own data."""
     return World(Scene(robots=[lwr], floor=False))
+
+
+@pytest.fixture(scope="session")
+def node_modules(pytestconfig: pytest.Config) -> Path:
+    """What the player's sources are checked and built with, installed once and kept."""
+    if shutil.which("npm") is None:
+        pytest.skip("npm is not installed")
+    import fcntl
+
+    js = ROOT / "sero_mj" / "viewer" / "player" / "js"
+    number = zlib.crc32((js / "package-lock.json").read_bytes())
+    folder = pytestconfig.cache.mkdir(f"node-{number:08x}")
+    with (folder / "lock").open("w") as lock:  # of all workers
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "installed").exists():
+            for name in ("package.json", "package-lock.json"):
+                shutil.copy(js / name, folder)
+            subprocess.run(["npm", "ci", "--no-audit", "--no-fund"], cwd=folder, check=True)
+            (folder / "installed").touch()
+    return folder / "node_modules"
 
 
 @pytest.fixture(scope="session")

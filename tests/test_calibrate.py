@@ -150,14 +150,21 @@ def test_what_cannot_be_found_is_told(points: Array) -> None:
     rng = np.random.default_rng(0)
     mixed = pixels[rng.permutation(len(pixels))]
     random = rng.uniform(0, [1280, 800], pixels.shape)
-    unseen = "no camera sees the points so"
-    for wrong, reason in (
+    unseen = {
+        "reason": "no camera sees the points so",
+        "expected": "the pose that the photo shows, and names that are not mixed up",
+    }
+    behind = {
+        "reason": "base would be behind the camera",
+        "expected": "points that the photo shows, with their names not mixed up",
+    }
+    for wrong, told in (
         (mixed, unseen),
         (np.tile(pixels[:1], (len(pixels), 1)), unseen),
         (random, unseen),
-        (random[:4], "base would be behind the camera"),
+        (random[:4], behind),
     ):
-        with raises_with(UsageError, reason=reason):
+        with raises_with(UsageError, **told):
             count = len(wrong)
             calibrate(NAMES[:count], points[:count], wrong, bare(by), find_focal=False)
 
@@ -193,7 +200,9 @@ def test_points_are_read_from_tables_and_toml_and_what_is_wrong_is_told(
     with pytest.raises(DeclarationError) as caught:
         read_points(tmp_path / "p.toml", world, (640, 400))
     required, unknown = caught.value.problems
-    assert (unknown.key, unknown.line, unknown.near) == ("points.0.pixl", 3, "pixel")
+    assert required.file == unknown.file == str(tmp_path / "p.toml")
+    assert (unknown.key, unknown.line, unknown.reason) == ("points.0.pixl", 3, "unknown key")
+    assert unknown.near == "pixel"
     assert (required.key, required.reason) == ("points.0.pixel", "is required")
 
 

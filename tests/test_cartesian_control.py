@@ -349,7 +349,10 @@ STIFFNESSES = "6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6"
             {"stiffness": np.triu(np.ones((6, 6)))},
             {"reason": "found a matrix that is not symmetric; expected a symmetric one"},
         ),
-        ({"axes": "flang"}, {"found": "flang", "expected": "'world' or 'flange'"}),
+        (
+            {"axes": "flang"},
+            {"found": "flang", "expected": "'world' or 'flange'", "near": "flange"},
+        ),
         ({"damping": -1}, {"found": -1, "expected": "greater than or equal to 0"}),
         ({"nullspace_stifness": 3}, {"reason": "unknown key", "near": "nullspace_stiffness"}),
     ],

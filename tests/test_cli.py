@@ -93,7 +93,10 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         (["send", "lwr_udp", "--port", "70000"], "expected a port from 1 to 65535"),
         (["export", "lwr", "lwr.urdf"], "expected a name that ends in .html, .glb, .xml"),
         (["check", "nothing.toml"], "nothing.toml: no such file"),
-        (["render", "lwr", "-o", "x.mp4", "--size", "1x1"], "expected at least 2x2 pixels"),
+        (
+            ["render", "lwr", "-o", "x.mp4", "--size", "1x1"],
+            "size: found (1, 1); expected at least 2",
+        ),
         (["render", "lwr", "-o", "x.png", "--wait", "-1"], "expected 0 or a number above"),
         (["render", "lwr", "-o", "x.mp4", "--duration", "1e9"], "expected at most 1000000"),
         (["render", "lwr", "-o", "/proc/no/x.mp4"], "cannot write /proc/no/x.mp4"),

@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from commands import run_command
+from commands import UNSET, run_command
 from conftest import ROOT, sampled
 from window_tools import MISSING, screen
 
@@ -106,8 +106,7 @@ class Shell:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         # As on a server: its user has set neither.
-        unset = "DISPLAY", "MUJOCO_GL"
-        self.environment = {key: each for key, each in os.environ.items() if key not in unset}
+        self.environment = {key: each for key, each in os.environ.items() if key not in UNSET}
         command = folder / ".venv" / "bin" / "sero-mj"
         command.parent.mkdir(parents=True)
         command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m sero_mj "$@"\n')

@@ -233,7 +233,8 @@ def test_an_action_that_is_no_number_names_the_joint_and_moves_nothing(
     action = np.zeros(7)
     action[environment.robot.names.index(joint)] = bad
     told = {"joint": f"lwr/{joint}", "found": bad, "expected": "-100 to 100 Nm"}
-    with raises_with(SimulationError, time=pytest.approx(0.02), **told):
+    reason = f"found an action of {bad}; expected -100 to 100 Nm"
+    with raises_with(SimulationError, time=pytest.approx(0.02), reason=reason, **told):
         environment.step(action)
     np.testing.assert_array_equal(environment.data.qpos, before)
     assert environment.step(np.zeros(7)).mid()

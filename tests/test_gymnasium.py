@@ -128,6 +128,7 @@ def test_observations_are_cut_off_at_finite_bounds() -> None:
     with raises_with(
         SimulationError,
         joint="lwr/A1",
+        reason="found an action of nan; expected -176 to 176 Nm",
         found=math.nan,
         expected="-176 to 176 Nm",
     ):

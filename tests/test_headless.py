@@ -182,8 +182,12 @@ def test_a_named_camera_looks_at_its_target(lwr) -> None:
 def test_a_free_camera_takes_azimuth_elevation_distance(world) -> None:
     camera = find_camera(world, "30,-20,3.5")
     assert (camera.azimuth, camera.elevation, camera.distance) == (30, -20, 3.5)
-    for wrong in ("30,-20", "30,-20,0", "a,b,c", "1,2,nan"):
-        with raises_with(UsageError, key="camera", found=wrong):
+    expected = (
+        "a name or azimuth,elevation,distance (degrees, degrees, m above 0), e.g. 150,-15,2.2; "
+        "with ,x,y,z of what it looks at (m)"
+    )
+    for wrong in ("30,-20", "30,-20,0", "a,b,c", "1,2,nan", 5):
+        with raises_with(UsageError, key="camera", found=wrong, expected=expected):
             find_camera(world, wrong)
 
 
@@ -209,8 +213,8 @@ def test_the_default_view_holds_the_whole_robot(lwr) -> None:
 
 def test_sizes_out_of_range_are_refused(world) -> None:
     for size in ((0, 100), (100, 20000)):
-        key = f"picture size {size[0]}x{size[1]}"
-        with raises_with(RenderError, key=key, reason="expected 1 to 16384 a side"):
+        told = {"found": size, "expected": "1 to 16384 pixels a side"}
+        with raises_with(RenderError, key="picture size", **told):
             HeadlessRenderer(world, *size)
 
 

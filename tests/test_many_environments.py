@@ -139,7 +139,8 @@ def test_a_bad_action_moves_none_of_them() -> None:
     actions = np.zeros((3, 7))
     actions[2, 1] = np.nan
     told = {"found": np.nan, "of": "in environment 2", "expected": "-176 to 176 Nm"}
-    with raises_with(SimulationError, time=0.0, joint="lwr/A2", **told):
+    reason = "found an action of nan in environment 2; expected -176 to 176 Nm"
+    with raises_with(SimulationError, time=0.0, joint="lwr/A2", reason=reason, **told):
         envs.step(actions)
     with raises_with(key="action", reason="found 2 x 7", expected="3 x 7 numbers, one per joint"):
         envs.step(np.zeros((2, 7)))

@@ -370,15 +370,19 @@ def test_a_file_that_is_named_without_its_ending_is_pointed_to(
 ) -> None:
     (tmp_path / "gripper6.toml").write_text("")
     monkeypatch.chdir(tmp_path)
-    said = "'gripper6'; a file is named with its ending: gripper6.toml"
+    hint = "; a file is named with its ending: gripper6.toml"
     with raises_with(
-        UnknownName, kind="scene", name="gripper6", hint=said.removeprefix("'gripper6'")
+        UnknownName,
+        kind="scene",
+        name="gripper6",
+        hint=hint,
+        args=(f"no scene 'gripper6'{hint}",),
     ):
         paths.find_scene("gripper6")
     with pytest.raises(SystemExit) as caught:
         main(["check", "gripper6"])
     assert caught.value.code == 2
-    assert capsys.readouterr().err == f"sero-mj: no scene or robot {said}\n"
+    assert capsys.readouterr().err == f"sero-mj: no scene or robot 'gripper6'{hint}\n"
 
 
 def test_an_entry_of_an_array_has_its_own_line(tmp_path: Path) -> None:

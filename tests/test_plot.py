@@ -279,7 +279,8 @@ def test_a_comparison_shows_both_torques_and_both_differences(
         "angle, mm",
         "angle, A − B, mm",
     ]
-    with raises_with(UsageError, reason="no joint", found="A9", of="of lwr", near=None):
+    joints = ["A1", "A2", "E1", "A3", "A4", "A5", "A6"]
+    with raises_with(UsageError, reason="no joint", found="A9", of="of lwr", available=joints):
         plot_pair(align(a, b), tmp_path / "x.png", joints=["A9"])
 
 

@@ -170,17 +170,23 @@ def test_a_run_that_breaks_ends_alone() -> None:
     runs = check([scenario(**free), *(scenario(**free, controller=each) for each in broken)])
     assert runs[0].error is None and runs[0].is_done
     assert [run.is_done for run in runs[1:]] == [False, False, False]
-    asked, motor, moved = (run.error.problem for run in runs[1:])
-    assert asked.reason == "the controller asks for" and np.isnan(asked.found)
-    assert (motor.reason, motor.found) == ("found a motor torque of", 1e30)
-    assert moved.reason == "the motion is unstable: found an acceleration of"
+    asked, motor, moved = (run.error for run in runs[1:])
+    assert (asked.joint, asked.time) == ("lwr/A3", pytest.approx(0.05))
+    assert asked.reason == "the controller asks for nan Nm; expected a finite number"
+    assert motor.reason.startswith("found a motor torque of 1e+30 Nm; expected ")
+    assert (motor.joint, motor.problem.found) == ("lwr/A3", 1e30)
+    assert moved.problem.reason == "the motion is unstable: found an acceleration of"
+    assert abs(moved.problem.found) > 1e10 and moved.problem.of == "rad/s2"
+    assert moved.problem.expected == "lower gains, or a timestep below 0.001 s"
 
 
 def test_a_joint_that_runs_away_ends_its_run_alone() -> None:
     off = {"f": {"kind": "controller", "gain": -1.0, "joints": ["A2", "A4"], "begin": 0.02}}
     runs = check([scenario(duration=0.6, disturbances=PUSH), scenario(duration=0.6, faults=off)])
     assert runs[0].error is None
-    assert runs[1].error.problem.of.endswith("it runs away")
+    told = runs[1].error.problem
+    assert told.of == ("rad/s, more than 3 times its velocity limit, 1.963 rad/s: it runs away")
+    assert told.found > 3 * np.deg2rad(112.5)
 
 
 @pytest.mark.filterwarnings("ignore:overflow")

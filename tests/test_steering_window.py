@@ -109,17 +109,17 @@ def framed(window, **options):
     frames = window.frames = getattr(window, "frames", 0) + 1
     if frames == 1:
         shown.append(window)
-        print(len(shown), [*window.offers], window.data.qpos.round(3).tolist(), flush=True)
+        print(len(shown), [*window.others.offers], window.data.qpos.round(3).tolist(), flush=True)
     if frames == 2 and len(shown) == 1:
         window.tools['jogging'].goals["lwr"].set_all(np.array([0.5, 0.5, 0, -1, 0, 0.5, 0]))
     if frames > 3 and len(shown) == 1 and abs(window.data.qpos[0] - 0.5) < 1e-9:
         window.navigator.camera.distance = 1.25
         window.toggles.billboards[:7] = True
-        window._go_on_with(window.offers["simulate"])
+        window.others.take("simulate")
     if frames == 12 and len(shown) == 2:
         print(window.navigator.camera.distance, window.tools['steering'].robots["lwr"].control,
               window.toggles.arrows[:7].all(), window.toggles.billboards[:7].all(), flush=True)
-        window._go_on_with(window.offers["end the simulation"])
+        window.others.take("end the simulation")
     if frames == 3 and len(shown) == 3:
         window.gl.request_close()
     return frame(window, **options)

@@ -330,7 +330,9 @@ def test_a_file_dropped_on_a_window_ends_it_for_another_scene(window: Driven) ->
     window.ask("setattr(w, 'opener', lambda path: load('no such scene'))")
     window.ask(drop)
     window.until("\"no scene or robot 'no such scene'\" in w.notice.text and w.notice.is_bad")
-    assert window.ask("w.is_open and w.next_mirror is None")
+    assert window.ask("w.is_open and w.others.chosen is None")
     window.ask("setattr(w, 'opener', lambda path: Mirror(load('justin')))")
     window.ask(f"{drop} or setattr(w, 'request_close', lambda: None)")  # else it cannot be asked
-    assert window.until("w.next_mirror is not None and w.next_mirror.world.scene.name") == "justin"
+    assert (
+        window.until("w.others.chosen is not None and w.others.chosen.world.scene.name") == "justin"
+    )

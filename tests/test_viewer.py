@@ -28,7 +28,7 @@ from sero_mj.viewer.session.viewer import Viewer, _to_show
         ("lwr", {"size": (9, 9)}, "size: found (9, 9); it is for a window, and this is a page"),
         ("lwr", {"full_screen": True}, "full_screen: found True; it is for a window"),
         ("lwr", {"port": "80"}, "port '80': expected a number from 1 to 65535"),
-        ("lwr", {"camera": 5}, "camera: found 5; expected a name or 'azimuth,elevation,distance'"),
+        ("lwr", {"camera": 5}, "camera: found 5; expected a name or azimuth,elevation,distance"),
         ("lwr", {"web": False, "port": 8080}, "port: found 8080; it is for a page"),
         ("lwr", {"web": False, "host": "::"}, "host: found '::'; it is for a page"),
     ],

@@ -117,7 +117,7 @@ def test_a_drag_turns_the_view_and_clicks_on_nothing(served: Served, page: Visit
     served.until(f"abs(w.navigator.camera.azimuth - {before}) > 5")
     mouse.up()
     mouse.move(430, 300)
-    served.until("w._input.under == (430, w.view.size[1] - 300)")  # all that came before was taken
+    served.until("w.pointer.at == (430, w.view.size[1] - 300)")  # all that came before was taken
     assert served.ask("len(clicks)") == clicks
 
 

@@ -36,11 +36,11 @@ OUTLINE = 0.98
 FAR = 1e-4  # m, between a vertex of a page and Python's
 LWR_LIMITS = np.array([200.0, 200.0, 100.0, 100.0, 100.0, 30.0, 30.0])
 
-# Places of the vertices of a joint's round arrow, in its own frame, as the shader computes them.
-VERTICES = """([joint, time]) => {
+# Places of the vertices of the round arrows, in their own frames, as the shader computes them.
+VERTICES = """([joints, time]) => {
     player.seek(time);
     player.draw();
-    const { stage } = player, { arrows } = stage, k = arrows.joints.indexOf(joint);
+    const { stage } = player, { arrows } = stage;
     const gl = document.createElement("canvas").getContext("webgl2");
     const program = gl.createProgram();
     const sources = [[gl.VERTEX_SHADER, `#version 300 es
@@ -66,20 +66,22 @@ VERTICES = """([joint, time]) => {
         gl.enableVertexAttribArray(place);
         gl.vertexAttribPointer(place, size, gl.FLOAT, false, 0, 0);
     }
-    const how = arrows.how.array.slice(4 * k, 4 * k + 4);
-    gl.uniform4fv(gl.getUniformLocation(program, "how"), how);
     const out = gl.createBuffer();
     gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, out);
     gl.bufferData(gl.TRANSFORM_FEEDBACK_BUFFER, 12 * count, gl.STATIC_READ);
     gl.enable(gl.RASTERIZER_DISCARD);
-    gl.beginTransformFeedback(gl.POINTS);
-    gl.drawArrays(gl.POINTS, 0, count);
-    gl.endTransformFeedback();
-    const places = new Float32Array(3 * count);
-    gl.getBufferSubData(gl.TRANSFORM_FEEDBACK_BUFFER, 0, places);
+    const found = joints.map((joint) => {
+        const k = arrows.joints.indexOf(joint), how = arrows.how.array.slice(4 * k, 4 * k + 4);
+        gl.uniform4fv(gl.getUniformLocation(program, "how"), how);
+        gl.beginTransformFeedback(gl.POINTS);
+        gl.drawArrays(gl.POINTS, 0, count);
+        gl.endTransformFeedback();
+        const places = new Float32Array(3 * count);
+        gl.getBufferSubData(gl.TRANSFORM_FEEDBACK_BUFFER, 0, places);
+        return { places: [...places], site: [...stage.sites[joint].elements], shown: how[0] > 0 };
+    });
     gl.getExtension("WEBGL_lose_context").loseContext();
-    return { places: [...places], site: [...stage.sites[joint].elements],
-        shown: how[0] > 0 };
+    return found;
 }"""
 
 
@@ -137,9 +139,9 @@ def check_arrows(page: Any, world: World, data: mujoco.MjData, time: float) -> i
     buffer = buffer_of(world, data)
     kinds, items = buffer.kinds[: buffer.count], buffer.items[: buffer.count]
     count = 0
-    for joint in range(len(world.joints.names)):
+    joints = [*range(len(world.joints.names))]
+    for joint, found in zip(joints, page.evaluate(VERTICES, [joints, time]), strict=True):
         rows = buffer.rows[: buffer.count][(kinds == Kind.ARROW) & (items == joint)]
-        found = page.evaluate(VERTICES, [joint, time])
         assert found["shown"] == bool(len(rows))
         if not len(rows):
             continue

@@ -248,7 +248,9 @@ def test_a_click_on_a_link_shows_its_billboard_and_tells_who_asks(
     page.toggles.arrows[:] = False
     page.toggles.billboards[:] = False
     clicks: list[tuple[str, str]] = []
-    page.on_click = lambda picked, gesture: clicks.append((gesture, picked.name if picked else ""))
+    page.pointer.on_click = lambda picked, gesture: clicks.append(
+        (gesture, picked.name if picked else "")
+    )
     client.until(lambda: not client.state["cards"])
     client.click(*joint(page, 1))
     client.until(lambda: client.state["cards"])

@@ -572,9 +572,6 @@ class Host(LiveHost):
     def follow(self, frame: str | None) -> str:
         return f"follows {frame}"
 
-    def _pointer(self) -> None:
-        return None
-
 
 def test_keys_do_what_the_tables_say_in_every_host(
     lwr_world: World, monkeypatch: pytest.MonkeyPatch

@@ -48,7 +48,7 @@ if replay:
     replay_instead(scene, Path(replay), None)
 clicks = []
 with Mirror(scene) as mirror, open_page(mirror, **options) as w:
-    w.on_click = lambda picked, gesture: clicks.append((gesture, picked and picked.name))
+    w.pointer.on_click = lambda picked, gesture: clicks.append((gesture, picked and picked.name))
     w.frame()
     print("ready", flush=True)
     while w.frame():

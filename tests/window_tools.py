@@ -60,7 +60,7 @@ if "over" in options:  # a camera and its file
     feed = CameraFeed(what, Path(camera_file))
     options["make_viewport"] = partial(PhotoViewport, feed=feed)
 with Mirror(scene) as mirror, Window(mirror, size=size, folder=Path(), **options) as w:
-    w.on_click = lambda picked, gesture: clicks.append((gesture, picked and picked.kind))
+    w.pointer.on_click = lambda picked, gesture: clicks.append((gesture, picked and picked.kind))
     w.frame()
     print("ready", flush=True)
     frames = 0

@@ -275,10 +275,10 @@ class Session:
         from ..simulate.runs.run_source import RunSource
         from ..viewer.tools.rolling_recorder import RollingRecorder
 
-        host.offers["start page"] = self._go_back
+        host.others.offers["start page"] = self._go_back
         simulated = [each for each in host.mirror.sources.values() if isinstance(each, RunSource)]
         if any(each.live is not None for each in simulated):
-            host.offers["end the simulation"] = lambda: _mirror_of(self.plain)
+            host.others.offers["end the simulation"] = lambda: _mirror_of(self.plain)
         elif all(each.drag_force is None for each in simulated) and host.world.robots:
 
             def simulate() -> Mirror:
@@ -293,8 +293,8 @@ class Session:
                 }
                 return _simulated(self.plain, self.options.control or "joint", angles)
 
-            host.offers["simulate"] = simulate
-        host.opener = self.open
+            host.others.offers["simulate"] = simulate
+        host.others.opener = self.open
         for tool in host.tools.values():
             if isinstance(tool, RollingRecorder):
                 tool.finishes_films = self.options.finish_films
@@ -378,7 +378,7 @@ class Session:
             elif not options.fresh:
                 restore(window, with_camera=options.camera is None)
             self._run(window)
-            return window.next_mirror
+            return window.others.chosen
 
     def _serve(self, mirror: Mirror) -> Mirror | None:
         from ..viewer.session.restoring import restore
@@ -404,7 +404,7 @@ class Session:
             elif not options.fresh:
                 restore(page, with_camera=options.camera is None)
             self._run(page)
-            return page.next_mirror
+            return page.others.chosen
 
     def _announce(self, name: str, server: PageServer, host: str) -> None:
         """Says once where the page is, and who else may see it; others will be there, too."""

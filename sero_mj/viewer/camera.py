@@ -21,6 +21,10 @@ _PER_NOTCH = 0.9  # change of distance for one step of the wheel
 _NEAREST, _FARTHEST = 0.02, 500.0  # m
 _WIDEST = 4 / 3  # width over height, at and above which no camera stands back
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
+_EXPECTED = (
+    "a name or azimuth,elevation,distance (degrees, degrees, m above 0), e.g. 150,-15,2.2; with "
+    ",x,y,z of what it looks at (m)"
+)
 
 
 def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera:
@@ -37,9 +41,7 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
         UsageError: not a text, neither three nor six numbers, or the distance is not positive.
     """
     if wanted is not None and not isinstance(wanted, str):
-        raise UsageError(
-            f"camera: found {wanted!r}; expected a name or 'azimuth,elevation,distance'"
-        )
+        raise UsageError(Problem("camera", found=wanted, expected=_EXPECTED))
     view = world.scene.view
     name = view.camera if wanted is None else wanted
     camera = mujoco.MjvCamera()
@@ -94,11 +96,7 @@ def _numbers(text: str) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) not in (3, 6) or not np.isfinite(numbers).all() or numbers[2] <= 0:
-        expected = (
-            "a name or azimuth,elevation,distance (degrees, degrees, m above 0), e.g. "
-            "150,-15,2.2; with ,x,y,z of what it looks at (m)"
-        )
-        raise UsageError(Problem("camera", found=text, expected=expected))
+        raise UsageError(Problem("camera", found=text, expected=_EXPECTED))
     return numbers
 
 

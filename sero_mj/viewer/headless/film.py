@@ -106,7 +106,8 @@ class FilmWriter:
         odd = 1 if kind.has_palette else 2
         self._width, self._height = width - width % odd, height - height % odd
         if min(self._width, self._height) < 2:
-            raise RenderError(f"film size {width}x{height}: expected at least 2x2 pixels")
+            expected = "at least 2 pixels a side"
+            raise RenderError(Problem("film size", found=(width, height), expected=expected))
         if fps > kind.most_fps:
             problem = Problem(
                 file=str(path),

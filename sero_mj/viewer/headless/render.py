@@ -66,7 +66,8 @@ def check_size(what: str, width: int, height: int) -> None:
         RenderError: the size is out of range.
     """
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        problem = Problem(f"{what} size {width}x{height}", f"expected 1 to {MAX_SIDE} a side")
+        expected = f"1 to {MAX_SIDE} pixels a side"
+        problem = Problem(f"{what} size", found=(width, height), expected=expected)
         raise RenderError(problem)
 
 

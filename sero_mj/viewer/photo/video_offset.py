@@ -229,11 +229,14 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
         raise UsageError(problem)
     if score < _PEAK_RATIO * other:
         second = float(lags[apart][int(np.argmax(scores[apart]))] / fps)
-        reason = (
-            f"{offset:.2f} s and {second:.2f} s fit alike ({score:.2f} and {other:.2f}), as of a "
-            "motion that repeats; give --offset S"
+        problem = Problem(
+            _KEY,
+            f"offsets fit alike ({score:.2f} and {other:.2f}), as of a motion that repeats: found",
+            found=[round(float(offset), 2), round(second, 2)],
+            of="s",
+            expected="one of these as --offset S",
         )
-        raise UsageError(Problem(_KEY, reason))
+        raise UsageError(problem)
     return FoundOffset(float(offset), score, other)
 
 

@@ -27,7 +27,17 @@ class Dragging:
     def take(
         self, moved: Moved, at: Pixel | None, begin: Pixel | None, pressed: Pixel | None
     ) -> bool:
-        """Takes a drag or a turn of the wheel, if a tool does; see `LiveHost.drag`."""
+        """Takes a drag or a turn of the wheel, if a tool does.
+
+        Args:
+            moved: the drag, or turn.
+            at: the pointer's pixel in the picture; None outside of it.
+            begin: that at which the button was pressed with Control; None for another drag.
+            pressed: that at which the left button was pressed, with Control or without.
+
+        Returns:
+            whether it does not move the camera.
+        """
         if self._tool is not None and moved.how == "zoom":
             said = self._tools.call(self._tool, lambda tool: tool.wheel(moved.down))
             if said is not None:
@@ -54,7 +64,7 @@ class Dragging:
             self._say(grab.text, grab.is_refused)
 
     def announce(self, at: Pixel) -> bool:
-        """Says what a finger that is held at a pixel would drag; returns whether anything."""
+        """Says what a long press at a pixel would drag; returns whether anything."""
         found = self._tools.first(lambda tool: tool.announce(at))
         if found is None:
             return False

@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any, Self
 
 import mujoco
-import numpy as np
 
 from ...base.errors import SeroError
 from ...base.frames import Array
 from ...base.paths import without_temporary
-from ...data.drive.mirror import LiveWorld, Mirror
+from ...data.drive.mirror import LiveWorld
 from ..decor.toggles import Toggles
 from ..headless.film import Pixels
 from ..panels.message import Message
@@ -26,10 +25,9 @@ from ..panels.status_line import SourcesPanel
 from ..panels.widgets import Widgets
 from .actions import Actions
 from .clock import Clock
-from .dragging import Dragging
-from .input import Clicked, Moved
-from .interaction import KEYS, ClickDetector, press_toggle
-from .picking import Picked, Pixel
+from .interaction import KEYS, press_toggle
+from .other_scenes import OtherScenes
+from .pointer import Pointer
 from .scene_decor import SceneDecor
 from .status_line import Piece
 from .tool import Action, DrawnTool, Tool, Tools
@@ -38,9 +36,6 @@ from .view_state import ViewState, view_state_of
 
 log = logging.getLogger(__name__)
 
-OnClick = Callable[[Picked | None, str], None]
-
-_OF_JOINTS = ("link", "double", "arrow", "billboard")  # kinds of items
 _JUMP = 1.0  # s
 _MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
 
@@ -60,9 +55,8 @@ class LiveHost(ABC):
         clock: pause, speed and time line.
         tools: by name.
         actions: of keys and menus.
-        opener: returns the mirror of a dropped file; None if files cannot be opened.
-        offers: other scenes to show, by the label of a button; None for non-scenes.
-        next_mirror: chosen by the user to be shown after this host has ended.
+        pointer: mouse or finger.
+        others: scenes to be shown instead.
         folder: as given.
         joint: the selected joint, its index in the world.
         command: arguments of a command that shows this scene: its name or file, and options; from
@@ -73,7 +67,6 @@ class LiveHost(ABC):
         shows_help: whether the help is shown.
         work: time spent by sero-mj for the last frame, s: input, sources, decor, plots and panels,
             without rendering.
-        on_click: called with the clicked item and the gesture.
     """
 
     decor: SceneDecor
@@ -85,24 +78,19 @@ class LiveHost(ABC):
         self.clock = clock = Clock(mirror)
         if clock.is_live:
             clock.on_moment = self._watch
-        # A requested scene to show instead of this one, and its offers.
-        self.next_mirror: Mirror | None = None
-        self.offers: dict[str, Callable[[], Mirror | None]] = {}
-        self.opener: Callable[[Path], Mirror] | None = None
         self.folder = folder
         self.joint = 0
         self.command: Sequence[str] | None = None
         self.notice = Message()
         self.shows_status, self.shows_help = True, False
         self.work = 0.0
-        self.on_click: OnClick | None = None
         self._advanced = time.monotonic()
-        self._clicks = ClickDetector(world, self.toggles)
         self._sources = SourcesPanel()
         self._robots = RobotPanel(world, self.toggles)
         self._robots.on_select = self.select
-        self.tools = Tools(self)
-        self._dragging = Dragging(self.tools, self._tell)
+        self.tools: Tools = Tools(self)
+        self.pointer = Pointer(self)
+        self.others = OtherScenes(self._tell, self.request_close)
         own: dict[str, Action] = {
             "pause": clock.pause,
             "step": clock.step,
@@ -115,7 +103,7 @@ class LiveHost(ABC):
             "end": clock.go_live,
             "next_joint": lambda: self._select(1),
             "last_joint": lambda: self._select(-1),
-            "follow": self._follow_under_pointer,
+            "follow": self.pointer.follow,
             "help": self.toggle_help,
             "status_line": self.toggle_status,
             **{f"camera_{number}": partial(self.choose_camera, number) for number in range(10)},
@@ -195,10 +183,6 @@ class LiveHost(ABC):
         """Closes the host, after its tools have."""
         self.tools.ask(lambda tool: tool.close())
 
-    @abstractmethod
-    def _pointer(self) -> Pixel | None:
-        """Returns the pixel of the pointer; None if it is not over the picture."""
-
     # ---- frames
 
     def run(self) -> None:
@@ -215,7 +199,7 @@ class LiveHost(ABC):
         """Updates the mirror to the current time; errors pause it and are shown."""
         now = time.monotonic()
         passed, self._advanced = now - self._advanced, now
-        self._dragging.advance()
+        self.pointer.dragging.advance()
         self.tools.ask(lambda tool: tool.advance(passed))
         if not self.clock.is_live:
             is_close = any(self.tools.ask(lambda tool: tool.watches_closely))
@@ -283,9 +267,7 @@ class LiveHost(ABC):
         """
         sources = self.mirror.sources.values()
         self._sources.build(ui, self.clock, sources, is_open=unfolds_sources)
-        for label, make in self.offers.items():
-            if ui.button(label):
-                self._go_on_with(make)
+        self.others.build(ui)
         self.tools.ask(lambda tool: tool.build(ui))
         self._robots.build(ui)
 
@@ -317,25 +299,6 @@ class LiveHost(ABC):
             pixels = draw()
             for each in wanting:
                 self.tools.call(each, lambda tool: tool.take_picture(pixels, now))
-
-    # ---- other scenes
-
-    def open_file(self, path: Path) -> None:
-        """Shows the scene, robot or recording of a file instead, or an error message."""
-        opener = self.opener
-        if opener is None:
-            self.say(f"{path.name}: files are opened by `sero-mj view` alone", is_bad=True)
-        else:
-            self._go_on_with(lambda: opener(path))
-
-    def _go_on_with(self, make: Callable[[], Mirror | None]) -> None:
-        """Ends, so that another scene is shown, if any; or shows an error message."""
-        try:
-            self.next_mirror = make()
-        except SeroError as error:
-            self.say(str(error), is_bad=True)
-        else:
-            self.request_close()
 
     # ---- the view, as it is kept
 
@@ -382,91 +345,6 @@ class LiveHost(ABC):
         for name, digits in state.switches.items():
             words += ["--show", f"{name}={digits}"]
         return words
-
-    # ---- the pointer
-
-    def _follow_under_pointer(self) -> str:
-        picked = self.pick_under_pointer()
-        is_frame = picked is not None and picked.name in self.world.frames.names
-        return self.follow(picked.name if picked and is_frame else None)
-
-    def point(self, at: Pixel | None) -> None:
-        """Moves the pointer to a pixel of the picture, whose item is named; None for no name."""
-        if at is None:
-            self.toggles.hover = None
-        else:
-            self.decor.hover(self.data, at)
-
-    def pick_under_pointer(self) -> Picked | None:
-        """Returns the item under the pointer."""
-        at = self._pointer()
-        return None if at is None else self.decor.pick(self.data, at)
-
-    def click(self, clicked: Clicked) -> None:
-        """Performs the action of a click on a pixel of the picture."""
-        at = (clicked.x, clicked.y)
-        if clicked.centre:
-            self._centre(at)
-            return
-        self.click_item(self.decor.pick(self.data, at), at, clicked.time, shift=clicked.shift)
-
-    def click_item(
-        self, picked: Picked | None, at: Pixel, when: float, *, shift: bool = False
-    ) -> None:
-        """Performs the action of a click on an item.
-
-        Args:
-            picked: the item; None for the background.
-            at: the pixel.
-            when: time of the press, s.
-            shift: whether a modifier was held.
-        """
-        taken = self.tools.first(lambda tool: tool.click(picked, at))
-        if taken is not None:
-            self.say(taken[1])
-            return
-        gesture = self._clicks.press(picked, at, when, shift=shift)
-        if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
-            self.select(picked.index)
-        elif picked is None:
-            self.toggles.selected = None
-        if picked is not None and picked.kind == "object" and gesture == "double":
-            self._centre(at)
-        if self.on_click is not None:
-            self.on_click(picked, gesture)
-
-    def hover_handle(self, at: Pixel | None) -> bool:
-        """Lights the handle at a pixel; returns whether there is one."""
-        return any(self.tools.ask(lambda tool: tool.hover(at)))
-
-    def drag(
-        self, moved: Moved, at: Pixel | None, begin: Pixel | None, pressed: Pixel | None
-    ) -> bool:
-        """Passes a drag or a turn of the wheel to the tools.
-
-        Args:
-            moved: the drag, or turn.
-            at: the pointer's pixel in the picture; None outside of it.
-            begin: that at which the button was pressed with Control; None for another drag.
-            pressed: that at which the left button was pressed, with Control or without.
-
-        Returns:
-            whether it does not move the camera.
-        """
-        return self._dragging.take(moved, at, begin, pressed)
-
-    def hold(self, at: Pixel) -> bool:
-        """Announces what a long press at a pixel would drag; returns whether anything."""
-        return self._dragging.announce(at)
-
-    def let_go(self) -> None:
-        """Ends a drag."""
-        self._dragging.release()
-
-    def _centre(self, at: Pixel) -> None:
-        point = self.decor.point_at(self.data, at)
-        if point is not None and np.isfinite(point).all():
-            self.centre(point)
 
     def __enter__(self) -> Self:
         return self

@@ -23,8 +23,8 @@ from ..headless.film import Picture
 from ..headless.picture_options import DEFAULT_SIZE
 from ..overlay import Overlay
 from ..tools.robot_inputs import RobotInputs
-from .live import OnClick
 from .outbox import Outbox
+from .pointer import OnClick
 from .user_panels import TOOL as PANELS
 from .user_panels import UserPanel, UserPanels
 from .user_signals import UserSignals

@@ -151,7 +151,7 @@ def _show(user: _User) -> None:
     mirror.open()
     try:
         with _open_host(mirror, options) as host:
-            host.on_click = lambda picked, gesture: user.send("click", picked, gesture)
+            host.pointer.on_click = lambda picked, gesture: user.send("click", picked, gesture)
             host.frame()
             memory.show()
             user.send("ready", getattr(host, "urls", []))

@@ -15,7 +15,6 @@ from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ..headless.film import Pixels
 from ..session.live import LiveHost
-from ..session.picking import Pixel
 from ..session.scene_decor import SceneDecor
 from .browsers import Browsers
 from .page_input import PageInput
@@ -138,7 +137,7 @@ class WebHost(LiveHost):
         self._is_held &= not self.is_seen
         self._input.take(self.browsers.take())
         while self._dropped:
-            self.open_file(self._dropped.pop(0))
+            self.others.open_file(self._dropped.pop(0))
         self._advance(lambda: self.clock.advance(0.0 if self._is_held else passed))
         self.navigator.advance(self.data)
         self.decor.lay_out(self.data, self.view.picture(self.data))
@@ -165,9 +164,6 @@ class WebHost(LiveHost):
     def _copy_link(self) -> str:
         self.to_clipboard(self.link)
         return "copied: a link that opens this view"
-
-    def _pointer(self) -> Pixel | None:
-        return self._input.under
 
     def centre(self, point: Array) -> None:
         """Makes a point (3,), m, the camera's look-at point."""

@@ -32,7 +32,6 @@ class PageInput:
         panels: of the page.
 
     Attributes:
-        under: pixel of the pointer, y up; None if it is not over the picture.
         wrong: number of messages with wrong contents.
         is_dragging: whether a tool has the drag, and the camera stays.
         is_on_handle: whether the pointer is over a handle.
@@ -41,7 +40,6 @@ class PageInput:
     def __init__(self, host: LiveHost, view: PageView, panels: PagePanels) -> None:
         self._host, self._page_view, self._panels = host, view, panels
         self._mouse = Mouse()
-        self.under: Pixel | None = None
         self.wrong = 0
         self.is_dragging = self.is_on_handle = False
         self._takes: dict[str, Callable[[dict[str, Any]], None]] = {
@@ -70,10 +68,8 @@ class PageInput:
 
     def point(self) -> None:
         """Names what is under the pointer, and lights the handle there."""
-        host, is_free = self._host, not (self._mouse.is_down or self._host.shows_help)
-        at = self.under if is_free else None
-        host.point(at)
-        self.is_on_handle = host.hover_handle(at)
+        is_free = not (self._mouse.is_down or self._host.shows_help)
+        self.is_on_handle = self._host.pointer.hover(is_free=is_free)
 
     # ---- messages
 
@@ -109,7 +105,8 @@ class PageInput:
         button = int(said.get("button", LEFT))
         if kind not in ("press", "release", "move") or button not in _BUTTONS:
             raise ValueError
-        self.under = at if self._is_inside(at) else None
+        pointer = self._host.pointer
+        pointer.at = at if self._is_inside(at) else None
         control = bool(said.get("ctrl"))
         shift = bool(said.get("shift")) or control
         event = Event(kind, *at, time.monotonic(), button, shift=shift, control=control)
@@ -117,10 +114,11 @@ class PageInput:
         if isinstance(found, Clicked):
             self._click(found)
         elif isinstance(found, Moved):
-            self.is_dragging |= self._host.drag(found, at, found.pulls_from, found.pressed)
+            places = (found.pulls_from, found.pressed)
+            self.is_dragging |= pointer.dragging.take(found, at, *places)
         if not self._mouse.is_down:
             self.is_dragging = False
-            self._host.let_go()
+            pointer.dragging.release()
 
     def _is_inside(self, at: Pixel) -> bool:
         width, height = self._page_view.size
@@ -130,16 +128,17 @@ class PageInput:
         if self._host.shows_help:
             self._host.toggle_help()
         else:
-            self._host.click(clicked)
+            self._host.pointer.click(clicked)
 
     def _wheel(self, said: dict[str, Any]) -> None:
         notches = float(said["n"])
         if abs(notches) < _MOST_PIXELS and self.is_dragging:
-            self._host.drag(Moved("zoom", 0.0, notches), self.under, None, None)
+            pointer = self._host.pointer
+            pointer.dragging.take(Moved("zoom", 0.0, notches), pointer.at, None, None)
 
     def _hold(self, said: dict[str, Any]) -> None:
         del said
-        if self._mouse.is_down and self._mouse.hold(self._host.hold):
+        if self._mouse.is_down and self._mouse.hold(self._host.pointer.dragging.announce):
             self.is_dragging = True
 
     def _key(self, said: dict[str, Any]) -> None:
@@ -155,7 +154,8 @@ class PageInput:
         picked = picked_of(self._host.world, Kind(int(said["kind"])), int(said["item"]))
         # Clicks in a row on one card are at one place, those on another one are elsewhere.
         at = (1e5 * (1 + picked.index), 1e5 * int(said["kind"]))
-        self._host.click_item(picked, at, time.monotonic(), shift=bool(said.get("shift")))
+        shift = bool(said.get("shift"))
+        self._host.pointer.click_item(picked, at, time.monotonic(), shift=shift)
 
     def _widget(self, said: dict[str, Any]) -> None:
         self._panels.act(str(said["tree"]), str(said["id"]), said["value"])
@@ -177,5 +177,5 @@ class PageInput:
     def _leave(self, said: dict[str, Any]) -> None:
         """Whoever had control has gone, and a button is no longer down."""
         del said
-        self._mouse, self.under, self.is_dragging = Mouse(), None, False
-        self._host.let_go()
+        self._mouse, self._host.pointer.at, self.is_dragging = Mouse(), None, False
+        self._host.pointer.dragging.release()

@@ -255,11 +255,10 @@ class Window(LiveHost):
         is_kept = self.takes_pictures
         covered = 0.0 if is_kept else chrome.covered  # pictures are as without chrome
         self.decor.update(self.data, self.navigator.camera, rect, typesetter, covered)
+        self._place_pointer()
         at = self._mouse.position
         is_over_chrome = at is not None and chrome.is_over(*at)
-        is_pointing = not (self._mouse.is_down or self.shows_help or is_over_chrome)
-        self.point(self._pointer() if is_pointing else None)
-        self.hover_handle(self._pointer() if is_pointing else None)
+        self.pointer.hover(is_free=not (self._mouse.is_down or self.shows_help or is_over_chrome))
         frame_rate = 1.0 / max(self._interval, 1e-6)
         pieces = status_pieces(self.mirror.sources.values(), self.clock, frame_rate)
         pieces[1:1] = self.decor.pieces
@@ -311,25 +310,27 @@ class Window(LiveHost):
         """Shows or hides the panel."""
         self._chrome.shows_panel = not self._chrome.shows_panel
 
-    def _pointer(self) -> Pixel | None:
+    def _place_pointer(self) -> None:
         at = self._mouse.position
-        return None if at is None else self.decor.to_picture(*at)
+        self.pointer.at = None if at is None else self.decor.to_picture(*at)
 
     def _take(self, event: Event, height: int) -> None:
         """Handles an event."""
         if event.kind == "drop":
-            self.open_file(Path(event.key))
+            self.others.open_file(Path(event.key))
             return
         if self._chrome.take(event):
             if event.kind == "move":
                 self._mouse.position = (event.x, event.y)
+                self._place_pointer()
             return
         if event.kind == "key":
             self._press(event)
             return
         found = self._mouse.take(event)
+        self._place_pointer()
         if not self._mouse.is_down:
-            self.let_go()
+            self.pointer.dragging.release()
         if isinstance(found, Moved):
             self._move(found, height)
         elif isinstance(found, Clicked):
@@ -339,7 +340,8 @@ class Window(LiveHost):
         view = self.decor.view
         places = (moved.pulls_from, moved.pressed)
         begin, pressed = (None if at is None else self.decor.to_picture(*at) for at in places)
-        if view is None or self.drag(moved, self._pointer(), begin, pressed):
+        pointer = self.pointer
+        if view is None or pointer.dragging.take(moved, pointer.at, begin, pressed):
             return
         if self.decor.fixed:
             self.say(self.decor.fixed)
@@ -368,7 +370,7 @@ class Window(LiveHost):
         if self.shows_help:
             self.shows_help = False
         elif at is not None:
-            self.click(replace(clicked, x=at[0], y=at[1]))
+            self.pointer.click(replace(clicked, x=at[0], y=at[1]))
 
     def _press(self, event: Event) -> None:
         if event.key != "escape":
