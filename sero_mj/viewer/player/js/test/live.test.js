@@ -6,6 +6,7 @@ import { Geoms } from "../src/geoms.js";
 import { dataOf } from "../src/graph.js";
 import { distanceTo } from "../src/handles.js";
 import { Items } from "../src/items.js";
+import { stepsOf } from "../src/input.js";
 import { isTakenBy, nameOf } from "../src/keys.js";
 import { keysOf, linesOf } from "../src/panels.js";
 import { Reader, fill, readSections } from "../src/sections.js";
@@ -180,4 +181,9 @@ test("decor of any number is drawn, opaque and transparent, and can be picked", 
   assert.deepEqual(items.pick(ray)?.of, [8, 71, 2]);
   assert.deepEqual(put(0), [0, 0]);
   assert.equal(items.pick(ray), null);
+});
+
+test("a step of a wheel counts once on every screen, however the page is zoomed", () => {
+  for (const ratio of [0.5, 1, 2]) assert.equal(stepsOf({ deltaMode: 0, deltaY: 100 / ratio }, ratio), -1);
+  assert.equal(stepsOf({ deltaMode: 1, deltaY: -3 }, 2), 1);
 });
