@@ -94,7 +94,10 @@ def _index(capture: Capture, body: int) -> int:
 
 
 def _bodies(capture: Capture) -> list[dict[str, Any]]:
-    """Name of every body, the joint that moves it and the double that it is part of; else -1."""
+    """Name of every body, the joint that moves it and the double that it is part of; else -1.
+
+    `moves` says whether anything can move it, as MuJoCo understands that.
+    """
     world, found = capture.world, []
     doubles = list(world.doubles)
     of: dict[int, tuple[int, int]] = {}
@@ -107,10 +110,13 @@ def _bodies(capture: Capture) -> list[dict[str, Any]]:
     for name, part in world.doubles.items():  # paths have no joints and are no owners
         for body in np.ravel(part.bodies).tolist():
             of.setdefault(body, (-1, doubles.index(name)))
+    model = world.model
+    of_mocap = model.body_mocapid[model.body_rootid] >= 0
+    moves = ((model.body_weldid > 0) | of_mocap).tolist()
     for body in capture.bodies.tolist():
         joint, double = of.get(body, (-1, -1))
         name = world.model.body(body).name
-        found.append({"name": name, "joint": joint, "double": double})
+        found.append({"name": name, "joint": joint, "double": double, "moves": moves[body]})
     return found
 
 

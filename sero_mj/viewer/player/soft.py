@@ -10,8 +10,8 @@ import numpy as np
 
 from ...base.frames import Array, Ints
 from .model import shown_flexes
-from .model_decor import TENDON, ModelDecor
 from .packing import Parts, rounded
+from .tendon_rows import TENDON, TendonRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class SoftCollector:
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
         self._flexes = flex_vertices(model)
-        self._decor = ModelDecor(model)
+        self._decor = TendonRows(model)
         self._vertices: list[Array] = []
         self._tendons: list[np.ndarray] = []
 
