@@ -14,7 +14,7 @@ from page_client import PageClient
 from test_web_host import client, page  # noqa: F401 (fixtures)
 
 import sero_mj
-from sero_mj import HeadlessRenderer, Mirror, World
+from sero_mj import Double, HeadlessRenderer, Mirror, World
 from sero_mj.base.errors import UsageError
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import dynamics_of
@@ -26,6 +26,7 @@ from sero_mj.viewer.decor.part_names import named_parts
 from sero_mj.viewer.decor.scene_writer import struct_view
 from sero_mj.viewer.decor.toggles import PART_NAMES, Toggles
 from sero_mj.viewer.player.capture import capture_pose
+from sero_mj.viewer.player.copied_bodies import CopiedBodies
 from sero_mj.viewer.player.encode import encode
 from sero_mj.viewer.session.view_state import apply_switches
 from sero_mj.viewer.web.host import WebHost
@@ -241,6 +242,44 @@ def test_a_program_opens_the_panel_of_a_page(page: WebHost, client: PageClient) 
     client.until(lambda: client.state["panel"] is None)
     page.open_panel()
     client.until(lambda: client.state["panel"] and client.state["about"]["panel"])
+
+
+def test_doubles_of_an_overlay_are_more_bodies_of_a_page() -> None:
+    model, data = arm()
+    ends = [[0.5, 0.4, 0.3, 0.02], [1.0, 0.8, 0.6, 0.04]]
+    doubles = [Double(name="goal", of="arm"), Double(name="way", of="arm", path=ends)]
+    overlay = sero_mj.overlay(model, data, doubles=doubles)
+    world = overlay.world
+    copies, path = CopiedBodies(world), world.doubles["way"].path
+    assert path is not None
+    links = ["arm", "upper", "fore", "gripper"]
+    assert [each.name for each in copies.each] == [
+        f"{name}/{link}" for name in ("goal", *["way"] * len(path)) for link in links
+    ]
+    shown = Toggles(world).doubles
+    assert not copies.poses([])[2].any()
+    overlay.set("goal.joint_angles", [1.5, 0.8, 0.5, 0.0])
+    drawn = world.drawn_doubles(world.state(data), shown)
+    places, turns, opacity = copies.poses(drawn)
+    other = mujoco.MjData(model)
+    for row, angles in enumerate([[1.5, 0.8, 0.5, 0.0], *path]):
+        other.qpos[:] = data.qpos
+        other.qpos[:4] = angles
+        mujoco.mj_kinematics(model, other)
+        for k, link in enumerate(links):
+            np.testing.assert_allclose(places[4 * row + k], other.body(link).xpos, atol=1e-9)
+            np.testing.assert_allclose(turns[4 * row + k], other.body(link).xquat, atol=1e-9)
+    assert opacity[0] == 0  # it stands where the arm's own does
+    assert (opacity[[1, 2, 3]] > 0.5).all()
+    run = encode(capture_pose(world, data, mujoco.MjvCamera()), "")
+    head = json.loads(run[4 : 4 + int.from_bytes(run[:4], "little")])
+    first = len(head["bodies"]) - 4 * (1 + len(path))
+    assert [body["double"] for body in head["bodies"][first:]] == [0] * 4 + [1] * 4 * len(path)
+    copied = [geom for geom in head["geoms"] if geom["body"] >= first]
+    assert [geom["body"] for geom in copied] == list(range(first, first + 4 * (1 + len(path))))
+    assert {tuple(geom["rgba"]) for geom in copied if geom["body"] < first + 4} == {
+        tuple(np.round(np.array(world.doubles["goal"].double.rgba) * 255).astype(int))
+    }
 
 
 def test_a_world_with_masses_is_drawn_as_it_is() -> None:

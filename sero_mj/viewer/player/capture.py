@@ -30,6 +30,7 @@ from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..sampling import sampled_states
 from ..session.torque_history import joint_name
+from .copied_bodies import CopiedBodies, CopiedBody
 from .labels import LabelCollector
 from .model import drawn_bodies, visible_geoms
 from .soft import Soft, SoftCollector, bytes_of_frame
@@ -105,6 +106,7 @@ class Capture:
         cards: of the smart arrows: index to text by frame, empty where there is none.
         marks: on the time line.
         silent: names of the sources without data.
+        copies: G more bodies, of doubles; poses, opacity and greyness have them after the B.
     """
 
     world: WorldView
@@ -130,6 +132,7 @@ class Capture:
     cards: dict[int, list[str]]
     marks: Sequence[Mark] = ()
     silent: list[str] = field(default_factory=list)
+    copies: Sequence[CopiedBody] = ()
 
     @property
     def frames(self) -> int:
@@ -319,6 +322,8 @@ def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera
     """
     joints, bodies, soft = world.joints, shown_bodies(world), SoftCollector(world.model)
     soft.take(data)
+    copies = CopiedBodies(world)
+    places, turns, faint = copies.poses([])
     formats = joint_formats(world)
     count = len(joints.names)
     nothing = np.full((1, count), np.nan)
@@ -331,10 +336,10 @@ def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera
         lines=formats.declared,
         details=formats.details,
         bodies=bodies,
-        positions=data.xpos[bodies][None],
-        rotations=data.xquat[bodies][None],
-        opacity=np.ones((1, len(bodies))),
-        grey=np.zeros((1, len(bodies)), bool),
+        positions=np.concatenate([data.xpos[bodies], places])[None],
+        rotations=np.concatenate([data.xquat[bodies], turns])[None],
+        opacity=np.concatenate([np.ones(len(bodies)), faint])[None],
+        grey=np.zeros((1, len(bodies) + len(faint)), bool),
         values={"joint_angles": nothing},
         arrows=nothing,
         limit=joints.torque_limit,
@@ -344,6 +349,7 @@ def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera
         labels=[{}],
         notes=[""],
         cards={},
+        copies=copies.each,
     )
 
 

@@ -54,7 +54,7 @@ def encode(capture: Capture, title: str) -> bytes:
         "opacity": parts.moving(opacity, 1),
         "grey": parts.moving(capture.grey, 1),
         "greyRgb": GREY,
-        **look.head(),
+        **_look(capture, look),
         "floor": _floor(capture.world),
         **capture.soft.head(parts, METRE_STEP),
         "joints": _joints(capture),
@@ -77,6 +77,16 @@ def encode(capture: Capture, title: str) -> bytes:
     head["lengths"] = [len(each) for each in parts.arrays]
     text = json.dumps(head, separators=(",", ":"), allow_nan=False).encode()
     return b"".join([len(text).to_bytes(4, "little"), text, *parts.arrays])
+
+
+def _look(capture: Capture, look: Look) -> dict[str, Any]:
+    """The looks of the model, and of the bodies that are there twice."""
+    found = look.head()
+    of_geoms = capture.world.model.geom_bodyid
+    for number, copied in enumerate(capture.copies, len(capture.bodies)):
+        for geom in capture.geoms[of_geoms[capture.geoms] == copied.body].tolist():
+            found["geoms"].append(look.copied(geom, number, copied.rgba))
+    return found
 
 
 def _finite(number: float) -> float | None:
@@ -117,6 +127,8 @@ def _bodies(capture: Capture) -> list[dict[str, Any]]:
         joint, double = of.get(body, (-1, -1))
         name = world.model.body(body).name
         found.append({"name": name, "joint": joint, "double": double, "moves": moves[body]})
+    for copied in capture.copies:
+        found.append({"name": copied.name, "joint": -1, "double": copied.double, "moves": True})
     return found
 
 

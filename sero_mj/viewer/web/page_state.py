@@ -21,6 +21,7 @@ from ..decor.geom_buffer import GeomBuffer, Kind
 from ..decor.panels import Panels
 from ..decor.picture_view import PictureView
 from ..player.capture import body_opacity, capture_pose, line_text, player_geoms, shown_bodies
+from ..player.copied_bodies import CopiedBodies
 from ..player.encode import METRE_STEP, ROTATION_STEP, arrow_looks, encode
 from ..player.items import poses, quaternions_of
 from ..player.labels import labels_of
@@ -48,6 +49,7 @@ class PageState:
     def __init__(self, world: WorldView, sections: Sections) -> None:
         self._world, self._sections = world, sections
         self._bodies = shown_bodies(world)
+        self._copies = CopiedBodies(world)
         self._vertices = flex_vertices(world.model)
         self._tendons = TendonRows(world.model)
         self._frame: Frame | None = None
@@ -166,13 +168,18 @@ class PageState:
         """Puts poses and looks of all bodies."""
         put, bodies, model = self._sections.put, self._bodies, self._world.model
         # Rounded as files are: what trembles by less is not sent.
-        places = np.round(data.xpos[bodies] / METRE_STEP) * METRE_STEP
-        turns = np.round(data.xquat[bodies] / ROTATION_STEP).astype(np.int16)
+        copies = self._copies.poses(buffer.drawn_doubles)
+        places = np.concatenate([data.xpos[bodies], copies[0]])
+        places = np.round(places / METRE_STEP) * METRE_STEP
+        turns = np.concatenate([data.xquat[bodies], copies[1]])
+        turns = np.round(turns / ROTATION_STEP).astype(np.int16)
         put("poses", places.astype(np.float32).tobytes() + turns.tobytes())
         opacity = body_opacity(model, buffer)
         opacity[data.xpos[:, 2] < OUT_OF_SIGHT[2] / 2] = 0.0
-        put("opacity", np.round(255 * opacity[bodies]).astype(np.uint8))
-        put("grey", _bodies_of(model, buffer.grey)[bodies].astype(np.uint8))
+        opacity = np.concatenate([opacity[bodies], copies[2]])
+        put("opacity", np.round(255 * opacity).astype(np.uint8))
+        grey = np.concatenate([_bodies_of(model, buffer.grey)[bodies], np.zeros_like(copies[2])])
+        put("grey", grey.astype(np.uint8))
         if len(self._vertices):
             put("soft", data.flexvert_xpos[self._vertices].astype(np.float32))
         if not self._world.has_sites:
