@@ -15,9 +15,9 @@ from sero_mj.viewer.camera import find_camera
 from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.player import capture as capture_module
 from sero_mj.viewer.player.capture import Capture
-from sero_mj.viewer.player.model_decor import ModelDecor
 from sero_mj.viewer.player.page import write_page
 from sero_mj.viewer.player.soft import flex_vertices, soft_frame, soft_of
+from sero_mj.viewer.player.tendon_rows import TendonRows
 
 NO_SKY = (0, 0, 0)  # of what no geom covers
 
@@ -38,7 +38,7 @@ def captured(
     bodies, vertices, decor = (
         capture_module.shown_bodies(world),
         flex_vertices(model),
-        ModelDecor(model),
+        TendonRows(model),
     )
     soft = [soft_frame(data, vertices, decor) for data in states]
     n, frames = len(world.joints.names), len(states)

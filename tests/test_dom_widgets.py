@@ -142,7 +142,29 @@ def test_places_and_tips_belong_to_the_widgets_they_are_given_for(ui: DomWidgets
     assert "same" not in a
     assert (b["same"], b["left"], b["tip"]) == (-1.0, 9.0, "about b")
     assert (c["same"], "tip" in c) == (2.0, False)
-    assert ui.room() == SIZE
+    assert ui.room()[0] == SIZE[0]
+
+
+def test_what_was_built_takes_room_from_what_follows(ui: DomWidgets) -> None:
+    line = Line("msr", (1.0, 0.5, 0.0), np.zeros(2), np.zeros(2))
+    plot, left = Plot("s", "torque [Nm]", [line], (-8.0, 0.0), (-1.0, 1.0), ()), list[float]()
+
+    def build() -> None:
+        left.append(ui.room()[1])
+        ui.choose("##joint", 0, ["A1", "A2"])
+        ui.same_line()
+        ui.label("limit 176 Nm")
+        left.append(ui.room()[1])
+        ui.plot(plot, 9.0)
+        left.append(ui.room()[1])
+        for _ in range(100):
+            ui.text("more than there is room for")
+        left.append(ui.room()[1])
+
+    ui.tree_of(build, (30.0, 24.0))
+    assert left[0] == 24.0 and left[3] == 0.0
+    assert 2 <= left[0] - left[1] < 3  # of the text's height, for two widgets in one line
+    assert 9 <= left[1] - left[2] < 10
 
 
 def test_plots_have_gaps_and_only_finite_limits(ui: DomWidgets) -> None:

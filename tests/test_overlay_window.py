@@ -131,8 +131,6 @@ with sero_mj.view(overlay, web=True) as viewer:
         assert viewer.sync()
     shown = viewer.picture()
     viewer.set("goal.joint_angles", [1.5, 0.8, 0.5, 0.0])
-    assert (viewer.picture() == shown).all()
-    viewer.set("arm.show_arrows", False)
     assert not (viewer.picture() == shown).all()
 print("well")
 """
@@ -155,7 +153,7 @@ def test_a_host_shows_a_loop_of_the_users_own(tmp_path: Path, text: str) -> None
         )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout.endswith("well\n")
-    assert ("a page shows no doubles of an overlay" in done.stderr) == (text is PAGE)
+    assert "double" not in done.stderr
 
 
 def test_what_is_watched_is_a_copy_that_a_pause_holds_still() -> None:

@@ -25,7 +25,7 @@ from sero_mj.load import load_scene
 from sero_mj.viewer.camera import find_camera
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.handles import SEGMENTS
-from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.decor.toggles import PART_NAMES, Toggles
 from sero_mj.viewer.session.kept_views import file_of, find_view, keep_view
 from sero_mj.viewer.session.view_state import (
     SWITCH_NAMES,
@@ -55,6 +55,8 @@ def test_switches_come_back_from_their_text(world: World, seed: int) -> None:
         now = getattr(toggles, name)
         if isinstance(now, bool):
             setattr(toggles, name, bool(rng.integers(2)))
+        elif isinstance(now, int):
+            setattr(toggles, name, int(rng.integers(len(PART_NAMES))))
         elif rng.random() < 0.5:
             now[:] = rng.integers(2)
         else:

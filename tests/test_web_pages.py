@@ -155,7 +155,7 @@ def test_a_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path
         assert served.ask("w.notice.text").startswith("pulls lwr/link4 with 500 N/m")
         visitor.until("player.now.dragging")
         mouse.wheel(0, -100)
-        served.until("w.tools['pulling']._force.stiffness > 600")
+        served.until("w.tools['pulling']._force.stiffness == 625")
         visitor.page.keyboard.up("Control")
         mouse.up()
         served.until("not w.tools['pulling'].is_on")

@@ -549,7 +549,7 @@ class Host(LiveHost):
     """Notes what it says and is asked for, and shows nothing."""
 
     is_open = is_due = True
-    frame = picture = centre = close = request_close = None  # type: ignore[assignment]
+    frame = picture = centre = close = request_close = open_panel = None  # type: ignore[assignment]
     picture_size = view_camera = is_following = to_clipboard = None  # type: ignore[assignment]
 
     def __init__(self, world: World) -> None:

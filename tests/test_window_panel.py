@@ -47,6 +47,8 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
     window.until("w.has_panel")
     window.until("w.decor.view.inset[0] > 150")  # numbers stay beside it
     assert np.array_equal(screenshot(window), before)
+    window.click(*window.middle("Move lwr"))  # folded, so that all the others are seen
+    window.settle()
     window.click(*window.middle("axes"))
     window.until("not w.toggles.axes.any()")
     assert not np.array_equal(screenshot(window), before)
@@ -57,8 +59,6 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
         "w.world.joints.arrow_radius.max()]"
     )
     was = window.ask(camera)
-    window.click(*window.middle("Move lwr"))  # folded, so that all the others are seen
-    window.settle()
     window.click(*window.middle("sizes"))
     x, y = window.middle("arrow radius")
     left, _, right, _ = window.ask("places['arrow radius']")

@@ -300,7 +300,7 @@ def overlay(
         data: of that model, not changed; None for new data, in the overlay's `data`.
         robots: fields of robots that override the model, by name: `torque_limits`,
             `arrow_radius`, `axes_size`, `billboard_lines`, `show_axes`, ... as in `SerialRobot`.
-        doubles: transparent doubles of its robots; only MuJoCo's classic renderer shows them.
+        doubles: transparent doubles of its robots.
         arrows: Cartesian vectors at frames (`arm/hand`).
         frames: other bodies and sites whose axes are shown.
         toggles: initial toggles of the whole scene.

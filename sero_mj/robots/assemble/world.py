@@ -32,6 +32,7 @@ from .mjcf_elements import Hull, mesh_assets
 from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
 from .robot_dynamics import RobotDynamics, about_masses, robot_dynamics
 from .solids import geom_boxes
+from .weighed_model import weighed_model
 from .world_view import WorldView
 
 log = logging.getLogger(__name__)
@@ -237,6 +238,12 @@ class World(WorldView):
             lines.append(f"{name}: {about_masses(self.scene.robots[name], of)}")
         text = "\n    ".join(lines).replace("--", "- -")
         return spec, f"  <!-- Masses, as in simulation:\n    {text} -->\n" if lines else ""
+
+    def weighed(self) -> mujoco.MjModel:
+        """See `WorldView`: in a world to look at, a copy in which robots alone have masses."""
+        if self.dynamic:
+            return self.model
+        return weighed_model(self.model, self.robots, dynamics_of(self.scene))
 
     def _ids(self, kind: Any, names: Iterable[str]) -> Ints:
         return np.array([mujoco.mj_name2id(self.model, kind, name) for name in names], np.intp)

@@ -36,6 +36,7 @@ class WorldView(Protocol):
         placed: index in `mocap_pos` of the bodies that `frame` and `base_frame` inputs move, by
             name.
         has_sites: whether sites in the tables of joints, frames and arrows are sites of the model.
+        dynamic: whether its data have velocities and forces, of which those of contacts follow.
     """
 
     scene: Scene
@@ -51,6 +52,7 @@ class WorldView(Protocol):
     flags: dict[str, int]
     placed: Mapping[str, int]
     has_sites: bool = True
+    dynamic: bool = True
 
     def make_data(self) -> mujoco.MjData:
         """Returns new data in the initial state."""
@@ -78,6 +80,14 @@ class WorldView(Protocol):
     def surroundings(self) -> mujoco.MjModel | None:
         """Returns a model of the floor, sky and lights that hosts add; None for none."""
         return None
+
+    def weighed(self) -> mujoco.MjModel:
+        """Returns the model with the masses of simulation: itself where it has them.
+
+        Raises:
+            DeclarationError: errors of the robots' masses.
+        """
+        return self.model
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
         """Sets an input.

@@ -7,6 +7,7 @@ click shows a frame's name.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import mujoco
@@ -17,7 +18,7 @@ from ...base.frames import Array, Bools
 from ...robots.assemble.world_view import WorldView
 from .feature import Feature, Frame
 from .geom_buffer import GREY, GeomBuffer, Kind
-from .panels import Panels, labels_at
+from .panels import Panels, labels_below
 from .picture_view import PictureView
 
 # Red, green, blue, in shades that also differ in lightness.
@@ -165,15 +166,10 @@ def name_panels(
         view: of the picture.
     """
     shown = named.nonzero()[0]
-    if not len(shown):
+    found = labels_below(
+        data.site_xpos[world.frames.site[shown]], [world.frames.names[i] for i in shown], view
+    )
+    if found is None:
         return None
-    origins, depth = view.project(data.site_xpos[world.frames.site[shown]])
-    inside = view.sees(origins, depth)
-    shown, origins = shown[inside], origins[inside]
-    if not len(shown):
-        return None
-    texts = [world.frames.names[i].encode("ascii", "replace")[:99] for i in shown]
-    lines = [[text] for text in texts]
-    below = origins - [0.0, view.font.height]
-    centres, sizes = labels_at(view, below, lines)
-    return Panels(centres, sizes, lines, kind=Kind.NAME, items=shown)
+    panels, seen = found
+    return replace(panels, kind=Kind.NAME, items=shown[seen])

@@ -48,6 +48,7 @@ class Kind(IntEnum):
     CARD = 6  # item: smart arrow; the panel with its numbers
     CHECK = 7  # item: robot; the panel of its flange check
     HANDLE = 8  # item: what it does, see `handles`
+    PART = 9  # no item: the name of a part of the model
 
 
 class GeomBuffer:

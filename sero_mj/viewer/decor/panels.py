@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.frames import Array
+from ...base.frames import Array, Ints
 from .geom_buffer import GeomBuffer, Kind, place_triangles
 from .layout import place_clear
 from .picture_view import PictureView
@@ -80,6 +80,23 @@ def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tu
     half = sizes / 2
     low, high = view.free
     return np.clip(centres, low + half, np.maximum(high - half, low + half)), sizes
+
+
+def labels_below(places: Array, names: list[str], view: PictureView) -> tuple[Panels, Ints] | None:
+    """Returns labels below places of the world, and which of these are seen; None for none.
+
+    Args:
+        places: (k, 3), m.
+        names: to write there.
+        view: of the picture.
+    """
+    pixels, depth = view.project(places)
+    seen = view.sees(pixels, depth).nonzero()[0]
+    if not len(seen):
+        return None
+    lines = [[names[k].encode("ascii", "replace")[:99]] for k in seen.tolist()]
+    centres, sizes = labels_at(view, pixels[seen] - [0.0, view.font.height], lines)
+    return Panels(centres, sizes, lines), seen
 
 
 def clear_of(labels: list[Panels], others: list[Panels], view: PictureView) -> list[Panels]:

@@ -15,6 +15,9 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.inputs import SCENE, Input
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 
+# Of which parts of the model names are shown; `Toggles.part_names` is an index of these.
+PART_NAMES = ("nothing", "bodies", "joints", "geoms")
+
 
 @dataclass(frozen=True, eq=False)
 class Shown:
@@ -72,6 +75,13 @@ class Toggles:
         legend: whether the legend of the arrows is shown.
         status: whether faults of the sources are shown.
         flange_checks: whether received flange frames are compared with the robots' own.
+        contacts: points where the model's geoms touch, and the forces there if they are known.
+        inertias: boxes with the mass and the inertia of every link.
+        joint_axes: the model's joints, as MuJoCo draws them.
+        centres_of_mass: of everything that moves on its own.
+        part_names: names of parts of the model, index in `PART_NAMES`.
+        transparent: whether what moves is transparent.
+        wireframe: whether surfaces are drawn as the edges of their triangles.
         hover: text beside the pointer, and the pointer's position (pixels); None for no text.
         selected: the joint that a user has selected, which is lit; None for none.
         handles: that are shown to drag a frame by; None for none.
@@ -124,6 +134,9 @@ class Toggles:
         self.legend = scene.toggles.legend
         self.status = scene.toggles.status
         self.flange_checks = scene.toggles.flange_checks
+        self.contacts = self.inertias = self.joint_axes = self.centres_of_mass = False
+        self.transparent = self.wireframe = False
+        self.part_names = 0
         self._last = np.full(len(self._switches), np.nan)  # routed toggles keep their value
 
     def snapshot(self) -> dict[str, Any]:

@@ -79,7 +79,7 @@ class PhotoRenderer(Painter):
         return pixels
 
     def _look(self, data: mujoco.MjData) -> PictureView:
-        self._renderer.update_scene(data)
+        self.decor.fill(data, mujoco.MjvCamera(), self._renderer.scene)
         return self._painter.look(self._renderer.scene, self._typesetter.font)
 
 

@@ -90,8 +90,8 @@ class PictureOptions(SizeOptions, StereoOptions, CameraOptions):
     Attributes:
         clicks: click on a pixel, counted from the upper left, before rendering; HOW is shift,
             double, hover or touch (as with a finger); may be repeated.
-        shown: switch arrows, billboards, axes, legend, ... on or off: a digit for all of them, or
-            one for each joint, frame, ...; may be repeated.
+        shown: switch arrows, billboards, axes, legend, inertias, transparent, ... on or off: a
+            digit for all of them, or one for each joint, frame, ...; may be repeated.
         selected: light a joint, as one that was clicked on is.
         wait: how long to wait for the first packet of every source, s.
     """

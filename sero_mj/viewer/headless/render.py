@@ -219,7 +219,7 @@ class HeadlessRenderer(Painter):
 
     def _look(self, data: mujoco.MjData) -> PictureView:
         renderer = self._renderer
-        renderer.update_scene(data, self.camera)
+        self.decor.fill(data, self.camera, renderer.scene)
         stand_back(renderer.scene, self.camera, *self._half, self._needed)
         if self._surroundings is not None:
             self._surroundings.add(renderer.scene)

@@ -19,6 +19,8 @@ Node = dict[str, Any]
 
 _CHARACTER = 0.52  # mean width of a character, of the text's height
 _DIGITS = 5  # of the numbers of plots
+# Heights in `panels.css`, of the text's: of a line, of one of a text, and beside a plot.
+_LINE, _TEXT_LINE, _GAP = 2.3, 1.45, 0.3
 
 
 class DomWidgets:
@@ -99,8 +101,9 @@ class DomWidgets:
     # ---- see `Widgets`
 
     def room(self) -> tuple[float, float]:
-        """Returns the size of the panel."""
-        return self._size
+        """Returns the panel's width, and the height that is left of it, about."""
+        width, height = self._size
+        return width, max(height - _height_of(self._nodes, width), 0.0)
 
     def wide(self, words: str) -> float:
         """Returns about the width of a text."""
@@ -270,6 +273,30 @@ class DomWidgets:
                 for line in plot.lines
             ],
         )
+
+
+def _height_of(nodes: Sequence[Node], width: float) -> float:
+    """Returns about the height of nodes in a panel of a width, of the text's height."""
+    height = last = 0.0
+    for node in nodes:
+        own = _LINE
+        if node["k"] == "plot":
+            own = node["height"] + _GAP
+        elif node["k"] == "text":
+            lines = sum(len(part) * _CHARACTER // width + 1 for part in node["s"].split("\n"))
+            own = lines * _TEXT_LINE + _GAP
+        elif node["k"] == "table":
+            own = sum(max((_height_of(cell, width) for cell in row), default=0.0)
+                      for row in node["rows"])  # fmt: skip
+        elif node["k"] == "lines":
+            own = node["count"] * _TEXT_LINE + _GAP
+        own += _height_of(node.get("nodes", ()), width)
+        if "same" in node:  # beside the last one
+            height += max(own - last, 0.0)
+            last = max(own, last)
+        else:
+            height, last = height + own, own
+    return height
 
 
 def _is_number(value: Any) -> bool:

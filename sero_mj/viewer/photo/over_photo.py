@@ -23,8 +23,9 @@ Draw = Callable[[], Pixels]
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
 _BACKGROUND_DEPTH = 0.9  # of the far plane
-# Effects of the model's surroundings and lights.
-_FLAGS = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_SKYBOX", "mjRND_FOG", "mjRND_HAZE")
+# Effects of the model's surroundings and lights, and holes in it.
+_FLAGS = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_SKYBOX", "mjRND_FOG", "mjRND_HAZE",
+          "mjRND_WIREFRAME")  # fmt: skip
 
 
 class PhotoPainter:

@@ -31,10 +31,11 @@ from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..sampling import sampled_states
 from ..session.torque_history import joint_name
+from .copied_bodies import CopiedBodies, CopiedBody
 from .labels import labels_of
 from .model import drawn_bodies, visible_geoms
-from .model_decor import ModelDecor
 from .soft import Soft, SoftFrame, bytes_of_frame, flex_vertices, soft_frame, soft_of
+from .tendon_rows import TendonRows
 
 DEFAULT_FPS = 30.0
 DEFAULT_SECONDS = 10.0  # of what has no end
@@ -107,6 +108,7 @@ class Capture:
         cards: of the smart arrows: index to text by frame, empty where there is none.
         marks: on the time line.
         silent: names of the sources without data.
+        copies: G more bodies, of doubles; poses, opacity and greyness have them after the B.
     """
 
     world: WorldView
@@ -132,6 +134,7 @@ class Capture:
     cards: dict[int, list[str]]
     marks: Sequence[Mark] = ()
     silent: list[str] = field(default_factory=list)
+    copies: Sequence[CopiedBody] = ()
 
     @property
     def frames(self) -> int:
@@ -153,8 +156,8 @@ class CapturedFrame(NamedTuple):
     """What a player shows of one state; arrays as of `Capture`, without the axis of frames.
 
     Attributes:
-        poses: of the bodies, place and unit quaternion, (B, 7).
-        opacity: of the bodies, (B,).
+        poses: of the bodies, place and unit quaternion, (B + G, 7).
+        opacity: of the bodies, (B + G,).
         soft: tendons and flexes.
         values: of the joints by name, (N,) each.
         arrows: what the round arrows show, (N,).
@@ -198,8 +201,8 @@ class FrameCapturer:
         self._decor = Decor(world, arrow_geoms=_ARROW_GEOMS)
         self._decor.features.append(self)
         self._view: PictureView | None = None
-        self._bodies = shown_bodies(world)
-        self._vertices, self._of_model = flex_vertices(world.model), ModelDecor(world.model)
+        self._bodies, self._copies = shown_bodies(world), CopiedBodies(world)
+        self._vertices, self._tendons = flex_vertices(world.model), TendonRows(world.model)
         self._note, self._cards = "", dict[int, str]()
         self._frame: Frame | None = None
 
@@ -228,10 +231,12 @@ class FrameCapturer:
         buffer = self._decor.draw(data, self._shown, self._view)
         frame = self._frame
         assert frame is not None  # `draw` has just been called
+        own = np.hstack([data.xpos[bodies], data.xquat[bodies]])
+        places, turns, opacity = self._copies.poses(buffer.drawn_doubles)
         return CapturedFrame(
-            poses=np.concatenate([data.xpos[bodies], data.xquat[bodies]], axis=1),
-            opacity=body_opacity(world.model, buffer)[bodies],
-            soft=soft_frame(data, self._vertices, self._of_model),
+            poses=np.concatenate([own, np.hstack([places, turns])]),
+            opacity=np.concatenate([body_opacity(world.model, buffer)[bodies], opacity]),
+            soft=soft_frame(data, self._vertices, self._tendons),
             values=frame.values,
             arrows=frame.arrow_values,
             limit=frame.arrow_limit,
@@ -269,11 +274,12 @@ class FrameCapturer:
         values = {key: np.array([f.values[key] for f in frames]) for key in frames[0].values}
         lines, details = _lines(world, values)
         stale = np.array([each.stale for each in frames], bool)
-        grey = np.zeros((len(frames), len(bodies)), bool)
+        grey = np.zeros(opacity.shape, bool)
+        of_body = grey[:, : len(bodies)]
         for part in world.owners.values():
             if part.joints.stop > part.joints.start and not isinstance(part, DoublePart):
                 is_stale = np.all(stale[:, part.joints], axis=1)
-                grey[:, np.isin(bodies, part.bodies)] = np.asarray(is_stale)[:, None]
+                of_body[:, np.isin(bodies, part.bodies)] = np.asarray(is_stale)[:, None]
         return Capture(
             world=world,
             fps=fps,
@@ -298,6 +304,7 @@ class FrameCapturer:
             cards=_cards([each.cards for each in frames]),
             marks=marks,
             silent=list(silent),
+            copies=self._copies.each,
         )
 
 
@@ -388,6 +395,8 @@ def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera
         camera: of the first picture.
     """
     joints, bodies, model = world.joints, shown_bodies(world), world.model
+    copies = CopiedBodies(world)
+    places, turns, faint = copies.poses([])
     formats = joint_formats(world)
     count = len(joints.names)
     nothing = np.full((1, count), np.nan)
@@ -400,19 +409,20 @@ def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera
         lines=formats.declared,
         details=formats.details,
         bodies=bodies,
-        positions=data.xpos[bodies][None],
-        rotations=data.xquat[bodies][None],
-        opacity=np.ones((1, len(bodies))),
-        grey=np.zeros((1, len(bodies)), bool),
+        positions=np.concatenate([data.xpos[bodies], places])[None],
+        rotations=np.concatenate([data.xquat[bodies], turns])[None],
+        opacity=np.concatenate([np.ones(len(bodies)), faint])[None],
+        grey=np.zeros((1, len(bodies) + len(faint)), bool),
         values={"joint_angles": nothing},
         arrows=nothing,
         limit=joints.torque_limit,
         stale=np.zeros((1, count), bool),
-        soft=soft_of([soft_frame(data, flex_vertices(model), ModelDecor(model))]),
+        soft=soft_of([soft_frame(data, flex_vertices(model), TendonRows(model))]),
         items=[],
         labels=[{}],
         notes=[""],
         cards={},
+        copies=copies.each,
     )
 
 

@@ -54,7 +54,7 @@ def encode(capture: Capture, title: str) -> bytes:
         "opacity": parts.moving(opacity, 1),
         "grey": parts.moving(capture.grey, 1),
         "greyRgb": GREY,
-        **look.head(),
+        **_look(capture, look),
         "floor": _floor(capture.world),
         **capture.soft.head(parts, METRE_STEP),
         "joints": _joints(capture),
@@ -79,6 +79,16 @@ def encode(capture: Capture, title: str) -> bytes:
     return b"".join([len(text).to_bytes(4, "little"), text, *parts.arrays])
 
 
+def _look(capture: Capture, look: Look) -> dict[str, Any]:
+    """The looks of the model, and of the bodies that are there twice."""
+    found = look.head()
+    of_geoms = capture.world.model.geom_bodyid
+    for number, copied in enumerate(capture.copies, len(capture.bodies)):
+        for geom in capture.geoms[of_geoms[capture.geoms] == copied.body].tolist():
+            found["geoms"].append(look.copied(geom, number, copied.rgba))
+    return found
+
+
 def _finite(number: float) -> float | None:
     return float(number) if math.isfinite(number) else None
 
@@ -94,7 +104,10 @@ def _index(capture: Capture, body: int) -> int:
 
 
 def _bodies(capture: Capture) -> list[dict[str, Any]]:
-    """Name of every body, the joint that moves it and the double that it is part of; else -1."""
+    """Name of every body, the joint that moves it and the double that it is part of; else -1.
+
+    `moves` says whether anything can move it, as MuJoCo understands that.
+    """
     world, found = capture.world, []
     doubles = list(world.doubles)
     of: dict[int, tuple[int, int]] = {}
@@ -107,10 +120,15 @@ def _bodies(capture: Capture) -> list[dict[str, Any]]:
     for name, part in world.doubles.items():  # paths have no joints and are no owners
         for body in np.ravel(part.bodies).tolist():
             of.setdefault(body, (-1, doubles.index(name)))
+    model = world.model
+    of_mocap = model.body_mocapid[model.body_rootid] >= 0
+    moves = ((model.body_weldid > 0) | of_mocap).tolist()
     for body in capture.bodies.tolist():
         joint, double = of.get(body, (-1, -1))
         name = world.model.body(body).name
-        found.append({"name": name, "joint": joint, "double": double})
+        found.append({"name": name, "joint": joint, "double": double, "moves": moves[body]})
+    for copied in capture.copies:
+        found.append({"name": copied.name, "joint": -1, "double": copied.double, "moves": True})
     return found
 
 

@@ -1,4 +1,4 @@
-"""Text at places of the world: names of frames that are on, and labels of decor's geoms."""
+"""Text at places of the world: names of frames and parts that are on, labels of decor's geoms."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
 from ..decor.feature import Frame
+from ..decor.part_names import named_parts
 from .packing import Parts
 
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
@@ -27,6 +28,8 @@ def labels_of(world: WorldView, frame: Frame) -> dict[_Key, tuple[str, Array]]:
     found: dict[_Key, tuple[str, Array]] = {}
     for i in frame.shown.frame_names.nonzero()[0].tolist():
         found["name", i] = frames.names[i], np.array(frame.data.site_xpos[frames.site[i]])
+    parts, places = named_parts(world, frame.data, frame.toggles.part_names)
+    found |= {("part", k): (parts[k], places[k]) for k in range(len(parts))}
     rows = buffer.rows[: buffer.count]
     has_text = rows["label"] != b""
     has_text[buffer.text] = False  # of panels, which a player lays out itself

@@ -237,6 +237,18 @@ class Look:
             found["mesh"] = self._mesh((data, is_textured), lambda: corners)
         return found
 
+    def copied(self, geom: int, body: int, rgba: Array) -> dict[str, Any]:
+        """Returns a geom of the model once more, in one colour.
+
+        Args:
+            geom: its id.
+            body: number of a body on the page, to which it is fixed as to its own one.
+            rgba: its colour, (4,).
+        """
+        found = self._geom(geom)
+        found.pop("material", None)
+        return found | {"body": body, "rgba": np.round(rgba * 255).astype(int).tolist()}
+
     def _field_of(self, field: int) -> Callable[[], Any]:
         def corners() -> Any:
             points, normals, index = field_corners(self._model, field)

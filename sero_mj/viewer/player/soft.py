@@ -11,8 +11,8 @@ import numpy as np
 
 from ...base.frames import Array, Ints
 from .model import shown_flexes
-from .model_decor import TENDON, ModelDecor
 from .packing import Parts, rounded
+from .tendon_rows import TendonRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,16 +63,15 @@ class SoftFrame(NamedTuple):
     tendons: np.ndarray
 
 
-def soft_frame(data: mujoco.MjData, vertices: Ints, decor: ModelDecor) -> SoftFrame:
+def soft_frame(data: mujoco.MjData, vertices: Ints, pieces: TendonRows) -> SoftFrame:
     """Returns what is soft in a state, with everything up to date that is drawn of it.
 
     Args:
         data: the state.
         vertices: see `flex_vertices`.
-        decor: of the model.
+        pieces: of the model's tendons.
     """
-    rows = decor.rows(data)
-    return SoftFrame(data.flexvert_xpos[vertices].copy(), rows[rows["objtype"] == TENDON])
+    return SoftFrame(data.flexvert_xpos[vertices].copy(), pieces.rows(data))
 
 
 def soft_of(found: Sequence[SoftFrame]) -> Soft:

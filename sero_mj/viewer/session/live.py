@@ -235,8 +235,9 @@ class LiveHost(ABC):
         """Shows or hides the help."""
         self.shows_help = not self.shows_help
 
-    def open_panel(self) -> None:  # noqa: B027 (pages show it anyway)
-        """Shows the panel, where that can be hidden."""
+    @abstractmethod
+    def open_panel(self) -> None:
+        """Shows the panel."""
 
     def toggle_status(self) -> None:
         """Shows or hides status line or panel."""

@@ -213,6 +213,7 @@ def picked_of(world: WorldView, kind: Kind, item: int, distance: float = 0.0) ->
         Kind.CARD: len(world.arrows.names),
         Kind.HANDLE: len(HANDLE_NAMES),
         Kind.CHECK: len(world.robots),
+        Kind.PART: 0,
     }
     if kind == Kind.NONE or not 0 <= item < counts.get(kind, len(world.joints.names)):
         raise ValueError(f"found {kind.name} {item}; expected an item of decor")

@@ -11,6 +11,7 @@ from ...robots.assemble.world_view import WorldView
 from ..decor.draw import Decor
 from ..decor.feature import Drawn
 from ..decor.geom_buffer import CAPACITY, GeomBuffer
+from ..decor.model_drawing import ModelDrawing
 from ..decor.panels import Panels
 from ..decor.picture_view import PictureView
 from ..decor.round_arrows import ARROW_GEOMS
@@ -37,6 +38,7 @@ class SceneDecor:
         toggles: what is shown.
         view: of the last frame; None before the first.
         dropped: number of geoms of the last frame that exceeded the scene's capacity.
+        drawing: draws the model.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class SceneDecor:
         self.toggles = Toggles(world) if toggles is None else toggles
         self.view: PictureView | None = None
         self.dropped = 0
+        self.drawing = ModelDrawing(world)
         self._decor = Decor(world, capacity, arrow_geoms)
         self._host: tuple[mujoco.MjvScene, SceneWriter] | None = None
         self._has_warned = False
@@ -75,6 +78,10 @@ class SceneDecor:
     def panels(self) -> list[Panels]:
         """The panels of the last frame, in drawing order."""
         return self._decor.panels
+
+    def fill(self, data: mujoco.MjData, camera: mujoco.MjvCamera, scene: mujoco.MjvScene) -> None:
+        """Lets MuJoCo fill a scene with the world, before decor is drawn, see `ModelDrawing`."""
+        self.drawing.fill(data, self.toggles, camera, scene)
 
     def lay_out(self, data: mujoco.MjData, view: PictureView) -> None:
         """Lays out one frame, see `draw`."""

@@ -99,7 +99,7 @@ class Shown(Protocol):
         """Copies a text to the user's clipboard."""
 
     def open_panel(self) -> None:
-        """Shows the panel, where that can be hidden."""
+        """Shows the panel."""
 
 
 class Grab(NamedTuple):

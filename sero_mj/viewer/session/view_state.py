@@ -13,17 +13,20 @@ from ...base.errors import SeroError, UnknownName, UsageError, did_you_mean
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from ..camera import find_camera
-from ..decor.toggles import Toggles
+from ..decor.toggles import PART_NAMES, Toggles
 from .clock import Clock
 from .torque_history import joint_name
 
 # Fields of `Toggles` that are switches.
 SWITCH_NAMES = (
     "arrows", "arrow_quantity", "billboards", "details", "axes", "frame_names", "vectors", "cards",
-    "doubles", "legend", "status", "flange_checks",
+    "doubles", "legend", "status", "flange_checks", "contacts", "inertias", "joint_axes",
+    "centres_of_mass", "part_names", "transparent", "wireframe",
 )  # fmt: skip
 # Also accepted, but not settable: whether torques are those of the model, as the legend says.
 MODELLED = "modelled"
+# The largest digit of switches that are not on or off.
+_MOST = {"arrow_quantity": len(ARROW_QUANTITIES) - 1, "part_names": len(PART_NAMES) - 1}
 _DECIMALS = 4  # of degrees and m
 _MAX_CHARACTERS = 20_000  # of a state as text
 _CAMERA = ("type", "fixedcamid", "trackbodyid", "azimuth", "elevation", "distance")
@@ -111,7 +114,8 @@ def apply_switches(
         world: the compiled scene.
         toggles: changed in place.
         given: by name, see `SWITCH_NAMES`: a digit for each item (joint, frame, ...), or one for
-            all; 1 is on, and `arrow_quantity` counts the quantities from 0.
+            all; 1 is on, `arrow_quantity` counts the quantities from 0, and `part_names` is an
+            index of `PART_NAMES`.
         selected: the joint to select, `lwr/A2`; unchanged when None.
 
     Raises:
@@ -123,16 +127,17 @@ def apply_switches(
     for name, digits in given.items():
         if name not in (*SWITCH_NAMES, MODELLED):
             raise UsageError(f"no switch '{name}'{did_you_mean(name, SWITCH_NAMES)}")
-        most = len(ARROW_QUANTITIES) - 1 if name == "arrow_quantity" else 1
+        most = _MOST.get(name, 1)
         if not digits or any(digit not in "0123456789"[: most + 1] for digit in digits):
             raise UsageError(f"{name}: found '{digits}'; expected digits from 0 to {most}")
         now = getattr(toggles, name)
-        if isinstance(now, bool):
-            setattr(toggles, name, digits == "1")
+        count = 1 if isinstance(now, int) else len(now)
+        if len(digits) not in (1, count):
+            many = f", or {count}: one for each" if count > 1 else ""
+            raise UsageError(f"{name}: found {len(digits)} digits; expected one{many}")
+        if isinstance(now, int):  # a bool, too
+            setattr(toggles, name, type(now)(int(digits)))
             continue
-        if len(digits) not in (1, len(now)):
-            found = f"{name}: found {len(digits)} digits"
-            raise UsageError(f"{found}; expected one, or {len(now)}: one for each")
         now[:] = [int(digit) for digit in digits] if len(digits) == len(now) else int(digits)
 
 
@@ -211,8 +216,9 @@ class ViewSnapshot(NamedTuple):
             camera.lookat = self.lookat
         for name, kept in zip(_SWITCHES, self.switches, strict=True):
             now = getattr(toggles, name)
-            if isinstance(now, bool):
-                setattr(toggles, name, kept != b"\0")
+            if isinstance(now, int):
+                (value,) = np.frombuffer(kept, np.asarray(now).dtype).tolist()
+                setattr(toggles, name, value)
             else:
                 now[:] = np.frombuffer(kept, now.dtype)
         toggles.selected = self.selected

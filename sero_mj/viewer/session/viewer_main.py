@@ -190,9 +190,6 @@ def _open_host(mirror: LiveWorld, options: dict[str, Any]) -> LiveHost:
             if last_port is None or "port" in options:
                 raise
             page = open_page(mirror, **options)  # another program has taken it meanwhile
-        if not all(double.is_compiled for double in mirror.world.doubles.values()):
-            log.warning("a page shows no doubles of an overlay; a window and pictures do")
-            page.toggles.doubles[:] = False
         return page
     from ..window.host import Window
 

@@ -206,6 +206,10 @@ class WebHost(LiveHost):
         super().show_layout(layout)
         self._panels.shows_panel = layout.get("panel", self._panels.shows_panel)
 
+    def open_panel(self) -> None:
+        """Shows the panel."""
+        self._panels.shows_panel = True
+
     def toggle_status(self) -> None:
         """Shows or hides the panel."""
         self._panels.shows_panel = not self._panels.shows_panel

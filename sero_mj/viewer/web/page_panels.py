@@ -18,8 +18,8 @@ from .sections import Sections
 _EM = 14.0  # pixels, the height of text in `page.css`
 _INTERVAL = 1.0 / 15.0  # s between two updates of panels
 _NARROW = 800  # width of a page, pixels, below which it begins without its panel
-# Of the text's height: width of the panel, and most width and height of an area.
-_PANEL_WIDTH, _AREA_WIDTH, _AREA_HEIGHT = 23.0, 32.0, 34.0
+# Of the text's height: width of the panel, most width and height of an area, and of its frame.
+_PANEL_WIDTH, _AREA_WIDTH, _AREA_HEIGHT, _FRAME = 23.0, 32.0, 48.0, 4.0
 _TALL = 400.0  # a panel's height, which is scrolled
 
 
@@ -84,8 +84,10 @@ class PagePanels:
         self._put_tree("timeLine", host.has_time_line, self._time_line, (wide, 2.0))
         room = min(help_panel.WIDTH, wide - 2), _TALL
         self._put_tree("help", host.shows_help, self._help, room)
-        room = min(_AREA_WIDTH, wide), min(_AREA_HEIGHT, 0.6 * size[1] / _EM)
-        put("areas", [self._area(tool, room) for tool in host.areas])
+        areas = host.areas
+        high = size[1] / _EM / max(len(areas), 1) - _FRAME
+        room = min(_AREA_WIDTH, wide), max(min(_AREA_HEIGHT, high), 0.0)
+        put("areas", [self._area(tool, room) for tool in areas])
 
     def _put_tree(
         self,

@@ -21,11 +21,12 @@ from ..decor.geom_buffer import GeomBuffer, Kind
 from ..decor.panels import Panels
 from ..decor.picture_view import PictureView
 from ..player.capture import body_opacity, capture_pose, line_text, player_geoms, shown_bodies
+from ..player.copied_bodies import CopiedBodies
 from ..player.encode import METRE_STEP, ROTATION_STEP, arrow_looks, encode
 from ..player.items import poses, quaternions_of
 from ..player.labels import labels_of
-from ..player.model_decor import ModelDecor
 from ..player.soft import flex_vertices
+from ..player.tendon_rows import TendonRows
 from ..session.scene_decor import SceneDecor
 from .sections import Sections
 
@@ -48,8 +49,9 @@ class PageState:
     def __init__(self, world: WorldView, sections: Sections) -> None:
         self._world, self._sections = world, sections
         self._bodies = shown_bodies(world)
+        self._copies = CopiedBodies(world)
         self._vertices = flex_vertices(world.model)
-        self._of_model = ModelDecor(world.model)
+        self._tendons = TendonRows(world.model)
         self._frame: Frame | None = None
         self._depth = 1.0  # of the robots in the picture, m
         self._cards: list[dict[str, Any]] = []
@@ -79,8 +81,9 @@ class PageState:
         self._notes = [
             [line_text(line) for line in lines] for each in frame.corners for lines in each.texts
         ]
-        # Names of frames have places of their own, see `labels_of`.
-        self._beside = [each for each in frame.panels if each.kind != Kind.NAME]
+        # Names have places of their own, see `labels_of`.
+        names = (Kind.NAME, Kind.PART)
+        self._beside = [each for each in frame.panels if each.kind not in names]
         for groups in (frame.corners, frame.cards, frame.panels):
             groups.clear()
 
@@ -116,11 +119,13 @@ class PageState:
             put("hover", None)
         put("selected", -1 if frame.toggles.selected is None else int(frame.toggles.selected))
         self._put_bodies(data, frame.buffer)
-        rows = self._of_model.rows(data)
+        toggles = frame.toggles
+        put("shading", {"transparent": toggles.transparent, "wireframe": toggles.wireframe})
+        rows = np.concatenate([self._tendons.rows(data), decor.drawing.rows(data, toggles)])
         self._put_geoms(frame.buffer, rows)
         # What is left is said of stale data; the last one is the name beside the pointer.
         notes = decor.panels[: len(decor.panels) - (hover is not None)]
-        self._put_labels(frame, rows, [*self._beside, *notes])
+        self._put_labels(frame, [*self._beside, *notes])
 
     def _put_geoms(self, buffer: GeomBuffer, of_model: np.ndarray) -> None:
         rows, kinds, items = player_geoms(buffer, self._world.joints.revolute)
@@ -141,12 +146,10 @@ class PageState:
         ]
         self._sections.put("items", b"".join(part.tobytes() for part in parts))
 
-    def _put_labels(self, frame: Frame, of_model: np.ndarray, beside: list[Panels]) -> None:
+    def _put_labels(self, frame: Frame, beside: list[Panels]) -> None:
         found: list[tuple[str, Any, int, int]] = []
         for (what, item), (text, place) in labels_of(self._world, frame).items():
             found.append((text, place, Kind.NAME if what == "name" else Kind.NONE, item))
-        for row in of_model[of_model["label"] != b""]:
-            found.append((row["label"].decode("latin-1"), row["pos"], Kind.NONE, 0))
         for panels in beside:
             items = np.zeros(len(panels.texts), int) if panels.items is None else panels.items
             for lines, centre, item in zip(panels.texts, panels.centres, items, strict=True):
@@ -165,13 +168,18 @@ class PageState:
         """Puts poses and looks of all bodies."""
         put, bodies, model = self._sections.put, self._bodies, self._world.model
         # Rounded as files are: what trembles by less is not sent.
-        places = np.round(data.xpos[bodies] / METRE_STEP) * METRE_STEP
-        turns = np.round(data.xquat[bodies] / ROTATION_STEP).astype(np.int16)
+        copies = self._copies.poses(buffer.drawn_doubles)
+        places = np.concatenate([data.xpos[bodies], copies[0]])
+        places = np.round(places / METRE_STEP) * METRE_STEP
+        turns = np.concatenate([data.xquat[bodies], copies[1]])
+        turns = np.round(turns / ROTATION_STEP).astype(np.int16)
         put("poses", places.astype(np.float32).tobytes() + turns.tobytes())
         opacity = body_opacity(model, buffer)
         opacity[data.xpos[:, 2] < OUT_OF_SIGHT[2] / 2] = 0.0
-        put("opacity", np.round(255 * opacity[bodies]).astype(np.uint8))
-        put("grey", _bodies_of(model, buffer.grey)[bodies].astype(np.uint8))
+        opacity = np.concatenate([opacity[bodies], copies[2]])
+        put("opacity", np.round(255 * opacity).astype(np.uint8))
+        grey = np.concatenate([_bodies_of(model, buffer.grey)[bodies], np.zeros_like(copies[2])])
+        put("grey", grey.astype(np.uint8))
         if len(self._vertices):
             put("soft", data.flexvert_xpos[self._vertices].astype(np.float32))
         if not self._world.has_sites:

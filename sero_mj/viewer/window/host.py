@@ -34,7 +34,7 @@ from .glfw_window import GlWindow
 
 _RESTS = 0.3  # s without motion or action after which frames have full quality
 _SAME_VIEW = 1e-6  # m, and of the unit vector of its direction
-_MORE = 1000  # additional capacity for geoms that MuJoCo adds to those of the model
+_MORE = 2000  # additional capacity for geoms that MuJoCo adds to those of the model
 
 
 class Viewport(SceneDecor):
@@ -56,7 +56,6 @@ class Viewport(SceneDecor):
         self._surroundings = added_surroundings(world, context)
         self.rect = mujoco.MjrRect(0, 0, 1, 1)
         self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)
-        self._option = mujoco.MjvOption()
         self._typesetter: Typesetter | None = None
 
     @property
@@ -81,10 +80,8 @@ class Viewport(SceneDecor):
             typesetter: of its panels.
             covered: width of what covers its left edge, pixels; numbers stay beside it.
         """
-        scene, everything = self._scene, mujoco.mjtCatBit.mjCAT_ALL
-        mujoco.mjv_updateScene(
-            self.world.model, data, self._option, None, camera, everything, scene
-        )
+        scene = self._scene
+        self.fill(data, camera, scene)
         if self._surroundings is not None:
             self._surroundings.add(scene)
         self.rect, self._typesetter = rect, typesetter

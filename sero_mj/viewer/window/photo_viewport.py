@@ -83,9 +83,8 @@ class PhotoViewport(Viewport):
             self._photo = np.asarray(
                 Image.fromarray(pixels).resize(size, Image.Resampling.BILINEAR)
             )
-        scene, everything = self._scene, mujoco.mjtCatBit.mjCAT_ALL
-        free = mujoco.MjvCamera()
-        mujoco.mjv_updateScene(self.world.model, data, self._option, None, free, everything, scene)
+        scene = self._scene
+        self.fill(data, mujoco.MjvCamera(), scene)  # `painter` sees by the feed's
         self._typesetter = typesetter
         beside = self.rect.left - rect.left
         inset = (min(max(covered - beside, 0.0), 0.6 * size[0]), 0.0, 0.0, 0.0)

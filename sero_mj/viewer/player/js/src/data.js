@@ -205,7 +205,7 @@ export function decode(bytes) {
     frames,
     eye: /** @type {Eye} */ (head.eye),
     cameras: /** @type {Camera[]} */ (head.cameras),
-    bodies: /** @type {{name: string, joint: number, double: number}[]} */ (head.bodies),
+    bodies: /** @type {{name: string, joint: number, double: number, moves: boolean}[]} */ (head.bodies),
     positions: moving(head.positions, metre),
     rotations: moving(head.rotations, turn),
     opacity: moving(head.opacity, 1 / 255),

@@ -16,9 +16,16 @@ import { isTakenBy, nameOf } from "./keys.js";
 const HOLD = 500; // ms, that a finger is held still
 const STILL = 8; // pixels, that it may move
 const TOLERANCE = 4, FINGER = 12; // pixels beside a handle, of a mouse and of a finger
-const STEP = 100, LINES = 3; // pixels and lines of a step of a wheel
+const STEP = 100, LINES = 3; // pixels of the screen, or lines, of a step of a wheel
 /** As the server numbers buttons, by the browser's number. */
 const BUTTONS = [0, 2, 1];
+
+/**
+ * By how many steps a wheel has been turned, away from the user: the same on every screen, and
+ * however the page is zoomed.
+ * @param {{deltaMode: number, deltaY: number}} event @param {number} ratio pixels of the screen by those of the page
+ */
+export const stepsOf = ({ deltaMode, deltaY }, ratio) => -deltaY * (deltaMode ? 1 / LINES : ratio / STEP);
 
 /** The input of a page. */
 export class Input {
@@ -140,8 +147,7 @@ export class Input {
     if (!this.page.isDragging()) return;
     event.preventDefault();
     event.stopImmediatePropagation();
-    const step = event.deltaMode === WheelEvent.DOM_DELTA_PIXEL ? STEP : LINES;
-    this.page.send({ t: "wheel", n: -event.deltaY / step });
+    this.page.send({ t: "wheel", n: stepsOf(event, devicePixelRatio) });
   }
 
   /** @param {KeyboardEvent} event */

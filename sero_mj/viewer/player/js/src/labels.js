@@ -16,6 +16,26 @@ export function labelsAt({ labels, frames }, frame) {
   });
 }
 
+// Of a label: about its height, and its width, pixels; and how many lines it may be below its place.
+const LINE = 18, CHARACTER = 7.4, MARGIN = 14, LOWER = 3;
+
+/**
+ * Where a label covers none before it: there, or some lines lower; null where that is crowded,
+ * for farther away a name would be taken for that of something else.
+ * @param {number} x of its middle @param {number} y @param {string} text
+ * @param {[x: number, y: number, width: number][]} taken by those before it; it is added
+ */
+export function clearOf(x, y, text, taken) {
+  const width = CHARACTER * Math.max(...text.split("\n").map((line) => line.length)) + MARGIN;
+  const near = taken.filter(([at, , wide]) => Math.abs(at - x) < (wide + width) / 2);
+  for (let low = y; low <= y + LOWER * LINE; low += LINE) {
+    if (near.some(([, at]) => Math.abs(at - low) < LINE)) continue;
+    taken.push([x, low, width]);
+    return low;
+  }
+  return null;
+}
+
 /** All of it. */
 export class Labels {
   /** @param {HTMLElement} room */
@@ -38,16 +58,19 @@ export class Labels {
   /** Writes them below their places. @param {import("./stage.js").Stage} stage @param {Label[]} labels */
   layOut(stage, labels) {
     const { width, height } = stage.size;
+    /** @type {[number, number, number][]} */
+    const taken = [];
     while (this.boxes.length < labels.length) this.boxes.push(this.#make());
     this.boxes.forEach((box, k) => {
       const [text, atX, atY, atZ, kind, item] = labels[k] ?? ["", 0, 0, 0];
       const { x, y, isSeen } = stage.pixel(this.place.set(atX, atY, atZ));
-      const isShown = text && isSeen && x > 0 && x < width && y > 0 && y < height;
-      box.style.display = isShown ? "" : "none";
-      if (!isShown) return;
+      const isInside = text && isSeen && x > 0 && x < width && y > 0 && y < height;
+      const low = isInside ? clearOf(x, y, text, taken) : null;
+      box.style.display = low === null ? "none" : "";
+      if (low === null) return;
       write(box, text);
       box.dataset.key = kind ? `${kind} ${item}` : "";
-      box.style.transform = `translate(${x.toFixed(1)}px,${(y + 8).toFixed(1)}px) translateX(-50%)`;
+      box.style.transform = `translate(${x.toFixed(1)}px,${(low + 8).toFixed(1)}px) translateX(-50%)`;
     });
   }
 }

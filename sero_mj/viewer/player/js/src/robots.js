@@ -38,10 +38,11 @@ function shapeOf(geom, run) {
 }
 
 /**
- * Geoms as one geometry, in the frames of their bodies.
- * @param {Geom[]} geoms @param {Run} run @param {number} texture that all of them have; -1 for none
+ * Geoms as one geometry, in the frames of their bodies, with a group for each part of them.
+ * @param {Geom[][]} parts @param {Run} run @param {number} texture that all of them have; -1 for none
  */
-function merged(geoms, run, texture) {
+function merged(parts, run, texture) {
+  const geoms = parts.flat();
   const shapes = geoms.map((geom) => shapeOf(geom, run));
   const vertices = shapes.reduce((sum, each) => sum + each.attributes.position.count, 0);
   const corners = shapes.reduce((sum, each) => sum + (each.index ? each.index.count : 0), 0);
@@ -70,6 +71,13 @@ function merged(geoms, run, texture) {
     }
   });
   const geometry = new THREE.BufferGeometry();
+  let begin = 0, count = 0;
+  parts.forEach((part, k) => {
+    const length = shapes.slice(count, count += part.length)
+      .reduce((sum, { index: of }) => sum + (of ? of.count : 0), 0);
+    geometry.addGroup(begin, length, k);
+    begin += length;
+  });
   geometry.setAttribute("position", new THREE.BufferAttribute(position, 3));
   geometry.setAttribute("normal", new THREE.BufferAttribute(normal, 3, true));
   geometry.setAttribute("color", new THREE.BufferAttribute(color, 4, true));
@@ -94,7 +102,7 @@ export class Robots {
     this.geoms = run.geoms.concat(run.geoms.filter(isPlane).map(backOf));
     this.solidGeoms = run.geoms.filter((geom) => !isGhost(geom));
     this.pictures = texturesOf(run);
-    /** What is opaque, unless it is shaded otherwise. @type {THREE.Mesh<THREE.BufferGeometry, THREE.MeshPhongMaterial>[]} */
+    /** Of what is opaque, unless it is shaded otherwise: of what stands, and of what moves. @type {THREE.MeshPhongMaterial[][]} */
     this.surfaces = [];
     this.mirrorGeom = mirrorOf(run)?.geom;
     this.mirror = this.mirrorGeom ? new Mirror() : null;
@@ -113,14 +121,17 @@ export class Robots {
   #meshes(texture, isGhost) {
     const geoms = this.geoms.filter((geom) => textureOf(this.run, geom) === texture);
     const ghosts = geoms.filter(isGhost);
-    const own = merged(geoms.filter((geom) => !isGhost(geom)), this.run, texture);
-    const solid = this.#mesh(own, {}, false, texture);
+    const solids = geoms.filter((geom) => !isGhost(geom));
+    const moves = (/** @type {Geom} */ geom) => Boolean(this.run.bodies[geom.body].moves);
+    const parts = [solids.filter((geom) => !moves(geom)), solids.filter(moves)];
+    const looks = parts.map(() => this.#material({}, false, texture));
+    const solid = this.#mesh(merged(parts, this.run, texture), looks);
     solid.castShadow = solid.receiveShadow = true;
-    this.surfaces.push(solid);
+    this.surfaces.push(looks);
     // Depth first, then colour where it is nearest, so that no inside shines through.
-    const shape = merged(ghosts, this.run, texture);
-    const depth = this.#mesh(shape, { colorWrite: false }, true, texture);
-    const colour = this.#mesh(shape, { transparent: true, depthWrite: false }, true, texture);
+    const shape = merged([ghosts], this.run, texture);
+    const depth = this.#mesh(shape, this.#material({ colorWrite: false }, true, texture));
+    const colour = this.#mesh(shape, this.#material({ transparent: true, depthWrite: false }, true, texture));
     depth.renderOrder = 1;
     colour.renderOrder = 2;
     depth.visible = colour.visible = ghosts.length > 0;
@@ -129,42 +140,53 @@ export class Robots {
   }
 
   /**
-   * @param {THREE.BufferGeometry} geometry @param {object} look @param {boolean} isBehind whether
-   * it is drawn a little farther away, so that it does not flicker where it coincides with a robot
-   * @param {number} texture -1 for none
+   * Lets a shader place vertices by the poses of their bodies.
+   * @param {THREE.WebGLProgramParametersWithUniforms} shader @param {boolean} isBehind
    */
-  #mesh(geometry, look, isBehind, texture) {
+  #pose(shader, isBehind) {
+    const grey = this.run.greyRgb.join(",");
+    const texel = (/** @type {number} */ k) => `texelFetch(poses, ivec2(${k}, at), 0)`;
+    shader.uniforms.poses = { value: this.texture };
+    shader.vertexShader = "attribute float body; uniform highp sampler2D poses;"
+      + "varying vec2 state;\n" + shader.vertexShader
+      .replace("void main() {", `void main() { int at = int(body + .5);
+        mat4 own = mat4(${[0, 1, 2, 3].map(texel)}); state = ${texel(4)}.xy;`)
+      .replace("#include <beginnormal_vertex>", "vec3 objectNormal = mat3(own) * normal;")
+      .replace("#include <begin_vertex>", "vec3 transformed = (own * vec4(position, 1.)).xyz;")
+      .replace("#include <project_vertex>", "#include <project_vertex>\n" + (isBehind
+        ? "gl_Position = projectionMatrix * vec4(mvPosition.xyz * 1.002, 1.);" : ""));
+    shader.fragmentShader = "varying vec2 state;\n" + shader.fragmentShader
+      .replace("void main() {", "void main() { if (state.x < .004) discard;")
+      .replace("#include <color_fragment>", `#include <color_fragment>
+        diffuseColor.a *= state.x;
+        diffuseColor.rgb = mix(diffuseColor.rgb, vec3(${grey}), .8 * state.y);`);
+  }
+
+  /**
+   * @param {object} look @param {boolean} isBehind whether it is drawn a little farther away, so
+   * that it does not flicker where it coincides with a robot @param {number} texture -1 for none
+   */
+  #material(look, isBehind, texture) {
     const material = new THREE.MeshPhongMaterial({ vertexColors: true, ...look });
     const picture = this.pictures[texture] ?? null;
     const isCube = texture >= 0 && this.run.textures[texture].cube;
-    const grey = this.run.greyRgb.join(",");
-    /** @param {THREE.WebGLProgramParametersWithUniforms} shader */
-    const place = (shader) => {
-      shader.uniforms.poses = { value: this.texture };
-      const texel = (/** @type {number} */ k) => `texelFetch(poses, ivec2(${k}, at), 0)`;
-      shader.vertexShader = "attribute float body; uniform highp sampler2D poses;"
-        + "varying vec2 state;\n" + shader.vertexShader
-        .replace("void main() {", `void main() { int at = int(body + .5);
-          mat4 own = mat4(${[0, 1, 2, 3].map(texel)}); state = ${texel(4)}.xy;`)
-        .replace("#include <beginnormal_vertex>", "vec3 objectNormal = mat3(own) * normal;")
-        .replace("#include <begin_vertex>", "vec3 transformed = (own * vec4(position, 1.)).xyz;")
-        .replace("#include <project_vertex>", "#include <project_vertex>\n" + (isBehind
-          ? "gl_Position = projectionMatrix * vec4(mvPosition.xyz * 1.002, 1.);" : ""));
-      shader.fragmentShader = "varying vec2 state;\n" + shader.fragmentShader
-        .replace("void main() {", "void main() { if (state.x < .004) discard;")
-        .replace("#include <color_fragment>", `#include <color_fragment>
-          diffuseColor.a *= state.x;
-          diffuseColor.rgb = mix(diffuseColor.rgb, vec3(${grey}), .8 * state.y);`);
-    };
     material.onBeforeCompile = (shader) => {
       finish(shader, this.run, picture, isCube, isBehind ? null : this.mirror);
-      place(shader);
+      this.#pose(shader, isBehind);
     };
     material.customProgramCacheKey = () => `body ${isBehind} ${texture < 0 ? "" : isCube}`;
-    const mesh = new THREE.Mesh(geometry, material);
+    return material;
+  }
+
+  /**
+   * @template {THREE.Material | THREE.Material[]} Look
+   * @param {THREE.BufferGeometry} geometry @param {Look} look
+   */
+  #mesh(geometry, look) {
+    const mesh = new THREE.Mesh(geometry, look);
     mesh.frustumCulled = false;
     mesh.customDepthMaterial = new THREE.MeshDepthMaterial();
-    mesh.customDepthMaterial.onBeforeCompile = place;
+    mesh.customDepthMaterial.onBeforeCompile = (shader) => this.#pose(shader, false);
     this.group.add(mesh);
     return mesh;
   }
@@ -190,13 +212,16 @@ export class Robots {
   }
 
   /**
-   * Lets one see through what is opaque, or only its edges.
+   * Lets one see through what moves, or only the edges of everything.
    * @param {{transparent?: boolean, wireframe?: boolean}} how
    */
   shade({ transparent = false, wireframe = false }) {
-    for (const { material } of this.surfaces) {
-      Object.assign(material, { transparent, depthWrite: !transparent, opacity: transparent ? FAINT : 1, wireframe });
-      material.needsUpdate = true;
+    for (const looks of this.surfaces) {
+      looks.forEach((material, k) => {
+        const isFaint = transparent && k === 1;
+        Object.assign(material, { transparent: isFaint, depthWrite: !isFaint, opacity: isFaint ? FAINT : 1, wireframe });
+        material.needsUpdate = true;
+      });
     }
   }
 

@@ -280,7 +280,7 @@ export class Stage {
       if (each instanceof THREE.Light && "shadow" in each) each.dispose();
       if (!(each instanceof THREE.Mesh || each instanceof THREE.LineSegments)) return;
       each.geometry.dispose();
-      each.material.dispose();
+      for (const material of [each.material].flat()) material.dispose();
       if (each instanceof THREE.InstancedMesh) each.dispose();
       each.customDepthMaterial?.dispose();
     });

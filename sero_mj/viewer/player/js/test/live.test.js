@@ -6,7 +6,9 @@ import { Geoms } from "../src/geoms.js";
 import { dataOf } from "../src/graph.js";
 import { distanceTo } from "../src/handles.js";
 import { Items } from "../src/items.js";
+import { stepsOf } from "../src/input.js";
 import { isTakenBy, nameOf } from "../src/keys.js";
+import { clearOf } from "../src/labels.js";
 import { keysOf, linesOf } from "../src/panels.js";
 import { Reader, fill, readSections } from "../src/sections.js";
 import { State } from "../src/state.js";
@@ -180,4 +182,17 @@ test("decor of any number is drawn, opaque and transparent, and can be picked", 
   assert.deepEqual(items.pick(ray)?.of, [8, 71, 2]);
   assert.deepEqual(put(0), [0, 0]);
   assert.equal(items.pick(ray), null);
+});
+
+test("a step of a wheel counts once on every screen, however the page is zoomed", () => {
+  for (const ratio of [0.5, 1, 2]) assert.equal(stepsOf({ deltaMode: 0, deltaY: 100 / ratio }, ratio), -1);
+  assert.equal(stepsOf({ deltaMode: 1, deltaY: -3 }, 2), 1);
+});
+
+test("labels at one place stand below each other, as far as there is room, and others where they belong", () => {
+  /** @type {[number, number, number][]} */
+  const taken = [];
+  const at = (/** @type {number} */ x, /** @type {number} */ y) => clearOf(x, y, "lwr/A1", taken);
+  assert.deepEqual([at(100, 50), at(100, 50), at(104, 50), at(300, 50), at(100, 20)], [50, 68, 86, 50, 20]);
+  assert.deepEqual([at(100, 50), at(100, 50)], [104, null]);
 });

@@ -1,7 +1,4 @@
-"""`ModelDecor`: what MuJoCo draws of a model besides its surfaces, as geoms for a player.
-
-Tendons always; contacts, inertias, joints and names where a view asks for them.
-"""
+"""`TendonRows`: the tendons of a model as MuJoCo draws them, as geoms for a player."""
 
 from __future__ import annotations
 
@@ -13,13 +10,12 @@ from ..decor.scene_writer import struct_view
 
 TENDON = int(mujoco.mjtObj.mjOBJ_TENDON)
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
-_DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
 _ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
 _MOST_GEOMS = 4000  # besides those of the model
 
 
-class ModelDecor:
-    """Asks MuJoCo for the geoms of a frame.
+class TendonRows:
+    """Asks MuJoCo for the tendons of a frame.
 
     Args:
         model: compiled.
@@ -32,7 +28,7 @@ class ModelDecor:
         self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
 
     def rows(self, data: mujoco.MjData) -> np.ndarray:
-        """Returns geoms that are not surfaces, (k,) of `GEOM`.
+        """Returns the straight pieces of all tendons, (k,) of `GEOM`; none takes no time.
 
         Args:
             data: the state, with everything up to date that is drawn of it.
@@ -48,6 +44,5 @@ class ModelDecor:
         if rows is None:
             return np.zeros(0, GEOM)
         rows = rows[: scene.ngeom]
-        is_tendon = (rows["objtype"] == TENDON) & (rows["type"] == _CAPSULE)
-        kept: np.ndarray = rows[is_tendon | (rows["category"] == _DECOR)].copy()
+        kept: np.ndarray = rows[(rows["objtype"] == TENDON) & (rows["type"] == _CAPSULE)].copy()
         return kept

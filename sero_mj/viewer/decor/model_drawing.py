@@ -1,0 +1,202 @@
+"""`ModelDrawing`: what MuJoCo draws of a model besides its surfaces, for all hosts.
+
+Contacts, inertias, joints and centres of mass are geoms of MuJoCo; that surfaces are transparent or
+wireframes are options of its scenes.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+from functools import cached_property
+
+import mujoco
+import numpy as np
+
+from ...base.errors import SeroError
+from ...base.frames import Array
+from ...robots.assemble.world_view import WorldView
+from .geom_buffer import ARROW_SIZE_OF_LENGTH, GEOM
+from .scene_writer import struct_view
+from .toggles import Toggles
+
+log = logging.getLogger(__name__)
+
+# Flags of `mjtVisFlag` by switch; contacts have their forces as well where these are known.
+_FLAGS = {
+    "contacts": "mjVIS_CONTACTPOINT",
+    "inertias": "mjVIS_INERTIA",
+    "joint_axes": "mjVIS_JOINT",
+    "centres_of_mass": "mjVIS_COM",
+}
+_TRANSPARENT = int(mujoco.mjtVisFlag.mjVIS_TRANSPARENT)
+_FORCE = int(mujoco.mjtVisFlag.mjVIS_CONTACTFORCE)
+_WIREFRAME = int(mujoco.mjtRndFlag.mjRND_WIREFRAME)
+_ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_JOINT = int(mujoco.mjtObj.mjOBJ_JOINT)
+_JOINT_SIZE = (0.22, 0.22, 3.2)  # of arrows of joints, of the radius of those of torques
+_SPHERE, _UNKNOWN = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtObj.mjOBJ_UNKNOWN)
+_LIGHTEST = 1e-6  # kg
+# Sizes, of the mean size of bodies; those of MuJoCo hide an arm, and where it touches something.
+_SIZES = {
+    "contactwidth": 0.13, "contactheight": 0.03, "forcewidth": 0.04, "com": 0.15,
+    "jointlength": 0.9, "jointwidth": 0.07,
+}  # fmt: skip
+_WEIGHT_LENGTH = 0.25  # of the arrow of a force that is the weight of everything, of its extent
+_GLOW = 0.35  # emission of decor: it is not darker than what the others draw
+_MOST_ROWS = 4000
+
+
+class ModelDrawing:
+    """Draws parts of a world's model, as the switches of `Toggles` say.
+
+    Args:
+        world: the compiled scene.
+    """
+
+    def __init__(self, world: WorldView) -> None:
+        self._world = world
+        self._surfaces, self._parts = mujoco.MjvOption(), mujoco.MjvOption()
+        self._parts.flags[:] = 0
+        for group in ("geom", "site", "tendon", "flex", "skin"):  # surfaces are drawn already
+            getattr(self._parts, f"{group}group")[:] = 0
+        self._perturb = mujoco.MjvPerturb()
+        self._own: mujoco.MjvScene | None = None
+        self._views: tuple[mujoco.MjvScene, np.ndarray | None] | None = None
+
+    @cached_property
+    def _model(self) -> mujoco.MjModel:
+        """With the masses of simulation, without any where these cannot be known; own sizes."""
+        try:
+            found = copy.copy(self._world.weighed())
+        except (SeroError, ValueError) as error:
+            log.warning("inertias are not shown: %s", error)
+            found = copy.copy(self._world.model)
+            found.body_mass[:] = found.body_subtreemass[:] = 0.0
+        _set_sizes(found)
+        return found
+
+    @cached_property
+    def _data(self) -> mujoco.MjData:
+        return mujoco.MjData(self._model)
+
+    @cached_property
+    def _radii(self) -> Array:
+        """Of the arrows of the model's joints, (njnt,), m; 0 for what has none."""
+        world, model = self._world, self._world.model
+        radii = np.zeros(model.njnt)
+        for part in world.robots.values():
+            joints = np.searchsorted(model.jnt_qposadr, part.qpos)  # in the order of `qpos`
+            radii[joints] = world.joints.arrow_radius[part.joints]
+        return radii
+
+    def fill(
+        self,
+        data: mujoco.MjData,
+        toggles: Toggles,
+        camera: mujoco.MjvCamera,
+        scene: mujoco.MjvScene,
+    ) -> None:
+        """Lets MuJoCo fill a scene with the world, as it is seen by a camera.
+
+        Args:
+            data: the world's state, with frames up to date.
+            toggles: what is shown.
+            camera: of the picture.
+            scene: takes the geoms.
+        """
+        self._surfaces.flags[_TRANSPARENT] = toggles.transparent
+        scene.flags[_WIREFRAME] = toggles.wireframe
+        model = self._world.model
+        mujoco.mjv_updateScene(model, data, self._surfaces, None, camera, _ALL, scene)
+        self.add(data, toggles, scene)
+
+    def rows(self, data: mujoco.MjData, toggles: Toggles) -> np.ndarray:
+        """Returns the geoms of parts alone, (k,) of `GEOM`; takes no time while none is on.
+
+        Args:
+            data: the world's state, with frames up to date.
+            toggles: what is shown.
+        """
+        if not _is_asked(toggles):
+            return np.zeros(0, GEOM)
+        if self._own is None:
+            self._own = mujoco.MjvScene(self._world.model, maxgeom=_MOST_ROWS)
+        self._own.ngeom = 0
+        self.add(data, toggles, self._own)
+        rows = self._rows_of(self._own)
+        return np.zeros(0, GEOM) if rows is None else rows[: self._own.ngeom].copy()
+
+    def add(self, data: mujoco.MjData, toggles: Toggles, scene: mujoco.MjvScene) -> None:
+        """Adds the geoms of parts to a scene.
+
+        Args:
+            data: the world's state, with frames up to date.
+            toggles: what is shown.
+            scene: takes the geoms.
+        """
+        if not _is_asked(toggles):
+            return
+        for name, flag in _FLAGS.items():
+            self._parts.flags[int(getattr(mujoco.mjtVisFlag, flag))] = getattr(toggles, name)
+        self._parts.flags[_FORCE] = toggles.contacts and self._world.dynamic
+        start = scene.ngeom
+        model, own = self._model, self._data
+        self._follow(data, has_contacts=toggles.contacts)
+        mujoco.mjv_addGeoms(model, own, self._parts, self._perturb, _ALL, scene)
+        self._tidy(scene, start)
+
+    def _follow(self, data: mujoco.MjData, *, has_contacts: bool) -> None:
+        """Takes over a state; the data that is shown may be that of a running simulation."""
+        model, own = self._model, self._data
+        state = np.empty(mujoco.mj_stateSize(model, _STATE))
+        mujoco.mj_getState(self._world.model, data, state, _STATE)
+        mujoco.mj_setState(model, own, state, _STATE)
+        if has_contacts and self._world.dynamic:
+            mujoco.mj_forward(model, own)
+            return
+        mujoco.mj_kinematics(model, own)
+        mujoco.mj_comPos(model, own)
+        if has_contacts:
+            mujoco.mj_collision(model, own)
+
+    def _tidy(self, scene: mujoco.MjvScene, start: int) -> None:
+        """Lights and sizes new geoms as other decor, and drops centres of mass of nothing."""
+        view = self._rows_of(scene)
+        if view is None:
+            return
+        rows = view[start : scene.ngeom]
+        rows["emission"] = np.maximum(rows["emission"], _GLOW)
+        of_joints = (rows["objtype"] == _JOINT).nonzero()[0]
+        radii = self._radii[rows["objid"][of_joints]]
+        sized = of_joints[radii > 0]
+        rows["size"][sized] = radii[radii > 0, None] * _JOINT_SIZE
+        is_centre = (rows["objtype"] == _UNKNOWN) & (rows["type"] == _SPHERE)
+        masses = self._model.body_subtreemass[np.where(is_centre, rows["objid"], 0)]
+        kept = rows[~is_centre | (masses > _LIGHTEST)]
+        rows[: len(kept)] = kept
+        scene.ngeom = start + len(kept)
+
+    def _rows_of(self, scene: mujoco.MjvScene) -> np.ndarray | None:
+        if self._views is None or self._views[0] is not scene:
+            self._views = scene, struct_view(scene)
+        return self._views[1]
+
+
+def _is_asked(toggles: Toggles) -> bool:
+    """Whether a part is on."""
+    return any(getattr(toggles, name) for name in _FLAGS)
+
+
+def _set_sizes(model: mujoco.MjModel) -> None:
+    """Sets sizes of marks that a model has left as they are in MuJoCo."""
+    usual, now = mujoco.MjSpec().visual, model.vis
+    for name, size in _SIZES.items():
+        if getattr(now.scale, name) == np.float32(getattr(usual.scale, name)):
+            setattr(now.scale, name, size)
+    weight = float(model.body_subtreemass[0] * np.linalg.norm(model.opt.gravity))
+    if now.map.force == np.float32(usual.map.force) and weight > 0:
+        # MuJoCo divides by the mean mass of bodies.
+        per_newton = ARROW_SIZE_OF_LENGTH * _WEIGHT_LENGTH * model.stat.extent / weight
+        now.map.force = per_newton * model.stat.meanmass

@@ -1,0 +1,99 @@
+"""`PartNames`: names of bodies, joints or geoms of the model, below their places."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Bools, Ints
+from ...robots.assemble.world_view import WorldView
+from ...robots.declared.double import OUT_OF_SIGHT
+from .feature import Feature, Frame
+from .geom_buffer import Kind
+from .panels import Panels, labels_below
+from .toggles import PART_NAMES
+
+_GROUPS = 3  # of geoms that are drawn
+_LOWER = 3  # lines that a label may be below its place
+_TOUCHING = 0.01  # pixels, by which labels may overlap
+
+
+class PartNames(Feature):
+    """Shows the names of the parts that `Toggles.part_names` chooses."""
+
+    order = 61
+
+    def lay_out(self, frame: Frame) -> None:
+        """Adds a label below every one of them."""
+        names, places = named_parts(self.world, frame.data, frame.toggles.part_names)
+        found = labels_below(places, names, frame.view)
+        if found is not None:
+            frame.panels.append(replace(_apart(found[0]), kind=Kind.PART))
+
+
+def _apart(labels: Panels) -> Panels:
+    """Returns labels that cover no others: a few lines lower, or left out where that is crowded.
+
+    Farther away, a name would be taken for that of something else. `js/src/labels.js` does so, too.
+    """
+    centres, kept = labels.centres.copy(), list[int]()
+    for k, (size, centre) in enumerate(zip(labels.sizes, labels.centres, strict=True)):
+        apart = (labels.sizes[kept] + size) / 2
+        for step in range(_LOWER + 1):
+            centres[k] = centre - [0.0, step * size[1]]
+            if not (np.abs(centres[k] - centres[kept]) < apart - _TOUCHING).all(axis=1).any():
+                kept.append(k)
+                break
+    return replace(
+        labels,
+        centres=centres[kept],
+        sizes=labels.sizes[kept],
+        texts=[labels.texts[k] for k in kept],
+    )
+
+
+def named_parts(world: WorldView, data: Any, chosen: int) -> tuple[list[str], Array]:
+    """Returns names and places (k, 3), m, of parts of the model: of what is fixed there, too.
+
+    Doubles, received frames and cameras are no parts of it, nor is what has no name.
+
+    Args:
+        world: the compiled scene.
+        data: its state.
+        chosen: index in `PART_NAMES`.
+    """
+    model, what = world.model, PART_NAMES[chosen]
+    if what == "nothing":
+        return [], np.zeros((0, 3))
+    ids, bodies, at = _parts(model, what)
+    kept = _is_part(world)[bodies] & (data.xpos[bodies][:, 2] > OUT_OF_SIGHT[2] / 2)
+    kind = {"bodies": "body", "joints": "joint", "geoms": "geom"}[what]
+    names = [getattr(model, kind)(i).name.removesuffix("/") for i in ids.tolist()]
+    kept &= np.array([bool(name) for name in names], bool)
+    index = kept.nonzero()[0]
+    turned = np.einsum("kij,kj->ki", data.xmat[bodies[index]].reshape(-1, 3, 3), at[index])
+    return [names[k] for k in index.tolist()], data.xpos[bodies[index]] + turned
+
+
+def _parts(model: mujoco.MjModel, what: str) -> tuple[Ints, Ints, Array]:
+    """Ids of bodies, joints or geoms, their bodies, and places in these (k, 3), m."""
+    if what == "bodies":
+        ids = np.arange(1, model.nbody)
+        return ids, ids, np.zeros((len(ids), 3))
+    if what == "joints":
+        ids = np.arange(model.njnt)
+        return ids, model.jnt_bodyid.astype(np.intp), model.jnt_pos
+    ids = (model.geom_group < _GROUPS).nonzero()[0]
+    return ids, model.geom_bodyid[ids].astype(np.intp), model.geom_pos[ids]
+
+
+def _is_part(world: WorldView) -> Bools:
+    """Which bodies belong to the model that a user has declared, (nbody,)."""
+    mocap, placed = world.model.body_mocapid, world.placed
+    moved = [placed[name] for name in (*world.scene.frames, *world.scene.cameras) if name in placed]
+    for each in world.doubles.values():
+        moved += [*each.mocap.ravel(), *each.frames.ravel()]
+    return np.asarray((mocap < 0) | ~np.isin(mocap, moved))

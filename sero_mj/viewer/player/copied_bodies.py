@@ -1,0 +1,85 @@
+"""`CopiedBodies`: doubles that are not compiled into a model, as more bodies of a live page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base.frames import Array, Ints
+from ...robots.assemble.parts import DrawnDouble
+from ...robots.assemble.world_view import WorldView
+from .model import visible_geoms
+
+
+class CopiedBody(NamedTuple):
+    """A body of a double.
+
+    Attributes:
+        name: `goal/lower`.
+        double: index of the double.
+        row: of a path; 0 of a single double.
+        body: id of the robot's body, whose geoms it has.
+        rgba: of these, (4,).
+    """
+
+    name: str
+    double: int
+    row: int
+    body: int
+    rgba: Array
+
+
+class CopiedBodies:
+    """The bodies of all doubles that decor draws, G of them; none where doubles are compiled in.
+
+    Args:
+        world: the compiled scene.
+
+    Attributes:
+        each: the bodies, (G,).
+    """
+
+    def __init__(self, world: WorldView) -> None:
+        model, self.each = world.model, list[CopiedBody]()
+        self._names = list(world.doubles)
+        geoms = visible_geoms(model)
+        self._geoms: dict[int, Ints] = {
+            int(body): geoms[model.geom_bodyid[geoms] == body]
+            for body in np.unique(model.geom_bodyid[geoms])
+        }
+        for double, (name, part) in enumerate(world.doubles.items()):
+            if part.is_compiled:
+                continue
+            roots = model.body_rootid[part.of.bodies[1:]]
+            bodies = [body for body in self._geoms if model.body_rootid[body] in roots]
+            for row in range(1 if part.path is None else len(part.path)):
+                for body in bodies:
+                    label = f"{name}/{model.body(body).name.rpartition('/')[2]}"
+                    rgba = np.asarray(part.double.rgba, float)
+                    self.each.append(CopiedBody(label, double, row, body, rgba))
+
+    def poses(self, drawn: Sequence[DrawnDouble]) -> tuple[Array, Array, Array]:
+        """Returns their poses in a frame, and how opaque they are.
+
+        Args:
+            drawn: the doubles of the frame; the rows of a path follow each other.
+
+        Returns:
+            positions (G, 3), m, unit quaternions (G, 4), and factors (G,), 0 where not drawn.
+        """
+        count = len(self.each)
+        places, turns, opacity = np.zeros((count, 3)), np.zeros((count, 4)), np.zeros(count)
+        turns[:, 0] = 1.0
+        rows: dict[str, list[DrawnDouble]] = {}
+        for one in drawn:
+            rows.setdefault(one.double, []).append(one)
+        for k, (_, double, row, body, rgba) in enumerate(self.each):
+            found = rows.get(self._names[double], [])
+            if row < len(found):
+                one = found[row]
+                places[k], turns[k] = one.data.xpos[body], one.data.xquat[body]
+                share = float(one.rgba[3]) / max(float(rgba[3]), 1e-9)
+                opacity[k] = share * float(one.opacity[self._geoms[body]].max())
+        return places, turns, opacity
