@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import inspect
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import sero_mj
@@ -18,6 +20,9 @@ extensions = [
     "sphinx.ext.viewcode",
 ]
 html_theme = "furo"
+html_extra_path = ["_made/runs"]
+html_static_path = ["site.css"]
+html_css_files = ["site.css"]
 html_title = f"sero-mj {version}"
 exclude_patterns = ["_made/README.md"]
 myst_heading_anchors = 3
@@ -57,6 +62,29 @@ def _reference() -> str:
     return "\n".join(lines)
 
 
+# What `sero-mj` writes for the pages that play runs.
+_RUNS = {
+    "push.mcap": "simulate impedance_push --record {}",
+    "fault.mcap": "simulate sensor_fault --record {}",
+    "run_push.html": "export push.mcap -o {}",
+    "run_fault.html": "compare fault.mcap --against-model -o {}",
+    "run_justin.html": "export justin_push --to 3 -o {}",
+}
+
+
+def _write_runs() -> None:
+    """Writes the runs that pages play, unless there are some of this player."""
+    made, site = _HERE / "_made", _HERE / "_made" / "runs"
+    site.mkdir(exist_ok=True)
+    player = Path(sero_mj.__file__).parent / "viewer" / "player" / "static" / "player.js"
+    for name, command in _RUNS.items():
+        path = (site if name.endswith(".html") else made) / name
+        if path.exists() and path.stat().st_mtime > player.stat().st_mtime:
+            continue
+        words = command.format(path).split()
+        subprocess.run([sys.executable, "-m", "sero_mj", *words, "--quiet", *["--overwrite"] * name.endswith(".mcap")], cwd=made, check=True)
+
+
 def setup(app: object) -> None:
     """Writes the pages that are made of declarations and docstrings."""
     made = _HERE / "_made"
@@ -73,3 +101,4 @@ def setup(app: object) -> None:
         file = made / name
         if not file.exists() or file.read_text("utf-8") != text:
             file.write_text(text, encoding="utf-8")
+    _write_runs()
