@@ -12,8 +12,13 @@ const LIMIT = "rgb(217 77 77)";
 /** @param {string} name */
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
+const DARKER = 0.62; // colours of lines are those of windows, which are dark
+
 /** @param {number[]} rgb 0 to 1 */
-const colourOf = (rgb) => `rgb(${rgb.map((each) => Math.round(255 * each)).join(" ")})`;
+const colourOf = (rgb) => {
+  const share = document.documentElement.dataset.look === "dark" ? 1 : DARKER;
+  return `rgb(${rgb.map((each) => Math.round(255 * share * each)).join(" ")})`;
+};
 
 /**
  * The numbers of lines as uPlot has them: all at the same places.

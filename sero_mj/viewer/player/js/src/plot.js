@@ -52,8 +52,8 @@ export class Plot {
     const { unit, angleUnit } = run.joints[joint];
     /** @type {Record<string, uPlot.Series>} */
     const looks = {
-      torques: { label: `${wordFor(run, joint, "torques")}, ${unit}`, stroke: css("--positive"), width: 2 },
-      commanded_torques: { label: `${wordFor(run, joint, "commanded_torques")}, ${unit}`, stroke: css("--negative"), width: 1.5,
+      torques: { label: `${wordFor(run, joint, "torques")}, ${unit}`, stroke: css("--negative"), width: 2 },
+      commanded_torques: { label: `${wordFor(run, joint, "commanded_torques")}, ${unit}`, stroke: css("--positive"), width: 1.5,
         dash: [6, 4] },
       joint_angles: { label: `angle, ${angleUnit}`, stroke: css("--negative"), width: 2 },
     };

@@ -125,7 +125,8 @@ export class View {
     this.isDirty = false;
     stage.place(at, hasDoubles, hasArrow, geoms, sites);
     this.calls = stage.draw();
-    const top = byId("tools").offsetHeight + byId("tools").offsetTop + 10;
+    const { offsetTop, offsetHeight } = /** @type {HTMLElement} */ (byId("names").parentElement);
+    const top = offsetTop + offsetHeight + 4;
     this.cards.layOut(stage, cards(), top);
     this.labels.layOut(stage, labels);
     /** @type {HTMLSelectElement} */ (byId("camera")).value = String(stage.fixed);
