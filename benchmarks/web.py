@@ -1,4 +1,7 @@
-"""Measures the web page: our own work per frame, what goes to a browser, what it costs a loop.
+"""Measures pages, live ones and files.
+
+Live: our own work per frame, what goes to a browser, what it costs a loop, from a packet to its
+picture, the first picture over a slow link. Files: to write one, and what a browser takes to draw.
 
     .venv/bin/python benchmarks/web.py
 
@@ -8,13 +11,20 @@ The browser draws a small page, for without a GPU it takes both cores.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
+import socket
+import struct
 import subprocess
 import sys
+import tempfile
+import threading
 import time
+from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 os.environ.setdefault("MUJOCO_GL", "egl")
 
@@ -119,6 +129,139 @@ def measure(browser: Any, joints: int) -> None:
     )
 
 
+# What a frame of a file takes, ms: as it is, without what is left out on slow machines, and the
+# surfaces of the robots and their doubles alone. Reading a pixel waits until all is drawn.
+_FRAMES = """() => {
+    const { stage } = player, gl = stage.renderer.getContext(), pixel = new Uint8Array(4);
+    const { robots, arrows, items, floor } = stage, all = [arrows.mesh, items.group, floor];
+    const time = (draw) => {
+        const took = [];
+        for (let k = 0; k < 25; k++) {
+            const begin = performance.now();
+            draw(k % 20);
+            gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+            took.push(performance.now() - begin);
+        }
+        return took.slice(5).sort((a, b) => a - b)[10];
+    };
+    const whole = (frame) => { player.clock.at = frame; player.draw(); };
+    player.switches.shadows = robots.depth.visible = true;
+    const full = time(whole);
+    player.switches.shadows = robots.depth.visible = false;
+    const less = time(whole);
+    for (const each of all) each.visible = false;
+    const alone = time(() => stage.draw());
+    return [full, less, alone];
+}"""
+
+
+def measure_frames(browser: Any, folder: Path) -> None:
+    """Prints what a browser takes to draw a frame of a file, and what it takes to write one."""
+    for name in ("impedance_push", "justin_push"):
+        path, scene = folder / f"{name}.html", sero_mj.load_scene(name)
+        begin = time.monotonic()
+        sero_mj.export_html(scene, path)
+        took = time.monotonic() - begin
+        page = browser.new_page(viewport={"width": 640, "height": 480})
+        page.goto(f"{path.as_uri()}#t=1")
+        page.wait_for_function("() => document.documentElement.dataset.ready === '1'")
+        full, less, alone = page.evaluate(_FRAMES)
+        calls = page.evaluate("player.calls")
+        page.close()
+        print(
+            f"{name}: written in {took:.1f} s, {path.stat().st_size / 1e6:.2f} MB; {calls} draw "
+            f"calls; {full:.0f} ms a frame, {less:.0f} ms without shadows and depth of doubles, "
+            f"surfaces alone {alone:.0f} ms: {full / alone:.2f} and {less / alone:.2f} times",
+            flush=True,
+        )
+
+
+def measure_latency(browser: Any) -> None:
+    """Prints how long it takes from a packet to the picture with it."""
+    scene = sero_mj.load_scene("lwr_udp")
+    scene.sources["udp"]["port"] = 0
+    with Mirror(scene) as mirror, WebHost(mirror) as host:
+        port = mirror.sources["udp"].port
+        page = browser.new_page(viewport={"width": 480, "height": 320})
+        thread = threading.Thread(target=lambda: [None for _ in iter(host.frame, False)])
+        thread.start()
+        page.goto(host.url)
+        page.wait_for_function(SHOWN)
+        page.evaluate(_WATCH)
+        took = []
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            for k in range(60):
+                angle = 0.2 + 0.01 * k
+                sent = time.time()
+                sender.sendto(struct.pack("=14f", *[angle] * 7, *[5.0] * 7), ("127.0.0.1", port))
+                shown = page.evaluate("angle => drawnWith(angle)", angle)
+                took.append(shown / 1e3 - sent)
+        host.request_close()
+        thread.join()
+        page.close()
+    p50, p90 = np.percentile(took, [50, 90]) * 1e3
+    print(f"packet to picture: median {p50:.0f} ms, 90 %: {p90:.0f} ms", flush=True)
+
+
+# Says when a picture was drawn with an angle, ms since 1970.
+_WATCH = """() => {
+    const { view, state } = player, draw = view.draw.bind(view);
+    let wanted = null;
+    view.draw = (frame) => {
+        draw(frame);
+        const gl = view.renderer.getContext();
+        gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+        const angles = player.state.run.values.joint_angles;
+        if (wanted && angles && Math.abs(angles[0] - wanted[0]) < 1e-4)
+            wanted[1](performance.timeOrigin + performance.now());
+    };
+    globalThis.drawnWith = (angle) => new Promise((done) => { wanted = [angle, done]; });
+}"""
+
+
+class SlowLink:
+    """Hands connections on, with so many bytes a second."""
+
+    def __init__(self, port: int, rate: float) -> None:
+        self._to, self._rate = port, rate
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port: int = self._server.getsockname()[1]
+        self._lock, self._free = threading.Lock(), 0.0
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while True:
+            here, _ = self._server.accept()
+            there = socket.create_connection(("127.0.0.1", self._to))
+            for one, other in ((here, there), (there, here)):
+                threading.Thread(target=self._carry, args=(one, other), daemon=True).start()
+
+    def _carry(self, one: socket.socket, other: socket.socket) -> None:
+        with contextlib.suppress(OSError):
+            while data := one.recv(4096):
+                with self._lock:  # all connections share the link
+                    self._free = max(self._free, time.monotonic()) + len(data) / self._rate
+                    until = self._free
+                time.sleep(max(until - time.monotonic(), 0.0))
+                other.sendall(data)
+        other.close()
+
+
+def measure_slow_link(browser: Any, name: str) -> None:
+    """Prints when a page of a moving robot is there over 200 kB/s, and its states per second."""
+    with sero_mj.view(name, web=True) as viewer:
+        assert viewer.url is not None
+        link = SlowLink(urlsplit(viewer.url).port or 0, 200e3)
+        context = browser.new_context(viewport={"width": 480, "height": 320})
+        page = context.new_page()
+        begin = time.monotonic()
+        page.goto(f"http://localhost:{link.port}/")
+        page.wait_for_function(SHOWN)
+        opened = time.monotonic() - begin
+        context.close()
+    print(f"{name} over 200 kB/s: the first picture after {opened:.1f} s", flush=True)
+
+
 def main() -> None:
     """Prints what was measured."""
     from playwright.sync_api import sync_playwright
@@ -129,6 +272,11 @@ def main() -> None:
         for joints in WORLDS:
             measure(browser, joints)
         measure_viewer(browser)
+        measure_latency(browser)
+        for name in ("impedance_push", "justin_push"):
+            measure_slow_link(browser, name)
+        with tempfile.TemporaryDirectory() as folder:
+            measure_frames(browser, Path(folder))
         browser.close()
 
 

@@ -10,6 +10,7 @@ import re
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 import urllib.error
 import urllib.request
@@ -48,13 +49,17 @@ class Kernel:
     Attributes:
         outputs: HTML by display id; those without one in their order.
         said: what pages are sent, by page: kind, text or bytes.
+        errors: of cells.
+        printed: by cells, and by the kernel when it ends.
     """
 
     def __init__(self) -> None:
         command = [sys.executable, "-m", "ipykernel_launcher", "-f", "{connection_file}"]
         self._manager = KernelManager()
         self._manager.kernel_spec.argv[:] = command
-        self._manager.start_kernel(cwd=str(ROOT), env={**os.environ, "PYTHONPATH": str(ROOT)})
+        self._told = tempfile.TemporaryFile("w+")  # noqa: SIM115 (open as long as the kernel)
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        self._manager.start_kernel(cwd=str(ROOT), env=environment, stderr=self._told)
         self._client = self._manager.blocking_client()
         self._client.start_channels()
         self._client.wait_for_ready(timeout=PATIENCE)
@@ -63,6 +68,7 @@ class Kernel:
         self.outputs: dict[str, str] = {}
         self.said: dict[str, list[tuple[str, Any]]] = {}
         self.errors: list[str] = []
+        self.printed = ""
 
     def __enter__(self) -> Self:
         return self
@@ -70,6 +76,13 @@ class Kernel:
     def __exit__(self, *exc: object) -> None:
         self._client.stop_channels()
         self._manager.shutdown_kernel(now=True)
+        self._told.close()
+
+    def ended(self) -> str:
+        """Waits until it has ended; returns what it has written on its standard error."""
+        assert until(lambda: not self._manager.is_alive(), PATIENCE)
+        self._told.seek(0)
+        return self._told.read()
 
     def begin(self, code: str) -> str:
         """Runs code; returns its id."""
@@ -95,6 +108,8 @@ class Kernel:
             self._idle.add(message["parent_header"].get("msg_id", ""))
         elif kind == "error":
             self.errors.append("\n".join(content["traceback"]))
+        elif kind == "stream":
+            self.printed += content["text"]
         elif kind == "comm_open":
             self._comm = content["comm_id"]
         elif kind in ("display_data", "update_display_data"):
@@ -184,6 +199,38 @@ def test_a_page_comes_by_the_kernels_channel_even_while_it_is_busy(kernel: Kerne
     # What is shown is another viewer of the same scene.
     kernel.run(_SHOW)
     kernel.until(lambda: kernel.said["first"][-1][0] != "closed")
+
+
+def test_a_cell_is_run_again_and_goes_on_while_none_runs(kernel: Kernel) -> None:
+    for _ in range(2):
+        kernel.run(_SHOW)
+    urls = re.findall(r"lwr is at (http\S+)", kernel.printed)
+    assert len(urls) == 2 and urls[0] == urls[1]
+    assert "lwr is opened again; its viewer before is closed" in kernel.printed
+    kernel.run("print('pictures', viewer.pictures)")
+    seen = len(kernel.said["first"])
+    kernel.until(lambda: len(kernel.said["first"]) > seen + 3)  # no cell runs
+    kernel.run("print('pictures', viewer.pictures)")
+    first, second = map(int, re.findall(r"pictures (\d+)", kernel.printed))
+    assert second > first
+    with urllib.request.urlopen(urls[0], timeout=5) as answer:
+        assert answer.status == 200
+
+
+def test_a_kernel_that_ends_ends_its_viewers_without_complaints(kernel: Kernel) -> None:
+    kernel.run(_SHOW)
+    (url,) = re.findall(r"lwr is at (http\S+)", kernel.printed)
+    kernel.begin("quit()")
+
+    def has_ended() -> bool:
+        try:
+            urllib.request.urlopen(url, timeout=5).close()
+        except (urllib.error.URLError, ConnectionError):
+            return True
+        return False
+
+    assert until(has_ended, PATIENCE)
+    assert "Error" not in kernel.ended()
 
 
 def test_a_notebook_keeps_what_was_shown(kernel: Kernel) -> None:

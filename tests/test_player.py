@@ -182,15 +182,15 @@ def test_a_recording_without_a_whole_packet_leaves_no_page(tmp_path: Path, whole
 def test_the_bundle_is_what_its_sources_make(tmp_path: Path, node_modules: Path) -> None:
     copy = tmp_path / "player" / "js"
     shutil.copytree(JS, copy, ignore=shutil.ignore_patterns("node_modules"))
-    (copy.parent / "static").mkdir()
     (copy / "node_modules").symlink_to(node_modules)
     for step in (["test"], ["run", "check"], ["run", "build"]):
         done = subprocess.run(["npm", *step], cwd=copy, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
-    shipped = files("sero_mj.viewer.player") / "static"
-    for name in ("player.js", "player.css"):
-        made = (copy.parent / "static" / name).read_bytes()
-        assert made == (shipped / name).read_bytes(), f"run npm run build in {JS.name}/"
+    names = ("player/static/player.js", "player/static/player.css", "player/static/bridge.js")
+    for name in (*names, "web/static/start.css"):
+        shipped = files("sero_mj.viewer") / name
+        made = (tmp_path / name).read_bytes()
+        assert made == shipped.read_bytes(), f"run npm run build in {JS.name}/"
 
 
 def test_a_report_is_a_page_a_figure_json_and_a_test_for_each_expectation(tmp_path: Path) -> None:

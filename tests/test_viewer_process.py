@@ -15,12 +15,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import nbformat
 import numpy as np
 import pytest
 from conftest import raises_with
 from driver import ROOT
-from nbclient import NotebookClient
 from polling import until
 from web_tools import MISSING as NO_BROWSER
 from window_tools import MISSING as NO_WINDOW
@@ -259,32 +257,6 @@ def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
             subprocess.run(["xdotool", "key", "ctrl+q"], check=True, timeout=20)
             assert until(lambda: not viewer.sync(), PATIENCE)
             assert process_of(viewer).wait(20) == 0
-
-
-def test_a_notebook_shows_it_while_no_cell_runs(tmp_path: Path) -> None:
-    book = nbformat.v4.new_notebook()
-    book.cells = [
-        nbformat.v4.new_code_cell(f"import sys; sys.path.insert(0, {str(ROOT)!r}); import sero_mj"),
-        nbformat.v4.new_code_cell("viewer = sero_mj.view('lwr', web=True)\nviewer"),
-        nbformat.v4.new_code_cell("viewer.set('lwr.torques', [9.0] * 7)\nviewer.pictures"),
-    ]
-    notebook = NotebookClient(book, resources={"metadata": {"path": str(tmp_path)}})
-    with notebook.setup_kernel():
-        urls, shown = [], []
-        for index in (0, 1, 2, 1, 2):  # cells are run again
-            notebook.execute_cell(book.cells[index], index)
-            for output in book.cells[index].outputs:
-                data = output.get("data", {})
-                urls += re.findall(r"lwr is at (http\S+)", output.get("text", ""))
-            if index == 2:
-                shown.append(int(data["text/plain"]))
-        assert len(urls) == 2 and urls[0] == urls[1]
-        time.sleep(1.0)  # no cell runs
-        assert answers(urls[1])
-        notebook.execute_cell(book.cells[2], 2)
-        (output,) = book.cells[2].outputs
-        assert int(output["data"]["text/plain"]) > shown[1] + 3
-    assert until(lambda: not answers(urls[1]), PATIENCE)
 
 
 def test_a_class_of_a_script_is_refused_with_what_to_do() -> None:

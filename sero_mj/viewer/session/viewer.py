@@ -197,11 +197,11 @@ class Viewer:
             self._cells.keep_last()
         self._end()
 
-    def _end(self) -> None:
+    def _end(self, *, at_exit: bool = False) -> None:
         if self in _shown:
             _shown.remove(self)
         if self._cells is not None:
-            self._cells.close()
+            self._cells.close(tells=not at_exit)
         self._outbox.close()
         self._process.close()
 
@@ -232,7 +232,7 @@ class Viewer:
 @atexit.register
 def _close_all() -> None:
     for viewer in list(_shown):
-        viewer._end()
+        viewer._end(at_exit=True)
 
 
 def view(

@@ -102,10 +102,14 @@ class Cells:
         self._tell("now")
         self._is_last.wait(_LAST_RUN)
 
-    def close(self) -> None:
-        """Tells the pages that nothing comes any more."""
+    def close(self, *, tells: bool = True) -> None:
+        """Ends all connections.
+
+        Args:
+            tells: whether pages are told; a kernel that ends cannot send any more.
+        """
         for cell in self._cells:
-            cell.close()
+            cell.close(tells=tells)
 
 
 class _Cell:
@@ -137,10 +141,10 @@ class _Cell:
         kept = f'<div hidden data-sero-mj-run="{self._id}">{run}</div>'
         _display(kept, display_id=f"sero-mj {self._id}", update=is_update)
 
-    def close(self) -> None:
-        """Tells the pages that nothing comes any more."""
+    def close(self, *, tells: bool) -> None:
+        """Ends all connections, see `Cells.close`."""
         for visitor in [*self._visitors.values()]:
-            visitor.close()
+            visitor.close(tells=tells)
         self._visitors.clear()
 
     def _hear(self, _: Any, message: Any, __: Any) -> None:
@@ -213,8 +217,10 @@ class _Visitor:
             with suppress(WebSocketException):
                 self._socket.send(text)
 
-    def close(self) -> None:
-        """Ends the connection."""
+    def close(self, *, tells: bool = True) -> None:
+        """Ends the connection, see `Cells.close`."""
+        if not tells:
+            self._send = lambda message, buffers: None
         if self._socket is not None:
             self._socket.close()
 

@@ -1,3 +1,16 @@
+// Light or dark, which the browser keeps for all pages.
+const isDark = matchMedia("(prefers-color-scheme: dark)");
+const setLook = (look) => {
+  document.documentElement.dataset.look = look;
+  document.getElementById("look").textContent = look === "dark" ? "☀" : "☾";
+};
+setLook(localStorage.getItem("sero-mj look") ?? (isDark.matches ? "dark" : "light"));
+document.getElementById("look").onclick = () => {
+  const look = document.documentElement.dataset.look === "dark" ? "light" : "dark";
+  localStorage.setItem("sero-mj look", look);
+  setLook(look);
+};
+
 const add = (parent, kind, text = "", name = "") => {
   const made = parent.appendChild(document.createElement(kind));
   made.textContent = text;
