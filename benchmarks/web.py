@@ -193,7 +193,7 @@ def measure_latency(browser: Any) -> None:
             for k in range(60):
                 angle = 0.2 + 0.01 * k
                 sent = time.time()
-                sender.sendto(struct.pack("=14f", *[angle] * 7, *[5.0] * 7), ("127.0.0.1", port))
+                sender.sendto(struct.pack("=14d", *[angle] * 7, *[5.0] * 7), ("127.0.0.1", port))
                 shown = page.evaluate("angle => drawnWith(angle)", angle)
                 took.append(shown / 1e3 - sent)
         host.request_close()
