@@ -46,11 +46,11 @@ settings.load_profile("quarter")
 
 # What a machine cannot have: dm-control from Python 3.13 on, and what is of another system.
 _MAY_BE_SKIPPED = (
-    "dm-control is not installed", "by hand", "Linux", "no IPv6 groups", "nbformat", "nbclient",
-    "ipykernel", "stable-baselines3",
+    "dm-control is not installed", "by hand", "Linux", "no IPv6 groups",
+    "stable-baselines3",
 )  # fmt: skip
 # Browsers and windows take both cores; of several workers one runs them all.
-_SCREENS = ("test_web", "test_window", "test_overlay_window", "test_viewer")
+_SCREENS = ("test_web", "test_window", "test_overlay_window", "test_viewer", "test_notebook")
 _LIVE = (*_SCREENS, "test_docs")
 # These simulate whole runs, or start many processes: half of the time of all tests of logic.
 _SLOW = (

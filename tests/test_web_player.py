@@ -223,6 +223,27 @@ def test_a_browser_without_webgl_says_so(browser: Any, file: Path) -> None:
     page.context.close()
 
 
+def test_graphics_that_the_browser_takes_away_are_told_and_come_back(
+    browser: Any, file: Path
+) -> None:
+    page = opened(browser, file)
+    page.evaluate(
+        "() => { globalThis.graphics ="
+        " player.view.renderer.getContext().getExtension('WEBGL_lose_context');"
+        " graphics.loseContext(); }"
+    )
+    problem = page.locator("#problem", has_text="taken the graphics away")
+    problem.wait_for(state="visible")
+    page.evaluate("() => graphics.restoreContext()")
+    problem.wait_for(state="hidden")
+    page.evaluate("() => player.seek(1.5)")
+    again = page.evaluate(SILHOUETTE, [*SIZE, 1.5]).count("1")
+    page.context.close()
+    other = opened(browser, file)
+    assert again == other.evaluate(SILHOUETTE, [*SIZE, 1.5]).count("1") > 1000
+    other.context.close()
+
+
 def test_a_robot_alone_is_a_still_page(browser: Any, tmp_path: Path) -> None:
     found = capture(load_scene("lwr"))
     assert found.frames == 1
