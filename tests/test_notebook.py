@@ -294,6 +294,7 @@ def cell_page(page: Any) -> Any:
     return frame
 
 
+@pytest.mark.thorough
 @pytest.mark.timeout(240)
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 def test_jupyterlab_shows_it_live_and_plays_it_when_it_is_opened_again(
