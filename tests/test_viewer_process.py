@@ -18,8 +18,7 @@ from typing import Any
 import nbformat
 import numpy as np
 import pytest
-from conftest import raises_with
-from driver import ROOT
+from conftest import ROOT, raises_with
 from nbclient import NotebookClient
 from polling import until
 from web_tools import MISSING as NO_BROWSER
