@@ -8,12 +8,14 @@ import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 _IMPORTED = (
     "sero_mj.cli", "sero_mj.load", "sero_mj.study.explain", "sero_mj.study.figure",
     "sero_mj.study.sweep", "sero_mj.viewer.headless.render", "sero_mj.simulate.simulation",
+    "sero_mj.viewer.session.viewer", "sero_mj.viewer.web.host", "sero_mj.viewer.window.host",
     "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_pdf",
 )  # fmt: skip
 # A server has neither; what was imported in it has chosen nothing by them.
@@ -57,30 +59,77 @@ def _run(
     act: Callable[[Any], None], what: Any, folder: Path, environment: Mapping[str, str]
 ) -> tuple[int, str]:
     said = folder / "printed.txt"
-    before = dict(os.environ)
-    os.environ.clear()
-    # For modules that are imported beforehand.
-    os.environ |= {**environment, "PYTHONPATH": str(Path(__file__).parent)}
-    try:
-        process = _server().Process(
-            target=_begin, args=(act, what, str(folder), dict(environment), str(said))
-        )
-        process.start()
-    finally:
-        os.environ.clear()
-        os.environ |= before
+    with said.open("wb") as file:
+        streams = {1: file.fileno(), 2: file.fileno()}
+        process = _start(act, what, folder, environment, streams, _server())
     process.join()
     status = process.exitcode
     process.close()
     return int(status), said.read_text("utf-8", "replace")
 
 
+def start_program(
+    program: str,
+    folder: Path,
+    environment: Mapping[str, str],
+    streams: Mapping[int, int],
+    *,
+    opens_windows: bool = False,
+) -> Any:
+    """Starts a program in a folder, see `run_program`.
+
+    Args:
+        program: Python.
+        folder: where it runs.
+        environment: its whole environment.
+        streams: what is its standard input (0), output (1) and error (2), by file descriptors.
+        opens_windows: imports everything anew; MuJoCo chooses their OpenGL when it is imported.
+
+    Returns:
+        its `multiprocessing.Process`.
+    """
+    context = multiprocessing.get_context("spawn") if opens_windows else _server()
+    return _start(_program, program, folder, environment, streams, context)
+
+
+def _start(
+    act: Callable[[Any], None],
+    what: Any,
+    folder: Path,
+    environment: Mapping[str, str],
+    streams: Mapping[int, int],
+    context: Any,
+) -> Any:
+    given = {number: Connection(os.dup(stream)) for number, stream in streams.items()}
+    before = dict(os.environ)
+    os.environ.clear()
+    os.environ |= {key: value for key, value in environment.items() if key not in UNSET}
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)  # for what is imported beforehand
+    try:
+        process = context.Process(
+            target=_begin, args=(act, what, str(folder), dict(environment), given)
+        )
+        process.start()
+    finally:
+        os.environ.clear()
+        os.environ |= before
+        for stream in given.values():
+            stream.close()
+    return process
+
+
 def _begin(
-    act: Callable[[Any], None], what: Any, folder: str, environment: dict[str, str], said: str
+    act: Callable[[Any], None],
+    what: Any,
+    folder: str,
+    environment: dict[str, str],
+    given: dict[int, Connection],
 ) -> None:
-    with open(said, "wb") as file:
-        os.dup2(file.fileno(), 1)
-        os.dup2(file.fileno(), 2)
+    for number, stream in given.items():
+        os.dup2(stream.fileno(), number)
+        stream.close()
+    if 0 in given:
+        sys.stdin = open(0, closefd=False)  # noqa: SIM115
     os.chdir(folder)
     for key in os.environ.keys() - environment.keys() - {"MUJOCO_GL", "PYOPENGL_PLATFORM"}:
         del os.environ[key]

@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 import os
 import queue
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any, Self
 
-ROOT = Path(__file__).resolve().parent.parent
+from commands import start_program
+
 # Before every program: `answer()` answers what was asked by then.
 _PRELUDE = """
 import json, queue, sys, threading
@@ -45,6 +44,7 @@ class Driver:
 
     goodbye = ""  # an expression that closes what it shows
     patience = 15  # s
+    opens_windows = False
 
     def __init__(
         self,
@@ -55,22 +55,28 @@ class Driver:
         errors: IO[str] | None = None,
     ) -> None:
         self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", _PRELUDE + program, json.dumps(arguments)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            text=True,
-            cwd=folder,
-            env={**environment, "PYTHONPATH": str(ROOT)},
+        its_input, to_it = os.pipe()
+        from_it, its_output = os.pipe()
+        streams = {0: its_input, 1: its_output}
+        if errors is not None:
+            streams[2] = errors.fileno()
+        given = f"import sys\nsys.argv[1:] = [{json.dumps(arguments)!r}]\n"
+        self.process = start_program(
+            given + _PRELUDE + program,
+            folder,
+            environment,
+            streams,
+            opens_windows=self.opens_windows,
         )
+        os.close(its_input)
+        os.close(its_output)
+        self._input, self._output = os.fdopen(to_it, "w"), os.fdopen(from_it)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         self._expect("ready", 60)
 
     def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
+        for line in self._output:
             self._lines.put(line.strip())
         self._lines.put("")  # nothing more comes
 
@@ -87,9 +93,8 @@ class Driver:
 
     def ask(self, expression: str) -> Any:
         """What an expression about the window `w` is now."""
-        assert self.process.stdin is not None
-        self.process.stdin.write(expression + "\n")
-        self.process.stdin.flush()
+        self._input.write(expression + "\n")
+        self._input.flush()
         return json.loads(self._expect("=", 20)[1:])
 
     def until(self, expression: str) -> Any:
@@ -104,19 +109,18 @@ class Driver:
     def close(self) -> None:
         """Ends the process, as a user closes what it shows."""
         process = self.process
-        assert process.stdin is not None
-        assert process.stdout is not None
         try:
-            if process.poll() is None:
-                process.stdin.write(f"{self.goodbye}\n")
-                process.stdin.flush()
-                process.wait(20)
+            if process.is_alive():
+                self._input.write(f"{self.goodbye}\n")
+                self._input.flush()
+                process.join(20)
+                assert not process.is_alive(), "the process did not end"
         finally:
             process.kill()
-            process.wait()
+            process.join()
             self._reader.join()
-            process.stdin.close()
-            process.stdout.close()
+            self._input.close()
+            self._output.close()
 
     def __enter__(self) -> Self:
         return self

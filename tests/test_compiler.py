@@ -68,16 +68,27 @@ def test_what_is_declared_otherwise_is_compiled_anew() -> None:
         assert np.abs(model.gravity()).max() > 5.0
 
 
+RODS = [
+    SerialRobot(name="rod", dh_convention="craig", dh_params=[[0, 0, 0, 0.1 * k]],
+                torque_limits=[20.0])
+    for k in range(1, 12)
+]  # fmt: skip
+
+
 def test_many_worlds_are_forgotten_again() -> None:
     compiler = Compiler()
-    robots = [
-        SerialRobot(name="rod", dh_convention="craig", dh_params=[[0, 0, 0, 0.1 * k]],
-                    torque_limits=[20.0])
-        for k in range(1, 12)
-    ]  # fmt: skip
-    for robot in robots:
+    for robot in RODS:
         compiler.world(Scene(robots=[robot]))
     assert len(compiler._worlds) == 8
+
+
+def test_of_many_robots_each_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler = Compiler()
+    for robot in RODS:
+        compiler.robot_model(robot)
+    monkeypatch.setattr("sero_mj.simulate.control.compiler.world_without_meshes", None)
+    for robot in RODS:
+        compiler.robot_model(robot)
 
 
 def test_a_fingerprint_tells_declarations_apart() -> None:

@@ -228,7 +228,8 @@ def test_files_of_endless_keys_and_values_are_refused_before_they_are_read(
 ) -> None:
     """Of 9 MB, they took minutes and gigabytes before a section was found to be unknown."""
     file = tmp_path / "x.toml"
-    file.write_text("x = [\n" + "".join(many.format(i) for i in range(600_000)))
+    rows = 600_000 if what.endswith(" values") else 101_000
+    file.write_text("x = [\n" + "".join(many.format(i) for i in range(rows)))
     loads = "sero_mj.base.toml_file.tomllib.loads"
     monkeypatch.setattr(loads, lambda text: pytest.fail("it is read"))
     with pytest.raises(DeclarationError, match=rf"expected at most {what} \(at line \d+\)"):

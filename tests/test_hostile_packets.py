@@ -27,7 +27,7 @@ from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 
-COUNT = int(os.environ.get("SERO_MJ_PACKETS", "20000"))
+COUNT = int(os.environ.get("SERO_MJ_PACKETS", examples(20_000)))
 CAUSES = ("wrong_size", "wrong_constant", "not_finite", "not_frames")
 KEPT = 400  # bytes of a packet that a row holds
 

@@ -46,10 +46,6 @@ NO_MUJOCO = (
     *("robots.importers.x3d", "robots.importers.wrl", "robots.declared.dh", "base.frames"),
     *("robots.declared.shapes", "data.receive", "data.record.replay"),
 )
-MUJOCO = (
-    *("describe.x3d", "describe.wrl", "declared.dh", "declared.shapes", "frames", "receive"),
-    "record.replay",
-)
 MUJOCO = ("mujoco", "dm_control")
 HOMES: dict[str, str] = sero_mj._HOME
 
@@ -85,9 +81,15 @@ def imported_names(module: str, source: str, *, is_package: bool) -> list[tuple[
     return found
 
 
+@cache
+def packages(modules: tuple[str, ...]) -> set[str]:
+    """Those of the modules that others are in."""
+    return {""} | {outer for module in modules if (outer := module.rpartition(".")[0])}
+
+
 def imports_of(module: str, modules: dict[str, str]) -> list[tuple[int, str]]:
     """Line and module of every import: ours as `.name` below `sero_mj`, others' by full name."""
-    is_package = not module or any(other.startswith(f"{module}.") for other in modules)
+    is_package = module in packages(tuple(modules))
     found: list[tuple[int, str]] = []
     for line, full in imported_names(module, modules[module], is_package=is_package):
         name = full

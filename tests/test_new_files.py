@@ -7,7 +7,6 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pytest
 from conftest import ROOT
@@ -27,19 +26,23 @@ SHIPPED = {
 }
 
 
+def validator_of(schema: dict[str, Any]) -> Any:
+    import jsonschema  # takes a second, which every worker would spend to collect tests
+
+    jsonschema.Draft7Validator.check_schema(schema)
+    return jsonschema.Draft7Validator(schema)
+
+
 def found(kind: str, tables: dict[str, Any]) -> list[str]:
-    validator = jsonschema.Draft7Validator(schema_of(kind))
     return [
         f"{'.'.join(map(str, each.absolute_path))}: {each.message}"
-        for each in validator.iter_errors(tables)
+        for each in validator_of(schema_of(kind)).iter_errors(tables)
     ]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_shipped_files_are_right_by_their_schema(kind: str) -> None:
-    schema = schema_of(kind)
-    jsonschema.Draft7Validator.check_schema(schema)
-    validator = jsonschema.Draft7Validator(schema)
+    validator = validator_of(schema_of(kind))
     files = sorted(ROOT.glob(SHIPPED[kind]))
     assert len(files) > 3
     for file in files:

@@ -22,7 +22,7 @@ from typing import Any, Self
 import nbformat
 import numpy as np
 import pytest
-from driver import ROOT
+from conftest import ROOT
 from jupyter_client.manager import KernelManager
 from page_client import read_sections
 from polling import until

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from window_tools import MISSING, ROOT, SIZE, Driven, screen
+from conftest import ROOT
+from window_tools import MISSING, SIZE, Driven, screen
 
 pytestmark = [
     pytest.mark.gl,

@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import raises_with
-from driver import ROOT
+from conftest import ROOT, raises_with
 from polling import until
 from web_tools import MISSING as NO_BROWSER
 from window_tools import MISSING as NO_WINDOW

@@ -71,5 +71,5 @@ def test_random_events_do_not_end_a_page(own_browser: Any, tmp_path: Path) -> No
         page.keyboard.press("x")
         served.until(f"bool(w.toggles.axes.any()) != {before}")
         visitor.close()
-    assert served.process.returncode == 0
+    assert served.process.exitcode == 0
     assert errors.read_text() == ""

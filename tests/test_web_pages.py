@@ -67,7 +67,7 @@ def test_a_restarted_server_is_found_again(browser: Any, tmp_path: Path) -> None
         without = visitor.picture()
         first.visitors.clear()  # the page stays
         first.process.kill()
-        first.process.wait()
+        first.process.join()
         visitor.page.get_by_text("The viewer has gone").wait_for()
     with Served(tmp_path, "lwr", **options) as again:
         again.ask("w.toggles.arrows.fill(True)")

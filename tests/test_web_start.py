@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 import trimesh
-from driver import ROOT
+from conftest import ROOT
 from test_web_guard import get
 from web_tools import MISSING
 from websockets.exceptions import InvalidStatus

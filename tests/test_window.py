@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from PIL import Image
-from window_tools import MISSING, ROOT, SIZE, Driven, screen
+from window_tools import MISSING, SIZE, Driven, screen
 
 from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.simulate.runs.run_recording import read_run

@@ -47,7 +47,7 @@ def test_random_events_do_not_end_a_window(display: str, tmp_path: Path) -> None
         # Wherever the camera has gone, and whatever was switched off: as the scene declares it.
         window.ask("[w.actions.press(key) for key in ('escape', '0', 'r', 'backspace')] and None")
         window.until("(w.picture().max(axis=(0, 1)) > 100).all()")
-    assert window.process.returncode == 0
+    assert window.process.exitcode == 0
     assert errors.read_text() == ""
 
 

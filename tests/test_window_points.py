@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driver import ROOT
+from conftest import ROOT
 from photos import camera, lwr
 from PIL import Image, ImageGrab
 from window_tools import MISSING, screen

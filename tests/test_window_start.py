@@ -68,6 +68,7 @@ class Start(Driver):
     """A start page in a window of another process."""
 
     goodbye = "os._exit(0)"
+    opens_windows = True
 
     def __init__(self, display: str, folder: Path, *heard: str) -> None:
         self._environment = {**os.environ, "DISPLAY": display, "XDG_STATE_HOME": str(folder)}

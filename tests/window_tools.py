@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from driver import ROOT, Driver
+from driver import Driver
 
 from sero_mj.viewer.session.input import DOUBLE_CLICK_TIME
 
@@ -100,6 +100,7 @@ class Driven(Driver):
     """A window of another process."""
 
     goodbye = "w.gl.request_close()"
+    opens_windows = True
 
     def __init__(
         self,
@@ -113,7 +114,7 @@ class Driven(Driver):
         errors: IO[str] | None = None,
         **options: Any,
     ) -> None:
-        self._environment = {**os.environ, "DISPLAY": display, "PYTHONPATH": str(ROOT)}
+        self._environment = {**os.environ, "DISPLAY": display}
         self._environment.pop("WAYLAND_DISPLAY", None)
         self._pressed = 0.0  # when a button was, at last
         arguments = [scene, list(settings), list(SIZE), options, replay, control]

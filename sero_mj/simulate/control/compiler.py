@@ -13,10 +13,12 @@ from ...base.frames import Array
 from ...robots.assemble.robot_dynamics import EARTH
 from ...robots.assemble.world import World
 from ...robots.declared.robot import SerialRobot
-from ...robots.declared.scene import Scene
+from ...robots.declared.scene import MOST_ENTRIES, Scene
 from .robot_model import RobotModel, world_without_meshes
 
-_MAX_WORLDS = 8  # worlds that are remembered; a sweep over masses has a new one every time
+# How many are remembered; a sweep over masses has new ones every time. What controllers know of a
+# robot is small, and of each robot of the largest scene it is asked for in every run.
+_MAX_WORLDS, _MAX_ROBOTS = 8, MOST_ENTRIES["robots"]
 
 
 class Compiler:
@@ -28,6 +30,7 @@ class Compiler:
 
     def __init__(self) -> None:
         self._worlds: dict[object, World] = {}
+        self._robots: dict[object, World] = {}  # each alone, without meshes
 
     def world(self, scene: Scene, gravity: Array = EARTH) -> World:
         """A dynamic world with a model of its own, which may be changed.
@@ -40,7 +43,8 @@ class Compiler:
             DeclarationError: what MuJoCo cannot compile.
         """
         key = fingerprint([scene.robots, scene.objects, scene.floor])
-        world = copy.copy(self._find(key, lambda: World(scene, dynamic=True)))
+        made = _find(self._worlds, key, lambda: World(scene, dynamic=True), _MAX_WORLDS)
+        world = copy.copy(made)
         world.model = copy.copy(world.model)
         world.model.opt.gravity[:] = gravity
         world.scene = scene
@@ -56,19 +60,21 @@ class Compiler:
         Raises:
             DeclarationError: MuJoCo cannot compile the robot.
         """
-        key = "without meshes", fingerprint(robot)
-        world = self._find(key, lambda: world_without_meshes(robot))
+        key = fingerprint(robot)
+        world = _find(self._robots, key, lambda: world_without_meshes(robot), _MAX_ROBOTS)
         world.model.opt.gravity[:] = gravity
         return RobotModel.of(robot, world)
 
-    def _find(self, key: object, make: Callable[[], World]) -> World:
-        world = self._worlds.pop(key, None)
-        if world is None:
-            world = make()
-            if len(self._worlds) >= _MAX_WORLDS:
-                self._worlds.pop(next(iter(self._worlds)))
-        self._worlds[key] = world  # the one that was asked for last stands last
-        return world
+
+def _find(known: dict[object, World], key: object, make: Callable[[], World], most: int) -> World:
+    """Returns a known world, or makes it and forgets that which was asked for longest ago."""
+    world = known.pop(key, None)
+    if world is None:
+        world = make()
+        if len(known) >= most:
+            known.pop(next(iter(known)))
+    known[key] = world  # the one that was asked for last stands last
+    return world
 
 
 def fingerprint(value: Any) -> object:

@@ -28,7 +28,6 @@ from ...base.paths import (
 FILES = "/sero-mj/files"  # where the script sends them
 MOST_BYTES, MOST_FILES = 500_000_000, 2000
 _LONGEST_PATH = 400
-_OPENED = (".toml", *robot_endings(), *scene_endings(), ".mcap")
 
 
 def is_for_files(request: Request) -> bool:
@@ -126,10 +125,11 @@ def main_file(paths: Sequence[PurePosixPath]) -> PurePosixPath:
     Raises:
         UsageError: there is none, or several.
     """
-    found = [path for path in paths if path.suffix.lower() in _OPENED]
+    endings = (".toml", *robot_endings(), *scene_endings(), ".mcap")
+    found = [path for path in paths if path.suffix.lower() in endings]
     if not found:
         names = ", ".join(path.name for path in paths[:3]) + ", ..." * (len(paths) > 3)
-        raise UsageError(f"found {names}; expected a file that ends in {', '.join(_OPENED)}")
+        raise UsageError(f"found {names}; expected a file that ends in {', '.join(endings)}")
     depth = min(len(path.parts) for path in found)
     nearest = [path for path in found if len(path.parts) == depth]
     named = [
