@@ -81,8 +81,10 @@ def _write_runs() -> None:
         path = (site if name.endswith(".html") else made) / name
         if path.exists() and path.stat().st_mtime > player.stat().st_mtime:
             continue
-        words = command.format(path).split()
-        subprocess.run([sys.executable, "-m", "sero_mj", *words, "--quiet", *["--overwrite"] * name.endswith(".mcap")], cwd=made, check=True)
+        words = [*command.format(path).split(), "--quiet"]
+        if path.suffix == ".mcap":
+            words.append("--overwrite")
+        subprocess.run([sys.executable, "-m", "sero_mj", *words], cwd=made, check=True)
 
 
 def setup(app: object) -> None:

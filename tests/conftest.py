@@ -49,8 +49,11 @@ _MAY_BE_SKIPPED = (
     "dm-control is not installed", "by hand", "Linux", "no IPv6 groups",
     "stable-baselines3",
 )  # fmt: skip
-# Browsers and windows take both cores; of several workers one runs them all.
-_SCREENS = ("test_web", "test_window", "test_overlay_window", "test_viewer", "test_notebook")
+# Browsers and windows take both cores; of several workers one runs all pages, and one all windows.
+# Start pages of either listen on the same ports.
+_PAGES = ("test_web", "test_viewer", "test_notebook", "test_window_start")
+_WINDOWS = ("test_window", "test_overlay_window", "test_steering_window")
+_SCREENS = (*_PAGES, *_WINDOWS)
 _LIVE = (*_SCREENS, "test_docs")
 # These simulate whole runs, or start many processes: half of the time of all tests of logic.
 _SLOW = (
@@ -222,7 +225,7 @@ class _GroupsByFile(LoadScopeScheduling):
     def _split_scope(self, nodeid: str) -> str:
         name = nodeid.partition("::")[0].rpartition("/")[2]
         if name.startswith(_SCREENS):
-            return "screens"
+            return "pages" if name.startswith(_PAGES) else "windows"
         # Larger scopes come first, then single tests in their order.
         return "ports" if name.startswith(_PORTS) and not _is_exact(nodeid) else nodeid
 
