@@ -244,7 +244,7 @@ def test_the_command_is_0_for_the_same_and_1_beyond_a_tolerance(
 ) -> None:
     soft, stiff = recorded
     assert command(soft, soft, "--tolerance-torque", 0, "--tolerance-angle", 0) == 0
-    assert "soft less soft: lwr, 0.000 s to 0.500 s" in capsys.readouterr().out
+    assert "soft minus soft: lwr, 0.000 s to 0.500 s" in capsys.readouterr().out
     assert command(soft, stiff) == 0
     capsys.readouterr()
     assert command(soft, stiff, "--json", "--tolerance-angle", 0.05) == 1

@@ -171,7 +171,7 @@ def test_a_page_comes_by_the_kernels_channel_even_while_it_is_busy(kernel: Kerne
     shown = "viewer = sero_mj.view('lwr', web=True)\ndisplay(viewer)\n" + _MOVE.format(seconds=4)
     cell = kernel.begin(shown)
     kernel.until(lambda: "run" in kernel.state("first"))
-    # The page asks nobody for anything.
+    # The page makes no requests.
     assert "default-src &#x27;none&#x27;" in kernel.frame and "localhost" not in kernel.frame
     # Nobody answers before the cell has ended, and it goes on.
     poses = kernel.state("first")["poses"]

@@ -329,11 +329,11 @@ def test_a_file_dropped_on_a_window_ends_it_for_another_scene(window: Driven) ->
     window.ask(drop)
     window.until("w.notice.text == 'there.toml: files are opened by `sero-mj view` alone'")
     window.ask("globals().update(load=__import__('sero_mj.load', fromlist=['x']).load_scene)")
-    window.ask("setattr(w, 'opener', lambda path: load('no such scene'))")
+    window.ask("setattr(w.others, 'opener', lambda path: load('no such scene'))")
     window.ask(drop)
     window.until("\"no scene or robot 'no such scene'\" in w.notice.text and w.notice.is_bad")
     assert window.ask("w.is_open and w.others.chosen is None")
-    window.ask("setattr(w, 'opener', lambda path: Mirror(load('justin')))")
+    window.ask("setattr(w.others, 'opener', lambda path: Mirror(load('justin')))")
     window.ask(f"{drop} or setattr(w, 'request_close', lambda: None)")  # else it cannot be asked
     assert (
         window.until("w.others.chosen is not None and w.others.chosen.world.scene.name") == "justin"

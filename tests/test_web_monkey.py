@@ -16,8 +16,9 @@ pytestmark = [
     pytest.mark.timeout(300),
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
 ]
-# Else most of the time went to films, which software draws.
-_BLACK_PICTURES = """[setattr(type(w), "picture_size", (64, 48)),
+# Else most of the time went to films, which software draws, and to pages of what was kept.
+_BLACK_PICTURES = """[setattr(w.tools["pulling"]._exports, "add", lambda *_: 0),
+    setattr(type(w), "picture_size", (64, 48)),
     setattr(type(w), "picture", lambda self: np.zeros((48, 64, 3), np.uint8))] and None""".replace(
     "\n", " "
 )

@@ -34,6 +34,10 @@ def view_of_file(path: Path, shown: str | None) -> RecentView:
         try:
             replay_instead(read_scene(scene), path, None)
         except SeroError as error:
+            if paths.is_temporary(scene):
+                text = str(error).replace(f"{Path(scene).parent}/", "")
+                hint = f"show it by the scene's own file and --replay {path.name}"
+                error = UsageError(f"{path.name}: of its scene, {text}; {hint}")
             why.append(error)
         else:
             return RecentView(scene, str(path.resolve()))
@@ -47,12 +51,12 @@ def view_of_file(path: Path, shown: str | None) -> RecentView:
 
 def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
     from ..data.record.recording import Recording
+    from ..data.record.scene_files import write_scene
 
     if shown is not None:
         yield shown
     with Recording(path) as recording:
         name = recording.about.get("scene", "")
-        own = [each for each in recording.attachments if Path(each).stem == name]
     if not name:
         return
     for view in recent_views():
@@ -62,15 +66,10 @@ def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
         yield str(beside)
     if paths.shipped_file(name) is not None:
         yield name
-    if own:
-        with Recording(path) as recording:
-            files = {each: recording.read_attachment(each) for each in recording.attachments}
-        folder = paths.make_temporary_folder()
-        for each, contents in files.items():
-            file = folder / Path(each).parent.name / Path(each).name
-            file.parent.mkdir(exist_ok=True)
-            file.write_bytes(contents)
-        yield str(folder / Path(own[0]).parent.name / Path(own[0]).name)
+    with Recording(path) as recording:
+        own = write_scene(recording, name, paths.make_temporary_folder())
+    if own is not None:
+        yield str(own)
 
 
 def is_temporary(view: RecentView) -> bool:

@@ -37,7 +37,7 @@ def run(options: CheckOptions) -> int:
 
     scene = read_scene(options.scene)
     world = World(scene)
-    print(f"{scene.name}: {scene.file or 'robot'} is right")
+    print(f"{scene.name}: no errors" + (f" in {scene.file}" if scene.file else ""))
     if scene.description:
         print(f"  about   {scene.description}")
     for name, part in world.robots.items():

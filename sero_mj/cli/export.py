@@ -22,7 +22,7 @@ examples:
   sero-mj export run.mcap -o run.glb --from 2 --to 8    for programs that read glTF
   sero-mj export lwr_udp out/lwr.xml && python -m mujoco.viewer --mjcf=out/lwr.xml
 
-A page is one file that asks nobody for anything: it plays, goes frame by frame, turns, and tells
+A page is one file that makes no network requests: it plays, goes frame by frame, turns, and tells
 names and numbers of what is clicked on.
 
 Mesh files of MJCF are written to a folder beside the XML. Bodies are named robot/link1 and so on;

@@ -13,6 +13,7 @@ from ..base.frames import Array
 from ..data.drive.record_sources import joint_names
 from ..data.record.recording_format import Signals, media_type
 from ..data.record.recording_writer import RecordingWriter
+from ..data.record.scene_files import attached_files
 from .runs.run_log import MEASURED, PER_JOINT, event_of
 from .scenario import Scenario
 from .simulated_scene import SOURCE
@@ -58,8 +59,7 @@ class RunRecorder:
             size=layout.structure.size,
             signals=_signals_of(simulation),
         )
-        for file in files_of(scenario):
-            name = f"{file.parent.name}/{file.name}"
+        for name, file in attached_files(scenario.scene, files_of(scenario)).items():
             self._writer.attach(name, media_type(name), file.read_bytes())
         timestep = scenario.run.timestep
         self._every = max(round(1.0 / (signals_rate * timestep)), 1) if signals_rate > 0 else 0

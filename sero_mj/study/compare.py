@@ -166,7 +166,7 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
     from rich.table import Table
 
     span = f"{pair.times[0]:.3f} s to {pair.times[-1]:.3f} s"
-    title = f"{pair.names[0]} less {pair.names[1]}: {pair.robot.name}, {span}"
+    title = f"{pair.names[0]} minus {pair.names[1]}: {pair.robot.name}, {span}"
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
                   min_width=len(title), caption_justify="left")  # fmt: skip
     table.add_column("joint", no_wrap=True)
@@ -273,7 +273,7 @@ def compare_scene(pair: Pair) -> Scene:
             for source, name, signals in zip(("a", "b"), pair.names, (pair.a, pair.b), strict=True)
         },
         routes=routes,
-        name=f"{pair.names[0]} less {pair.names[1]}",
+        name=f"{pair.names[0]} minus {pair.names[1]}",
     )
 
 

@@ -22,6 +22,7 @@ from ..receive.source import Source
 from ..receive.structure import Rows
 from ..record.recorder import SIGNALS_RATE, Recorder
 from ..record.recording_format import Signals, media_type
+from ..record.scene_files import attached_files
 from ..record.triggered_recorder import TriggeredRecorder
 from ._units import robot_of
 from .route import Route
@@ -140,8 +141,8 @@ def _connected(
     """Connects sources to a recorder, and adds the scene's files to its recordings."""
     routes = [] if scene is None else wire(scene).routes
     try:
-        for file in [] if scene is None else scene.files():
-            of_file = f"{file.parent.name}/{file.name}"
+        files = {} if scene is None else attached_files(scene, scene.files())
+        for of_file, file in files.items():
             recorder.attach(of_file, media_type(of_file), file.read_bytes())
         for name, source in sources.items():
             _add(recorder, name, source, scene, routes)

@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from ...base import paths
 from ...base.declaration import Declaration
 from ...base.errors import DeclarationError, Problem, collect, did_you_mean, nearest
 from ...base.frames import Array
@@ -320,6 +321,18 @@ class Scene:
         tables += [file for group in self.groups.values() for file, _ in group._declared]
         found = [file.absolute() for file in (self.file, *models, *tables) if file is not None]
         return [file for file in dict.fromkeys(found) if file.is_file()]
+
+    def mesh_files(self) -> list[Path]:
+        """Returns the absolute paths of the meshes of robots and objects that are not shipped."""
+        found: list[tuple[str, str | None]] = []
+        for robot in self.robots.values():
+            links = [*robot.filenames, *(robot.collisions or [])]
+            found += [(robot.directory, part.file) for link in links for part in link]
+            found += [(child.directory, child.mesh) for child in robot.children]
+        found += [(item.directory, item.mesh) for item in self.objects]
+        shipped = paths.models_dir().absolute()
+        files = dict.fromkeys((Path(folder) / file).absolute() for folder, file in found if file)
+        return [file for file in files if not file.is_relative_to(shipped) and file.is_file()]
 
     def named_frames(self) -> dict[str, NamedFrame]:
         """Returns all frames that arrows, received frames and routes can refer to, by name."""

@@ -26,6 +26,7 @@ from ...base.toml_file import parse_toml
 from ...data.receive.source import Source, make_source
 from ...data.record.csv_files import column_names, read_csv
 from ...data.record.recording import Recording
+from ...data.record.scene_files import table_names
 from ...robots.declared.group_model import Expanded, expand_groups
 from ...robots.declared.robot import SerialRobot, build_robot
 from ...robots.declared.scene import MOST_ENTRIES, Scene
@@ -345,7 +346,7 @@ def _read_tables(recording: Recording) -> dict[str, dict[str, Any]]:
         RecordingError: one is damaged or cannot be read.
     """
     found = {}
-    for name in recording.attachments:
+    for name in table_names(recording):
         if name.endswith(".toml"):
             try:
                 found[name] = parse_toml(recording.read_attachment(name).decode("utf-8-sig"))

@@ -63,7 +63,7 @@ class SourcesPanel:
         for source in sources:
             self._source(ui, source)
         if not sources:
-            ui.text("none: as declared, or as a program sets it", "dim")
+            ui.text("no sources: pose as declared, or set by a program", "dim")
 
     def _source(self, ui: Widgets, source: Source) -> None:
         if source.error is not None:

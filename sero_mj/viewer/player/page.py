@@ -1,4 +1,4 @@
-"""`export_html`: a scene as it moves, as one HTML file that asks nobody for anything."""
+"""`export_html`: a scene as it moves, as one HTML file that makes no requests."""
 
 from __future__ import annotations
 

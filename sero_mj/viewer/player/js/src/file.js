@@ -10,16 +10,16 @@ import { Plot, wordFor } from "./plot.js";
 import { View } from "./view.js";
 
 const KEYS = [
-  ["drag", "turn; with the right button move"],
-  ["wheel", "nearer and farther"],
+  ["drag", "turn; with the right button, move"],
+  ["wheel", "zoom"],
   ["click", "name and numbers of an arrow, link or card"],
   ["space", "play or pause"],
-  [". ,", "a frame on, back"],
-  ["→ ←", "1 s on, back"],
+  [". ,", "one frame forward, back"],
+  ["→ ←", "1 s forward, back"],
   ["+ −", "faster, slower"],
   ["backspace, end", "to the start, to the end"],
-  ["e w", "next mark, the one before"],
-  ["] [", "next joint, the one before"],
+  ["e w", "next, previous mark"],
+  ["] [", "next, previous joint"],
   ["a b d l", "arrows, billboards, doubles, legend"],
   ["p", "plot"],
   ["0 … 9", "initial view, cameras"],
@@ -93,7 +93,8 @@ export class Player {
     let free = -Infinity; // where the last text on the time line ends, as a share of it
     for (const mark of [...run.marks].sort((a, b) => a.begin - b.begin)) {
       const begin = mark.begin / Math.max(clock.end, 1e-9), hasText = mark.end > mark.begin && begin > free;
-      if (hasText) free = begin + 0.012 * Math.min(mark.text.length, 12);
+      // As long as its text, or as the mark, where that cuts it.
+      if (hasText) free = begin + Math.min(0.011 * mark.text.length, (mark.end - mark.begin) / Math.max(clock.end, 1e-9));
       byId("marks").append(this.#mark(mark, hasText));
     }
     document.body.classList.toggle("still", run.frames < 2);

@@ -1,0 +1,104 @@
+"""A recording alone shows its scene, wherever it is opened."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sero_mj import UdpReceiver, World, load_scene
+from sero_mj.base import paths
+from sero_mj.base.errors import SeroError
+from sero_mj.cli._opening import view_of_file
+from sero_mj.data.drive.record_sources import record_sources
+from sero_mj.data.record import scene_files
+from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.recording_writer import RecordingWriter
+from sero_mj.data.record.scene_files import write_scene
+from sero_mj.robots.declared.scene import Scene
+
+_SCENE = """
+[robots.arm]
+model = "MODEL"
+
+[sources.udp]
+kind = "udp"
+port = 0
+structure = "7F"
+
+[routes]
+"arm.joint_angles" = "udp.values0"
+"""
+
+
+def recorded(folder: Path, model: str) -> Path:
+    """A recording, without packets, of a scene with a robot of its own, beside the scene."""
+    shutil.copytree(paths.models_dir() / "lwr", folder / model)
+    file = folder / "cell.toml"
+    file.write_text(_SCENE.replace("MODEL", model))
+    scene = load_scene(file)
+    source = UdpReceiver(structure="7F", udpport=0)
+    path = folder / "run.mcap"
+    with source, record_sources({"udp": source}, path, scene=scene):
+        pass
+    return path
+
+
+@pytest.mark.parametrize("model", ["arm", "robots/big/arm"])
+def test_a_recording_is_shown_where_nothing_else_is(
+    model: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    here, there = tmp_path / "here", tmp_path / "there"
+    for folder in (here, there):
+        folder.mkdir()
+    path = recorded(here, model)
+    before = World(load_scene(here / "cell.toml")).model
+    alone = Path(shutil.copy(path, there))
+    shutil.rmtree(here)
+    found = load_scene(view_of_file(alone, None).scene)
+    assert isinstance(found, Scene) and paths.is_temporary(str(found.file))
+    after = World(found).model
+    assert after.nmeshvert == before.nmeshvert > 1000
+    assert np.array_equal(after.mesh_vert, before.mesh_vert)
+
+
+def test_meshes_of_more_than_a_recording_takes_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(scene_files, "_MOST_BYTES", 1000)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (here := tmp_path / "here").mkdir()
+    path = recorded(here, "arm")
+    (record,) = [each for each in caplog.records if "meshes of" in each.getMessage()]
+    assert "at most 0 MB" in record.getMessage() and "cell.toml" in record.getMessage()
+    with Recording(path) as recording:
+        assert sorted(recording.attachments) == ["arm/robot.toml", "here/cell.toml"]
+
+
+def test_a_scene_that_cannot_be_shown_alone_says_what_to_give(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    path = tmp_path / "run.mcap"
+    with RecordingWriter(path, about={"scene": "cell"}) as writer:
+        writer.attach("w/cell.toml", "application/toml", _SCENE.replace("MODEL", "gone").encode())
+    with pytest.raises(SeroError) as error:
+        view_of_file(path, None)
+    assert "gone" in str(error.value) and "--replay run.mcap" in str(error.value)
+    assert "/sero-mj-" not in str(error.value)
+
+
+def test_a_recording_writes_nothing_outside_of_its_folder(tmp_path: Path) -> None:
+    path, folder = tmp_path / "evil.mcap", tmp_path / "a" / "b"
+    with RecordingWriter(path, about={"scene": "cell"}) as writer:
+        for name in ("w/cell.toml", "files/../../bad", "files//bad", "../../bad", "files/good"):
+            writer.attach(name, "text/plain", b"x")
+    folder.mkdir(parents=True)
+    with Recording(path) as recording:
+        assert write_scene(recording, "cell", folder) == folder / "cell.toml"
+        assert write_scene(recording, "other", folder) is None
+    written = sorted(each.name for each in tmp_path.rglob("*") if each.is_file())
+    assert written == ["cell.toml", "evil.mcap", "good"]
