@@ -13,7 +13,7 @@ from web_tools import MISSING, SIZE, Served, Visitor
 
 pytestmark = [
     pytest.mark.gl,
-    pytest.mark.timeout(300),
+    pytest.mark.timeout(600),
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
 ]
 # Else most of the time went to films, which software draws, and to pages of what was kept.
