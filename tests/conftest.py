@@ -68,9 +68,10 @@ _PORTS = (
     "test_simulate_command", "test_torque_plots", "test_udp", "test_without_display",
 )  # fmt: skip
 
-# These measure time to a millisecond; they run when all others are
+# These measure time to a millisecond, or work a browser for minutes; they run when all others are
 # done, one by one.
 _EXACT = (
+    "test_web_monkey.py::test_random_events_do_not_end_a_page",
     "test_ahead.py::test_an_lwr_is_played_at_an_exact_rate",
     "test_ahead.py::test_packets_are_numbered_and_stamped_and_counters_wrap",
     "test_fri_controller.py::test_a_client_that_answers_has_a_perfect_link",

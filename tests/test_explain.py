@@ -355,14 +355,14 @@ def test_the_command_says_for_every_joint_what_explains_it(
 ) -> None:
     assert command(recorded) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "commanded less measured: lwr" in out
+    assert "commanded minus measured: lwr" in out
     assert "A1 no difference found" in out
     assert "A2 bias: -4" in out
     assert "Nm of the torque sensor from 1.3" in out
     picture = tmp_path / "parts.svg"
     assert command(recorded, "--against-model", "--plot", picture) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "gauge less its model: lwr" in out
+    assert "gauge minus its model: lwr" in out
     assert "lwr and its model part at A2, from 1.3" in out
     assert "inverse dynamics on the measured motion" in out
     assert "bias -4" in picture.read_text(encoding="utf-8")
