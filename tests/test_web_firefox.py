@@ -75,3 +75,30 @@ def test_a_live_page_shows_what_comes_and_takes_clicks_and_keys(
         assert served.ask("clicks[0][1]").startswith("lwr/")
         assert firefox.evaluate("player.calls") <= 20 and firefox.faults == []
     firefox.until("document.getElementById('problem').textContent.includes('has gone')")
+
+
+def test_cards_are_as_they_were_and_marks_stand_on_the_line(
+    firefox: Firefox, tmp_path: Path
+) -> None:
+    sizes = "[...document.querySelectorAll('.card')].map((e) => [e.offsetWidth, e.offsetHeight])"
+    are_short = "player.now.cards.every(({ lines }) => lines.length === 1)"
+    with Served(tmp_path, "impedance_push") as served:
+        firefox.goto(served.url)
+        firefox.until("player.state && player.isInControl && document.querySelector('.card')")
+        served.ask("w.actions.perform('pause')")
+        firefox.until(f"{are_short} && !player.view.isDirty")
+        before = firefox.evaluate(sizes)
+        served.ask("w.toggles.details.__setitem__(slice(None), True)")
+        firefox.until(f"!({are_short}) && !player.view.isDirty")
+        assert firefox.evaluate(sizes) != before
+        served.ask("w.toggles.details.__setitem__(slice(None), False)")
+        firefox.until(f"{are_short} && !player.view.isDirty")
+        assert firefox.evaluate(sizes) == before
+        served.ask("w.actions.perform('mark')")
+        firefox.until("document.querySelector('#timeline .ticks i')")
+        place = "document.querySelector('#timeline {}').getBoundingClientRect()"
+        share = "(({ value, min, max }) => (value - min) / (max - min))"
+        tick = firefox.evaluate(f"{place.format('.ticks i')}.left + 1")
+        rail = firefox.evaluate(place.format(".track input"))
+        at = firefox.evaluate(f"{share}(document.querySelector('#timeline .track input'))")
+        assert tick == pytest.approx(rail["left"] + 7 + at * (rail["width"] - 14), abs=2)

@@ -68,16 +68,18 @@ export class Cards {
     const look = `card ${content.lines.length > 1 ? "many" : ""} ${content.isStale ? "stale" : content.sign}`
       + (content.isChosen ? " chosen" : "");
     if (box.className !== look) box.className = look;
-    title.hidden = !content.title;
-    write(title, content.title);
+    // Of another shape it is measured anew, also where it has become smaller.
+    const isOther = lines.length !== content.lines.length || title.hidden === Boolean(content.title);
+    if (isOther) card.longest = card.width = 0;
     while (lines.length > content.lines.length) lines.pop()?.[0].remove();
     while (lines.length < content.lines.length) {
       const line = [made("span", ""), made("i", ""), made("b", "")];
       line[0].append(line[1], line[2]);
       box.append(line[0]);
       lines.push(line);
-      card.width = 0;
     }
+    title.hidden = !content.title;
+    write(title, content.title);
     let longest = content.title.length;
     content.lines.forEach(([label, value], k) => {
       lines[k][1].hidden = !label;

@@ -207,18 +207,24 @@ const choose = ({ id }, { send }) => {
 const slide = ({ id }, { send }) => {
   const box = made("input", "", { type: "range", step: "any" }), said = made("output", "");
   const track = made("span", "", { class: "track" }), ticks = made("span", "", { class: "ticks" });
+  const rail = made("span", "", { class: "rail" }); // as long as what is dragged, without its text
   const { element, say } = labelled(box, "slide");
   element.prepend(track);
-  track.append(box, ticks, said);
+  rail.append(box, ticks);
+  track.append(rail, said);
   /** @type {Held<number>} */
   const held = new Held();
   let marked = "";
   box.addEventListener("pointerdown", () => {
     held.isHeld = true;
+    said.style.width = `${said.offsetWidth}px`; // a longer text would move what is dragged
     held.set(box.valueAsNumber);
   });
   for (const end of ["pointerup", "pointercancel", "blur"]) {
-    box.addEventListener(end, () => { held.isHeld = false; });
+    box.addEventListener(end, () => {
+      held.isHeld = false;
+      said.style.width = "";
+    });
   }
   box.addEventListener("input", () => {
     held.set(box.valueAsNumber);
