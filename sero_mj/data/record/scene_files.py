@@ -35,7 +35,13 @@ def attached_files(scene: Scene, tables: Iterable[Path]) -> dict[str, Path]:
     folder = scene.file.absolute().parent
     if folder.is_relative_to(paths.scenes_dir().absolute()):
         return found
-    meshes = [file for file in scene.mesh_files() if file.is_relative_to(folder)]
+    shipped = paths.models_dir().absolute()
+    files = dict.fromkeys(file.absolute() for _, file in scene.meshes())
+    meshes = [
+        file
+        for file in files
+        if file.is_relative_to(folder) and not file.is_relative_to(shipped) and file.is_file()
+    ]
     size = sum(file.stat().st_size for file in meshes)
     if size > _MOST_BYTES:
         log.warning(

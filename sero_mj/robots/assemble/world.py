@@ -413,23 +413,8 @@ def _not_compiled(scene: Scene, error: ValueError) -> DeclarationError:
 
 def _mesh_problems(scene: Scene) -> list[Problem]:
     """Compiles every mesh of a scene separately and returns the problems, by robot and file."""
-    meshes: list[tuple[str, str, str | None]] = []
-    for name, robot in scene.robots.items():
-        for i, link in enumerate(robot.filenames):
-            key = f"robots.{name}.filenames.{i}"
-            meshes += [(key, robot.directory, mesh.file) for mesh in link]
-        for i, link in enumerate(robot.collisions or []):
-            key = f"robots.{name}.collisions.{i}"
-            meshes += [(key, robot.directory, mesh.file) for mesh in link]
-        for k, item in enumerate(robot.children):
-            meshes.append((f"robots.{name}.children.{k}.mesh", item.directory, item.mesh))
-    for item in scene.objects:
-        meshes.append((f"objects.{item.name}.mesh", item.directory, item.mesh))
-    return [
-        problem
-        for key, folder, file in meshes
-        if file is not None and (problem := _mesh_problem(key, Path(folder) / file))
-    ]
+    found = [_mesh_problem(key, file) for key, file in scene.meshes()]
+    return [problem for problem in found if problem is not None]
 
 
 def _mesh_problem(key: str, path: Path) -> Problem | None:

@@ -9,7 +9,6 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from ...base import paths
 from ...base.declaration import Declaration
 from ...base.errors import DeclarationError, Problem, collect, did_you_mean, nearest
 from ...base.frames import Array
@@ -322,17 +321,19 @@ class Scene:
         found = [file.absolute() for file in (self.file, *models, *tables) if file is not None]
         return [file for file in dict.fromkeys(found) if file.is_file()]
 
-    def mesh_files(self) -> list[Path]:
-        """Returns the absolute paths of the meshes of robots and objects that are not shipped."""
-        found: list[tuple[str, str | None]] = []
-        for robot in self.robots.values():
-            links = [*robot.filenames, *(robot.collisions or [])]
-            found += [(robot.directory, part.file) for link in links for part in link]
-            found += [(child.directory, child.mesh) for child in robot.children]
-        found += [(item.directory, item.mesh) for item in self.objects]
-        shipped = paths.models_dir().absolute()
-        files = dict.fromkeys((Path(folder) / file).absolute() for folder, file in found if file)
-        return [file for file in files if not file.is_relative_to(shipped) and file.is_file()]
+    def meshes(self) -> list[tuple[str, Path]]:
+        """Returns the key and the file of every mesh of robots and objects."""
+        found: list[tuple[str, str, str | None]] = []
+        for name, robot in self.robots.items():
+            for key, links in (("filenames", robot.filenames), ("collisions", robot.collisions)):
+                for i, link in enumerate(links or []):
+                    place = f"robots.{name}.{key}.{i}"
+                    found += [(place, robot.directory, part.file) for part in link]
+            for k, item in enumerate(robot.children):
+                found.append((f"robots.{name}.children.{k}.mesh", item.directory, item.mesh))
+        for item in self.objects:
+            found.append((f"objects.{item.name}.mesh", item.directory, item.mesh))
+        return [(key, Path(folder) / file) for key, folder, file in found if file is not None]
 
     def named_frames(self) -> dict[str, NamedFrame]:
         """Returns all frames that arrows, received frames and routes can refer to, by name."""
