@@ -6,6 +6,7 @@ with non-adjacent links. The display variant of the scene has none of this.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from itertools import combinations, product
 from typing import Any
@@ -21,6 +22,7 @@ from ..declared.shapes import housing_radii
 from .link_geometry import touching_geoms
 from .mjcf_elements import MESH, hull_asset
 from .mjcf_links import excluded_links
+from .parts import RobotPart
 from .robot_dynamics import LinkInertia, RobotDynamics
 
 TIMESTEP = 1e-3  # s, an LWR's cycle
@@ -113,10 +115,38 @@ def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynami
 
 def set_inertia(body: mujoco.MjsBody, dynamics: RobotDynamics | LinkInertia, i: int) -> None:
     """Gives a body the mass, centre and tensor of link i; 0 is the base of a carried robot."""
+    body.explicitinertial = True
+    _fill_inertia(body, dynamics, i)
+
+
+def _fill_inertia(body: Any, dynamics: RobotDynamics | LinkInertia, i: int) -> None:
     moments, axes = principal_moments(dynamics.tensors[i])
     mujoco.mju_mat2Quat(body.iquat, axes.ravel())
-    body.explicitinertial, body.mass = True, dynamics.masses[i]
-    body.ipos, body.inertia = dynamics.centers[i], moments
+    body.mass, body.ipos, body.inertia = dynamics.masses[i], dynamics.centers[i], moments
+
+
+def weighed_model(
+    model: mujoco.MjModel, robots: Mapping[str, RobotPart], dynamics: Mapping[str, RobotDynamics]
+) -> mujoco.MjModel:
+    """Returns a copy of a model to look at whose links have masses, and all else has none.
+
+    In the model itself MuJoCo takes them from the volume of what is drawn.
+
+    Args:
+        model: of a scene.
+        robots: of the scene, by name.
+        dynamics: of the robots, by name.
+    """
+    weighed = copy.copy(model)
+    weighed.body_mass[:], weighed.body_inertia[:] = 0.0, 0.0
+    weighed.body_sameframe[:] = 0  # centres of mass are not at origins any more
+    for name, of in dynamics.items():
+        for i, body in enumerate(robots[name].bodies.tolist()):
+            _fill_inertia(weighed.body(body), of, i)
+    weighed.body_subtreemass[:] = weighed.body_mass
+    for body in range(weighed.nbody - 1, 0, -1):  # children come after their parents
+        weighed.body_subtreemass[weighed.body_parentid[body]] += weighed.body_subtreemass[body]
+    return weighed
 
 
 def deflection_joint(name: str) -> str:

@@ -27,12 +27,11 @@ from ..declared.scene import Scene
 from ..importers.mjcf_file import write_mjcf
 from .decor_sizes import MeasuredBodies, measure
 from .mjcf import body_names, build_spec, frame_names, moved_body
-from .mjcf_dynamics import set_contact_defaults, set_inertia
+from .mjcf_dynamics import set_contact_defaults, set_inertia, weighed_model
 from .mjcf_elements import Hull, mesh_assets
 from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
 from .robot_dynamics import RobotDynamics, about_masses, robot_dynamics
 from .solids import geom_boxes
-from .weighed_model import weighed_model
 from .world_view import WorldView
 
 log = logging.getLogger(__name__)
