@@ -16,8 +16,7 @@ from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.player import capture as capture_module
 from sero_mj.viewer.player.capture import Capture
 from sero_mj.viewer.player.page import write_page
-from sero_mj.viewer.player.soft import flex_vertices, soft_frame, soft_of
-from sero_mj.viewer.player.tendon_rows import TendonRows
+from sero_mj.viewer.player.soft import SoftParts, soft_of
 
 NO_SKY = (0, 0, 0)  # of what no geom covers
 
@@ -35,12 +34,8 @@ def captured(
     """
     world = World(Scene(floor=False))  # without joints and decor
     world.model = model
-    bodies, vertices, decor = (
-        capture_module.shown_bodies(world),
-        flex_vertices(model),
-        TendonRows(model),
-    )
-    soft = [soft_frame(data, vertices, decor) for data in states]
+    bodies, parts = capture_module.shown_bodies(world), SoftParts(model)
+    soft = [parts.take(data) for data in states]
     n, frames = len(world.joints.names), len(states)
     nothing = np.full((frames, n), np.nan)
     lines, details = capture_module._lines(world, {"torques": nothing})

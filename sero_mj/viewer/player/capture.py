@@ -16,7 +16,7 @@ import numpy as np
 from ...base.errors import RenderError
 from ...base.frames import Array, Bools, Ints
 from ...data.drive.mirror import Mirror, restore
-from ...robots.assemble.parts import DoublePart
+from ...robots.assemble.parts import DoublePart, DrawnDouble
 from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
@@ -34,8 +34,7 @@ from ..session.torque_history import joint_name
 from .copied_bodies import CopiedBodies, CopiedBody
 from .labels import labels_of
 from .model import drawn_bodies, visible_geoms
-from .soft import Soft, SoftFrame, bytes_of_frame, flex_vertices, soft_frame, soft_of
-from .tendon_rows import TendonRows
+from .soft import Soft, SoftFrame, SoftParts, bytes_of_frame, soft_of
 
 DEFAULT_FPS = 30.0
 DEFAULT_SECONDS = 10.0  # of what has no end
@@ -202,7 +201,7 @@ class FrameCapturer:
         self._decor.features.append(self)
         self._view: PictureView | None = None
         self._bodies, self._copies = shown_bodies(world), CopiedBodies(world)
-        self._vertices, self._tendons = flex_vertices(world.model), TendonRows(world.model)
+        self._soft = SoftParts(world.model)
         self._note, self._cards = "", dict[int, str]()
         self._frame: Frame | None = None
 
@@ -231,12 +230,11 @@ class FrameCapturer:
         buffer = self._decor.draw(data, self._shown, self._view)
         frame = self._frame
         assert frame is not None  # `draw` has just been called
-        own = np.hstack([data.xpos[bodies], data.xquat[bodies]])
-        places, turns, opacity = self._copies.poses(buffer.drawn_doubles)
+        places, turns, faint = body_poses(data, bodies, self._copies, buffer.drawn_doubles)
         return CapturedFrame(
-            poses=np.concatenate([own, np.hstack([places, turns])]),
-            opacity=np.concatenate([body_opacity(world.model, buffer)[bodies], opacity]),
-            soft=soft_frame(data, self._vertices, self._tendons),
+            poses=np.hstack([places, turns]),
+            opacity=np.concatenate([body_opacity(world.model, buffer)[bodies], faint]),
+            soft=self._soft.take(data),
             values=frame.values,
             arrows=frame.arrow_values,
             limit=frame.arrow_limit,
@@ -329,6 +327,28 @@ def player_geoms(buffer: GeomBuffer, revolute: Bools) -> tuple[np.ndarray, np.nd
     return buffer.rows[index], kinds[index], items[index]
 
 
+def body_poses(
+    data: mujoco.MjData, bodies: Ints, copies: CopiedBodies, drawn: Sequence[DrawnDouble]
+) -> tuple[Array, Array, Array]:
+    """Returns the poses of bodies, and after them of their copies.
+
+    Args:
+        data: the state, with frames up to date.
+        bodies: ids, (B,).
+        copies: of doubles, G of them.
+        drawn: the doubles of the frame.
+
+    Returns:
+        positions (B + G, 3), m, unit quaternions (B + G, 4), and the opacity of the copies, (G,).
+    """
+    places, turns, opacity = copies.poses(drawn)
+    return (
+        np.concatenate([data.xpos[bodies], places]),
+        np.concatenate([data.xquat[bodies], turns]),
+        opacity,
+    )
+
+
 def body_opacity(model: mujoco.MjModel, buffer: GeomBuffer) -> Array:
     """Returns by how much every body is faded in a frame, (nbody,): 0 where it is not drawn."""
     found = np.ones(model.nbody)
@@ -394,9 +414,8 @@ def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera
         data: its state, with frames up to date.
         camera: of the first picture.
     """
-    joints, bodies, model = world.joints, shown_bodies(world), world.model
-    copies = CopiedBodies(world)
-    places, turns, faint = copies.poses([])
+    joints, bodies, copies = world.joints, shown_bodies(world), CopiedBodies(world)
+    places, turns, faint = body_poses(data, bodies, copies, [])
     formats = joint_formats(world)
     count = len(joints.names)
     nothing = np.full((1, count), np.nan)
@@ -409,15 +428,15 @@ def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera
         lines=formats.declared,
         details=formats.details,
         bodies=bodies,
-        positions=np.concatenate([data.xpos[bodies], places])[None],
-        rotations=np.concatenate([data.xquat[bodies], turns])[None],
+        positions=places[None],
+        rotations=turns[None],
         opacity=np.concatenate([np.ones(len(bodies)), faint])[None],
-        grey=np.zeros((1, len(bodies) + len(faint)), bool),
+        grey=np.zeros((1, len(places)), bool),
         values={"joint_angles": nothing},
         arrows=nothing,
         limit=joints.torque_limit,
         stale=np.zeros((1, count), bool),
-        soft=soft_of([soft_frame(data, flex_vertices(model), TendonRows(model))]),
+        soft=soft_of([SoftParts(world.model).take(data)]),
         items=[],
         labels=[{}],
         notes=[""],

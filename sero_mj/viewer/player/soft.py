@@ -10,9 +10,15 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Ints
+from ..decor.geom_buffer import GEOM
+from ..decor.scene_writer import struct_view
 from .model import shown_flexes
 from .packing import Parts, rounded
-from .tendon_rows import TendonRows
+
+_TENDON = int(mujoco.mjtObj.mjOBJ_TENDON)
+_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
+_MOST_PIECES = 4000  # of tendons; a scene has the geoms of the model as well
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +69,39 @@ class SoftFrame(NamedTuple):
     tendons: np.ndarray
 
 
-def soft_frame(data: mujoco.MjData, vertices: Ints, pieces: TendonRows) -> SoftFrame:
-    """Returns what is soft in a state, with everything up to date that is drawn of it.
+class SoftParts:
+    """The tendons and flexes of a model.
 
     Args:
-        data: the state.
-        vertices: see `flex_vertices`.
-        pieces: of the model's tendons.
+        model: compiled.
     """
-    return SoftFrame(data.flexvert_xpos[vertices].copy(), pieces.rows(data))
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        self._vertices = _flex_vertices(model)
+        self._has_tendons = bool((model.ntendon and (model.tendon_width > 0).any()) or model.nwrap)
+        self._scene: mujoco.MjvScene | None = None
+        self._camera, self._option = mujoco.MjvCamera(), mujoco.MjvOption()
+
+    def take(self, data: mujoco.MjData) -> SoftFrame:
+        """Returns what is soft in a state, with everything up to date that is drawn of it."""
+        return SoftFrame(data.flexvert_xpos[self._vertices].copy(), self._pieces(data))
+
+    def _pieces(self, data: mujoco.MjData) -> np.ndarray:
+        """The straight pieces of all tendons, (k,) of `GEOM`; none takes no time."""
+        if not self._has_tendons:
+            return np.zeros(0, GEOM)
+        model = self._model
+        if self._scene is None:
+            self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + _MOST_PIECES)
+        scene = self._scene
+        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, _ALL, scene)
+        rows = struct_view(scene)
+        if rows is None:
+            return np.zeros(0, GEOM)
+        rows = rows[: scene.ngeom]
+        kept: np.ndarray = rows[(rows["objtype"] == _TENDON) & (rows["type"] == _CAPSULE)].copy()
+        return kept
 
 
 def soft_of(found: Sequence[SoftFrame]) -> Soft:
@@ -97,7 +127,7 @@ def soft_of(found: Sequence[SoftFrame]) -> Soft:
     return Soft(np.array([each.vertices for each in found]), ends, radius, colours)
 
 
-def flex_vertices(model: mujoco.MjModel) -> Ints:
+def _flex_vertices(model: mujoco.MjModel) -> Ints:
     """Returns the rows of `flexvert_xpos` that belong to flexes that are drawn, (V,)."""
     if not model.nflex:
         return np.zeros(0, np.intp)

@@ -20,13 +20,19 @@ from ..decor.feature import Frame
 from ..decor.geom_buffer import GeomBuffer, Kind
 from ..decor.panels import Panels
 from ..decor.picture_view import PictureView
-from ..player.capture import body_opacity, capture_pose, line_text, player_geoms, shown_bodies
+from ..player.capture import (
+    body_opacity,
+    body_poses,
+    capture_pose,
+    line_text,
+    player_geoms,
+    shown_bodies,
+)
 from ..player.copied_bodies import CopiedBodies
 from ..player.encode import METRE_STEP, ROTATION_STEP, arrow_looks, encode
 from ..player.items import poses, quaternions_of
 from ..player.labels import labels_of
-from ..player.soft import flex_vertices
-from ..player.tendon_rows import TendonRows
+from ..player.soft import SoftParts
 from ..session.scene_decor import SceneDecor
 from .sections import Sections
 
@@ -50,8 +56,7 @@ class PageState:
         self._world, self._sections = world, sections
         self._bodies = shown_bodies(world)
         self._copies = CopiedBodies(world)
-        self._vertices = flex_vertices(world.model)
-        self._tendons = TendonRows(world.model)
+        self._soft = SoftParts(world.model)
         self._frame: Frame | None = None
         self._depth = 1.0  # of the robots in the picture, m
         self._cards: list[dict[str, Any]] = []
@@ -121,7 +126,10 @@ class PageState:
         self._put_bodies(data, frame.buffer)
         toggles = frame.toggles
         put("shading", {"transparent": toggles.transparent, "wireframe": toggles.wireframe})
-        rows = np.concatenate([self._tendons.rows(data), decor.drawing.rows(data, toggles)])
+        soft = self._soft.take(data)
+        if len(soft.vertices):
+            put("soft", soft.vertices.astype(np.float32))
+        rows = np.concatenate([soft.tendons, decor.drawing.rows(data, toggles)])
         self._put_geoms(frame.buffer, rows)
         # What is left is said of stale data; the last one is the name beside the pointer.
         notes = decor.panels[: len(decor.panels) - (hover is not None)]
@@ -168,20 +176,16 @@ class PageState:
         """Puts poses and looks of all bodies."""
         put, bodies, model = self._sections.put, self._bodies, self._world.model
         # Rounded as files are: what trembles by less is not sent.
-        copies = self._copies.poses(buffer.drawn_doubles)
-        places = np.concatenate([data.xpos[bodies], copies[0]])
+        places, turns, faint = body_poses(data, bodies, self._copies, buffer.drawn_doubles)
         places = np.round(places / METRE_STEP) * METRE_STEP
-        turns = np.concatenate([data.xquat[bodies], copies[1]])
         turns = np.round(turns / ROTATION_STEP).astype(np.int16)
         put("poses", places.astype(np.float32).tobytes() + turns.tobytes())
         opacity = body_opacity(model, buffer)
         opacity[data.xpos[:, 2] < OUT_OF_SIGHT[2] / 2] = 0.0
-        opacity = np.concatenate([opacity[bodies], copies[2]])
+        opacity = np.concatenate([opacity[bodies], faint])
         put("opacity", np.round(255 * opacity).astype(np.uint8))
-        grey = np.concatenate([_bodies_of(model, buffer.grey)[bodies], np.zeros_like(copies[2])])
+        grey = np.concatenate([_bodies_of(model, buffer.grey)[bodies], np.zeros_like(faint)])
         put("grey", grey.astype(np.uint8))
-        if len(self._vertices):
-            put("soft", data.flexvert_xpos[self._vertices].astype(np.float32))
         if not self._world.has_sites:
             put("sites", self._sites(data))
 
