@@ -8,6 +8,7 @@ viewer's server, one for every browser that shows the cell.
 
 from __future__ import annotations
 
+import functools
 import html
 import secrets
 import sys
@@ -64,6 +65,30 @@ def _shell() -> Any:
     return sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
 
 
+class _Kernel:
+    """This kernel, which hears no page while it runs a cell.
+
+    Attributes:
+        is_busy: whether it runs one; it does so when this is made.
+        freed: when it has ended the last one, s of `time.monotonic`.
+    """
+
+    def __init__(self) -> None:
+        self.is_busy, self.freed = True, time.monotonic()
+        events = _shell().events
+        events.register("pre_run_cell", self._begin)
+        events.register("post_run_cell", self._end)
+
+    def _begin(self, *_: object) -> None:
+        self.is_busy = True
+
+    def _end(self, *_: object) -> None:
+        self.is_busy, self.freed = False, time.monotonic()
+
+
+_kernel = functools.cache(_Kernel)
+
+
 class Cells:
     """The cells of a notebook that show a viewer.
 
@@ -77,13 +102,6 @@ class Cells:
         self._title, self._url, self._tell = title, url, tell
         self._cells: list[_Cell] = []
         self._is_last = threading.Event()
-        events = _shell().events
-        events.register("pre_run_cell", lambda *_: self._note_busy(True))
-        events.register("post_run_cell", lambda *_: self._note_busy(False))
-
-    def _note_busy(self, is_busy: bool) -> None:
-        for cell in self._cells:
-            cell.note_busy(is_busy)
 
     def show(self) -> None:
         """Shows the page in the cell that runs."""
@@ -124,7 +142,6 @@ class _Cell:
         self._id = secrets.token_hex(8)
         self._url = url
         self._visitors: dict[str, _Visitor] = {}
-        self.is_busy = True  # with the cell that shows it
         self._bridge = _bridge(self._id)
         self._bridge.on_msg(self._hear)
         self.keep("", is_update=False)
@@ -164,13 +181,7 @@ class _Cell:
         def send(message: Mapping[str, Any], buffers: Sequence[bytes]) -> None:
             self._bridge.send({"to": client, **message}, buffers=list(buffers))
 
-        self._visitors[client] = _Visitor(self._url, send, self.is_busy)
-
-    def note_busy(self, is_busy: bool) -> None:
-        """Notes whether the kernel runs a cell, and may hear no page."""
-        self.is_busy = is_busy
-        for visitor in [*self._visitors.values()]:
-            visitor.note_busy(is_busy)
+        self._visitors[client] = _Visitor(self._url, send, _kernel())
 
 
 class _Visitor:
@@ -179,25 +190,21 @@ class _Visitor:
     Args:
         url: of the page.
         send: sends the page a message.
-        is_busy: whether the kernel runs a cell.
+        kernel: that hears the page.
 
     Attributes:
         is_gone: whether the connection has ended.
     """
 
-    def __init__(self, url: str, send: Send, is_busy: bool) -> None:
+    def __init__(self, url: str, send: Send, kernel: _Kernel) -> None:
         self._url, self._send = url, send
-        self._is_busy, self._heard = is_busy, time.monotonic()
+        self._kernel, self._heard = kernel, time.monotonic()
         self._lock = threading.Lock()
         self._ahead = 0  # messages that nobody has answered
         self._owed = 0  # answers of the page that were given before they came
         self._socket: ClientConnection | None = None
         self.is_gone = False
         threading.Thread(target=self._run, name="sero-mj cell", daemon=True).start()
-
-    def note_busy(self, is_busy: bool) -> None:
-        """Notes whether the kernel runs a cell."""
-        self._is_busy, self._heard = is_busy, time.monotonic()
 
     def hear(self, kind: str, text: Any) -> None:
         """Takes what the page says: something to its server, that it is there, or that it goes."""
@@ -238,8 +245,8 @@ class _Visitor:
 
     def _carry(self, socket: ClientConnection) -> None:
         """Carries messages to the page, until it says nothing any more."""
-        told = time.monotonic()
-        while self._is_busy or time.monotonic() - self._heard < _GONE:
+        told, kernel = time.monotonic(), self._kernel
+        while kernel.is_busy or time.monotonic() - max(self._heard, kernel.freed) < _GONE:
             try:
                 message = socket.recv(timeout=_TICK)
             except TimeoutError:
