@@ -150,16 +150,11 @@ class Pulling(Tool):
         folder, run = self.shown.folder or Path(), self._source.run
         if self._source.end is None or run.scenario.file is None:
             path = save_run(run, folder)
-            self._write_page(path)
+            self._exports.add_page(path)
             return f"kept: {path.name}; sero-mj plot {path.name} draws it"
         path = save_pushes(run, folder)
-        self._write_page(path)
+        self._exports.add_page(path.with_suffix(".mcap"))
         return f"kept: {path.name} repeats the pushes, {path.stem}.mcap is the run"
-
-    def _write_page(self, path: Path) -> None:
-        """Writes the page of a run, `NAME.html` beside it."""
-        words = ["export", str(path.with_suffix(".mcap"))]
-        self._exports.add(words, path.with_suffix(".html"))
 
     def next_message(self) -> tuple[str, bool] | None:
         """See `Tool`: what became of the page."""

@@ -46,6 +46,10 @@ class BackgroundExports:
         self._waiting.append(([*words, "-o", str(path)], path))
         return len(self._waiting) - 1 + (self._made is not None)
 
+    def add_page(self, recording: Path) -> int:
+        """Adds the page of a recording, beside it; see `add`."""
+        return self.add(["export", str(recording)], recording.with_suffix(".html"))
+
     def advance(self) -> tuple[str, bool] | None:
         """Begins the next file when one is finished; returns what to tell, see `Tool`."""
         said = None

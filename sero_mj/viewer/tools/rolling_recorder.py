@@ -83,7 +83,7 @@ class RollingRecorder(Tool):
         if math.isnan(event.ended):
             return
         text = f"kept {event.ended - event.began:.1f} s: {event.path.name}"
-        before = self._exports.add(["export", str(event.path)], event.path.with_suffix(".html"))
+        before = self._exports.add_page(event.path)
         if self._mirror.world.scene.file is not None:
             seconds = max(event.ended - event.began, 0.1)
             words = [*self._view, "--replay", str(event.path), "--duration", f"{seconds:.2f}"]
