@@ -100,6 +100,17 @@ def test_the_plots_hold_both_lines_their_error_and_the_limit(world: World) -> No
     assert joint_name(world, 6) == "lwr/A6"
 
 
+def history_of(world: World, *received: str) -> TorqueHistory:
+    """A second of a robot that tells these."""
+    history, data = TorqueHistory(world), world.make_data()
+    for k in range(50):
+        data.time = k * 0.02
+        for key in received:
+            world.set_input(data, f"lwr.{key}", np.full(7, 5.0))
+        history.add(data)
+    return history
+
+
 @pytest.mark.parametrize(("height", "labels"), [
     (40.0, ["torque [Nm]", "error [Nm]"]), (12.0, ["torque [Nm]"]), (1.0, []),
 ])  # fmt: skip
@@ -107,10 +118,23 @@ def test_a_joint_is_chosen_beside_its_limit_and_plotted_where_there_is_room(
     world: World, height: float, labels: list[str]
 ) -> None:
     ui = ScriptedWidgets({"##joint": "lwr/A3"}, size=(30.0, height))
-    joint = TorquePlots(world, 320).build(ui, TorqueHistory(world), 1)
+    history = history_of(world, "torques", "commanded_torques")
+    joint = TorquePlots(world, 320).build(ui, history, 1)
     assert joint == 3  # E1 is the third joint
     assert ui.texts() == [f"limit {world.joints.torque_limit[3]:g} Nm"]
     assert [label for kind, label in ui.built if kind == "plot"] == labels
+
+
+@pytest.mark.parametrize(("received", "which"), [
+    (["torques"], "commanded "), (["commanded_torques"], "measured "), ([], ""),
+])  # fmt: skip
+def test_it_says_why_there_is_no_error_to_plot(
+    world: World, received: list[str], which: str
+) -> None:
+    ui = ScriptedWidgets(size=(30.0, 40.0))
+    TorquePlots(world, 320).build(ui, history_of(world, *received), 1)
+    assert ui.texts()[-1].startswith(f"no {which}torques are received")
+    assert [label for kind, label in ui.built if kind == "plot"] == ["torque [Nm]"]
 
 
 def test_a_plot_has_a_gap_while_there_is_no_fresh_data() -> None:

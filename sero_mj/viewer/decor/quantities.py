@@ -40,6 +40,11 @@ def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
     return values
 
 
+def torque_and_unit(world: WorldView, joint: int) -> tuple[str, str]:
+    """Returns how the torque of a joint is called, and its unit: a force where it slides."""
+    return ("torque", "Nm") if world.joints.revolute[joint] else ("force", "N")
+
+
 def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]:
     """Returns messages for torques over `DOUBTFUL_FACTOR` times their limit.
 
@@ -51,13 +56,13 @@ def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]
     share = np.abs(torques) / joints.torque_limit
     found = np.flatnonzero(share > DOUBTFUL_FACTOR)  # not NaN
     return [
-        f"{joints.names[i]}: {torques[i]:.3g} {'Nm' if joints.revolute[i] else 'N'} is "
+        f"{joints.names[i]}: {torques[i]:.3g} {torque_and_unit(world, i)[1]} is "
         + (
             f"over {IMPLAUSIBLE_FACTOR:.0f} times the limit; not drawn"
             if share[i] > IMPLAUSIBLE_FACTOR
             else f"{share[i]:.0f} times the limit"
         )
-        for i in found
+        for i in found.tolist()
     ]
 
 

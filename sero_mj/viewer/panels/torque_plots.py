@@ -7,6 +7,7 @@ import time
 import numpy as np
 
 from ...robots.assemble.world_view import WorldView
+from ..decor.quantities import torque_and_unit
 from ..session.torque_history import TorqueHistory, joint_name
 from .time_plots import time_plot, with_gaps
 from .widgets import Line, Plot, Rgb, Widgets
@@ -21,6 +22,7 @@ _NAMES, _BESIDE = 11.0, 8.0
 _ROOM_FOR_TWO = 20.0  # minimum height with a plot of the error
 _SHARE = 0.56  # of the height, for the torques
 _LEAST_HEIGHT = 4.0  # in less there is no plot
+_NOTE = 2.2  # height of the words in place of that of the error, two lines of them at most
 
 
 class TorquePlots:
@@ -55,26 +57,28 @@ class TorquePlots:
         if joint != self._joint or now - self._when >= self._interval:
             self._joint, self._when = joint, now
             self._plots = self.plots(history, joint)
-        limit, unit = float(self._world.joints.torque_limit[joint]), self._unit(joint)
+        limit = float(self._world.joints.torque_limit[joint])
+        what, unit = torque_and_unit(self._world, joint)
         ui.same_line()
         ui.label(f"limit {limit:g} {unit}" if np.isfinite(limit) else "no limit")
         torques, error = self._plots
         room = min(ui.room()[1], height)
         is_for_two = room >= _ROOM_FOR_TWO
+        note = _without(what, torques) if is_for_two else ""
         if room >= _LEAST_HEIGHT:
-            ui.plot(torques, _SHARE * room if is_for_two else room)
-        if is_for_two:
+            share = room - _NOTE if note else _SHARE * room
+            ui.plot(torques, share if is_for_two else room)
+        if note:
+            ui.text(note, "quiet")
+        elif is_for_two:
             ui.plot(error, ui.room()[1] if height >= ui.room()[1] else (1 - _SHARE) * room)
         return joint
-
-    def _unit(self, joint: int) -> str:
-        return "Nm" if self._world.joints.revolute[joint] else "N"
 
     def plots(self, history: TorqueHistory, joint: int) -> list[Plot]:
         """Returns the plots of a joint: its torques, and their error."""
         times, (measured, commanded, error) = history.of(joint, self._points)
-        limit, unit = float(self._world.joints.torque_limit[joint]), self._unit(joint)
-        what = "torque" if unit == "Nm" else "force"
+        limit = float(self._world.joints.torque_limit[joint])
+        what, unit = torque_and_unit(self._world, joint)
         torques = [
             Line("measured", _MEASURED, *with_gaps(times, measured)),
             Line("commanded", _COMMANDED, *with_gaps(times, commanded)),
@@ -84,3 +88,12 @@ class TorquePlots:
             time_plot(f"{what} [{unit}]", torques, limit, _LEAST),
             time_plot(f"error [{unit}]", errors, np.inf, _LEAST),
         ]
+
+
+def _without(what: str, torques: Plot) -> str:
+    """Returns why there is no error to plot; empty where there is one."""
+    missing = [line.name for line in torques.lines if not len(line.x)]
+    if not missing:
+        return ""
+    which = f"{missing[0]} " if len(missing) < len(torques.lines) else ""
+    return f"no {which}{what}s are received, so there is no error to plot"

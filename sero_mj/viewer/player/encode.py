@@ -14,6 +14,7 @@ from ...robots.assemble.world_view import WorldView
 from ..decor import round_arrows
 from ..decor.billboards import Line
 from ..decor.geom_buffer import GREY, Kind
+from ..decor.quantities import torque_and_unit
 from ..decor.ribbons import ribbon_shape
 from .capture import Capture, eye
 from .items import poses
@@ -156,7 +157,7 @@ def _joints(capture: Capture) -> list[dict[str, Any]]:
         found.append(
             {
                 "name": name,
-                "unit": "Nm" if joints.revolute[i] else "N",
+                "torqueLabel": "{} [{}]".format(*torque_and_unit(world, i)),
                 "angleUnit": "rad" if joints.revolute[i] else "m",
                 "double": doubles.index(owner) if owner in doubles else -1,
                 **_place(capture, int(joints.centre_site[i])),
