@@ -25,6 +25,7 @@ from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
 from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.player.capture import shown_bodies
+from sero_mj.viewer.session.scene_decor import SceneDecor
 from sero_mj.viewer.web.host import WebHost
 
 SIZE = (1200, 800)
@@ -52,6 +53,19 @@ def joint(page: WebHost, index: int) -> tuple[float, float]:
     assert page.decor.view is not None
     (x, y), _ = page.decor.view.project(page.data.site_xpos[page.world.joints.centre_site[index]])
     return float(x), float(page.decor.view.height - y)
+
+
+def test_a_command_has_switches_and_selection_also_where_the_camera_is_a_photos(
+    page: WebHost, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page.toggles.billboards[:] = page.toggles.legend = False
+    page.select(3)
+    expected = ["--show", "billboards=0", "--show", "legend=0", "--select", "lwr/A3"]
+    words = page.render_words()
+    assert words[-6:] == expected and "--camera" in words
+    monkeypatch.setattr(SceneDecor, "fixed", "the camera is that of the photo")
+    words = page.render_words()
+    assert words[-6:] == expected and "--camera" not in words
 
 
 # ---- what is sent

@@ -335,16 +335,16 @@ class LiveHost(ABC):
         return view_state_of(self.world, self.view_camera, self.toggles, self.clock)
 
     def render_words(self) -> list[str]:
-        """Scene, camera and switches as arguments of `sero-mj render`."""
+        """Scene, camera, switches and selected joint as arguments of `sero-mj render`."""
         words = [*(self.command or [self.world.scene.argument])]
-        if self.decor.fixed:  # by a photo that is drawn over
-            return words
         state = self.view_state()
         for of_tool in self.tools.ask(lambda tool: tool.render_words()):
             words += of_tool
-        words += ["--camera", state.camera]
+        if not self.decor.fixed:  # by a photo that is drawn over, which no option can say
+            words += ["--camera", state.camera]
         for name, digits in state.switches.items():
             words += ["--show", f"{name}={digits}"]
+        words += ["--select", state.joint] * bool(state.joint)
         return words
 
     def __enter__(self) -> Self:

@@ -93,7 +93,7 @@ class Shown(Protocol):
         """Camera, switches, selection and time, as text."""
 
     def render_words(self) -> list[str]:
-        """Scene, camera and switches as arguments of `sero-mj render`."""
+        """Scene, camera, switches and selected joint as arguments of `sero-mj render`."""
 
     def to_clipboard(self, text: str) -> None:
         """Copies a text to the user's clipboard."""

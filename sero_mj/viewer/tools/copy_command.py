@@ -27,7 +27,6 @@ class CopyCommand(Tool):
             return f"{shown.decor.fixed}; no command makes this picture, F2 keeps it"
         state, (width, height) = shown.view_state(), shown.picture_size
         words = ["sero-mj", "render", *shown.render_words()]
-        words += ["--select", state.joint] * bool(state.joint)
         words += [] if state.time is None else ["--at", f"{state.time:g}"]
         words += ["--size", f"{width}x{height}", "-o", "picture.png"]
         shown.to_clipboard(shlex.join(words))
