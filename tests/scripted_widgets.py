@@ -30,7 +30,7 @@ class ScriptedWidgets:
         self, does: Mapping[str, Any] | None = None, size: tuple[float, float] = (40.0, 40.0)
     ) -> None:
         self.size = size
-        self.ticks: list[tuple[float, str]] = []
+        self.ticks: list[tuple[float, str, str]] = []
         self.plots: list[Any] = []
         self._does = dict(does or {})
         self.built: list[tuple[str, str]] = []
@@ -112,7 +112,7 @@ class ScriptedWidgets:
         low: float,
         high: float,
         text: str,
-        ticks: Sequence[tuple[float, str]] = (),
+        ticks: Sequence[tuple[float, str, str]] = (),
     ) -> tuple[bool, float]:
         self.ticks = list(ticks)
         return self._done("slide", label, value)

@@ -95,10 +95,10 @@ def test_cards_are_as_they_were_and_marks_stand_on_the_line(
         firefox.until(f"{are_short} && !player.view.isDirty")
         assert firefox.evaluate(sizes) == before
         served.ask("w.actions.perform('mark')")
-        firefox.until("document.querySelector('#timeline .ticks i')")
+        firefox.until("document.querySelector('#timeline .ticks .mark')")
         place = "document.querySelector('#timeline {}').getBoundingClientRect()"
         share = "(({ value, min, max }) => (value - min) / (max - min))"
-        tick = firefox.evaluate(f"{place.format('.ticks i')}.left + 1")
+        tick = firefox.evaluate(f"{place.format('.ticks .mark')}.left + 1.5")
         rail = firefox.evaluate(place.format(".track input"))
         at = firefox.evaluate(f"{share}(document.querySelector('#timeline .track input'))")
         assert tick == pytest.approx(rail["left"] + 7 + at * (rail["width"] - 14), abs=2)

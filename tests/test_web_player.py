@@ -106,8 +106,54 @@ def test_names_of_others_stay_text(page: Any) -> None:
 
 def test_the_page_says_that_an_expectation_failed(page: Any) -> None:
     assert "1 of 1" in page.locator("#about").inner_text()
+    told, time = page.locator(".told"), page.locator("#time")
+    page.evaluate("player.seek(0.2)")
+    told.wait_for(state="hidden")
+    assert time.get_attribute("aria-valuetext") == "0.20 s"
     page.locator(".mark.failed").click()
     assert page.evaluate("player.clock.time") == 1.0
+    told.wait_for(state="visible")
+    assert told.inner_text() == "1.00 s: failed: it settles"
+    assert time.get_attribute("aria-valuetext") == "1.00 s, 1.00 s: failed: it settles"
+
+
+def test_the_plot_says_what_it_shows_in_which_unit(page: Any) -> None:
+    page.evaluate("player.choose(2)")
+    names = page.locator("#legend").inner_text().split("\n")
+    assert " ".join(names).split() == ["torque", "[Nm]", "measured", "commanded"]
+    assert page.locator("#plot").get_attribute("aria-label").startswith("lwr/E1, torque [Nm]: ")
+
+
+def test_the_status_is_backed_and_above_cards(page: Any) -> None:
+    seen = page.evaluate("""() => ["names", "problem", "cards", "notes"].map(id => {
+        const { backgroundColor } = getComputedStyle(document.getElementById(id));
+        const own = document.getElementById(id).closest("header, #problem, #cards, #notes");
+        const { zIndex } = getComputedStyle(own);
+        return [Number(/([\\d.]+)\\)/.exec(backgroundColor)[1]), Number(zIndex)];
+    })""")
+    (names, over), (problem, most), (_, cards), (notes, beside) = seen
+    assert min(names, problem, notes) > 0.9
+    assert most > over > cards and beside >= cards
+
+
+@pytest.mark.parametrize(("look", "scheme", "shown"), [
+    ("dark", "light", "dark"), ("light", "dark", "light"), (None, "dark", "dark"),
+])  # fmt: skip
+def test_a_page_opens_in_the_look_that_was_asked_for(
+    browser: Any, tmp_path: Path, look: Any, scheme: str, shown: str
+) -> None:
+    scene = load_scene("lwr")
+    if look:
+        scene.view.look = look
+    write_page(capture(scene), tmp_path / "lwr.html")
+    page = opened(browser, tmp_path / "lwr.html", color_scheme=scheme)
+    assert page.evaluate("document.documentElement.dataset.look") == shown
+    page.emulate_media(color_scheme=shown)
+    page.emulate_media(color_scheme=scheme)  # as where the browser changes at dusk
+    assert page.evaluate("player.view.look") == shown
+    page.locator("#look").click()
+    assert page.evaluate("document.documentElement.dataset.look") != shown
+    page.context.close()
 
 
 def test_a_click_on_a_card_a_link_and_an_arrow_gives_their_numbers(page: Any) -> None:
@@ -216,10 +262,12 @@ def test_a_phone_shows_all_in_its_width(browser: Any, file: Path, scheme: str) -
     page.context.close()
 
 
-def test_a_browser_without_webgl_says_so(browser: Any, file: Path) -> None:
+def test_a_browser_without_webgl_says_so_and_has_nothing_to_press(browser: Any, file: Path) -> None:
     page = opened(browser, file, before="HTMLCanvasElement.prototype.getContext = () => null")
     assert page.locator("#problem").is_visible()
     assert "WebGL" in page.locator("#problem").inner_text()
+    assert page.locator(":is(button, select, input, .names):visible").count() == 0
+    assert page.locator("h1").inner_text() == HOSTILE
     page.context.close()
 
 

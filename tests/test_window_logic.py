@@ -23,7 +23,7 @@ from sero_mj.viewer.panels.help import build_help
 from sero_mj.viewer.panels.status_line import build_status_line
 from sero_mj.viewer.panels.time_line import build_time_line
 from sero_mj.viewer.session.capture import due_frames, unused_name
-from sero_mj.viewer.session.clock import SPEEDS, Clock, time_text
+from sero_mj.viewer.session.clock import SPEEDS, Clock, Tick, time_text
 from sero_mj.viewer.session.input import (
     DOUBLE_CLICK_TIME,
     LEFT,
@@ -333,7 +333,7 @@ def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
     mirror.goes_on(clock, 0.2)
     assert bookmarks.all()[-1].text == "lwr/A1: angle 2.97 beyond its limit of 2.97 rad"
     assert bookmarks.mark().startswith("marked 3.10 s")
-    assert [is_mark for _, is_mark in sorted(bookmarks.ticks())] == [False, False, False, True]
+    assert [tick.is_mark for tick in sorted(bookmarks.ticks())] == [False, False, False, True]
     assert bookmarks.go(-1).startswith("2.97 s: lwr/A1: angle")
     assert clock.is_past and clock.is_paused
     assert bookmarks.go(-1).endswith(f"lwr/A5: torque error {error:.3g} Nm")
@@ -386,12 +386,16 @@ def test_the_time_line_pauses_steps_seeks_and_shows_marks(simulated: Mirror) -> 
 
     def does(label: str, value: Any = True) -> ScriptedWidgets:
         ui = ScriptedWidgets({label: value})
-        build_time_line(ui, clock, [(1.0, True), (2.0, False)])
+        ticks = [Tick(1.0, "mark", is_mark=True), Tick(2.0, "A2: too much", is_mark=False)]
+        build_time_line(ui, clock, ticks)
         return ui
 
+    does("##time", 2.0)  # goes to what happened, and stays there
+    assert (clock.time, clock.is_paused) == (2.0, True)
+    clock.is_paused = False
     ui = does("##time", 2.5)
-    assert clock.time == 2.5
-    assert [mood for _, mood in ui.ticks] == ["title", "bad"]  # set by the user, and a fault
+    assert (clock.time, clock.is_paused) == (2.5, False)
+    assert ui.ticks == [(1.0, "title", "1.00 s: mark"), (2.0, "bad", "2.00 s: A2: too much")]
     does("pause###pause")
     assert clock.is_paused
     does(">")

@@ -201,8 +201,12 @@ def _page(
         begin = 0.0 if each.from_start else each.begin - float(pair.times[0])
         end = last if each.end is None else each.end - float(pair.times[0])
         marks.append(Mark(begin, end, f"{each.joint}: {each.short}", "fault"))
+    compared = pair.names if options.b is None else (str(options.a), str(options.b))
     with progress_bar("collecting", quiet=options.quiet) as update:
-        export_html(compare_scene(pair), output, seconds=last, marks=marks, on_progress=update)
+        export_html(
+            compare_scene(pair), output, seconds=last, marks=marks, on_progress=update,
+            meanings=dict(zip("AB", compared, strict=True)),
+        )  # fmt: skip
 
 
 def _film(pair: Pair, output: Path, options: CompareOptions) -> None:

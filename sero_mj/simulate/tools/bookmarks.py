@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ...data.receive.source import QUIET_AFTER
 from ...data.record.replay import Replay
 from ...robots.declared.inputs import SOURCE_FIELDS
 from ...viewer.decor.quantities import joint_values
-from ...viewer.session.clock import time_text
+from ...viewer.session.clock import Tick, time_text
 from ...viewer.session.interaction import Key
 from ...viewer.session.tool import Action, Shown, Tool
 from ...viewer.session.torque_history import joint_name
@@ -29,20 +29,6 @@ _AGE = SOURCE_FIELDS.index("age")
 # What counters of a source mean when they grow.
 _LOSSES = {"lost": "lost", "dropped": "dropped", "malformed": "not applied"}
 _COLUMNS = [SOURCE_FIELDS.index(name) for name in _LOSSES]
-
-
-class Bookmark(NamedTuple):
-    """Something that happened.
-
-    Attributes:
-        time: on the clock, s.
-        text: what.
-        is_mark: whether the user marked it; else it was found.
-    """
-
-    time: float
-    text: str
-    is_mark: bool
 
 
 class Bookmarks(Tool):
@@ -68,8 +54,8 @@ class Bookmarks(Tool):
         mirror = self._mirror = shown.mirror
         self._clock = shown.clock
         self._marks: list[float] = []
-        self._watched: deque[Bookmark] = deque(maxlen=_MOST)
-        self._of_recordings: list[Bookmark] | None = None
+        self._watched: deque[Tick] = deque(maxlen=_MOST)
+        self._of_recordings: list[Tick] | None = None
         world = mirror.world
         joints = world.joints
         self._names = [joint_name(world, i) for i in range(len(joints.names))]
@@ -97,6 +83,10 @@ class Bookmarks(Tool):
         """Marks what is shown; returns what to tell the user."""
         self._marks.append(self._clock.time)
         return f"marked {time_text(self._clock.time)}: e and w go from mark to mark"
+
+    @property
+    def _of_user(self) -> list[Tick]:
+        return [Tick(time, "mark", is_mark=True) for time in self._marks]
 
     def watch(self) -> None:
         """Looks for faults in the state that the data has now, if it is live."""
@@ -143,23 +133,21 @@ class Bookmarks(Tool):
         self._counts[name] = counts, np.where(grown, time, seen)
 
     def _found(self, text: str, time: float) -> None:
-        self._watched.append(Bookmark(float(time), text, is_mark=False))
+        self._watched.append(Tick(float(time), text, is_mark=False))
 
-    def all(self) -> list[Bookmark]:
+    def all(self) -> list[Tick]:
         """All on the time line, in their order."""
-        found = [Bookmark(time, "mark", is_mark=True) for time in self._marks]
-        found += self._watched
+        found = [*self._of_user, *self._watched]
         for source in self._mirror.sources.values():
             if isinstance(source, RunSource):
                 found += map(_bookmark_of, source.run.findings())
         found += self._of_recordings or ()
         return sorted(moment for moment in found if moment.time >= self._clock.begin)
 
-    def ticks(self) -> list[tuple[float, bool]]:
-        """Times, s, of what is known without a search, and whether each is a mark."""
-        found = [(time, True) for time in self._marks]
-        found += [(moment.time, False) for moment in (*self._watched, *(self._of_recordings or ()))]
-        return [each for each in found if each[0] >= self._clock.begin]
+    def ticks(self) -> list[Tick]:
+        """What is known without a search."""
+        found = [*self._of_user, *self._watched, *(self._of_recordings or ())]
+        return [each for each in found if each.time >= self._clock.begin]
 
     def go(self, places: int) -> str:
         """Goes to the next moment, or with -1 to the one before; returns what to tell the user."""
@@ -175,9 +163,9 @@ class Bookmarks(Tool):
         clock.seek(moment.time)
         return f"{time_text(moment.time)}: {moment.text}"
 
-    def _search(self) -> list[Bookmark]:
+    def _search(self) -> list[Tick]:
         """What a monitor finds in the recordings that are played; nothing in what is no run."""
-        found: list[Bookmark] = []
+        found: list[Tick] = []
         for source in self._mirror.sources.values():
             if not isinstance(source, Replay) or source.end is None:
                 continue
@@ -192,6 +180,6 @@ class Bookmarks(Tool):
         return found
 
 
-def _bookmark_of(finding: Any) -> Bookmark:
+def _bookmark_of(finding: Any) -> Tick:
     text = str(finding).partition("  ")[2].replace("  ", " ")
-    return Bookmark(finding.time, text, is_mark=False)
+    return Tick(finding.time, text, is_mark=False)

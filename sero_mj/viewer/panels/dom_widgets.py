@@ -34,7 +34,9 @@ class DomWidgets:
 
     def __init__(self, to_clipboard: Callable[[str], None]) -> None:
         self.copy = to_clipboard
-        self._is_open: dict[str, bool] = {}  # sections and nodes that were folded or unfolded
+        self.folds: dict[str, bool] = {}
+        self._is_open: dict[str, bool] = {}  # nodes that were folded or unfolded
+        self._sections: set[str] = set()  # ids
         self._done: dict[str, Any] = {}  # what the user did, by id
         self._begin((0.0, 0.0))
 
@@ -54,7 +56,7 @@ class DomWidgets:
 
     def fold(self, id_: str, *, is_open: bool) -> None:
         """Folds or unfolds a section or a node."""
-        self._is_open[id_] = is_open
+        (self.folds if id_ in self._sections else self._is_open)[id_] = is_open
 
     @property
     def is_asked(self) -> bool:
@@ -124,19 +126,20 @@ class DomWidgets:
     def header(self, label: str, *, is_open: bool = False) -> bool:
         """Begins a section, which ends with the next one."""
         self._into = [self._nodes]
-        return self._foldable("header", label, is_open=is_open)
+        id_ = self._id(label)
+        self._sections.add(id_)
+        return self._foldable("header", label, id_, is_open=self.folds.get(id_, is_open))
 
     def tree(self, label: str) -> bool:
         """Begins a node."""
-        is_open = self._foldable("tree", label, is_open=False)
+        id_ = self._id(label)
+        is_open = self._foldable("tree", label, id_, is_open=self._is_open.get(id_, False))
         if is_open:
             self._scopes.append(label)
         return is_open
 
-    def _foldable(self, kind: str, label: str, *, is_open: bool) -> bool:
-        id_, nodes = self._id(label), list[Node]()
-        is_open = self._is_open.get(id_, is_open)
-        shown = label.partition("##")[0]
+    def _foldable(self, kind: str, label: str, id_: str, *, is_open: bool) -> bool:
+        nodes, shown = list[Node](), label.partition("##")[0]
         self._put(kind, id=id_, s=shown, open=is_open, nodes=nodes)
         if is_open:
             self._into.append(nodes)
@@ -235,12 +238,12 @@ class DomWidgets:
         low: float,
         high: float,
         text: str,
-        ticks: Sequence[tuple[float, Mood]] = (),
+        ticks: Sequence[tuple[float, Mood, str]] = (),
     ) -> tuple[bool, float]:
         """Builds a slider."""
         shown = (text % value if "%" in text else text) if text else ""
         ends = {"low": float(low), "high": float(high)}
-        marks = {"ticks": [[float(at), mood] for at, mood in ticks]} if ticks else {}
+        marks = {"ticks": [[float(at), mood, words] for at, mood, words in ticks]} if ticks else {}
         is_done, now = self._widget(
             "slide", label, value=_number(value, low), **ends, text=shown, **marks
         )

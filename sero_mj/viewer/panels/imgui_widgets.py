@@ -22,6 +22,8 @@ _EDGE = 2.0  # pixels between the knob and the slider's ends
 _TICK = 0.28  # height of marks at its edges, of its height; text is between them
 _BESIDE = 0.9  # beside a plot, for half of the last number below it, of the text's height
 _LINE = 1.75  # width of lines, pixels
+# What is told of a tick: while the value is as near, of the slider's length, and so long after, s.
+_NEAR, _AFTER = 0.012, 1.0
 _TIP = 22.0  # width from which on a tip is wrapped, of the text's height
 
 
@@ -37,8 +39,10 @@ class ImguiWidgets:
 
     def __init__(self, imgui: Any, implot: Any) -> None:
         self._imgui, self._implot = imgui, implot
+        self.folds: dict[str, bool] = {}
+        self._unfolded: dict[str, bool] = {}  # as they were in the last frame
+        self._scopes: list[str] = []
         # What is the same there.
-        self.scope, self.end_scope = imgui.push_id, imgui.pop_id
         self.row, self.cell = imgui.table_next_row, imgui.table_next_column
         self.end_table, self.end_tree = imgui.end_table, imgui.tree_pop
         self.enable, self.check = imgui.end_disabled, imgui.checkbox
@@ -85,10 +89,27 @@ class ImguiWidgets:
         imgui.separator_text(words)
         imgui.pop_style_color(1)
 
+    def scope(self, name: str) -> None:
+        """Begins a scope."""
+        self._imgui.push_id(name)
+        self._scopes.append(name)
+
+    def end_scope(self) -> None:
+        """Ends a scope."""
+        self._imgui.pop_id()
+        self._scopes.pop()
+
     def header(self, label: str, *, is_open: bool = False) -> bool:
         """Begins a section."""
-        is_unfolded = self._imgui.TreeNodeFlags_.default_open if is_open else 0
-        return bool(self._imgui.collapsing_header(label, is_unfolded))
+        imgui, id_ = self._imgui, "/".join([*self._scopes, label])
+        wanted = self.folds.get(id_, is_open)
+        if self._unfolded.get(id_) != wanted:
+            imgui.set_next_item_open(wanted)
+        is_unfolded = bool(imgui.collapsing_header(label))
+        if imgui.is_item_toggled_open():
+            wanted = self.folds[id_] = is_unfolded
+        self._unfolded[id_] = wanted
+        return is_unfolded
 
     def tree(self, label: str) -> bool:
         """Begins a node."""
@@ -151,18 +172,21 @@ class ImguiWidgets:
         low: float,
         high: float,
         text: str,
-        ticks: Sequence[tuple[float, Mood]] = (),
+        ticks: Sequence[tuple[float, Mood, str]] = (),
     ) -> tuple[bool, float]:
         """Builds a slider."""
         imgui = self._imgui
         grab = _GRAB * self._unit
+        told = _told(ticks, value, high - low)
+        if told:
+            text += f"   {told.replace('%', '%%')}"
         imgui.push_style_var(imgui.StyleVar_.grab_min_size, grab)
         changed, now = imgui.slider_float(label, value, low, high, text)
         imgui.pop_style_var(1)
         begin, end = imgui.get_item_rect_min(), imgui.get_item_rect_max()
         left, right = begin.x + _EDGE + grab / 2, end.x - _EDGE - grab / 2
         tall, draw = _TICK * (end.y - begin.y), imgui.get_window_draw_list()
-        for at, mood in ticks if high > low else ():
+        for at, mood, _ in ticks if high > low else ():
             x = left + min(max((at - low) / (high - low), 0.0), 1.0) * (right - left)
             colour = imgui.get_color_u32(self._rgba(mood))
             for y in (begin.y, end.y - tall):
@@ -214,3 +238,10 @@ class ImguiWidgets:
     def copy(self, text: str) -> None:
         """Puts a text onto the clipboard."""
         self._imgui.set_clipboard_text(text)
+
+
+def _told(ticks: Sequence[tuple[float, Mood, str]], value: float, length: float) -> str:
+    """Returns what is told of the tick that is nearest to a value, as `js/src/ticks.js` does."""
+    near = _NEAR * length
+    there = [each for each in ticks if -near <= value - each[0] <= max(near, _AFTER)]
+    return min(there, key=lambda each: abs(value - each[0]))[2] if there else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..session.clock import SPEEDS, Clock, time_text
+from ..session.clock import SPEEDS, Clock, Tick, time_text
 from ..session.status_line import Mood
 from .widgets import Widgets
 
@@ -13,13 +13,13 @@ _PAUSE, _SPEED = 3.4, 4.6
 _NARROW = 30.0  # in what is narrower there is no choice of the speed
 
 
-def build_time_line(ui: Widgets, clock: Clock, ticks: Sequence[tuple[float, bool]]) -> None:
+def build_time_line(ui: Widgets, clock: Clock, ticks: Sequence[Tick]) -> None:
     """Builds the time line in one line.
 
     Args:
         ui: takes it.
         clock: is paused, stepped and set.
-        ticks: times, s, that are marked, and whether the user did; else they are faults.
+        ticks: what happened on it.
     """
     is_wide = ui.room()[0] >= _NARROW
     stands = clock.is_paused or clock.is_at_end
@@ -44,13 +44,20 @@ def build_time_line(ui: Widgets, clock: Clock, ticks: Sequence[tuple[float, bool
     if clock.end:
         ui.same_line()
         ui.width(0.0)
-        moods: list[tuple[float, Mood]] = [
-            (when, "title" if is_mark else "bad") for when, is_mark in ticks
+        marked: list[tuple[float, Mood, str]] = [
+            (tick.time, "title" if tick.is_mark else "bad", _told(clock, tick)) for tick in ticks
         ]
         text = _text(clock, clock.end)
-        moved, wanted = ui.slide("##time", clock.time, clock.begin, clock.end, text, moods)
+        moved, wanted = ui.slide("##time", clock.time, clock.begin, clock.end, text, marked)
         if moved:
             clock.seek(wanted)
+            # Who goes to what happened wants to see it, as by the keys for that.
+            clock.is_paused |= any(wanted == tick.time for tick in ticks)
+
+
+def _told(clock: Clock, tick: Tick) -> str:
+    """What is said of a tick; of what is live without its time, which is that of the machine."""
+    return tick.text if clock.is_live else f"{time_text(tick.time)}: {tick.text}"
 
 
 def _text(clock: Clock, end: float) -> str:

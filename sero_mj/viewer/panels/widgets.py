@@ -58,10 +58,13 @@ class Widgets(Protocol):
     Attributes:
         points: of a line of a plot, at most, about.
         interval: between two updates of a plot, s.
+        folds: sections that the user has folded or unfolded, by their scopes and labels: whether
+            each is unfolded.
     """
 
     points: int
     interval: float
+    folds: dict[str, bool]
 
     def room(self) -> tuple[float, float]:
         """Returns the width that is left in this line, and the height below its upper edge."""
@@ -83,7 +86,7 @@ class Widgets(Protocol):
 
         Args:
             label: of the section.
-            is_open: whether it is unfolded at first.
+            is_open: whether it is unfolded as long as the user has said nothing, see `folds`.
         """
 
     def tree(self, label: str) -> bool:
@@ -179,7 +182,7 @@ class Widgets(Protocol):
         low: float,
         high: float,
         text: str,
-        ticks: Sequence[tuple[float, Mood]] = (),
+        ticks: Sequence[tuple[float, Mood, str]] = (),
     ) -> tuple[bool, float]:
         """Builds a slider; returns whether it was moved, and its value.
 
@@ -189,7 +192,7 @@ class Widgets(Protocol):
             low: the value at its left end.
             high: the value at its right end.
             text: printf's format of the value, `%.1f deg`; empty to show none.
-            ticks: values that are marked, and how.
+            ticks: values that are marked, how, and what is told while the value is near.
         """
 
     def plot(self, plot: Plot, height: float) -> None:

@@ -6,7 +6,7 @@ cards, is left to the player.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
@@ -107,6 +107,7 @@ class Capture:
         cards: of the smart arrows: index to text by frame, empty where there is none.
         marks: on the time line.
         silent: names of the sources without data.
+        meanings: of labels on cards, by label: the file that `A` is, say.
         copies: G more bodies, of doubles; poses, opacity and greyness have them after the B.
     """
 
@@ -133,6 +134,7 @@ class Capture:
     cards: dict[int, list[str]]
     marks: Sequence[Mark] = ()
     silent: list[str] = field(default_factory=list)
+    meanings: Mapping[str, str] = field(default_factory=dict)
     copies: Sequence[CopiedBody] = ()
 
     @property

@@ -42,7 +42,6 @@ def encode(capture: Capture, title: str) -> bytes:
     head = {
         "version": VERSION,
         "title": title,
-        "look": capture.world.scene.view.look,
         "fps": capture.fps,
         "begin": capture.begin,
         "frames": frames,
@@ -72,6 +71,7 @@ def encode(capture: Capture, title: str) -> bytes:
         ],
         "vectors": capture.world.arrows.names,
         "marks": [vars(mark) for mark in capture.marks],
+        "meanings": dict(capture.meanings),
         "switches": _switches(capture),
         "silent": capture.silent,
     }

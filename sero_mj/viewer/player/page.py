@@ -6,7 +6,7 @@ import base64
 import hashlib
 import html
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,8 @@ _LOADER = (
     "s=document.createElement('script');"
     "s.textContent=await new Response(new Blob([b]).stream().pipeThrough("
     "new DecompressionStream('deflate-raw'))).text();document.head.append(s)})()"
-    ".catch(()=>{document.getElementById('problem').hidden=false})"
+    ".catch(()=>{document.getElementById('problem').hidden=false;"
+    "document.documentElement.dataset.ready='0'})"
 )
 
 _RUN = '<script type="text/plain" id="run">%%RUN%%</script>\n'
@@ -31,7 +32,13 @@ _PLAYER = '<script type="text/plain" id="player">%%PLAYER%%</script>\n<script>%%
 
 
 def export_html(
-    scene: Scene, path: Path | str, *, title: str = "", marks: Sequence[Mark] = (), **keywords: Any
+    scene: Scene,
+    path: Path | str,
+    *,
+    title: str = "",
+    marks: Sequence[Mark] = (),
+    meanings: Mapping[str, str] | None = None,
+    **keywords: Any,
 ) -> list[str]:
     """Writes a page that plays a scene: a recording, a run, or live sources for some seconds.
 
@@ -40,6 +47,7 @@ def export_html(
         path: the file; .html.
         title: of the page; the scene's name when empty.
         marks: on the time line.
+        meanings: of labels on cards, by label: the file that `A` is, say.
         **keywords: of `capture`: `seconds` and `begin` (s), `fps`, `camera`, `wait` (s),
             `on_progress`.
 
@@ -50,6 +58,7 @@ def export_html(
         SeroError: a problem of the scene, its sources, the camera or the file; or it is too long.
     """
     captured = capture(scene, marks=marks, **keywords)
+    captured.meanings = meanings or {}
     write_page(captured, Path(path), title)
     return captured.silent
 
@@ -66,18 +75,25 @@ def write_page(captured: Capture, path: Path, title: str = "") -> None:
         UsageError: it cannot be written.
     """
     title = title or captured.world.scene.name
+    look = look_asked_for(captured.world.scene)
     try:
-        path.write_text(_page(encode(captured, title), title), encoding="utf-8")
+        path.write_text(_page(encode(captured, title), title, look), encoding="utf-8")
     except OSError as error:
         raise UsageError(f"cannot write {path}: {error.strerror}") from error
 
 
-def cell_page(cell: str, title: str) -> str:
+def look_asked_for(scene: Scene) -> str:
+    """Returns the look that a scene or an option asks for; empty where the browser's is taken."""
+    return scene.view.look if "look" in scene.view.model_fields_set else ""
+
+
+def cell_page(cell: str, title: str, look: str) -> str:
     """Returns a page for a cell of a notebook: live, or the run that its notebook has kept.
 
     Args:
         cell: id, which the page tells its kernel, see `web/notebook.py`.
         title: of the page.
+        look: see `look_asked_for`.
     """
     bodies = "".join(
         f'<template id="{name}">{_body(template)}</template>\n'
@@ -86,7 +102,7 @@ def cell_page(cell: str, title: str) -> str:
     head, _, _ = _static("page.html").partition("<body>")
     head = head.replace("<html", f'<html data-cell="{html.escape(cell)}"')
     page = f"{head}<body>\n{bodies}{_PLAYER}</body>\n</html>\n"
-    return _filled(page, TITLE=html.escape(title))
+    return _filled(page, TITLE=html.escape(title), LOOK=look)
 
 
 def packed(data: bytes) -> str:
@@ -95,9 +111,9 @@ def packed(data: bytes) -> str:
     return base64.b64encode(deflate.compress(data) + deflate.flush()).decode()
 
 
-def _page(run: bytes, title: str) -> str:
+def _page(run: bytes, title: str, look: str) -> str:
     page = _static("page.html").replace("</body>", f"{_RUN}{_PLAYER}</body>")
-    return _filled(page, TITLE=html.escape(title), RUN=packed(run))
+    return _filled(page, TITLE=html.escape(title), RUN=packed(run), LOOK=look)
 
 
 def _static(name: str) -> str:

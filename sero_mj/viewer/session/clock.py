@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,20 @@ _JUMP_THRESHOLD = 0.5  # s; a larger advance is a jump
 _PAST_SAMPLES = 120  # with which the plots are refilled after a jump
 _SMOOTHING = 0.1  # weight of a frame in the displayed speed
 _MAX_FRAME = 0.5  # s; longer frames (after a laptop's sleep) are shortened to this
+
+
+class Tick(NamedTuple):
+    """Something that happened at a time of the time line.
+
+    Attributes:
+        time: s.
+        text: what.
+        is_mark: whether the user has marked it; else it is a fault that was found.
+    """
+
+    time: float
+    text: str
+    is_mark: bool
 
 
 class Clock:

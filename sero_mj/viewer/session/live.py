@@ -24,7 +24,7 @@ from ..panels.robot_panel import RobotPanel
 from ..panels.status_line import SourcesPanel
 from ..panels.widgets import Widgets
 from .actions import Actions
-from .clock import Clock
+from .clock import Clock, Tick
 from .interaction import KEYS, press_toggle
 from .other_scenes import OtherScenes
 from .pointer import Pointer
@@ -37,6 +37,7 @@ from .view_state import ViewState, view_state_of
 log = logging.getLogger(__name__)
 
 _JUMP = 1.0  # s
+SECTION = "section "  # before the names of sections, among those of visible parts
 _MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s for which a message is shown
 
 
@@ -63,6 +64,7 @@ class LiveHost(ABC):
             the scene when None.
         decor: of the last frame; pixels of the pointer are those of its picture, y up.
         notice: the last message to the user.
+        folds: see `Widgets`; the same for all panels.
         shows_status: whether status line or panel are shown.
         shows_help: whether the help is shown.
         work: time spent by sero-mj for the last frame, s: input, sources, decor, plots and panels,
@@ -82,6 +84,7 @@ class LiveHost(ABC):
         self.joint = 0
         self.command: Sequence[str] | None = None
         self.notice = Message()
+        self.folds: dict[str, bool] = {}
         self.shows_status, self.shows_help = True, False
         self.work = 0.0
         self._advanced = time.monotonic()
@@ -220,8 +223,8 @@ class LiveHost(ABC):
         self.tools.ask(lambda tool: tool.watch())
 
     @property
-    def ticks(self) -> list[tuple[float, bool]]:
-        """Marks on the time line: their times, s, and whether the user has set them."""
+    def ticks(self) -> list[Tick]:
+        """What is marked on the time line."""
         return [tick for ticks in self.tools.ask(lambda tool: tool.ticks()) for tick in ticks]
 
     # ---- messages, panel and keys
@@ -305,15 +308,19 @@ class LiveHost(ABC):
 
     @property
     def layout(self) -> dict[str, bool]:
-        """Visible parts of the window or page, by name."""
+        """Visible parts of the window or page, by name, and the panel's unfolded sections."""
         areas = {name: tool.shows_area for name, tool in self.tools.items() if tool.area}
-        return {"status": self.shows_status, **areas}
+        sections = {f"{SECTION}{name}": is_open for name, is_open in self.folds.items()}
+        return {"status": self.shows_status, **areas, **sections}
 
     def show_layout(self, layout: Mapping[str, bool]) -> None:
         """Restores the visible parts."""
         self.shows_status = layout.get("status", self.shows_status)
         for name, tool in self.tools.items():
             tool.shows_area = layout.get(name, tool.shows_area)
+        for name, is_open in layout.items():
+            if name.startswith(SECTION):
+                self.folds[name.removeprefix(SECTION)] = is_open
 
     @property
     def kept(self) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from ..decor.toggles import Toggles
 from ..headless.film import Pixels
 from ..panels.widgets import Widgets
 from ..tools.joint_goal import JointGoal
-from .clock import Clock
+from .clock import Clock, Tick
 from .interaction import Key
 from .picking import Picked, Pixel
 from .scene_decor import SceneDecor
@@ -221,8 +221,8 @@ class Tool:
         """Words over the picture while something goes on, and their mood; None for none."""
         return None
 
-    def ticks(self) -> Sequence[tuple[float, bool]]:
-        """Marks on the time line: their times, s, and whether the user has set them."""
+    def ticks(self) -> Sequence[Tick]:
+        """What is marked on the time line."""
         return ()
 
     def next_message(self) -> tuple[str, bool] | None:

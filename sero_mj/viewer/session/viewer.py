@@ -207,6 +207,7 @@ class Viewer:
 
     def _ipython_display_(self) -> None:
         """Shows the page in a notebook's cell; tells where it is elsewhere."""
+        from ..player.page import look_asked_for
         from ..web.notebook import Cells, has_channel, in_notebook, show_address
 
         name = self.world.scene.name
@@ -218,7 +219,10 @@ class Viewer:
             show_address(name, self.url)
         else:
             if self._cells is None:
-                self._cells = Cells(name, self.url, lambda what: self._process.tell(RUN, what))
+                look = look_asked_for(self.world.scene)
+                self._cells = Cells(
+                    name, look, self.url, lambda what: self._process.tell(RUN, what)
+                )
                 self._process.answers[RUN] = self._cells.keep
             self._cells.show()
 

@@ -14,6 +14,7 @@ import mujoco
 from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ..headless.film import Pixels
+from ..player.page import look_asked_for
 from ..session.live import LiveHost
 from ..session.scene_decor import SceneDecor
 from .browsers import Browsers
@@ -84,6 +85,7 @@ class WebHost(LiveHost):
         self._input = PageInput(self, self.view, self._panels)
         self._dropped: list[Path] = []
         page = (_PLAYER / "live.html").read_text("utf-8").replace("%%TITLE%%", "sero-mj")
+        page = page.replace("%%LOOK%%", look_asked_for(world.scene))
         own = {name: (_PLAYER / name).read_bytes() for name in ("player.js", "player.css")}
         self.server = PageServer(
             page,

@@ -94,18 +94,19 @@ class Cells:
 
     Args:
         title: of the page.
+        look: see `look_asked_for`.
         url: of the page, for programs on this machine.
         tell: sends a message to the tool `shown_run` of the viewer.
     """
 
-    def __init__(self, title: str, url: str, tell: Callable[[str], object]) -> None:
-        self._title, self._url, self._tell = title, url, tell
+    def __init__(self, title: str, look: str, url: str, tell: Callable[[str], object]) -> None:
+        self._title, self._look, self._url, self._tell = title, look, url, tell
         self._cells: list[_Cell] = []
         self._is_last = threading.Event()
 
     def show(self) -> None:
         """Shows the page in the cell that runs."""
-        self._cells.append(_Cell(self._title, self._url))
+        self._cells.append(_Cell(self._title, self._look, self._url))
         self._tell("begin")
 
     def keep(self, run: str) -> None:
@@ -135,17 +136,18 @@ class _Cell:
 
     Args:
         title: of the page.
+        look: see `look_asked_for`.
         url: of the page, for programs on this machine.
     """
 
-    def __init__(self, title: str, url: str) -> None:
+    def __init__(self, title: str, look: str, url: str) -> None:
         self._id = secrets.token_hex(8)
         self._url = url
         self._visitors: dict[str, _Visitor] = {}
         self._bridge = _bridge(self._id)
         self._bridge.on_msg(self._hear)
         self.keep("", is_update=False)
-        page = html.escape(cell_page(self._id, title))
+        page = html.escape(cell_page(self._id, title, look))
         _display(
             f'<iframe srcdoc="{page}" width="100%" height="{_HEIGHT}" style="border:0" '
             f'title="{html.escape(title)}"></iframe>',

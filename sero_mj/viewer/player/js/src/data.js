@@ -5,7 +5,7 @@
  *   unit: string}} Line */
 /** @typedef {{on: boolean, round: boolean, radius: number, opacity: number, scale: number,
  *   band: number, limit: number | null, widest: number}} Arrow */
-/** @typedef {{name: string, unit: string, angleUnit: string, double: number, body: number,
+/** @typedef {{name: string, torqueLabel: string, angleUnit: string, double: number, body: number,
  *   pos: number[], quat: number[], torqueLimit: number | null, lines: Line[], details: Line[],
  *   card: boolean, arrow: Arrow}} Joint */
 /** @typedef {{body: number, type: number, pos: number[], quat: number[], size: number[],
@@ -199,7 +199,6 @@ export function decode(bytes) {
   const read = (texts) => ({ texts: texts.texts, at: moving(texts.at) });
   return {
     title: /** @type {string} */ (head.title),
-    look: /** @type {"light" | "dark"} */ (head.look),
     fps: /** @type {number} */ (head.fps),
     begin: /** @type {number} */ (head.begin),
     frames,
@@ -245,6 +244,8 @@ export function decode(bytes) {
       head.cards.map((/** @type {any} */ card) => ({ ...card, ...read(card) }))),
     vectors: /** @type {string[]} */ (head.vectors),
     marks: /** @type {Mark[]} */ (head.marks),
+    /** Of labels on cards: which file is A, say. */
+    meanings: /** @type {Record<string, string>} */ (head.meanings ?? {}),
     switches: /** @type {Record<string, boolean>} */ (head.switches),
     silent: /** @type {string[]} */ (head.silent),
   };

@@ -5,8 +5,10 @@ import { textOf, valueOf } from "./data.js";
 import { Geoms, geomsAt } from "./geoms.js";
 import { JointCards } from "./joint_cards.js";
 import { labelsAt } from "./labels.js";
+import { lookToOpen, onOtherLook } from "./look.js";
 import { byId, made, valueIn } from "./page.js";
-import { Plot, wordFor } from "./plot.js";
+import { Plot } from "./plot.js";
+import { Ticks } from "./ticks.js";
 import { View } from "./view.js";
 
 const KEYS = [
@@ -33,7 +35,8 @@ export class Player {
   constructor(run) {
     this.run = run;
     this.clock = new Clock(run.frames, run.fps);
-    this.plot = new Plot(run, byId("plot"), (seconds) => this.seek(seconds));
+    this.plot = new Plot(run, byId("plot"), byId("legend"), (seconds) => this.seek(seconds));
+    this.ticks = new Ticks(byId("marks"), (seconds) => this.seek(seconds));
     this.cards = new JointCards(run);
     this.geoms = new Geoms();
     /** @type {Record<string, boolean>} */
@@ -52,8 +55,7 @@ export class Player {
     this.view.show(run);
     this.#listen();
     const wanted = new URLSearchParams(location.hash.slice(1));
-    this.view.setLook(matchMedia("(prefers-color-scheme: dark)").matches ? "dark"
-      : matchMedia("(prefers-color-scheme: light)").matches ? "light" : run.look);
+    this.view.setLook(lookToOpen());
     this.choose(this.#mostLoaded());
     if (wanted.has("t")) this.seek(Number(wanted.get("t")) || 0);
     else this.clock.isPlaying = run.frames > 1;
@@ -90,13 +92,7 @@ export class Player {
     for (const speed of SPEEDS) byId("speed").append(made("option", `${speed}×`, { value: String(speed) }));
     /** @type {HTMLSelectElement} */ (byId("speed")).value = "1";
     byId("time").setAttribute("max", String(run.frames - 1));
-    let free = -Infinity; // where the last text on the time line ends, as a share of it
-    for (const mark of [...run.marks].sort((a, b) => a.begin - b.begin)) {
-      const begin = mark.begin / Math.max(clock.end, 1e-9), hasText = mark.end > mark.begin && begin > free;
-      // As long as its text, or as the mark, where that cuts it.
-      if (hasText) free = begin + Math.min(0.011 * mark.text.length, (mark.end - mark.begin) / Math.max(clock.end, 1e-9));
-      byId("marks").append(this.#mark(mark, hasText));
-    }
+    this.ticks.update(ticksOf(run, clock.end), 0, clock.end);
     document.body.classList.toggle("still", run.frames < 2);
     for (const [keys, words] of KEYS) byId("keys").append(made("dt", keys), made("dd", words));
   }
@@ -107,18 +103,6 @@ export class Player {
     if (key === "doubles") return run.bodies.some((body) => body.double >= 0);
     if (key === "arrows") return hasJoints || run.switches.arrows;
     return key !== "numbers" || hasJoints || run.cards.length > 0;
-  }
-
-  /** @param {import("./data.js").Mark} mark @param {boolean} hasText */
-  #mark(mark, hasText) {
-    const end = Math.max(this.clock.end, 1e-9), { begin, text, kind } = mark;
-    const button = made("button", "", { type: "button", class: `mark ${kind}`, title: `${begin.toFixed(2)} s: ${text}`,
-      "aria-label": `${kind}: ${text}, at ${begin.toFixed(2)} s` });
-    if (hasText) button.append(made("span", text));
-    button.style.left = `${100 * Math.min(Math.max(begin / end, 0), 1)}%`;
-    if (mark.end > begin) button.style.width = `${100 * (Math.min(mark.end, end) - begin) / end}%`;
-    button.addEventListener("click", () => this.seek(begin));
-    return button;
   }
 
   #listen() {
@@ -140,7 +124,7 @@ export class Player {
     byId("speed").addEventListener("change", (event) => { clock.speed = Number(valueIn(event)); });
     this.#listenToClicks();
     addEventListener("keydown", (event) => this.#press(event));
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", (event) => view.setLook(event.matches ? "dark" : "light"));
+    onOtherLook(() => view.setLook(lookToOpen()));
   }
 
   #listenToClicks() {
@@ -238,11 +222,6 @@ export class Player {
     this.cards.chosen = joint;
     this.plot.show(joint);
     /** @type {HTMLSelectElement} */ (byId("joint")).value = String(joint);
-    byId("legend").hidden = joint < 0 || !this.run.values.torques;
-    if (joint >= 0) {
-      byId("legend").dataset.measured = wordFor(this.run, joint, "torques");
-      byId("legend").dataset.commanded = wordFor(this.run, joint, "commanded_torques");
-    }
     this.view.wake();
   }
 
@@ -294,7 +273,8 @@ export class Player {
     const time = /** @type {HTMLInputElement} */ (byId("time")), seconds = (run.begin + clock.time).toFixed(2);
     time.value = String(clock.at);
     time.style.setProperty("--done", `${100 * clock.at / Math.max(run.frames - 1, 1)}%`);
-    time.setAttribute("aria-valuetext", `${seconds} s`);
+    this.ticks.tell(clock.time);
+    time.setAttribute("aria-valuetext", [`${seconds} s`, this.ticks.told].filter(Boolean).join(", "));
     byId("now").textContent = `${seconds} s`;
     const notes = run.notes.texts[run.notes.at[clock.frame]];
     if (byId("notes").textContent !== notes) byId("notes").textContent = notes;
@@ -329,6 +309,24 @@ export class Player {
     if (clock.isPlaying) view.wake();
     this.draw();
   }
+}
+
+/**
+ * The marks of a run as ticks; those that take some time have their text on them where there is room.
+ * @param {import("./data.js").Run} run @param {number} end s
+ * @returns {import("./ticks.js").Tick[]}
+ */
+function ticksOf(run, end) {
+  const length = Math.max(end, 1e-9);
+  let free = -Infinity; // where the last text on the time line ends, s
+  return [...run.marks].sort((a, b) => a.begin - b.begin).map((mark) => {
+    const hasRoom = mark.end > mark.begin && mark.begin > free;
+    // As long as its text, or as the mark, where that cuts it.
+    if (hasRoom) free = mark.begin + Math.min(0.011 * length * mark.text.length, mark.end - mark.begin);
+    const outcome = mark.kind === "failed" || mark.kind === "held" ? `${mark.kind}: ` : "";
+    const text = `${(run.begin + mark.begin).toFixed(2)} s: ${outcome}${mark.text}`;
+    return { ...mark, text, label: hasRoom ? mark.text : "" };
+  });
 }
 
 /** @type {Record<string, string>} */

@@ -31,6 +31,24 @@ export function dataOf(lines) {
   return uPlot.join(lines.map(({ x, y }) => /** @type {uPlot.AlignedData} */ ([x, y])));
 }
 
+/**
+ * What stands above a plot: what is plotted, with its unit, and its lines.
+ * @param {string} what @param {{name: string, colour: string, isDashed?: boolean, tip?: string}[]} lines
+ */
+export function namesOf(what, lines) {
+  return [made("span", what), ...lines.map(({ name, colour, isDashed, tip }) => {
+    const entry = made("span", "", tip ? { title: tip } : {}), line = made("i", "");
+    line.style.borderTop = `3px ${isDashed ? "dashed" : "solid"} ${colour}`;
+    entry.append(line, name);
+    return entry;
+  })];
+}
+
+/** The axis of the time: every number with the unit. @param {string} unit */
+export const timeAxis = (unit) => ({
+  values: (/** @type {unknown} */ _, /** @type {number[]} */ all) => all.map((each) => `${each} ${unit}`),
+});
+
 /** A plot, as wide as its room. */
 export class Graph {
   constructor() {
@@ -83,17 +101,12 @@ export class Graph {
       legend: { show: false },
       scales: { x: { time: false, auto: false }, y: { auto: false } },
       padding: [6, 10, 0, 0],
-      axes: [{ ...axis, size: 24, values: (_, all) => all.map((each) => `${each} ${content.x}`) },
+      axes: [{ ...axis, size: 24, ...timeAxis(content.x) },
         { ...axis, size: 44 }],
       series: [{}, ...content.lines.map(({ rgb }) => ({ stroke: colourOf(rgb), width: 1.75, points: { show: false } }))],
       hooks: { drawAxes: [(plot) => this.#drawLimits(plot)] },
     }, dataOf(content.lines), this.room);
-    this.legend.replaceChildren(made("span", content.y), ...content.lines.map(({ name, rgb }) => {
-      const entry = made("span", ""), line = made("i", "");
-      line.style.background = colourOf(rgb);
-      entry.append(line, name);
-      return entry;
-    }));
+    this.legend.replaceChildren(...namesOf(content.y, content.lines.map(({ name, rgb }) => ({ name, colour: colourOf(rgb) }))));
     mark(this.room, "aria-label", `${content.y}: ${content.lines.map(({ name }) => name).join(", ")}`);
   }
 

@@ -3,6 +3,7 @@
 import { isOnHandle } from "./handles.js";
 import { Input } from "./input.js";
 import { contentsOf } from "./live_cards.js";
+import { lookIn, lookToOpen, onOtherLook } from "./look.js";
 import { byId, valueIn } from "./page.js";
 import { readSections } from "./sections.js";
 import { State } from "./state.js";
@@ -41,7 +42,7 @@ export class Live {
       resize: () => this.#tellSize(),
     });
     this.view.labels.onClick = (key, event) => this.#card(key, event);
-    this.view.setLook(keptLook());
+    this.view.setLook(lookToOpen(keptLook()));
     this.input = new Input(this.view.renderer.domElement, {
       send: (message) => this.#act(message),
       canAct: () => this.isInControl,
@@ -99,7 +100,7 @@ export class Live {
       this.#showControl();
     });
     byId("camera").addEventListener("change", (event) => this.#chooseCamera(Number(valueIn(event))));
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.view.setLook(keptLook()));
+    onOtherLook(() => this.view.setLook(lookToOpen(keptLook())));
   }
 
   /** @param {ArrayBuffer} message */
@@ -290,12 +291,11 @@ function keep(look) {
   } catch { /* the browser keeps nothing */ }
 }
 
-/** @returns {import("./view.js").Look} */
+/** The look that the user has chosen on a page of this server; null for none. */
 function keptLook() {
-  let kept = null;
   try {
-    kept = localStorage.getItem(LOOK);
-  } catch { /* likewise */ }
-  if (kept === "light" || kept === "dark") return kept;
-  return matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
+    return lookIn(localStorage.getItem(LOOK));
+  } catch { // it keeps nothing
+    return null;
+  }
 }

@@ -1,6 +1,7 @@
 /** The plot of a joint: commanded and measured torque, or its angle, along the time line. */
 
 import uPlot from "uplot";
+import { namesOf, timeAxis } from "./graph.js";
 
 /** @typedef {import("./data.js").Run} Run */
 
@@ -9,22 +10,41 @@ const css = (name) => getComputedStyle(document.documentElement).getPropertyValu
 
 const WORDS = { torques: "measured", commanded_torques: "commanded", joint_angles: "angle" };
 
+const LONGEST = 28; // characters of a file's name
+
 /**
- * How a value of a joint is called: as its card says, else as the field does.
- * @param {Run} run @param {number} joint @param {keyof typeof WORDS} key
+ * Names of files without the folders that all are in; of a long one both ends, in which names of runs differ.
+ * @param {Record<string, string>} files @param {string} which @returns {string}
  */
-export const wordFor = (run, joint, key) =>
-  run.joints[joint].lines.find((line) => line.key === key && /^[A-Z]$/.test(line.label))?.label
-  ?? WORDS[key];
+export function shortName(files, which) {
+  const paths = Object.values(files).map((file) => file.split(/[\\/]/)), half = LONGEST / 2;
+  let parts = 1;
+  while (parts < 9 && new Set(paths.map((path) => path.slice(-parts).join("/"))).size < paths.length) parts++;
+  const name = files[which].split(/[\\/]/).slice(-parts).join("/");
+  return name.length > LONGEST ? `${name.slice(0, half)}…${name.slice(1 - half)}` : name;
+}
+
+/**
+ * How a line is called: as the joint's card says, with the file that is meant, else as the field does.
+ * @param {Run} run @param {number} joint @param {keyof typeof WORDS} key
+ * @returns {{name: string, tip?: string}}
+ */
+function nameOf({ joints, meanings }, joint, key) {
+  const label = joints[joint].lines.find((line) => line.key === key && /^[A-Z]$/.test(line.label))?.label;
+  if (!label || !meanings[label]) return { name: label ?? WORDS[key] };
+  return { name: `${label}: ${shortName(meanings, label)}`, tip: meanings[label] };
+}
 
 /** A plot that is made anew for every joint and look. */
 export class Plot {
   /**
-   * @param {Run} run @param {HTMLElement} room @param {(seconds: number) => void} onSeek
+   * @param {Run} run @param {HTMLElement} room @param {HTMLElement} names what is plotted
+   * @param {(seconds: number) => void} onSeek
    */
-  constructor(run, room, onSeek) {
+  constructor(run, room, names, onSeek) {
     this.run = run;
     this.room = room;
+    this.names = names;
     this.onSeek = onSeek;
     this.times = Float64Array.from({ length: run.frames }, (_, k) => run.begin + k / run.fps);
     /** @type {uPlot | null} */
@@ -44,19 +64,21 @@ export class Plot {
     this.plot?.destroy();
     this.plot = null;
     this.joint = joint;
-    this.room.hidden = joint < 0 || frames < 2;
+    this.room.hidden = this.names.hidden = joint < 0 || frames < 2;
     if (this.room.hidden) return;
     const keys = ["torques", "commanded_torques"].filter((key) =>
       values[key]?.subarray(joint * frames, (joint + 1) * frames).some(Number.isFinite));
     if (!keys.length && values.joint_angles) keys.push("joint_angles");
-    const { unit, angleUnit } = run.joints[joint];
-    /** @type {Record<string, uPlot.Series>} */
-    const looks = {
-      torques: { label: `${wordFor(run, joint, "torques")}, ${unit}`, stroke: css("--negative"), width: 2 },
-      commanded_torques: { label: `${wordFor(run, joint, "commanded_torques")}, ${unit}`, stroke: css("--positive"), width: 1.5,
-        dash: [6, 4] },
-      joint_angles: { label: `angle, ${angleUnit}`, stroke: css("--negative"), width: 2 },
-    };
+    const { name, torqueLabel, angleUnit } = run.joints[joint];
+    const what = keys[0] === "joint_angles" ? `angle [${angleUnit}]` : torqueLabel;
+    const looks = keys.map((key) => {
+      const isDashed = key === "commanded_torques";
+      return { isDashed, colour: css(isDashed ? "--positive" : "--negative"),
+        ...nameOf(run, joint, /** @type {keyof typeof WORDS} */ (key)) };
+    });
+    // A before B, whichever was measured.
+    const isNamed = looks.every(({ tip }) => tip), inOrder = [...looks].sort((a, b) => isNamed ? a.name.localeCompare(b.name) : 0);
+    this.names.replaceChildren(...namesOf(what, inOrder));
     const lines = keys.map((key) => Array.from(
       values[key].subarray(joint * frames, (joint + 1) * frames),
       (value) => Number.isFinite(value) ? value : null));
@@ -68,8 +90,9 @@ export class Plot {
       scales: { x: { time: false } },
       legend: { show: false },
       padding: [8, 8, 0, 0],
-      axes: [{ ...axis, size: 26 }, { ...axis, size: 50 }],
-      series: [{}, ...keys.map((key) => ({ ...looks[key], points: { show: false } }))],
+      axes: [{ ...axis, size: 26, ...timeAxis("s") }, { ...axis, size: 50 }],
+      series: [{}, ...looks.map(({ colour, isDashed }) => ({ stroke: colour, points: { show: false },
+        ...isDashed ? { width: 1.5, dash: [6, 4] } : { width: 2 } }))],
       hooks: { draw: [(plot) => this.#drawTime(plot)] },
     }, /** @type {uPlot.AlignedData} */ (/** @type {unknown} */ ([this.times, ...lines])), this.room);
     const { over } = this.plot;
@@ -84,8 +107,7 @@ export class Plot {
       seek(event);
     });
     over.addEventListener("pointermove", seek);
-    this.room.setAttribute("aria-label", `${run.joints[joint].name}: `
-      + keys.map((key) => String(looks[key].label)).join(" and "));
+    this.room.setAttribute("aria-label", `${name}, ${what}: ${looks.map((look) => look.name).join(" and ")}`);
   }
 
   /** @param {uPlot} plot */

@@ -2,6 +2,7 @@
 
 import { Graph } from "./graph.js";
 import { made, mark, write } from "./page.js";
+import { Ticks } from "./ticks.js";
 
 /**
  * What the server says of a widget; see the kinds for what else they have.
@@ -9,7 +10,7 @@ import { made, mark, write } from "./page.js";
  *   width?: number, same?: number | boolean, left?: number, mood?: string, open?: boolean,
  *   nodes?: Node[], widths?: number[], rows?: Node[][][], lit?: boolean, text?: string, hint?: string,
  *   on?: boolean, index?: number, names?: string[], value?: number, low?: number, high?: number,
- *   ticks?: [number, string][], count?: number, height?: number, lines?: any[], x?: string, y?: string,
+ *   ticks?: [number, string, string][], count?: number, height?: number, lines?: any[], x?: string, y?: string,
  *   xRange?: [number, number], yRange?: [number, number], limits?: number[]}} Node
  */
 /** @typedef {{element: HTMLElement, sized?: HTMLElement, update: (node: Node) => void,
@@ -44,6 +45,23 @@ export class Held {
     if (isOver && !this.isHeld) this.wanted = undefined;
     return this.wanted ?? value;
   }
+}
+
+const STEPS = 100; // of a slider by its keys, at least
+const DRAGGED = 0.1; // step of what is dragged, of those
+/** @type {Record<string, number>} */
+const PLACES = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, PageUp: 10, PageDown: -10 };
+
+/** The step of a slider's keys: 1, 2 or 5 times a power of ten. @param {number} low @param {number} high */
+export function stepOf(low, high) {
+  const most = (high - low) / STEPS || 1, power = 10 ** Math.floor(Math.log10(most) + 1e-9);
+  return power * ([5, 2].find((each) => each * power <= most * (1 + 1e-9)) ?? 1);
+}
+
+/** The multiple of a step that is nearest to a value. @param {number} value @param {number} step */
+export function rounded(value, step) {
+  const digits = Math.max(-Math.floor(Math.log10(step) + 1e-9), 0);
+  return Number((Math.round(value / step) * step).toFixed(digits));
 }
 
 /** What all controls have: words, a tip, and whether they take input. @param {HTMLElement} control @param {Node} node */
@@ -206,15 +224,20 @@ const choose = ({ id }, { send }) => {
 /** @type {(node: Node, context: Context) => Widget} */
 const slide = ({ id }, { send }) => {
   const box = made("input", "", { type: "range", step: "any" }), said = made("output", "");
-  const track = made("span", "", { class: "track" }), ticks = made("span", "", { class: "ticks" });
+  const track = made("span", "", { class: "track" }), over = made("span", "", { class: "ticks" });
   const rail = made("span", "", { class: "rail" }); // as long as what is dragged, without its text
   const { element, say } = labelled(box, "slide");
   element.prepend(track);
-  rail.append(box, ticks);
+  rail.append(box, over);
   track.append(rail, said);
   /** @type {Held<number>} */
   const held = new Held();
-  let marked = "";
+  /** @param {number} value */
+  const set = (value) => {
+    held.set(value);
+    send({ t: "widget", id, value });
+  };
+  const ticks = new Ticks(over, set);
   box.addEventListener("pointerdown", () => {
     held.isHeld = true;
     said.style.width = `${said.offsetWidth}px`; // a longer text would move what is dragged
@@ -227,8 +250,17 @@ const slide = ({ id }, { send }) => {
     });
   }
   box.addEventListener("input", () => {
-    held.set(box.valueAsNumber);
-    send({ t: "widget", id, value: box.valueAsNumber });
+    const { valueAsNumber: value } = box, [low, high] = [Number(box.min), Number(box.max)];
+    const round = rounded(value, DRAGGED * stepOf(low, high));
+    set(value === low || value === high ? value : Math.min(Math.max(round, low), high)); // ends need not be round
+  });
+  box.addEventListener("keydown", (event) => {
+    const places = PLACES[event.key], { ctrlKey, altKey, metaKey } = event;
+    if (!places || ctrlKey || altKey || metaKey) return;
+    event.preventDefault();
+    const step = stepOf(Number(box.min), Number(box.max));
+    box.value = String(rounded(box.valueAsNumber + places * step, step)); // as far as there is room
+    set(box.valueAsNumber);
   });
   return { element, sized: track, update: (node) => {
     const { low = 0, high = 1, text = "" } = node, value = held.shown(node.value ?? low);
@@ -237,14 +269,10 @@ const slide = ({ id }, { send }) => {
     if (box.valueAsNumber !== value) box.value = String(value);
     box.style.setProperty("--done", `${100 * Math.min(Math.max((value - low) / (high - low || 1), 0), 1)}%`);
     write(said, text);
-    mark(box, "aria-valuetext", text || String(Number(value.toPrecision(4))));
-    const wanted = JSON.stringify([low, high, node.ticks ?? []]);
-    if (wanted !== marked) ticks.replaceChildren(...(node.ticks ?? []).map(([at, mood]) => {
-      const tick = made("i", "", { class: mood });
-      tick.style.left = `${100 * Math.min(Math.max((at - low) / (high - low || 1), 0), 1)}%`;
-      return tick;
-    }));
-    marked = wanted;
+    ticks.update((node.ticks ?? []).map(([at, kind, words]) => ({ begin: at, end: at, text: words, kind })), low, high);
+    ticks.tell(value);
+    const number = text || String(Number(value.toPrecision(4)));
+    mark(box, "aria-valuetext", [number, ticks.told].filter(Boolean).join(", "));
     say(node);
   } };
 };

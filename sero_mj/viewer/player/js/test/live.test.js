@@ -12,7 +12,9 @@ import { clearOf } from "../src/labels.js";
 import { keysOf, linesOf } from "../src/panels.js";
 import { Reader, fill, readSections } from "../src/sections.js";
 import { State } from "../src/state.js";
-import { Held } from "../src/widgets.js";
+import { shortName } from "../src/plot.js";
+import { toldAt } from "../src/ticks.js";
+import { Held, rounded, stepOf } from "../src/widgets.js";
 
 /** @param {ArrayBufferView} array */
 const bytesOf = (array) => new Uint8Array(array.buffer, array.byteOffset, array.byteLength);
@@ -195,4 +197,31 @@ test("labels at one place stand below each other, as far as there is room, and o
   const at = (/** @type {number} */ x, /** @type {number} */ y) => clearOf(x, y, "lwr/A1", taken);
   assert.deepEqual([at(100, 50), at(100, 50), at(104, 50), at(300, 50), at(100, 20)], [50, 68, 86, 50, 20]);
   assert.deepEqual([at(100, 50), at(100, 50)], [104, null]);
+});
+
+test("a slider steps by 1, 2 or 5 times a power of ten, to round values", () => {
+  const steps = [[0, 1], [-170, 170], [0, 2000], [0, 5.9341], [-1e-3, 1e-3], [3, 3]]
+    .map(([low, high]) => Number(stepOf(low, high).toPrecision(9)));
+  assert.deepEqual(steps, [0.01, 2, 20, 0.05, 0.00002, 1]);
+  let value = 0.123456;
+  for (let k = 0; k < 100; k++) value = rounded(value + 0.01, 0.01);
+  assert.equal(value, 1.12);
+  assert.deepEqual([rounded(0.99999, 0.001), rounded(-31.3, 2), rounded(1234.5, 20)], [1, -32, 1240]);
+});
+
+test("what is near the time is told, the nearest, with what was at the same time", () => {
+  const tick = (/** @type {number} */ begin, /** @type {string} */ text, end = begin, label = "") =>
+    ({ begin, end, text, kind: "finding", label });
+  const ticks = [tick(1, "a"), tick(1.02, "b"), tick(1.02, "c"), tick(4, "d", 9), tick(4.5, "e", 9, "e")];
+  const told = (/** @type {number} */ at) => toldAt(ticks, at, 10).map(({ text }) => text).join("");
+  assert.deepEqual([0.8, 0.95, 1.009, 1.5, 2.1, 4, 4.6, 7].map(told), ["", "a", "a", "bc", "", "d", "e", "d"]);
+});
+
+test("names of files are short, and tell them apart", () => {
+  assert.equal(shortName({ A: "out/a.mcap", B: "out/b.mcap" }, "A"), "a.mcap");
+  assert.equal(shortName({ A: "out/first/run.mcap", B: "out/second/run.mcap" }, "B"), "second/run.mcap");
+  assert.equal(shortName({ A: "run.mcap", B: "run.mcap" }, "B"), "run.mcap");
+  const [a, b] = [1, 2].map((k) => `lwr_impedance_push_2026-11-25_14-19-4${k}.mcap`);
+  assert.deepEqual([shortName({ A: a, B: b }, "A"), shortName({ A: a, B: b }, "B")],
+    ["lwr_impedance_…14-19-41.mcap", "lwr_impedance_…14-19-42.mcap"]);
 });
