@@ -25,6 +25,7 @@ from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
 from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.player.capture import shown_bodies
+from sero_mj.viewer.session.restoring import keep, restore
 from sero_mj.viewer.session.scene_decor import SceneDecor
 from sero_mj.viewer.web.host import WebHost
 
@@ -334,6 +335,34 @@ def test_panels_switch_what_is_shown_and_the_time_line_scrubs(
     assert client.until(lambda: client.events)[0]["copy"].startswith(f"{page.url}#view=")
     client.say("fold", tree="panel", id="Sources", open=False)
     client.until(lambda: client.widget("panel", "Sources")["nodes"] == [])
+
+
+def test_sections_are_as_they_were_left_when_it_is_started_again(
+    page: WebHost, client: PageClient
+) -> None:
+    assert client.widget("panel", "lwr")["open"] and not client.widget("panel", "Model")["open"]
+    client.say("fold", tree="panel", id="Model", open=True)
+    client.say("fold", tree="panel", id="lwr/lwr", open=False)
+    client.until(lambda: client.widget("panel", "Model")["open"])
+    keep(page)
+    with Mirror(load_scene("impedance_push", by_hand=True)) as mirror, WebHost(mirror) as again:
+        restore(again)
+        with PageClient(again) as other:
+            other.until(lambda: other.state.get("panel"))
+            found = [other.widget("panel", name)["open"] for name in ("Model", "lwr", "Scene")]
+            assert found == [True, False, True]
+
+
+def test_a_page_has_the_look_that_was_asked_for(page: WebHost, home: None) -> None:
+    def look_of(host: WebHost) -> str:
+        with urllib.request.urlopen(host.url) as answer:
+            return str(answer.read().decode()).partition('data-look="')[2].partition('"')[0]
+
+    assert look_of(page) == ""
+    scene = load_scene("lwr")
+    scene.view.look = "dark"
+    with Mirror(scene) as mirror, WebHost(mirror) as dark:
+        assert look_of(dark) == "dark"
 
 
 def test_a_drag_with_control_pulls_and_leaves_the_camera(page: WebHost, client: PageClient) -> None:

@@ -48,7 +48,7 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
     window.until("w.decor.view.inset[0] > 150")  # numbers stay beside it
     assert np.array_equal(screenshot(window), before)
     window.click(*window.middle("Move lwr"))  # folded, so that all the others are seen
-    window.settle()
+    window.until("w.folds == {'Move lwr/Move lwr': False}")
     window.click(*window.middle("axes"))
     window.until("not w.toggles.axes.any()")
     assert not np.array_equal(screenshot(window), before)
@@ -75,6 +75,11 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
     window.tool("mousemove", round(x), round(y), "click", 4)
     window.settle()
     assert window.ask("w.navigator.camera.distance") == pytest.approx(was[1] * 0.9)  # not twice
+    was_below = window.ask("places['axes'][1]")
+    window.ask("w.show_layout({**w.layout, 'section Move lwr/Move lwr': True})")
+    window.until(f"places['axes'][1] > {was_below} + 50")  # as it is restored
+    window.click(*window.middle("Move lwr"))
+    window.until(f"places['axes'][1] == {was_below}")
     window.key("Tab")
     window.until("not w.has_panel")
     window.ask("w._robots._reset()")

@@ -181,8 +181,8 @@ class Session:
         self._token: bool | str = options.token  # as browsers know the page
         self.plain = Scene()
         self.is_at_start = options.scene is None
-        # Camera, panel and switches, to be kept while the same scene is shown.
-        self._last: tuple[mujoco.MjvCamera, bool, ViewState] | None = None
+        # Camera, panel with its sections, and switches, to be kept while the same scene is shown.
+        self._last: tuple[mujoco.MjvCamera, dict[str, bool], ViewState] | None = None
         self._is_announced = False
         self._warnings: list[str] = []  # of the files of what is shown next
 
@@ -310,7 +310,11 @@ class Session:
         self.is_at_start = True
 
     def _show_as_before(
-        self, host: LiveHost, camera: mujoco.MjvCamera, has_panel: bool, state: ViewState
+        self,
+        host: LiveHost,
+        camera: mujoco.MjvCamera,
+        panel: Mapping[str, bool],
+        state: ViewState,
     ) -> None:
         """Shows the same robots as they were seen a moment ago, simulated or not."""
         from ..viewer.camera import copy_camera
@@ -321,10 +325,11 @@ class Session:
         _, joint, _ = apply_state(host.world, host.toggles, state._replace(camera=""))
         if joint is not None:
             host.select(joint)
-        host.show_layout({**host.layout, "panel": has_panel})
+        host.show_layout({**host.layout, **panel})
 
     def _run(self, host: LiveHost) -> None:
         """Shows it until it is closed, and remembers how it was left."""
+        from ..viewer.session.live import SECTION
         from ..viewer.session.recent_views import RecentView, remember_view
         from ..viewer.session.restoring import keep
         from ._opening import is_temporary
@@ -341,7 +346,11 @@ class Session:
             is_pictured = self.on_page and (view.picture.is_file() or view.is_shipped)
             remember_view(view, None if is_pictured else host.picture())
         if self.plain is plain:  # else another one is shown next
-            panel = host.layout.get("panel", False)
+            panel = {
+                name: is_shown
+                for name, is_shown in host.layout.items()
+                if name == "panel" or name.startswith(SECTION)
+            }
             self._last = copy.copy(host.view_camera), panel, host.view_state()
 
     def _open_window(self, mirror: Mirror) -> Mirror | None:

@@ -54,7 +54,7 @@ def keep_view(
     Args:
         scene: that was shown.
         state: set by the user; the time is not saved.
-        layout: visible parts of the window or page.
+        layout: visible parts of the window or page, and unfolded sections.
         tools: what tools keep, by their names.
     """
     view = state._replace(time=None).to_text()

@@ -103,6 +103,7 @@ class PagePanels:
     ) -> list[Node]:
         if name not in self._trees:
             self._trees[name] = DomWidgets(self._host.to_clipboard)
+            self._trees[name].folds = self._host.folds
         ui = self._trees[name]
         return ui.tree_of(lambda: build(ui), size)
 

@@ -51,6 +51,7 @@ class Chrome(ImguiLayer):
     def __init__(self, gl: GlWindow, host: LiveHost, columns: Sequence[Sequence[Row]]) -> None:
         super().__init__(gl)
         self._host, self._columns = host, columns
+        self.widgets.folds = host.folds
         self.shows_panel = False
         self.covered = 0.0
 
