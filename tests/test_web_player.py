@@ -125,15 +125,15 @@ def test_the_plot_says_what_it_shows_in_which_unit(page: Any) -> None:
 
 
 def test_the_status_is_backed_and_above_cards(page: Any) -> None:
-    seen = page.evaluate("""() => ["names", "problem", "cards", "notes"].map(id => {
+    seen = page.evaluate("""() => ["names", "problem", "cards"].map(id => {
         const { backgroundColor } = getComputedStyle(document.getElementById(id));
-        const own = document.getElementById(id).closest("header, #problem, #cards, #notes");
+        const own = document.getElementById(id).closest("header, #problem, #cards");
         const { zIndex } = getComputedStyle(own);
         return [Number(/([\\d.]+)\\)/.exec(backgroundColor)[1]), Number(zIndex)];
     })""")
-    (names, over), (problem, most), (_, cards), (notes, beside) = seen
-    assert min(names, problem, notes) > 0.9
-    assert most > over > cards and beside >= cards
+    (names, over), (problem, most), (_, cards) = seen
+    assert min(names, problem) > 0.9
+    assert most > over > cards
 
 
 @pytest.mark.parametrize(("look", "scheme", "shown"), [
