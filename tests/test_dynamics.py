@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -16,7 +17,7 @@ from newton_euler import inverse_dynamics
 from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.cli import main
-from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
+from sero_mj.robots.assemble.robot_dynamics import about_large_inertias, robot_dynamics
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.dynamics import Dynamics, balanced_tensor, inertia_problem
 from sero_mj.robots.declared.robot import SerialRobot, build_robot
@@ -518,3 +519,19 @@ def test_mending_says_what_it_changed_and_the_robot_can_be_simulated() -> None:
         "link 2: principal moments 0, 0, 0 are now 5e-06, 5e-06, 5e-06 kg m2",
     ]
     World(Scene(robots=[robot]), dynamic=True)
+
+
+def test_an_inertia_that_no_mass_within_the_link_can_have_is_told() -> None:
+    lwr = SerialRobot.from_model("lwr")
+    declared = robot_dynamics(lwr)
+    assert about_large_inertias(lwr, declared) == []
+    tensors = declared.tensors.copy()
+    tensors[3] = declared.masses[3] * 0.5**2 * np.eye(3)
+    (told,) = about_large_inertias(lwr, replace(declared, tensors=tensors))
+    hull = declared.hulls[3]
+    assert hull is not None
+    reach = np.linalg.norm(hull - declared.centers[3], axis=1).max()
+    assert told == (
+        "link 3: its inertia has a radius of gyration of 0.5 m; its geometry reaches "
+        f"{reach:.2g} m from its centre of mass"
+    )

@@ -191,6 +191,23 @@ def test_what_a_program_sets_is_taken_over() -> None:
     assert jogging.goals["lwr"].angles == pytest.approx(-BENT)
 
 
+def test_a_pose_that_a_program_keeps_setting_cannot_be_moved_by_hand() -> None:
+    mirror = lwr_mirror()
+    jogging = Jogging(Shown(mirror))
+
+    def found() -> tuple[bool, bool]:
+        ui = ScriptedWidgets()
+        jogging.build(ui)
+        return "a program sets this pose" in ui.texts(), "home" in ui.disabled
+
+    for step in range(3):
+        assert found() == (step == 2, step == 2)  # once may be a reset
+        mirror.world.set_input(mirror.data, "lwr.joint_angles", BENT * (step + 1) / 3)
+        settle(mirror, jogging, 0.1)
+    settle(mirror, jogging, 1.0)
+    assert found() == (False, False)
+
+
 @pytest.mark.parametrize("link", [3, 5, 7])
 def test_a_dragged_link_comes_along_and_lets_go(link: int) -> None:
     mirror = lwr_mirror(joint_angles=BENT)

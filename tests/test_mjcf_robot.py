@@ -127,10 +127,20 @@ def test_its_joints_limits_and_couplings_are_those_of_the_file(robot, caplog):
 
 
 def test_what_it_leaves_out_is_told(path, caplog):
+    text = path.read_text()
+    more = '<geom type="plane" size="3 3 1"/><geom name="wall" size="1 1 1"/><camera name="side"/>'
+    text = text.replace("<worldbody>", f"<worldbody>{more}<site name='s1'/><site name='s2'/>", 1)
+    rope = '<spatial name="rope"><site site="s1"/><site site="s2"/></spatial>'
+    path.write_text(text.replace("<tendon>", f"<tendon>{rope}", 1))
     with caplog.at_level(logging.WARNING):
         SerialRobot.from_mjcf(path)
     told = [record.getMessage().partition("xml: ")[2] for record in caplog.records]
-    assert told == ["bodies that no drive of the robot moves are left out: ball, target"]
+    assert told == [
+        "bodies that no drive of the robot moves are left out: ball, target",
+        "geoms of the world are left out: wall",
+        "spatial tendons are left out: rope",
+        "cameras are left out: side",
+    ]
 
 
 def test_its_kinematics_and_dynamics_are_those_of_the_file(robot):

@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.gl, pytest.mark.timeout(300)]
 def red(pixels: np.ndarray) -> int:
     """How many pixels are as red as inertias are."""
     r, g, b = np.moveaxis(pixels.astype(int), 2, 0)
-    return int(((r > g + 60) & (r > b + 60)).sum())
+    return int(((r > g + 25) & (r > b + 25)).sum())
 
 
 @pytest.mark.skipif(bool(web_tools.MISSING), reason=f"needs {', '.join(web_tools.MISSING)}")

@@ -17,6 +17,7 @@ from sero_mj.viewer.decor.axes import AXIS_RGB
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GREY, Kind
 from sero_mj.viewer.decor.scene_writer import SceneWriter
+from sero_mj.viewer.decor.staleness import Staleness
 from sero_mj.viewer.headless.render import HeadlessRenderer
 
 GEOM = mujoco.mjtGeom
@@ -63,6 +64,42 @@ def test_a_robot_says_how_old_its_data_is(age: float, text: str | None) -> None:
     rows = of_kind(buffer.rows[: buffer.count], GEOM.mjGEOM_LABEL)
     assert [row["label"].decode() for row in rows] == ([text] if text else [])
     assert (buffer.grey is None) == (text is None)
+
+
+@pytest.mark.parametrize(
+    ("target", "ages", "text"),
+    [
+        ("joint_angles", (-1.0, -1.0), None),  # whoever steers it awaits no packet
+        ("joint_angles", (12.3, -1.0), "no data for 12.3 s"),  # its accelerations came as well
+        ("joint_angles", (0.0, 4.5), "no data for 4.5 s"),  # torques came and come no more
+        ("joint_accelerations", (-1.0, 0.0), None),
+        ("joint_accelerations", (4.5, 0.0), "no data for 4.5 s"),
+    ],
+)
+def test_what_a_program_sets_is_data(
+    target: str, ages: tuple[float, float], text: str | None
+) -> None:
+    sources = {
+        name: {"kind": "udp", "port": port, "structure": "7F"}
+        for port, name in enumerate(("angles", "efforts"), 1)
+    }
+    routes = {
+        "lwr.joint_angles": "angles.values0",
+        "lwr.joint_accelerations": "angles.values0",
+        "lwr.torques": "efforts.values0",
+    }
+    world = World(
+        Scene(robots=[SerialRobot.from_model("lwr")], sources=sources, routes=routes, floor=False)
+    )
+    data = world.make_data()
+    world.set_input(data, f"lwr.{target}", np.zeros(7))
+    for name, age in zip(sources, ages, strict=True):
+        set_source(data, world, name, received=5, age=age, size=56)
+    assert Staleness(world).find(data) == ({} if text is None else {"lwr": text})
+    world.reset(data)
+    for name in sources:
+        set_source(data, world, name)
+    assert Staleness(world).find(data) == {"lwr": "no data yet"}
 
 
 def test_a_robot_without_fresh_data_has_no_numbers_of_its_flange_check() -> None:

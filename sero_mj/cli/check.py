@@ -95,7 +95,11 @@ def _kind(robot: SerialRobot) -> str:
 
 def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     """Returns lines about a robot's joints, limbs and dynamics."""
-    from ..robots.assemble.robot_dynamics import about_masses, robot_dynamics
+    from ..robots.assemble.robot_dynamics import (
+        about_large_inertias,
+        about_masses,
+        robot_dynamics,
+    )
 
     lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
     lines.append(f"          flange: {_about_flange(robot)}")
@@ -108,7 +112,11 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     estimated = [key for key in dynamics.estimated if key != "masses"]
     about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
     repaired = [f"          repaired  {line}" for line in robot.dynamics.repaired]
-    return [*lines, f"          dynamics: {about}", *repaired]
+    large = [
+        fill(f"          note: {line}", 100, subsequent_indent=" " * 16)
+        for line in about_large_inertias(robot, dynamics)
+    ]
+    return [*lines, *large, f"          dynamics: {about}", *repaired]
 
 
 def _about_flange(robot: SerialRobot) -> str:

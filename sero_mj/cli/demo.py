@@ -30,7 +30,7 @@ class DemoOptions(Options):
         size: width and height, pixels.
     """
 
-    out: Annotated[Path, Option("OUT")] = Path("out")
+    out: Annotated[Path, Option("OUT", ("-o", "--out"))] = Path("out")
     duration: Duration = 6.0
     size: Size = DEFAULT_SIZE
 

@@ -51,7 +51,7 @@ class ImportOptions(PackageOptions):
     """
 
     file: Annotated[Path, positional("FILE")]
-    out: Annotated[Path | None, Option("DIR")] = None
+    out: Annotated[Path | None, Option("DIR", ("-o", "--out"))] = None
     convention: Literal["craig", "standard"] | None = None
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...base.frames import Array, Ints, frame, inverse, rotation_from_quat
 from ...robots.assemble.parts import DoublePart, RobotPart
-from ...robots.assemble.world_view import WorldView
+from ...robots.assemble.world_view import SET_BY_SOURCE, WorldView
 from ...robots.declared.cartesian import WORLD
 from ...robots.declared.double import OUT_OF_SIGHT, fade_in
 from ...robots.declared.inputs import BLANKABLE
@@ -78,7 +78,7 @@ class Placer:
         if route.to.kind == "frame":
             self._keep(data, route)
         self._world.set_pose(data, route.to.name, T)
-        data.userdata[self._world.flags[route.to.target]] = 1.0
+        data.userdata[self._world.flags[route.to.target]] = SET_BY_SOURCE
 
     def _keep(self, data: mujoco.MjData, route: FrameRoute) -> None:
         target, T = route.to.target, self._origin(data, route)
@@ -86,7 +86,7 @@ class Placer:
             base = self._world.frame(data, self._world.robots[route.to.name].base_name)
             T = inverse(base) @ T
         data.userdata[self._world.slots[target]] = T.ravel()
-        data.userdata[self._world.flags[target]] = 1.0
+        data.userdata[self._world.flags[target]] = SET_BY_SOURCE
 
     def _place_received(self, data: mujoco.MjData, name: str) -> None:
         """Places a received frame, or hides it while none has been received."""
@@ -271,4 +271,4 @@ class _InputWriter:
             data.qpos[self._qpos] = values
         else:
             data.userdata[self._slot] = values
-        data.userdata[self._flag] = 1.0
+        data.userdata[self._flag] = SET_BY_SOURCE

@@ -34,6 +34,7 @@ _COULOMB = 0.004
 _VISCOUS = 0.008
 _FIRST_MODE = 10.0  # Hz, motor against held link
 _DAMPING_RATIO = 0.03  # of that mode
+_LARGE = 1.1  # from this ratio on it is told that an inertia is too large for its link's geometry
 _STEEL = 7800.0  # kg/m3; no link is denser
 # Meshes thinner than this share of their length have no hull; a sheet of 1 mm replaces them.
 _FLATNESS, _THICKNESS = 1e-5, 0.5e-3  # and half of that, m
@@ -133,6 +134,29 @@ def about_masses(robot: SerialRobot, dynamics: RobotDynamics) -> str:
         return f"{text}, estimated: none are declared, its shapes count with {density:g} kg/m3"
     none = [link_name(k) for k in np.flatnonzero(declared == 0).tolist()]
     return f"{text}, as declared" + (f"; {', '.join(none)}: without a mass" if none else "")
+
+
+def about_large_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> list[str]:
+    """Returns a text for every link with an inertia that no mass within its geometry can have.
+
+    The moment of inertia of a mass about an axis through its centre is at most m r^2, where r is
+    the distance of its farthest point. Such inertias are common: templates of URDF have those of
+    a box with sides of 1 m.
+    """
+    largest = np.linalg.eigvalsh(dynamics.tensors)[:, -1]
+    lines = []
+    for k, hull in enumerate(dynamics.hulls):
+        if hull is None or dynamics.masses[k] <= 0:
+            continue
+        radius = float(np.sqrt(largest[k] / dynamics.masses[k]))
+        reach = float(np.linalg.norm(hull - dynamics.centers[k], axis=1).max())
+        if radius > _LARGE * reach:
+            name = robot.link_names[k] if robot.link_names is not None else link_name(k)
+            lines.append(
+                f"{name}: its inertia has a radius of gyration of {radius:.2g} m; its geometry "
+                f"reaches {reach:.2g} m from its centre of mass"
+            )
+    return lines
 
 
 def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:

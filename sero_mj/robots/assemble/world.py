@@ -32,7 +32,7 @@ from .mjcf_elements import Hull, mesh_assets
 from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
 from .robot_dynamics import RobotDynamics, about_masses, robot_dynamics
 from .solids import geom_boxes
-from .world_view import WorldView
+from .world_view import SET_BY_PROGRAM, SET_BY_SOURCE, WorldView
 
 log = logging.getLogger(__name__)
 
@@ -169,6 +169,8 @@ class World(WorldView):
         for name, frame in self.scene.frames.items():
             data.mocap_pos[self.placed[name]] = OUT_OF_SIGHT
             self.set_declared(data, frame, ("frame",))
+        flags = [*self.flags.values()]
+        data.userdata[flags] = np.minimum(data.userdata[flags], SET_BY_SOURCE)
         mujoco.mj_forward(self.model, data)
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
@@ -208,7 +210,7 @@ class World(WorldView):
             data.qpos[self.robots[item.name].qpos] = array
         else:
             userdata[self.slots[target]] = array.ravel()
-        userdata[self.flags[target]] = 1.0
+        userdata[self.flags[target]] = SET_BY_PROGRAM
 
     def export(self, path: Path) -> list[Path]:
         """Writes the scene as MJCF with its mesh files; key frame `home` is the declared pose.

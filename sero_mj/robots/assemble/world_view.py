@@ -14,6 +14,8 @@ from ..declared.inputs import Input, inputs_of_group, share_out
 from ..declared.scene import Scene
 from .parts import ArrowTable, DoublePart, DrawnDouble, FrameTable, JointTable, Owner, RobotPart
 
+SET_BY_SOURCE, SET_BY_PROGRAM = 1.0, 2.0  # flags of inputs: who has set them last; 0 for nobody
+
 
 class WorldView(Protocol):
     """A compiled model and the indices of its robots, doubles, frames and arrows.
@@ -32,7 +34,7 @@ class WorldView(Protocol):
         arrows: arrays over all smart arrows.
         inputs: all inputs, by `name.key`.
         slots: slice of a state's `userdata` by name, e.g. `lwr.torques`, `sources.udp`.
-        flags: index in `userdata` of the flag that an input was set, by its name.
+        flags: index in `userdata` of the flag who has set an input last, by its name.
         placed: index in `mocap_pos` of the bodies that `frame` and `base_frame` inputs move, by
             name.
         has_sites: whether sites in the tables of joints, frames and arrows are sites of the model.

@@ -206,6 +206,15 @@ def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
     if len(others):
         what = names(mujoco.mjtObj.mjOBJ_BODY, others)
         sentences.append(f"bodies that no drive of the robot moves are left out: {what}")
+    fixed = (model.geom_bodyid == 0) & (model.geom_type != _PLANE)  # scenes have their own floor
+    spatial = model.wrap_type[model.tendon_adr] != int(mujoco.mjtWrap.mjWRAP_JOINT)
+    for what, kind, ids in (
+        ("geoms of the world", mujoco.mjtObj.mjOBJ_GEOM, np.flatnonzero(fixed)),
+        ("spatial tendons", mujoco.mjtObj.mjOBJ_TENDON, np.flatnonzero(spatial)),
+        ("cameras", mujoco.mjtObj.mjOBJ_CAMERA, np.arange(model.ncam)),
+    ):
+        if len(ids):
+            sentences.append(f"{what} are left out: {names(kind, ids)}")
     springs = np.flatnonzero(mine & (model.jnt_stiffness > 0))
     if len(springs):
         what = names(mujoco.mjtObj.mjOBJ_JOINT, springs)

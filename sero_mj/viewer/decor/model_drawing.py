@@ -43,6 +43,7 @@ _SIZES = {
     "contactwidth": 0.13, "contactheight": 0.03, "forcewidth": 0.04, "com": 0.15,
     "jointlength": 0.9, "jointwidth": 0.07,
 }  # fmt: skip
+_INERTIA_RGBA = (0.8, 0.2, 0.2, 0.25)  # that of MuJoCo hides an arm behind a box that is too large
 _WEIGHT_LENGTH = 0.25  # of the arrow of a force that is the weight of everything, of its extent
 _GLOW = 0.35  # emission of decor: it is not darker than what the others draw
 _MOST_ROWS = 4000
@@ -190,11 +191,13 @@ def _is_asked(toggles: Toggles) -> bool:
 
 
 def _set_sizes(model: mujoco.MjModel) -> None:
-    """Sets sizes of marks that a model has left as they are in MuJoCo."""
+    """Sets sizes and a colour of marks that a model has left as they are in MuJoCo."""
     usual, now = mujoco.MjSpec().visual, model.vis
     for name, size in _SIZES.items():
         if getattr(now.scale, name) == np.float32(getattr(usual.scale, name)):
             setattr(now.scale, name, size)
+    if np.array_equal(now.rgba.inertia, usual.rgba.inertia):
+        now.rgba.inertia = _INERTIA_RGBA
     weight = float(model.body_subtreemass[0] * np.linalg.norm(model.opt.gravity))
     if now.map.force == np.float32(usual.map.force) and weight > 0:
         # MuJoCo divides by the mean mass of bodies.

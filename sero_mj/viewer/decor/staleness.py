@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...data.receive.source import QUIET_AFTER
 from ...robots.assemble.parts import DoublePart, robots_of_bodies
-from ...robots.assemble.world_view import WorldView
+from ...robots.assemble.world_view import SET_BY_PROGRAM, WorldView
 from ...robots.declared.inputs import SOURCE_FIELDS
 from .geom_buffer import GeomBuffer
 from .panels import Panels, labels_at
@@ -29,7 +29,8 @@ class _Routed:
 
     Attributes:
         name: of a robot, a double, a smart arrow or a received frame.
-        ages: indices in `userdata` of the ages of its sources.
+        ages: indices in `userdata` of the ages of its inputs' sources, (k,).
+        flags: indices there of who has set these inputs last, (k,).
         stale_after: age from which data is stale, s.
         base: body at whose origin the label is shown; -1 for arrows and frames.
         geoms: its geoms in the model, (ngeom,) bool.
@@ -37,6 +38,7 @@ class _Routed:
 
     name: str
     ages: NDArray[np.intp]
+    flags: NDArray[np.intp]
     stale_after: float
     base: int
     geoms: NDArray[np.bool_] | None
@@ -58,11 +60,13 @@ class Staleness:
                 for item in world.inputs.values()
                 if item.name == name and item.kind != "toggle" and scene.routed(item.target)
             ]
-            sources = scene.sources_of(*targets) if targets else set()
-            if not sources:  # items without routes are as declared and never stale
-                continue
-            slots = [world.slots[f"sources.{source}"].start + _AGE for source in sorted(sources)]
-            self._routed.append(_routed_item(world, name, np.array(slots, np.intp)))
+            pairs = [
+                (world.slots[f"sources.{source}"].start + _AGE, world.flags[target])
+                for target in targets
+                for source in sorted(scene.sources_of(target))
+            ]
+            if pairs:  # items without routes are as declared and never stale
+                self._routed.append(_routed_item(world, name, *np.array(pairs, np.intp).T))
         self._groups = _groups_with_data(world, {item.name for item in self._routed})
         self._owner, self._owners = world.joints.owner, list(world.owners)
         self._soonest = min((item.stale_after for item in self._routed), default=np.inf)
@@ -75,11 +79,12 @@ class Staleness:
             return {}
         stale = {}
         for item in self._routed:
-            ages = data.userdata[item.ages]
+            indices = _awaited(item, data)
+            ages = data.userdata[indices]
             if (ages < 0).any():
                 stale[item.name] = NO_DATA_YET
-            elif ages.max() > item.stale_after:
-                faults = data.userdata[item.ages + _FAULT_AGE - _AGE]
+            elif ages.max(initial=0.0) > item.stale_after:
+                faults = data.userdata[indices + _FAULT_AGE - _AGE]
                 good = "good " if ((faults >= 0) & (faults < ages)).any() else ""
                 stale[item.name] = f"no {good}data for {_duration(float(ages.max()))}"
         return stale
@@ -105,7 +110,7 @@ class Staleness:
         of_owner = dict.fromkeys(self._owners, 0.0)
         for item in self._routed:
             if item.name in stale and item.name in of_owner:
-                ages = data.userdata[item.ages]
+                ages = data.userdata[_awaited(item, data)]
                 of_owner[item.name] = np.inf if (ages < 0).any() else float(ages.max())
         return np.array([*of_owner.values()], np.float64)[self._owner]
 
@@ -148,6 +153,19 @@ class Staleness:
         return [Panels(centres, sizes, lines, _RGBA, in_front=True)]
 
 
+def _awaited(item: _Routed, data: mujoco.MjData) -> NDArray[np.intp]:
+    """Returns the indices of the ages that count.
+
+    What a program has set awaits no packet; and where it has set anything of an item, sources that
+    have never sent are not awaited for the rest.
+    """
+    is_programs = data.userdata[item.flags] == SET_BY_PROGRAM
+    if not is_programs.any():
+        return item.ages
+    others = item.ages[~is_programs]
+    return np.asarray(others[data.userdata[others] >= 0])
+
+
 def stale_mask(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
     """Returns which names have no fresh data, (k,) bool."""
     if not stale:
@@ -177,18 +195,20 @@ def _groups_with_data(world: WorldView, routed: Collection[str]) -> dict[str, _L
     return found
 
 
-def _routed_item(world: WorldView, name: str, ages: NDArray[np.intp]) -> _Routed:
+def _routed_item(
+    world: WorldView, name: str, ages: NDArray[np.intp], flags: NDArray[np.intp]
+) -> _Routed:
     model = world.model
     if name in world.robots:
         part = world.robots[name]
         number = list(world.robots).index(name)
         own = robots_of_bodies(model, world.robots)[model.geom_bodyid] == number
-        return _Routed(name, ages, part.robot.stale_after, int(part.bodies[0]), own)
+        return _Routed(name, ages, flags, part.robot.stale_after, int(part.bodies[0]), own)
     if name in world.doubles:
         double: DoublePart = world.doubles[name]
         own = np.isin(model.geom_bodyid, double.bodies)
-        return _Routed(name, ages, double.robot.stale_after, int(double.of.bodies[0]), own)
-    return _Routed(name, ages, QUIET_AFTER, -1, None)
+        return _Routed(name, ages, flags, double.robot.stale_after, int(double.of.bodies[0]), own)
+    return _Routed(name, ages, flags, QUIET_AFTER, -1, None)
 
 
 def _duration(seconds: float) -> str:

@@ -166,12 +166,16 @@ class JogPanel:
         build_each(ui, "Move", goals, lambda name: self._robot(ui, name, goals[name], note))
 
     def _robot(self, ui: Widgets, name: str, goal: JointGoal, note: str) -> None:
+        ui.disable(is_off=goal.is_led)
         self._sliders.build(ui, goal)
         if goal.trouble:
             ui.text(goal.trouble, "bad")
         if note:
             ui.text(note, "quiet")
         build_flange(ui, "flange", goal, self._base(name))
+        ui.enable()
+        if goal.is_led:
+            ui.text("a program sets this pose", "quiet")
         if ui.tree("copy the pose"):
             self._copy(ui, name, goal)
             ui.end_tree()

@@ -27,6 +27,7 @@ from .handle_drag import target_of
 from .joint_goal import JointGoal, set_goals
 
 _TIME = 0.04  # s, in which 63 % of the way is made
+_LED = 1.0  # s: a program that sets angles again within this time leads the robot
 
 
 class Jogging(Tool):
@@ -54,6 +55,7 @@ class Jogging(Tool):
             if f"{name}.joint_angles" in world.inputs and f"{name}.joint_angles" not in routed
         }
         self._written = {name: self._shown(name) for name in self.goals}
+        self._since = dict.fromkeys(self.goals, np.inf)  # s, since something else set their angles
         self._fastest = {
             name: undeclared_speeds(goal.robot, "shown") for name, goal in self.goals.items()
         }
@@ -97,8 +99,14 @@ class Jogging(Tool):
         data, world = self._mirror.data, self._mirror.world
         for name, goal in self.goals.items():
             shown = self._shown(name)
+            self._since[name] += passed
+            is_recent = self._since[name] < _LED
             if not np.array_equal(shown, self._written[name]):
                 goal.follow(shown)  # a program has set them, or a reset
+                goal.is_led = is_recent  # a reset comes alone
+                self._since[name] = 0.0
+            elif not is_recent:
+                goal.is_led = False
             wanted = goal.angles
             if not np.array_equal(shown, wanted):
                 shown = approached(shown, wanted, passed, self._fastest[name])
@@ -174,7 +182,7 @@ class Jogging(Tool):
             return None
         frame_name, point = found
         name, _, label = frame_name.partition("/")
-        if name not in self.goals:
+        if name not in self.goals or self.goals[name].is_led:
             return None
         return name, link_number(self.goals[name].robot, label), frame_name, point
 

@@ -36,6 +36,7 @@ class JointGoal:
         robot: as given.
         trouble: why the last wish is not fulfilled; empty where it is.
         mark: where a frame was wanted and where it is, (2, 3), m; None where that is one.
+        is_led: whether a program sets the angles just now, so that no wish would last.
     """
 
     def __init__(self, robot: SerialRobot, angles: Array) -> None:
@@ -46,6 +47,7 @@ class JointGoal:
         self._posture = self._free.copy()
         self.trouble = ""
         self.mark: Array | None = None
+        self.is_led = False
 
     @property
     def angles(self) -> Array:
