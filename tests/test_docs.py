@@ -31,7 +31,8 @@ FILM_IN_PYTHON = re.compile(r"(render_film\(.+)\)$", re.MULTILINE)
 OUTPUT = re.compile(r"(?:[ \"(])(out/[\w.]+\.(?:png|gif|mp4|webm|mcap|csv|pdf|xml|html|glb))")
 # A command with nothing that a shell would do for it.
 ALONE = re.compile(r"\.venv/bin/sero-mj [^|&;<>$*`#]*(#.*)?|#.*|\s*")
-LONGEST = ("compare", "headless", "learn", "simulate", "view")  # a minute of windows and films
+# A minute of windows, films and processes.
+LONGEST = ("compare", "headless", "learn", "mirror", "player", "robots", "simulate", "view")
 PAGES = sorted(
     [ROOT / "README.md", *(ROOT / "docs").glob("*.md")],
     key=lambda page: (page.stem in LONGEST, page),

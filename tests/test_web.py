@@ -45,6 +45,7 @@ def page(served: Served, visitor: Visitor) -> Visitor:
     served.ask("w.show_layout({'panel': False})")
     visitor.sees_camera()
     visitor.until(f"{NO_ARROWS} && {NO_CARDS} && document.getElementById('panel').hidden")
+    visitor.has_told_its_size()
     return visitor
 
 

@@ -127,14 +127,18 @@ class Visitor:
         if served.ask("w.has_time_line"):  # which takes room from the picture
             self.until("!document.getElementById('timeline').hidden")
         if self.page.evaluate("player.isInControl"):
-            told = self.page.evaluate("(({ size }) => [size.width, size.height])(player.stage)")
-            served.until(f"[*w.view.size] == {told}")
+            self.has_told_its_size()
 
     def until(self, expression: str) -> None:
         """Waits until an expression of the page is true, and what it has is drawn."""
         self.page.wait_for_function(
             f"() => ({expression}) && !player.view.isDirty", timeout=60_000, polling=50
         )
+
+    def has_told_its_size(self) -> None:
+        """Waits until the server has the size of the picture, on which places in it depend."""
+        told = self.page.evaluate("(({ size }) => [size.width, size.height])(player.stage)")
+        self._served.until(f"[*w.view.size] == {told}")
 
     def sees_camera(self) -> None:
         """Waits until it sees what the server's camera does."""
