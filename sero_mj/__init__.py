@@ -66,8 +66,8 @@ if TYPE_CHECKING:
     from .viewer.overlay import overlay as overlay
     from .viewer.player.capture import Mark as Mark
     from .viewer.player.page import export_html as export_html
-    from .viewer.session.viewer import Viewer as Viewer
-    from .viewer.session.viewer import view as view
+    from .viewer.program.viewer import Viewer as Viewer
+    from .viewer.program.viewer import view as view
 
 from .study.learning.gymnasium_ids import register_with_gymnasium as _register_with_gymnasium
 from .viewer.headless.backend import choose_backend as _choose_backend
@@ -123,8 +123,8 @@ _HOME = {
     "Mark": "viewer.player.capture",
     "Overlay": "viewer.overlay",
     "overlay": "viewer.overlay",
-    "Viewer": "viewer.session.viewer",
-    "view": "viewer.session.viewer",
+    "Viewer": "viewer.program.viewer",
+    "view": "viewer.program.viewer",
 }
 
 

@@ -15,7 +15,7 @@ from typing import Any
 _IMPORTED = (
     "sero_mj.cli", "sero_mj.load", "sero_mj.study.explain", "sero_mj.study.figure",
     "sero_mj.study.sweep", "sero_mj.viewer.headless.render", "sero_mj.simulate.simulation",
-    "sero_mj.viewer.session.viewer", "sero_mj.viewer.web.host", "sero_mj.viewer.window.host",
+    "sero_mj.viewer.program.viewer", "sero_mj.viewer.web.host", "sero_mj.viewer.window.host",
     "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_pdf",
 )  # fmt: skip
 # A server has neither; what was imported in it has chosen nothing by them.

@@ -264,7 +264,7 @@ class PageHand:
 
     def _resize(self, width: int, height: int) -> None:
         self._page.set_viewport_size({"width": width, "height": height})
-        if min(width, height) < 100:  # Chromium draws such a page, and hears of events, once a second
+        if min(width, height) < 100:  # Chromium draws such a page only once a second
             self._page.set_viewport_size({"width": 100 + width, "height": 100 + height})
 
 

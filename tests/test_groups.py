@@ -33,8 +33,8 @@ from sero_mj.viewer.decor.billboards import declared_lines
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.panels.robot_panel import RobotPanel
-from sero_mj.viewer.session.viewer_memory import SceneMemory
-from sero_mj.viewer.tools.robot_inputs import RobotInputs
+from sero_mj.viewer.program.memory import SceneMemory
+from sero_mj.viewer.program.robot_inputs import RobotInputs
 
 COUNTS = {"torso": 2, "left": 3, "right": 3, "head": 1}
 

@@ -15,7 +15,7 @@ import sero_mj
 from sero_mj import Double, Scene, SerialRobot, World
 from sero_mj.base.errors import UnknownName
 from sero_mj.viewer.decor.quantities import joint_values
-from sero_mj.viewer.tools.robot_inputs import RobotInputs
+from sero_mj.viewer.program.robot_inputs import RobotInputs
 
 
 @dataclass

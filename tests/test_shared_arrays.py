@@ -20,8 +20,8 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.load import load_scene
 from sero_mj.robots.external.model_world import ModelWorld
 from sero_mj.viewer.decor.quantities import joint_values
-from sero_mj.viewer.session.viewer_memory import OverlayMemory, SceneMemory, SharedArrays
-from sero_mj.viewer.session.viewer_process import _pickled
+from sero_mj.viewer.program.memory import OverlayMemory, SceneMemory, SharedArrays
+from sero_mj.viewer.program.process import _pickled
 
 
 def test_an_array_is_read_once_and_whole_or_not_at_all() -> None:

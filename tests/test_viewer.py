@@ -15,7 +15,7 @@ import pytest
 import sero_mj
 from sero_mj import Scene, SerialRobot
 from sero_mj.base.errors import SeroError, UsageError
-from sero_mj.viewer.session.viewer import Viewer, _to_show
+from sero_mj.viewer.program.viewer import Viewer, _to_show
 
 
 @pytest.mark.parametrize(

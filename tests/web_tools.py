@@ -36,7 +36,7 @@ ARGUMENTS = [
 _PROGRAM = """
 from sero_mj.cli._arguments import read_scene, replay_instead
 from sero_mj.data.drive.mirror import Mirror
-from sero_mj.viewer.session.viewer import open_page
+from sero_mj.viewer.program.viewer import open_page
 from pathlib import Path
 
 scene, settings, replay, options, control = json.loads(sys.argv[1])

@@ -390,8 +390,8 @@ class Session:
             return window.others.chosen
 
     def _serve(self, mirror: Mirror) -> Mirror | None:
+        from ..viewer.program.viewer import open_page
         from ..viewer.session.restoring import restore
-        from ..viewer.session.viewer import open_page
 
         options = self.options
         host = options.host or _LOOPBACK

@@ -26,10 +26,10 @@ from .headless.film import Picture
 from .headless.picture_options import DEFAULT_SIZE
 from .headless.render import HeadlessRenderer
 from .mujoco_private import context_of
+from .program.robot_inputs import RobotInputs
 from .session.interaction import Gesture
 from .session.picking import Picked, Pixel
 from .session.scene_decor import SceneDecor
-from .tools.robot_inputs import RobotInputs
 
 log = logging.getLogger(__name__)
 

@@ -2,6 +2,5 @@
 
 In: a mirror, events, and recent views. Out: the state of the display: time, switches, view,
 messages, the start page.
-Open first: `live.py`; `viewer.py` is a live viewer in Python, drawn by the process of
-`viewer_main.py`; `picking.py` finds the item at a pixel.
+Open first: `live.py`; `picking.py` finds the item at a pixel.
 """

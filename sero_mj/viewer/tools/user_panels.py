@@ -1,6 +1,6 @@
 """`UserPanels`: shows the widgets that the program of a viewer has added to it.
 
-Their other side is `session/user_panels.py`, which says what is sent.
+Their other side is `program/panels.py`, which says what is sent.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from typing import Any, ClassVar
 
 from ...base.errors import UsageError
 from ..panels.widgets import Widgets
+from ..program.panels import Place, Placed
 from ..session.tool import Shown, Tool
-from ..session.user_panels import Place, Placed
 
 
 class UserPanels(Tool):

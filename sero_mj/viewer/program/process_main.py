@@ -1,6 +1,6 @@
 """What the process of a viewer runs: it shows a scene or an overlay until it is told to end.
 
-Messages come from `viewer_process` on the standard input. It ends when the last of them has come,
+Messages come from `process.py` on the standard input. It ends when the last of them has come,
 so it never outlives the process that has started it.
 """
 
@@ -26,8 +26,8 @@ from ...base.errors import RenderError, SeroError, UsageError
 from ...data.drive.mirror import LiveWorld, Mirror, Watch
 from ...robots.declared.scene import Scene
 from ...robots.external.model_world import ModelWorld
-from .live import LiveHost
-from .viewer_memory import OverlayMemory, SceneMemory, ViewerMemory
+from ..session.live import LiveHost
+from .memory import OverlayMemory, SceneMemory, ViewerMemory
 
 log = logging.getLogger(__name__)
 

@@ -22,14 +22,14 @@ from ..headless.backend import has_display
 from ..headless.film import Picture
 from ..headless.picture_options import DEFAULT_SIZE
 from ..overlay import Overlay
-from ..tools.robot_inputs import RobotInputs
+from ..session.pointer import OnClick
+from .memory import OverlayMemory, SceneMemory, ViewerMemory
 from .outbox import Outbox
-from .pointer import OnClick
-from .user_panels import TOOL as PANELS
-from .user_panels import UserPanel, UserPanels
-from .user_signals import UserSignals
-from .viewer_memory import OverlayMemory, SceneMemory, ViewerMemory
-from .viewer_process import ViewerProcess
+from .panels import TOOL as PANELS
+from .panels import UserPanel, UserPanels
+from .process import ViewerProcess
+from .robot_inputs import RobotInputs
+from .signals import UserSignals
 
 if TYPE_CHECKING:
     from ..web.host import WebHost

@@ -29,14 +29,14 @@ import mujoco
 from ...base.errors import RenderError, UsageError
 from ...robots.importers.mjcf_file import as_spec, is_mjcf_object
 from ..headless.film import Pixels
-from .picking import Picked
+from ..session.picking import Picked
 
 log = logging.getLogger(__name__)
 
 # The package is found where this process has found it, whatever the folder.
 _PROGRAM = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
-    "from sero_mj.viewer.session.viewer_main import main; main()"
+    "from sero_mj.viewer.program.process_main import main; main()"
 )
 _CLOSE_TIMEOUT = 5.0  # s that it has to close by itself
 _PICTURE_TIMEOUT = 30.0  # s to wait for a picture; software takes a second or two for the first
