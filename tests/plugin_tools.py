@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 
 PLUGINS = Path(__file__).parent / "plugins"
@@ -20,7 +20,7 @@ def install(folder: Path, module: str, group: str, name: str, item: str) -> None
         item: what it names in the module.
     """
     shutil.copy(PLUGINS / f"{module}.py", folder)
-    _register(folder, module, group, {name: item})
+    register(folder, module, group, [f"{name} = {module}:{item}"])
 
 
 def write_package(folder: Path, module: str, code: str, group: str, **points: str) -> None:
@@ -34,14 +34,14 @@ def write_package(folder: Path, module: str, code: str, group: str, **points: st
         **points: what each entry point names in the module.
     """
     (folder / f"{module}.py").write_text(code)
-    _register(folder, module, group, points)
+    register(folder, module, group, [f"{name} = {module}:{item}" for name, item in points.items()])
 
 
-def _register(folder: Path, module: str, group: str, points: Mapping[str, str]) -> None:
+def register(folder: Path, module: str, group: str, points: Sequence[str]) -> None:
+    """Writes the metadata of a module in a folder: entry points, `name = module:item`."""
     about = folder / f"{module}-0.1.dist-info"
     about.mkdir()
     (about / "METADATA").write_text(
         f"Metadata-Version: 2.1\nName: {module.replace('_', '-')}\nVersion: 0.1\n"
     )
-    lines = [f"{name} = {module}:{item}\n" for name, item in points.items()]
-    (about / "entry_points.txt").write_text(f"[{group}]\n{''.join(lines)}")
+    (about / "entry_points.txt").write_text("\n".join([f"[{group}]", *points, ""]))

@@ -83,6 +83,33 @@ def test_a_scene_has_settings_of_its_features(installed: Path, tmp_path: Path) -
         assert [problem.key for problem in error.value.problems] == [key]
 
 
+def test_settings_are_set_for_once_and_checked_against_the_world(
+    installed: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "warm.toml"
+    file.write_text('[robots.lwr]\nmodel = "lwr"\n')
+    assert load_scene(file, {"decor.temperature.full": 40.0}).decor == {
+        "temperature": {"full": 40.0}
+    }
+    with pytest.raises(DeclarationError) as error:
+        load_scene(file, {"decor.temperature.ful": 40.0})
+    assert [problem.key for problem in error.value.problems] == ["decor.temperature.ful"]
+    module = installed / "temperature_gauge.py"
+    start = (
+        "    def start(self):\n"
+        "        from sero_mj.base.errors import Problem\n"
+        "        raise Problem('full', found=self.settings.full, expected='a colder one').error()\n"
+    )
+    text = module.read_text()
+    module.write_text(text.replace("    def draw(", f"{start}\n    def draw(", 1))
+    sys.modules.pop("temperature_gauge", None)
+    forget_plugins()
+    with pytest.raises(DeclarationError) as error:
+        Decor(World(load_scene(file)))
+    (problem,) = error.value.problems
+    assert problem.key == "decor.temperature.full" and problem.found == 80.0
+
+
 def test_it_is_listed_with_its_package(installed: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "sero_mj", "list"],

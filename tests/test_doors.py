@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from commands import UNSET, run_command, run_program
-from plugin_tools import PLUGINS, install, write_package
+from plugin_tools import PLUGINS, install, register, write_package
 
 from sero_mj.base.plugins import COMMANDS, CONTROLLERS, IMPORTERS, TOOLS
 
@@ -77,6 +77,31 @@ def test_what_an_importer_cannot_read_names_the_file(sdf: Path, text: str, what:
     assert what in said or "cannot be read by Sdf" in said
 
 
+def test_an_importers_own_faults_name_its_line(tmp_path: Path) -> None:
+    code = (
+        "from sero_mj.robots.importers.importer import Importer\n"
+        "class Sdf(Importer):\n"
+        "    endings = ('.sdf',)\n"
+        "    def read(self, path, packages=None, arguments=None):\n"
+        "        return float('x')\n"
+    )
+    write_package(tmp_path, "faulty", code, IMPORTERS, sdf="Sdf")
+    (tmp_path / SDF.name).write_bytes(SDF.read_bytes())
+    said = run(tmp_path, "", "check", SDF.name, code=2)
+    assert said.endswith(
+        "cannot be read by Sdf: ValueError: could not convert string to float: 'x' "
+        f"({tmp_path}/faulty.py:5)\n"
+    )
+
+
+def test_a_format_that_import_does_not_write_is_led_to_a_scene(sdf: Path) -> None:
+    said = run(sdf, "", "import", SDF.name, code=2)
+    assert f"{SDF.name}: found .sdf; expected .urdf, .xacro, .xml. " in said
+    assert said.endswith(f'model = "{SDF.name}" in [robots.NAME]\n')
+    said = run(sdf, "", "new", "mine", "--like", SDF.name, code=2)
+    assert f'model = "{SDF.name}" in a scene' in said and "sero-mj import" not in said
+
+
 def test_without_the_package_it_is_named_as_what_it_is(tmp_path: Path) -> None:
     (tmp_path / SDF.name).write_bytes(SDF.read_bytes())
     said = run(tmp_path, "", "check", SDF.name, code=2)
@@ -123,6 +148,14 @@ print(np.abs(moved - np.where(times > 0, 0.1 * (1 - (1 + 20*times) * np.exp(-20*
     said = run(pd, "", "check", "s.toml", code=2)
     assert "controllers.lwr.bandwidth: found -1; expected greater than 0" in said
     assert 'kind = "pd"' in run(pd, "", "list", "--fields", "scenarios")
+
+
+def test_a_controller_without_its_kind_is_told(pd: Path) -> None:
+    file = pd / "pd_controller.py"
+    file.write_text(file.read_text().replace('    kind: Literal["pd"] = "pd"\n', ""))
+    (pd / "s.toml").write_text(SCENARIO.format(bandwidth=20))
+    said = run(pd, "", "check", "s.toml", code=2)
+    assert 'TypeError: PD has no field kind: Literal["pd"] = "pd"' in said
 
 
 def test_a_target_motion_is_followed_and_declared_like_ours(tmp_path: Path) -> None:
@@ -344,6 +377,42 @@ with Mirror(load_scene("lwr")) as mirror:
     lines = printed.splitlines()  # with those of the log
     assert "True False True" in lines
     assert lines[-1] == "False [('broken fails and is taken out: a fault', True)]"
+
+
+def test_an_action_of_a_taken_name_is_told_and_left_out(tmp_path: Path) -> None:
+    code = (
+        "from sero_mj.viewer.session.tool import Key, Tool\n"
+        "class Gap(Tool):\n"
+        "    keys = {'y': Key('copy', 'copy the gap', '')}\n"
+        "    def actions(self):\n"
+        "        return {'copy': lambda: 'the gap', 'gap_copy': lambda: 'the gap'}\n"
+    )
+    write_package(tmp_path, "gap", code, TOOLS, gap="Gap")
+    printed = run(tmp_path, """
+from sero_mj import Mirror, load_scene
+from sero_mj.viewer.session.actions import Actions
+from sero_mj.viewer.session.tool import Tools
+from shown import Shown
+with Mirror(load_scene("lwr")) as mirror:
+    said = []
+    actions = Actions({"copy": lambda: "the host's"}, Tools(Shown(mirror)),
+                      lambda *told: said.append(told))
+    actions.perform("copy"), actions.perform("gap_copy")
+    print(said)
+""")  # fmt: skip
+    assert "the action copy of the tool gap is left out: another one has this name" in printed
+    assert printed.splitlines()[-1] == "[(\"the host's\", False), ('the gap', False)]"
+
+
+def test_a_command_that_cannot_be_added_is_told_and_left_out(tmp_path: Path) -> None:
+    code = "ORDER = 5\ndef add_to(commands):\n    raise ZeroDivisionError('a fault')\n"
+    (tmp_path / "odd.py").write_text(code)
+    register(tmp_path, "odd", COMMANDS, ["odd = odd"])
+    said = run(tmp_path, "", "--help")
+    assert "sero_mj.commands: 'odd' of odd 0.1 (odd) cannot be loaded: ZeroDivisionError" in said
+    assert "render" in said
+    said = run(tmp_path, "", "rendr", code=2)
+    assert "no command 'rendr'; did you mean 'render'?" in said and "Traceback" not in said
 
 
 def test_a_command_is_run_and_in_the_help(tmp_path: Path) -> None:

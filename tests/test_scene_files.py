@@ -33,9 +33,10 @@ structure = "7F"
 """
 
 
-def recorded(folder: Path, model: str) -> Path:
+def recorded(folder: Path, model: str, *, copies: bool = True) -> Path:
     """A recording, without packets, of a scene with a robot of its own, beside the scene."""
-    shutil.copytree(paths.models_dir() / "lwr", folder / model)
+    if copies:
+        shutil.copytree(paths.models_dir() / "lwr", folder / model)
     file = folder / "cell.toml"
     file.write_text(_SCENE.replace("MODEL", model))
     scene = load_scene(file)
@@ -89,6 +90,16 @@ def test_a_scene_that_cannot_be_shown_alone_says_what_to_give(
         view_of_file(path, None)
     assert "gone" in str(error.value) and "--replay run.mcap" in str(error.value)
     assert "/sero-mj-" not in str(error.value)
+
+
+def test_a_shipped_robot_is_taken_from_what_is_installed(tmp_path: Path) -> None:
+    (folder := tmp_path / "here").mkdir()
+    path = Path(shutil.move(recorded(folder, "lwr", copies=False), tmp_path))
+    with Recording(path) as recording:
+        assert "lwr/robot.toml" in recording.attachments  # without its meshes
+    shutil.rmtree(folder)
+    found = load_scene(view_of_file(path, None).scene)
+    assert World(found).model.nmeshvert > 1000
 
 
 def test_a_recording_writes_nothing_outside_of_its_folder(tmp_path: Path) -> None:

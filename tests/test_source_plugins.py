@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import raises_with
+from plugin_tools import write_package
 from polling import until
 from pydantic import PrivateAttr
 
@@ -254,3 +255,49 @@ def test_a_source_without_real_time_has_a_time_line() -> None:
         np.testing.assert_allclose(mirror.data.qpos, 0.5)
         clock.seek(9.0)
         assert clock.is_at_end
+
+
+def write_source(folder: Path, monkeypatch: pytest.MonkeyPatch, methods: str) -> Path:
+    """A scene with a source of a package, whose class has these methods and a file."""
+    code = (
+        "from pathlib import Path\n"
+        "from sero_mj.data.receive.source import Source\n"
+        f"class Tail(Source):\n    path: Path\n{methods}"
+    )
+    write_package(folder, "tail_source", code, SOURCES, tail="Tail")
+    monkeypatch.syspath_prepend(str(folder))
+    forget_plugins()
+    file = folder / "tail.toml"
+    file.write_text(
+        '[robots.lwr]\nmodel = "lwr"\n[sources.text]\nkind = "tail"\nstructure = "7F"\n'
+        'path = "data/angles.txt"\n[routes]\n"lwr.joint_angles" = "text.values0"\n'
+    )
+    return file
+
+
+@pytest.fixture
+def forgotten() -> Iterator[None]:
+    yield
+    forget_plugins()
+    sys.modules.pop("tail_source", None)
+
+
+@pytest.mark.usefixtures("forgotten")
+def test_files_of_a_source_are_relative_to_the_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    methods = "    def open(self): ...\n    def close(self): ...\n"
+    mirror = Mirror(load_scene(write_source(tmp_path, monkeypatch, methods)))
+    assert mirror.sources["text"].path == tmp_path / "data/angles.txt"
+
+
+@pytest.mark.usefixtures("forgotten")
+def test_a_source_that_lacks_a_method_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = write_source(tmp_path, monkeypatch, "    def open(self): ...\n")
+    with pytest.raises(DeclarationError) as error:
+        load_scene(scene)
+    (problem,) = error.value.problems
+    assert problem.key == "sources.text.kind"
+    assert "cannot be loaded: TypeError: Tail lacks close" in problem.message

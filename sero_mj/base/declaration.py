@@ -10,6 +10,7 @@ import inspect
 import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import (
     TYPE_CHECKING,
     Annotated,
@@ -281,6 +282,15 @@ def by_kind(table: Any, kinds: Mapping[str, type[T]], base: type[T]) -> T:
         DeclarationError: there is no such kind, or fields are invalid.
     """
     return table if isinstance(table, base) else kinds[kind_of(table, kinds)](**table)
+
+
+def file_fields(kind: type[Declaration]) -> list[str]:
+    """The fields of a declaration that are names of files, by their type `Path`."""
+    return [
+        name
+        for name, field in kind.model_fields.items()
+        if Path in (field.annotation, *get_args(field.annotation))
+    ]
 
 
 def kind_of(table: Any, kinds: Collection[str]) -> str:

@@ -22,6 +22,7 @@ from __future__ import annotations
 import difflib
 import reprlib
 import sys
+import traceback
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import KW_ONLY, dataclass, replace
@@ -340,6 +341,20 @@ class SimulationError(_ProblemError, RuntimeError):
 
 class RenderError(_ProblemError, RuntimeError):
     """No picture can be made: no software or hardware GL, or no place to write to."""
+
+
+def about_fault(error: Exception, kind: type) -> str:
+    """Returns kind, text and place of an error that code of another package has raised.
+
+    Args:
+        error: with its traceback.
+        kind: the class whose file is looked for there; its innermost line is told.
+    """
+    file = getattr(sys.modules.get(kind.__module__), "__file__", None)
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == file]
+    place = f" ({file}:{lines[-1]})" if lines else ""
+    return f"{type(error).__name__}: {error}{place}"
 
 
 class PluginError(SeroError):

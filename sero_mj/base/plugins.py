@@ -32,6 +32,7 @@ log = logging.getLogger(__name__)
 IMPORTERS, SOURCES = "sero_mj.importers", "sero_mj.sources"
 CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
 DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
+_WITH_KIND = (CONTROLLERS, TARGET_MOTIONS)  # classes say their name, the entry point's, again
 _OWN = "sero_mj"
 
 
@@ -89,7 +90,12 @@ def load_plugin(group: str, name: str, base: type | None = None) -> Any:
         found = known[name].load()
         if base is not None and not (isinstance(found, type) and issubclass(found, base)):
             raise TypeError(f"found {found!r}; expected a subclass of {base.__name__}")
+        if isinstance(found, type) and (lacking := getattr(found, "__abstractmethods__", ())):
+            raise TypeError(f"{found.__name__} lacks {', '.join(sorted(lacking))}")
         kind = getattr(found, "model_fields", {}).get("kind")
+        if kind is None and group in _WITH_KIND:
+            expected = f'{found.__name__} has no field kind: Literal["{name}"] = "{name}"'
+            raise TypeError(expected)
         if kind is not None and kind.default != name:
             raise Problem(
                 "", "found kind =", found=kind.default, expected="the entry point's name"

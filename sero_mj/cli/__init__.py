@@ -12,10 +12,12 @@ import sys
 from typing import Any, Protocol
 
 from .. import __version__
-from ..base.errors import DeclarationError, SeroError
-from ..base.plugins import COMMANDS, load_all, load_plugin, plugins
+from ..base.errors import DeclarationError, PluginError, SeroError, UnknownName
+from ..base.plugins import COMMANDS, is_own, load_all, load_plugin, plugins
 from ..viewer.headless.backend import choose_backend
 from ._arguments import OneLineParser, join_negative_values
+
+log = logging.getLogger(__name__)
 
 _DESCRIPTION = """\
 sero-mj shows what a torque-controlled robot feels.
@@ -47,6 +49,8 @@ def main(arguments: list[str] | None = None) -> None:
     if not given or (given[0].startswith("--") and given[0] not in ("--help", "--version")):
         given = ["view", *given]  # the start page
     try:
+        if not given[0].startswith("-") and given[0] not in plugins(COMMANDS):
+            raise UnknownName("command", given[0], plugins(COMMANDS))
         options = _parser(given[0]).parse_args(join_negative_values(given))
         status = options.run(options)
         sys.stdout.flush()
@@ -79,11 +83,19 @@ class Command(Protocol):
         """Adds the command to the subparsers of argparse, see `_arguments.command`."""
 
 
-def _commands(wanted: str) -> list[Command]:
-    """Loads the command of that name alone, or all commands if there is none of that name."""
+def _add_commands(commands: Any, wanted: str) -> None:
+    """Adds the command of that name alone, or all if there is none of that name."""
     if wanted in plugins(COMMANDS):
-        return [load_plugin(COMMANDS, wanted)]
-    return sorted(load_all(COMMANDS).values(), key=lambda command: command.ORDER)
+        load_plugin(COMMANDS, wanted).add_to(commands)
+        return
+    for name, command in sorted(load_all(COMMANDS).items(), key=lambda item: item[1].ORDER):
+        try:
+            command.add_to(commands)
+        except Exception as error:  # whatever another package does wrong
+            point = plugins(COMMANDS)[name]
+            if is_own(point):
+                raise
+            log.warning("%s; left out", PluginError(COMMANDS, point, error))
 
 
 def _parser(wanted: str) -> argparse.ArgumentParser:
@@ -95,6 +107,5 @@ def _parser(wanted: str) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"sero-mj {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for command in _commands(wanted):
-        command.add_to(commands)
+    _add_commands(commands, wanted)
     return parser

@@ -34,9 +34,11 @@ def run(options: CheckOptions) -> int:
     from ..robots.assemble.world import World
     from ..robots.declared.route_text import parts_of_origin
     from ..viewer.camera import list_cameras
+    from ..viewer.decor.feature import make_features
 
     scene = read_scene(options.scene)
     world = World(scene)
+    make_features(world)
     print(f"{scene.name}: no errors" + (f" in {scene.file}" if scene.file else ""))
     if scene.description:
         print(f"  about   {scene.description}")

@@ -13,6 +13,7 @@ from ..base.declaration import is_name
 from ..base.errors import UsageError
 from ..base.options import Option, positional
 from ..base.paths import format_of_file, model_name
+from ..base.plugins import is_own_class
 from ..robots.importers.importer import find_importer
 from ..robots.importers.known_formats import Mjcf, X3d
 from ._arguments import check_ending, check_new, command, writing
@@ -33,6 +34,7 @@ hand. Nothing that is there is written over. xacro becomes URDF if the package `
 Of MJCF the geoms stay in a copy of it, with all that it includes; joints, limits, inertias and
 couplings are in the robot file.
 """
+_ENDINGS = (".urdf", ".xacro", ".xml")
 _TIED = "\0"  # a space at which no line is broken
 _BESIDE = re.compile(
     rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<|^[ \t]*(?:mtllib|map_Kd)[ \t]+([^\r\n]+)",
@@ -182,9 +184,15 @@ def _check_format(path: Path) -> None:
             f"{path}: found a scene in X3D; expected a robot in URDF or MJCF. `sero-mj convert "
             f"{path} {path.stem}.toml` writes it as a scene of ours, `sero-mj view {path}` shows it"
         )
-    if ending not in (".urdf", ".xacro", ".xml") and (found := format_of_file(path)) is not None:
+    importer = None if ending in _ENDINGS else find_importer(path)
+    if importer is not None and not is_own_class(type(importer)):
+        raise UsageError(
+            f"{path}: found {ending}; expected {', '.join(_ENDINGS)}. A scene takes it as it is: "
+            f'model = "{path}" in [robots.NAME]'
+        )
+    if ending not in _ENDINGS and (found := format_of_file(path)) is not None:
         raise UsageError(f"{path}: is {found}; expected URDF, xacro or MJCF")
-    check_ending("FILE", path, (".urdf", ".xacro", ".xml"))
+    check_ending("FILE", path, _ENDINGS)
     if not path.is_file():
         raise UsageError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
     if ending == ".xml":

@@ -189,6 +189,9 @@ def field_rows(declaration: type[Declaration]) -> list[tuple[str, str, str]]:
     rows = []
     for name, field in declaration.model_fields.items():
         if name != "kind":
-            default = "" if field.is_required() else field.get_default(call_default_factory=True)
-            rows.append((name, " ".join(str(default).split()), about.get(name, "")))
+            default = ""
+            if not field.is_required():
+                found = field.get_default(call_default_factory=True)
+                default = " ".join(str(found).split()) or '""'
+            rows.append((name, default, about.get(name, "")))
     return rows

@@ -113,7 +113,8 @@ def run(options: NewOptions) -> int:
     name = options.name
     like = None if options.like is None else paths.find_model(options.like)
     if like is not None and like.suffix != ".toml":
-        how = f"sero-mj import {options.like} --out {name}" if like.suffix != ".xml" else ""
+        is_imported = like.suffix in (".urdf", ".xacro")
+        how = f"sero-mj import {options.like} --out {name}" if is_imported else ""
         hint = how or f'model = "{options.like}" in a scene takes it as it is'
         raise UsageError(f"--like: found {like.name}; expected a robot of TOML. {hint}")
     folder, scene = Path(name), Path(f"{name}.toml")

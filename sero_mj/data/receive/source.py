@@ -10,12 +10,13 @@ import threading
 import time as clock
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from pydantic import Field, PrivateAttr
 
-from ...base.declaration import kind_of
+from ...base.declaration import file_fields, kind_of
 from ...base.errors import (
     PluginError,
     Problem,
@@ -351,10 +352,13 @@ def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
         raise Problem(found=declared, expected="a table with kind, or a source").error()
     if "name" in declared:
         raise Problem("name", "belongs in the header; leave it out").error()
-    kind = kind_of(declared, plugins(SOURCES))
-    fields = {key: value for key, value in declared.items() if key != "kind"}
     try:
-        source: Source = load_plugin(SOURCES, kind)(**fields, name=name)
+        kind = load_plugin(SOURCES, kind_of(declared, plugins(SOURCES)), Source)
     except PluginError as error:
         raise Problem("kind", str(error)).error() from error
+    fields = {key: value for key, value in declared.items() if key != "kind"}
+    for key in file_fields(kind):
+        if isinstance(value := fields.get(key), str) and value:
+            fields[key] = Path(value)
+    source: Source = kind(**fields, name=name)
     return source

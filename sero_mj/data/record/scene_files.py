@@ -77,6 +77,8 @@ def write_scene(recording: Recording, name: str, folder: Path) -> Path | None:
             target = PurePosixPath(each.removeprefix(_TREE))
         elif target.parent == beside:
             target = PurePosixPath(target.name)
+        elif (paths.models_dir() / target.parent.name).is_dir():
+            continue  # shipped, with meshes that are not in the recording
         if target.is_absolute() or ".." in target.parts:
             continue
         file = folder / target

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from ...base import paths
-from ...base.declaration import is_name
+from ...base.declaration import file_fields, is_name
 from ...base.dotted_keys import lacking, parts_of, with_value
 from ...base.errors import (
     DeclarationError,
@@ -22,7 +22,7 @@ from ...base.errors import (
     nearest,
     problems_of,
 )
-from ...base.plugins import DECOR, load_plugin
+from ...base.plugins import DECOR, SOURCES, load_plugin
 from ...base.toml_file import located, read_toml
 from ..importers.importer import read_imported
 from ..importers.robot_file import read_robot_file
@@ -38,7 +38,10 @@ from .surroundings import Camera, Light, Object, View, set_directory
 T = TypeVar("T")
 log = logging.getLogger(__name__)
 # Sections of tables by name; an ambiguous name refers to the last section that has it.
-_ENTRIES = ("sources", "lights", "cameras", "objects", "frames", "arrows", "doubles", "robots")
+_ENTRIES = (
+    *("decor", "sources", "lights", "cameras", "objects", "frames", "arrows", "doubles"),
+    "robots",  # last, so that a name is a robot's first
+)
 _TABLES: Mapping[str, Callable[..., Any]] = {"view": View, "toggles": SceneToggles}
 _PLAIN = ("floor", "name", "description", "note")
 _OF_MODEL = ("model", "mount", "base_frame", "mirrored")  # keys only of groups with a model
@@ -506,8 +509,13 @@ class _Reader:
     def _source(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
         """Returns the table of a source, with file names relative to the scene's folder."""
         _check_name(name)
-        file = table.get("file")
-        return {**table, "file": str(self.path.parent / file)} if isinstance(file, str) else table
+        found = table.get("kind")
+        try:
+            files = file_fields(load_plugin(SOURCES, found)) if isinstance(found, str) else []
+        except (UnknownName, PluginError):  # reported where the source is made
+            files = []
+        relative = {key: table[key] for key in files if isinstance(table.get(key), str)}
+        return table | {key: str(self.path.parent / file) for key, file in relative.items()}
 
     def _decor(self, name: str, table: dict[str, Any]) -> dict[str, Any]:
         """Returns the settings of a visual feature, checked."""

@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar
 
-from ...base.errors import DeclarationError, Problem, SeroError
+from ...base.errors import DeclarationError, Problem, SeroError, about_fault
 from ...base.paths import format_of_file, read_head
 from ...base.plugins import IMPORTERS, is_own_class, load_all
 from .imported_tables import ImportedTables
@@ -123,6 +123,6 @@ def read_imported(
     except Exception as error:
         if isinstance(error, SeroError) or is_own_class(type(importer)):
             raise
-        name = type(importer).__name__
-        reason = f"cannot be read by {name}: {type(error).__name__}: {error}"
+        kind = type(importer)
+        reason = f"cannot be read by {kind.__name__}: {about_fault(error, kind)}"
         raise Problem("", reason, str(path)).error() from error

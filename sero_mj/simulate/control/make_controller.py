@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...base.declaration import by_kind
-from ...base.errors import DeclarationError, Problem, SeroError, SimulationError
+from ...base.errors import DeclarationError, Problem, SeroError, SimulationError, about_fault
 from ...base.frames import Array, Bools, RowIndex
 from ...base.plugins import CONTROLLERS, load_all
 from .controller import Controller, ControllerDeclaration, Sensed, Target
@@ -120,7 +120,8 @@ class LimitedController:
         except SeroError:
             raise
         except Exception as error:  # whatever somebody's own controller raises
-            what = f"{type(self.controller).__name__}.torques: {type(error).__name__}: {error}"
+            kind = type(self.controller)
+            what = f"{kind.__name__}.torques: {about_fault(error, kind)}"
             raise SimulationError(sensed.time, self._robot, what) from error
         if returned is not None:
             reason = "torques() has returned something; expected it to write into `out`"

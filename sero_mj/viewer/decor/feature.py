@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol
 
 from ...base.declaration import Declaration
-from ...base.errors import UnknownName
+from ...base.errors import DeclarationError, UnknownName, problems_of
 from ...base.frames import Array, Bools
 from ...base.plugins import DECOR, load_all
 from ...robots.assemble.world_view import WorldView
@@ -98,7 +98,7 @@ class Feature:
     Attributes:
         order: position in both passes, lowest first; built-in features have 10 to 90.
         settings_kind: declaration of its settings.
-        settings: those of the scene, once it is made.
+        settings: those of the scene, from `start` on.
     """
 
     order: ClassVar[int] = 100
@@ -107,6 +107,9 @@ class Feature:
 
     def __init__(self, world: WorldView) -> None:
         self.world = world
+
+    def start(self) -> None:
+        """Checks the settings against the world, once; raises DeclarationError, UnknownName."""
 
     def lay_out(self, frame: Frame) -> None:
         """Adds cards, corner panels and panels to the frame."""
@@ -132,5 +135,9 @@ def make_features(world: WorldView) -> list[Feature]:
         if settings.show:
             feature = kind(world)
             feature.settings = settings
+            try:
+                feature.start()
+            except (DeclarationError, UnknownName) as error:
+                raise DeclarationError(problems_of(error, f"decor.{name}")) from error
             made.append(feature)
     return made

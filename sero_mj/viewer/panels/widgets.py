@@ -21,7 +21,7 @@ class Line(NamedTuple):
 
     Attributes:
         name: in the legend.
-        rgb: its colour, where the host can set it.
+        rgb: its colour, red, green and blue from 0 to 1, where the host can set it.
         x: (k,), rising.
         y: (k,), NaN for a gap.
     """

@@ -28,14 +28,24 @@ class Actions:
     ) -> None:
         self._actions, self._tools, self._say = dict(own), tools, say
         self._keys = {**HOST_KEYS, **MORE_KEYS, **{key: Key(f"switch_{key}") for key in KEYS}}
-        for tool in tools.values():
-            for action, act in (tools.call(tool, lambda tool: tool.actions()) or {}).items():
-                self._actions.setdefault(action, partial(self._act, tool, act))
+        for name, tool in tools.items():
+            self._take_actions(name, tool)
         for name, tool in tools.items():
             self._take_keys(name, tool)
 
     def _act(self, tool: Tool, act: Action) -> str | None:
         return self._tools.call(tool, lambda _: act())
+
+    def _take_actions(self, name: str, tool: Tool) -> None:
+        """Adds what a tool does; reports names that are in use."""
+        for action, act in (self._tools.call(tool, lambda tool: tool.actions()) or {}).items():
+            if action in self._actions:
+                log.warning(
+                    "the action %s of the tool %s is left out: another one has this name; "
+                    "%s_%s would be its own", action, name, name, action,
+                )  # fmt: skip
+                continue
+            self._actions[action] = partial(self._act, tool, act)
 
     def _take_keys(self, name: str, tool: Tool) -> None:
         """Lets keys do what a tool does; reports those that are in use, or have no action."""
