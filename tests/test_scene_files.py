@@ -11,6 +11,7 @@ import pytest
 from sero_mj import UdpReceiver, World, load_scene
 from sero_mj.base import paths
 from sero_mj.base.errors import SeroError
+from sero_mj.cli import main
 from sero_mj.cli._opening import view_of_file
 from sero_mj.data.drive.record_sources import record_sources
 from sero_mj.data.record import scene_files
@@ -100,6 +101,22 @@ def test_a_shipped_robot_is_taken_from_what_is_installed(tmp_path: Path) -> None
     shutil.rmtree(folder)
     found = load_scene(view_of_file(path, None).scene)
     assert World(found).model.nmeshvert > 1000
+
+
+def test_a_recording_is_shown_by_its_name_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, picture = recorded(tmp_path, "arm"), tmp_path / "picture.png"
+    for command in (["render", "-o", str(picture)], ["export", "-o", str(tmp_path / "a.html")]):
+        with pytest.raises(SystemExit) as end:
+            main([*command, str(path), "--replay", str(path)])
+        assert end.value.code == 2
+        assert capsys.readouterr().err == f"sero-mj: --replay: {path} is a recording already\n"
+    shutil.rmtree(tmp_path / "arm")
+    (tmp_path / "cell.toml").unlink()
+    with pytest.raises(SystemExit) as end:
+        main(["render", str(path), "-o", str(picture), "--quality", "draft", "--wait", "0"])
+    assert end.value.code == 0 and picture.stat().st_size > 1000
 
 
 def test_a_recording_writes_nothing_outside_of_its_folder(tmp_path: Path) -> None:

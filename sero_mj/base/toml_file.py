@@ -116,7 +116,7 @@ def _as_text(contents: bytes) -> str:
 def _other_format(contents: bytes) -> str | None:
     """The format of a file mistaken for a scene or a robot, and what to do with it."""
     if contents.startswith(_MCAP):
-        return "is a recording; expected a TOML file, and the recording behind --replay"
+        return "is a recording; expected a TOML file. view, render and export show recordings"
     if (found := format_of(contents)) is None:
         return None
     how = "a robot is a Denavit-Hartenberg table in TOML, or URDF or MJCF in .urdf or .xml"

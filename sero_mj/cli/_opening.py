@@ -4,11 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, Protocol, Self, TypeVar
 
 from ..base import paths
 from ..base.errors import SeroError, UsageError
 from ..viewer.session.recent_views import RecentView, recent_views
 from ._arguments import read_scene, replay_instead
+from .shared_options import is_recording
+
+
+class _ShowsScene(Protocol):
+    """Options of a command that shows a scene or a recording."""
+
+    scene: Any
+    replay: Path | None
+
+    def model_copy(self, *, update: Any = None) -> Self: ...
+
+
+T = TypeVar("T", bound=_ShowsScene)
 
 
 def view_of_file(path: Path, shown: str | None) -> RecentView:
@@ -25,7 +39,7 @@ def view_of_file(path: Path, shown: str | None) -> RecentView:
     Raises:
         SeroError: there is no such file, or nothing shows the recording.
     """
-    if path.suffix.lower() != ".mcap":
+    if not is_recording(path):
         return RecentView(str(path.resolve()))
     if not path.is_file():
         raise UsageError(f"{path}: no such file")
@@ -47,6 +61,17 @@ def view_of_file(path: Path, shown: str | None) -> RecentView:
         f"{path.name}: found no scene that shows it; sero-mj view SCENE --replay {path.name} "
         "shows it by one"
     )
+
+
+def with_scene(options: T) -> T:
+    """Returns the options of what shows a scene; where that is a recording, with its own scene."""
+    if options.scene is None or not is_recording(options.scene):
+        return options
+    if options.replay is not None:
+        raise UsageError(f"--replay: {options.scene} is a recording already")
+    recording = Path(options.scene)
+    shown = {"scene": view_of_file(recording, None).scene, "replay": recording}
+    return options.model_copy(update=shown)
 
 
 def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:

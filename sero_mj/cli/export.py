@@ -8,7 +8,6 @@ from typing import Annotated, Self
 
 from pydantic import model_validator
 
-from ..base.errors import UsageError
 from ..base.options import Duration, Option, Time, ending, positional
 from ..viewer.headless.picture_options import Rate
 from ._arguments import command, progress_bar, read_scene, writing
@@ -94,9 +93,9 @@ def run(options: ExportOptions) -> int:
     from ..study.run_marks import marks_of
     from ..viewer.player.capture import capture
     from ..viewer.player.page import write_page
+    from ._opening import with_scene
 
-    if options.scene.lower().endswith(".mcap"):
-        options = _of_recording(options)
+    options = with_scene(options)
     scene = options.read(options.scene)
     is_new = not path.exists()
     with writing():
@@ -127,16 +126,6 @@ def run(options: ExportOptions) -> int:
 
 
 add_to = command("export", run, ExportOptions, _EPILOG)
-
-
-def _of_recording(options: ExportOptions) -> ExportOptions:
-    """The options with a recording's own scene, and with the recording."""
-    from ._opening import view_of_file
-
-    if options.replay is not None:
-        raise UsageError(f"--replay: {options.scene} is a recording already")
-    scene, *_ = view_of_file(Path(options.scene), None)
-    return options.model_copy(update={"scene": scene, "replay": Path(options.scene)})
 
 
 def _write_mjcf(options: ExportOptions, path: Path) -> int:

@@ -84,6 +84,9 @@ class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOp
 
 def run(options: RenderOptions) -> int:
     """Renders; returns 0."""
+    from ._opening import with_scene
+
+    options = with_scene(options)
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.viewer.headless.painter").setLevel(logging.INFO)
     if options.over is not None:

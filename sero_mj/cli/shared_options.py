@@ -28,6 +28,11 @@ Settings = Annotated[list[str], Option("KEY=VALUE", ("--set",))]
 Flag = Annotated[str | None, Option("NAME")]
 
 
+def is_recording(path: Path | str) -> bool:
+    """Whether a file is a recording, by its name."""
+    return str(path).lower().endswith(".mcap")
+
+
 class SceneArgument(Options):
     """The scene of a command.
 
@@ -108,7 +113,8 @@ class ReplayOptions(Options):
 
     @model_validator(mode="after")
     def _check_start(self) -> Self:
-        if self.start is not None and self.replay is None:
+        is_played = self.replay is not None or is_recording(vars(self).get("scene") or "")
+        if self.start is not None and not is_played:
             raise ValueError("--start is for recordings; give --replay REC.mcap as well")
         return self
 

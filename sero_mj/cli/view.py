@@ -62,7 +62,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
     """Show a scene in a window or on a web page, live.
 
     Attributes:
-        scene: scene or robot: a file, or a shipped name; a start page without one.
+        scene: scene, robot or recording: a file, or a shipped name; a start page without one.
         window: a window on this screen; the default if there is one.
         web: a page for web browsers.
         port: of the page; default the first free from 8080 on.
@@ -138,6 +138,9 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
 
 def run(options: ViewOptions) -> int:
     """Shows the scene until it is closed, or the start page until something is; returns 0."""
+    from ._opening import with_scene
+
+    options = with_scene(options)
     on_page = wants_page(options)
     if not on_page:
         # MuJoCo takes its OpenGL from the window here, whatever is right without one.
