@@ -2,6 +2,6 @@
 
 In: UDP packets, shared memory, KUKA FRI. Out: checked packets by event name, and counters of
 rejected ones.
-Open first: `source.py` (the common base of sources); `structure.py` and STRUCTURE.md are the packet
-language, `intake.py` has the checks of packets.
+Open first: `source.py` (the common base of sources); `structure.py` decodes packets, in the
+language that STRUCTURE.md explains; `intake.py` checks and counts them.
 """
