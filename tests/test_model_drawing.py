@@ -210,7 +210,7 @@ def test_pictures_have_red_inertias_in_a_transparent_arm(touching: Mirror) -> No
         for name in ("legend", "inertias", "transparent"):
             setattr(renderer.toggles, name, name != "legend")
             red, green, blue = np.moveaxis(renderer.render(touching.data).astype(int), 2, 0)
-            counts.append(int(((red > green + 50) & (red > blue + 50)).sum()))
+            counts.append(int(((red > green + 20) & (red > blue + 20)).sum()))
     few, some, many = counts
     assert some > few + 100 and many > 1.5 * some
 

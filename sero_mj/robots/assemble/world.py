@@ -169,8 +169,9 @@ class World(WorldView):
         for name, frame in self.scene.frames.items():
             data.mocap_pos[self.placed[name]] = OUT_OF_SIGHT
             self.set_declared(data, frame, ("frame",))
-        flags = [*self.flags.values()]
-        data.userdata[flags] = np.minimum(data.userdata[flags], SET_BY_SOURCE)
+        if self.owners:  # what is declared is no program's
+            flags = [*self.flags.values()]
+            data.userdata[flags] = np.minimum(data.userdata[flags], SET_BY_SOURCE)
         mujoco.mj_forward(self.model, data)
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
