@@ -203,6 +203,7 @@ def test_the_network_fails_the_same_way_for_one_seed() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_a_client_in_another_process_counts_what_was_withheld() -> None:
     faults = {"loss": 0.1, "duplicates": 0.05, "swaps": 0.05, "seed": 5}
     with FriReceiver(udpport=0, only_latest_packet=False, buffer_size=4_000_000) as receiver:

@@ -53,6 +53,7 @@ def use(window: Driven, *buttons: str, axes: tuple[float, ...] = REST) -> None:
 @pytest.mark.gl
 @pytest.mark.live
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
+@pytest.mark.thorough
 def test_sticks_move_view_and_robot_and_buttons_press_keys(window: Driven) -> None:
     use(window)
     assert window.ask("w.notice.text").startswith("Pad: sticks turn and move the view")

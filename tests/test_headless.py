@@ -252,6 +252,7 @@ def test_a_draft_has_the_textures_that_opengl_would_make(world, monkeypatch) -> 
     assert np.ptp(pictures[0][:, 2], axis=0).min() > 10  # sky, haze and tiles
 
 
+@pytest.mark.thorough
 def test_a_fine_picture_is_smoother_and_has_the_same_size_panels_and_text(world) -> None:
     pictures, panels = {}, {}
     for quality in ("normal", "fine"):
@@ -296,7 +297,7 @@ def test_what_is_rendered_leaves_the_model_as_it_was(world) -> None:
 
 
 @pytest.mark.parametrize("name", ["lwr_udp", "haptic_position", "justin_push", "lwr_hit_hand"])
-@pytest.mark.parametrize("size", sampled([(390, 844), (640, 480), (600, 600), (1280, 800)], 2))
+@pytest.mark.parametrize("size", sampled([(390, 844), (640, 480), (600, 600), (1280, 800)], 1))
 def test_robots_are_in_pictures_of_any_shape(name: str, size: tuple[int, int]) -> None:
     world = World(load_scene(name))
     data, camera = world.make_data(), find_camera(world)

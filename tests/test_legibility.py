@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import pytest
-from conftest import examples
+from conftest import examples, sampled
 from decor_tools import world_of
 from numpy.typing import NDArray
 from PIL import Image
@@ -119,7 +119,7 @@ def world() -> World:
     shutil.which("tesseract") is None,
     reason="tesseract is not installed: apt-get install tesseract-ocr",
 )
-@pytest.mark.parametrize("size", [(1280, 800), (640, 480)])
+@pytest.mark.parametrize("size", sampled([(1280, 800), (640, 480)], 1))
 def test_an_ocr_program_reads_the_numbers_of_all_billboards(
     world: World, size: tuple[int, int]
 ) -> None:

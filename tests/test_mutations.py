@@ -27,6 +27,7 @@ Mutation = dict[str, Any] | str
 LEAST = 8
 # Of every scenario: in a test of every day, in a thorough one; all in that of `make mutations`.
 TRIED = {25: 2, 100: LEAST}.get(examples(100))
+SLOW = ("biped_stand", "hit_hand_grasp", "justin_push")
 GAINS = "controllers.lwr"
 OFF = {"kind": "torque", "compensate_gravity": False}
 
@@ -483,7 +484,11 @@ def test_nothing_is_noticed_where_nothing_is_wrong(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "what"),
-    [(name, what) for name, mutations in MUTATIONS.items() for what in list(mutations)[:TRIED]],
+    [
+        pytest.param(name, what, marks=[pytest.mark.thorough] if name in SLOW else [])
+        for name, mutations in MUTATIONS.items()
+        for what in list(mutations)[:TRIED]
+    ],
 )
 def test_what_is_wrong_is_noticed(name: str, what: str, tmp_path: Path) -> None:
     assert noticed(mutated(name, MUTATIONS[name][what], tmp_path)), f"{name}: {what}"

@@ -19,7 +19,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Self
 
-import nbformat
 import numpy as np
 import pytest
 from conftest import ROOT
@@ -300,6 +299,8 @@ def cell_page(page: Any) -> Any:
 def test_jupyterlab_shows_it_live_and_plays_it_when_it_is_opened_again(
     browser: Any, tmp_path: Path
 ) -> None:
+    import nbformat  # takes seconds, which each worker would spend
+
     book = nbformat.v4.new_notebook()
     python = {"name": "python3", "display_name": "Python 3", "language": "python"}
     book.metadata["kernelspec"] = python

@@ -84,7 +84,7 @@ def write_video(
 
 
 @pytest.mark.gl
-@pytest.mark.parametrize(("begin", "lens"), sampled([[4.321, "barrel"], [13.0, "none"]], 1))
+@pytest.mark.parametrize(("begin", "lens"), sampled([[13.0, "none"], [4.321, "barrel"]], 1))
 def test_the_beginning_of_a_video_is_found_within_one_frame(
     begin: float, lens: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

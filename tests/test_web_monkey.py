@@ -22,7 +22,7 @@ _BLACK_PICTURES = """[setattr(w.tools["pulling"]._exports, "add", lambda *_: 0),
     setattr(type(w), "picture", lambda self: np.zeros((48, 64, 3), np.uint8))] and None""".replace(
     "\n", " "
 )
-EVENTS, AT_ONCE = examples(2000), 40
+EVENTS, AT_ONCE = 2000 if examples(100) >= 100 else 200, 40
 # What can be clicked on in panels, by a name: left, top, right, bottom. Not what leads elsewhere.
 _PLACES = """() => Object.fromEntries([...document.querySelectorAll(
     "#panel button, #panel input, #panel select, #panel summary, #timeline button, #timeline input,"

@@ -271,6 +271,7 @@ def test_a_browser_without_webgl_says_so_and_has_nothing_to_press(browser: Any, 
     page.context.close()
 
 
+@pytest.mark.thorough
 def test_graphics_that_the_browser_takes_away_are_told_and_come_back(
     browser: Any, file: Path
 ) -> None:

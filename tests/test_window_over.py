@@ -147,6 +147,7 @@ def test_what_is_no_camera_is_told(
 
 @pytest.mark.gl
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
+@pytest.mark.thorough
 def test_a_window_shows_decor_over_what_the_camera_sends(tmp_path: Path) -> None:
     by = camera("barrel", (320, 180))
     write_camera(tmp_path / "c.toml", by)

@@ -125,6 +125,7 @@ def test_the_picture_shows_photo_marks_and_list_at_any_size() -> None:
 
 @pytest.mark.gl
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
+@pytest.mark.thorough
 def test_a_camera_is_found_by_clicks_in_a_window(tmp_path: Path) -> None:
     by = camera("none", PHOTO)
     _, _, pixels = robot(by)
