@@ -102,6 +102,23 @@ def test_shape_stands_in_its_size_and_colour_at_its_frame(shape, size, halves):
         np.testing.assert_allclose(T, parent @ POSE, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("shape", "size", "slices"),
+    [
+        ("sphere", [0.1], 24),
+        ("cylinder", [0.1, 3.0], 24),  # long, but not wide
+        ("cylinder", [0.56, 0.1], 48),
+        ("ellipsoid", [0.1, 0.1, 0.56], 48),
+        ("sphere", [5.0], 60),
+        ("box", [2.0, 2.0, 2.0], 24),
+    ],
+)
+def test_large_round_shapes_are_drawn_finer(shape, size, slices):
+    scene = Scene(objects=[Object(name="thing", shape=shape, size=size)])
+    quality = World(scene).model.vis.quality
+    assert (quality.numslices, quality.numstacks) == (slices, round(10 * slices / 24))
+
+
 def test_axes_are_a_frame_that_is_always_shown():
     item = Object(name="it", shape="axes", size=[0.3], frame=POSE)
     for world, data, scope, parent in holders(item):

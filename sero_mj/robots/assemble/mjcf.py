@@ -47,6 +47,10 @@ _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 _KEY_LIGHT = np.array([1.5, -1.5, 4.0])  # position relative to the middle of the robots, m
 _TILE = 0.25  # edge of a tile of the floor, m
 _SCENE_SIZE = 1.25  # of a robot for which these are chosen, m
+_SLICES, _STACKS = 24, 10  # of round geoms, about their axis and along it
+_ROUND, _FINEST = 0.14, 2.5  # m, up to which radius that is enough; and at most so much finer
+_BALLS = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+_TUBES = (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE)
 _SPOT = mujoco.mjtLightType.mjLIGHT_SPOT
 # A double is slightly smaller than its robot, so that its surface is inside the robot's where they
 # nearly coincide, without flicker (z-fighting).
@@ -101,7 +105,20 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     for double in scene.doubles.values():
         _add_double(root, double, scene.robots[double.of], bases[double.of])
     _add_frames(root, scene)
+    _refine_round_geoms(root)
     return root
+
+
+def _refine_round_geoms(root: mujoco.MjSpec) -> None:
+    """Lets MuJoCo draw round geoms of more triangles where one is so large that edges are seen.
+
+    The number is one for a whole model, and robots of many cylinders would be drawn half as fast.
+    """
+    largest = max((max(geom.size) for geom in root.geoms if geom.type in _BALLS), default=0.0)
+    tubes = (float(geom.size[0]) for geom in root.geoms if geom.type in _TUBES)
+    finer = np.clip(np.sqrt(max(largest, *tubes, 0.0) / _ROUND), 1.0, _FINEST)
+    quality = root.visual.quality
+    quality.numslices, quality.numstacks = round(_SLICES * finer), round(_STACKS * finer)
 
 
 def _add_frames(root: mujoco.MjSpec, scene: Scene) -> None:
@@ -246,7 +263,7 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
     _add_headlight(root, palette)
     visual.rgba.haze = [*palette.haze, 1]
     visual.quality.shadowsize, visual.quality.offsamples = 2048, 4
-    visual.quality.numslices, visual.quality.numstacks = 24, 10
+    visual.quality.numslices, visual.quality.numstacks = _SLICES, _STACKS
     visual.quality.numquads = 1  # boxes of 12 triangles: arrows have hundreds of them
     visual.map.znear, visual.map.zfar = 0.01, 50.0
     _add_sky(root, palette)

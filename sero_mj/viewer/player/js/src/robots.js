@@ -23,9 +23,9 @@ function shapeOf(geom, run) {
   const [a, b, c] = geom.size;
   switch (geom.type) {
     case 0: return planeOf(geom, run);
-    case 2: return ball(16).scale(a, a, a);
+    case 2: return ball(a).scale(a, a, a);
     case 3: return capsule(a, b);
-    case 4: return ball(16).scale(a, b, c);
+    case 4: return ball(Math.max(a, b, c)).scale(a, b, c);
     case 5: return cylinder(a, b);
     case 6: return new THREE.BoxGeometry(2 * a, 2 * b, 2 * c);
     default: {

@@ -98,17 +98,25 @@ function direction(run, geom, { attributes: { position } }, i) {
   return unit.map((each, k) => uniform ? each * extents[k] : each);
 }
 
-/** A ball of radius 1 about z, or a part of it. @param {number} rows @param {number[]} part */
-export const ball = (rows, ...part) =>
-  new THREE.SphereGeometry(1, 24, rows, 0, 2 * Math.PI, ...part).rotateX(UP).rotateZ(2 * UP);
+/** How many sides a round shape of a radius has, m: more where one would see its edges. */
+const sides = (/** @type {number} */ radius) =>
+  Math.round(28 * Math.min(Math.max(Math.sqrt(radius / 0.14), 1), 2.5));
+
+/**
+ * A ball of radius 1 about z, or a part of it. @param {number} radius that it will be drawn with
+ * @param {number} share of all rows that it has @param {number[]} part
+ */
+export const ball = (radius, share = 1, ...part) =>
+  new THREE.SphereGeometry(1, sides(radius), Math.round(sides(radius) * 0.58 * share), 0,
+    2 * Math.PI, ...part).rotateX(UP).rotateZ(2 * UP);
 
 /** A cylinder about z. @param {number} a radius @param {number} b half its length @param {boolean} isOpen */
 export const cylinder = (a, b, isOpen = false) =>
-  new THREE.CylinderGeometry(a, a, 2 * b, 28, 1, isOpen).rotateX(UP).rotateZ(UP);
+  new THREE.CylinderGeometry(a, a, 2 * b, sides(a), 1, isOpen).rotateX(UP).rotateZ(UP);
 
 /** A capsule about z. @param {number} a radius @param {number} b half the length between its ends */
 export function capsule(a, b) {
-  const ends = [ball(8, 0, UP), ball(8, UP, UP)].map((each, k) =>
+  const ends = [ball(a, 0.5, 0, UP), ball(a, 0.5, UP, UP)].map((each, k) =>
     each.scale(a, a, a).translate(0, 0, k ? -b : b));
   const parts = [cylinder(a, b, true), ...ends].map((each) => each.toNonIndexed());
   const whole = new THREE.BufferGeometry();
