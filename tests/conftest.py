@@ -19,6 +19,7 @@ import importlib.util
 import math
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import zlib
@@ -47,7 +48,7 @@ settings.load_profile("quarter")
 # What a machine cannot have: dm-control from Python 3.13 on, and what is of another system.
 _MAY_BE_SKIPPED = (
     "dm-control is not installed", "by hand", "Linux", "no IPv6 groups",
-    "stable-baselines3",
+    "stable-baselines3", "octave-cli", "rustc",
 )  # fmt: skip
 # Browsers and windows take both cores; of several workers one runs all pages, and one all windows.
 # Start pages of either listen on the same ports.
@@ -100,6 +101,13 @@ def sampled(cases: Iterable[Any], kept: int) -> list[Any]:
         )
         for k, case in enumerate(cases)
     ]
+
+
+def free_udp_port() -> int:
+    """A port on which nobody listens."""
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        return int(sock.getsockname()[1])
 
 
 def import_script(path: Path) -> ModuleType:

@@ -54,6 +54,8 @@ def read_package(folder: Path = PACKAGE) -> dict[str, str]:
     """Module name below `sero_mj` to source; a package has its folder's name."""
     sources = {}
     for file in sorted(folder.rglob("*.py")):
+        if file.parent.name == "snippets":  # for programs of users
+            continue
         parts = list(file.relative_to(folder).with_suffix("").parts)
         if parts[-1] == "__init__":
             parts.pop()

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import free_udp_port
 
 from sero_mj.cli import main
 from sero_mj.data.receive.report import describe, report
@@ -39,16 +40,10 @@ def packet(number: int, identity: int = 7, value: float = 0.0, corner: float = 1
     return struct.pack("<IH18d", number, identity, value, 0.0, *matrix)
 
 
-def free_port() -> int:
-    with socket.socket(type=socket.SOCK_DGRAM) as sock:
-        sock.bind(("127.0.0.1", 0))
-        return int(sock.getsockname()[1])
-
-
 @pytest.fixture
 def scene(tmp_path: Path) -> Callable[[], tuple[Path, int]]:
     def write() -> tuple[Path, int]:
-        port = free_port()
+        port = free_udp_port()
         file = tmp_path / "scene.toml"
         file.write_text(SCENE.format(port=port))
         return file, port

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import raises_with
+from conftest import free_udp_port, raises_with
 from polling import until
 
 from sero_mj import Scene, SerialRobot, UdpReceiver
@@ -322,12 +322,6 @@ def write_scene(path: Path, port: int) -> Path:
     return path
 
 
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
     with pytest.raises(SystemExit) as ended:
         main(arguments)
@@ -338,7 +332,7 @@ def run(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, 
 def test_packets_of_another_process_are_kept_about_an_event_and_can_be_replayed_and_compared(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    port = free_port()
+    port = free_udp_port()
     file = write_scene(tmp_path / "cell.toml", port)
     sender = subprocess.Popen([sys.executable, "-c", SENDER, str(port)])
     try:
@@ -370,7 +364,7 @@ def test_packets_of_another_process_are_kept_about_an_event_and_can_be_replayed_
 def test_events_are_found_in_a_recording_as_they_were_live(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = write_scene(tmp_path / "cell.toml", free_port())
+    file = write_scene(tmp_path / "cell.toml", free_udp_port())
     whole = tmp_path / "whole.mcap"
     packets, times = numbered(1000, {200: 25, 700: 30})
     of = scene()

@@ -1,0 +1,99 @@
+"""`sero-mj snippet`: lines for a user's own control loop that send what a scene here takes."""
+
+from __future__ import annotations
+
+import re
+from importlib import resources
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Annotated
+
+from ..base.errors import UnknownName
+from ..base.options import Option, Options, Port, positional
+from ._arguments import command, read_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_EPILOG = """\
+examples:
+  sero-mj snippet franka-cpp > sero_mj.hpp               what a libfranka loop includes
+  sero-mj snippet franka-cpp --scene > franka.toml       the scene that shows what it sends
+  sero-mj snippet c --robot my_arm/robot.toml --host 192.168.0.7 --port 32001
+
+Every packet has a count, a time (s), and angles (rad), measured and commanded torques (Nm) of all
+joints, as little-endian float64: the count tells lost packets, the time jitter. NaN is no data.
+"""
+_SCENE = """\
+# Shows what the lines of `sero-mj snippet {name}` send: angles (rad), measured and commanded
+# torques (Nm) of {n} joints.
+[robots.{robot}]
+model = "{model}"
+show_arrows = true
+show_billboards = true
+
+[sources.udp]
+kind = "udp"
+host = "{host}"
+port = {port}
+structure = "count:1I time:1F angles:{n}F torques:{n}F commanded:{n}F"
+sequence = "count"
+time = "time"
+
+[routes]
+"{robot}.joint_angles" = "udp.angles"
+"{robot}.torques" = "udp.torques"
+"{robot}.commanded_torques" = "udp.commanded"
+"""
+_LOOPBACK = "127.0.0.1"
+_HOST, _PORT = re.compile(r"127\.0\.0\.1"), re.compile(r"\b32000\b")
+_JOINTS = re.compile(r"(JOINTS\b[^\d\n]{1,9})\d+")
+ORDER = 33  # in the help of `sero-mj`
+
+
+class SnippetOptions(Options):
+    """Print lines for your control loop that send what a scene here takes.
+
+    Attributes:
+        name: franka-cpp, franka-python, ur, ros2, lcm, simulink, c or rust.
+        robot: that the scene shows: a file, or a shipped name.
+        host: where sero-mj runs, as the robot's computer knows it.
+        port: of the packets.
+        scene: print the scene instead.
+    """
+
+    name: Annotated[str, positional("NAME")]
+    robot: Annotated[str, Option("ROBOT")] = "lwr"
+    host: Annotated[str, Option("HOST")] = _LOOPBACK
+    port: Port = 32000
+    scene: bool = False
+
+
+def snippets() -> Mapping[str, str]:
+    """Returns the texts of all snippets by name."""
+    folder = resources.files(__package__) / "snippets"
+    files = sorted(folder.iterdir(), key=lambda file: file.name)
+    return {PurePath(each.name).stem: each.read_text("utf-8") for each in files if each.is_file()}
+
+
+def run(options: SnippetOptions) -> int:
+    """Prints; returns 0."""
+    known = snippets()
+    if options.name not in known:
+        raise UnknownName("snippet", options.name, known)
+    robot = next(iter(read_scene(options.robot).robots.values()))
+    n = robot.coupled.k  # others follow
+    if options.scene:
+        print(
+            _SCENE.format(
+                name=options.name, robot=robot.name, model=options.robot, n=n,
+                host=options.host, port=options.port,
+            ),
+            end="",
+        )  # fmt: skip
+        return 0
+    text = _JOINTS.sub(rf"\g<1>{n}", known[options.name])
+    print(_PORT.sub(str(options.port), _HOST.sub(options.host, text)), end="")
+    return 0
+
+
+add_to = command("snippet", run, SnippetOptions, _EPILOG)

@@ -1,0 +1,37 @@
+/* Call sero_send in your control loop: it never blocks, allocates or fails loudly. */
+#include <arpa/inet.h>
+#include <stdint.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <time.h>
+
+#define JOINTS 7
+#define HOST "127.0.0.1" /* where sero-mj runs */
+#define PORT 32000
+
+#pragma pack(push, 1)
+struct sero_packet {
+  uint32_t count; /* little-endian, as all that follows; x86 and ARM are */
+  double time, angles[JOINTS], torques[JOINTS], commanded[JOINTS]; /* s, rad, Nm, Nm */
+};
+#pragma pack(pop)
+
+static void sero_send(const double *angles, const double *torques, const double *commanded) {
+  static int socket_ = -1;
+  static struct sockaddr_in to;
+  static struct sero_packet packet;
+  struct timespec now;
+  if (socket_ < 0) {
+    socket_ = socket(AF_INET, SOCK_DGRAM, 0);
+    to.sin_family = AF_INET;
+    to.sin_port = htons(PORT);
+    inet_pton(AF_INET, HOST, &to.sin_addr);
+  }
+  clock_gettime(CLOCK_REALTIME, &now);
+  packet.count++;
+  packet.time = now.tv_sec + 1e-9 * now.tv_nsec;
+  memcpy(packet.angles, angles, sizeof packet.angles);
+  memcpy(packet.torques, torques, sizeof packet.torques);
+  memcpy(packet.commanded, commanded, sizeof packet.commanded);
+  sendto(socket_, &packet, sizeof packet, MSG_DONTWAIT, (struct sockaddr *)&to, sizeof to);
+}

@@ -1,0 +1,32 @@
+"""Passes on IIWA_STATUS of drake-iiwa-driver: `python lcm.py`, with the packages lcm and drake."""
+
+import itertools
+import socket
+import struct
+
+import lcm
+from drake import lcmt_iiwa_status
+
+JOINTS = 7
+HOST, PORT = "127.0.0.1", 32000  # where sero-mj runs
+
+counts = itertools.count(1)
+to = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+
+def send(channel, data):
+    """Sends a status: positions in rad, torques in Nm."""
+    status = lcmt_iiwa_status.decode(data)
+    values = (
+        *status.joint_position_measured,
+        *status.joint_torque_measured,
+        *status.joint_torque_commanded,
+    )
+    packet = struct.pack(f"<Id{3 * JOINTS}d", next(counts), 1e-6 * status.utime, *values)
+    to.sendto(packet, (HOST, PORT))
+
+
+line = lcm.LCM()
+line.subscribe("IIWA_STATUS", send)
+while True:
+    line.handle()

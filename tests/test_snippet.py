@@ -1,0 +1,223 @@
+"""Snippets for control loops are compiled and run, and what they send moves their scene."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import run_command
+from conftest import free_udp_port
+from polling import until
+
+from sero_mj import Mirror, load_scene
+from sero_mj.cli.snippet import snippets
+
+N = 7
+ANGLES, TORQUES, COMMANDED = 0.1 * np.arange(N), 2.0 * np.arange(N), 3.0 + np.arange(N)
+TIME = 1.5e9
+# C's `double angles[7] = {...}` and so on, by what stands before and behind the numbers.
+_NAMES = {"angles": ANGLES, "torques": TORQUES, "commanded": COMMANDED}
+
+
+def numbers(values: np.ndarray) -> str:
+    return ", ".join(f"{value:.17f}" for value in values)
+
+
+def compiled(folder: Path, name: str, text: str, compiler: str, *options: str) -> list[str]:
+    if shutil.which(compiler) is None:
+        pytest.skip(f"needs the compiler {compiler}")
+    (folder / name).write_text(text)
+    program = folder / "sender"
+    subprocess.run([compiler, *options, name, "-o", str(program)], cwd=folder, check=True)
+    return [str(program)]
+
+
+def c(folder: Path, text: str) -> list[str]:
+    arrays = "".join(f"double {name}[] = {{{numbers(v)}}};" for name, v in _NAMES.items())
+    call = "sero_send(angles, torques, commanded)"
+    main = f"int main(void) {{ {arrays} for (int k = 0; k < 5; k++) {call}; return 0; }}"
+    return compiled(folder, "sender.c", f"{text}\n{main}\n", "gcc", "-Wall", "-Wextra", "-Werror")
+
+
+def franka_cpp(folder: Path, text: str) -> list[str]:
+    (folder / "franka").mkdir()
+    (folder / "franka" / "robot_state.h").write_text(  # these fields are in libfranka's as well
+        "#pragma once\n#include <array>\nnamespace franka { struct RobotState {"
+        " std::array<double, 7> q, tau_J, tau_J_d; }; }\n"
+    )
+    state = "{" + ", ".join(f"{{{numbers(values)}}}" for values in _NAMES.values()) + "}"
+    main = (
+        f"int main() {{ franka::RobotState state{state};"
+        " for (int k = 0; k < 5; k++) sero.send(state); }"
+    )
+    options = ("-std=c++17", "-Wall", "-Werror", "-Wno-missing-braces", "-I.")
+    return compiled(folder, "sender.cpp", f"{text}\n{main}\n", "g++", *options)
+
+
+def rust(folder: Path, text: str) -> list[str]:
+    arrays = ", ".join(f"&[{numbers(values)}]" for values in _NAMES.values())
+    main = (
+        "fn main() { let mut sero = SeroMj::new().unwrap();"
+        f" for _ in 0..5 {{ sero.send({TIME:.1f}, {arrays}); }} }}"
+    )
+    return compiled(folder, "sender.rs", f"{text}\n{main}\n", "rustc", "-D", "warnings")
+
+
+def simulink(folder: Path, text: str) -> list[str]:
+    """Runs it by Octave: what it returns is sent by Python."""
+    if shutil.which("octave-cli") is None:
+        pytest.skip("needs the interpreter octave-cli")
+    (folder / "sero_packet.m").write_text(text)
+    arrays = ", ".join(f"[{numbers(values)}]" for values in _NAMES.values())
+    code = f"for k = 1:5, fwrite(stdout, sero_packet(k, {TIME}, {arrays}), 'uint8'); end"
+    packets = subprocess.run(
+        ["octave-cli", "--eval", code], cwd=folder, check=True, capture_output=True
+    ).stdout
+    port = int(text.rpartition(", ")[2].strip().rstrip(")"))
+    (folder / "send.py").write_text(
+        f"import socket\npackets = {packets!r}\nsize = len(packets) // 5\n"
+        "to = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)\n"
+        "for k in range(5):\n"
+        f"    to.sendto(packets[size * k : size * (k + 1)], ('127.0.0.1', {port}))\n"
+    )
+    return [sys.executable, "send.py"]
+
+
+def python(**modules: str) -> Callable[[Path, str], list[str]]:
+    """How a snippet in Python runs with modules that stand for the robot's, which end it."""
+
+    def build(folder: Path, text: str) -> list[str]:
+        values = "".join(f"{name} = {list(map(float, v))}\n" for name, v in _NAMES.items())
+        (folder / "values.py").write_text(f"{values}time = {TIME}\n")
+        for name, code in modules.items():
+            (folder / f"{name}.py").write_text(f"import sys\nfrom values import *\n{code}")
+        (folder / "sender.py").write_text(text)
+        return [sys.executable, "sender.py", "10.0.0.1"]
+
+    return build
+
+
+_COUNTED = """
+class Robot:
+    def __init__(self, address, rate=0.0):
+        assert address == "10.0.0.1"
+        self.left = 5
+    def counted(self):
+        self.left -= 1
+        if self.left < 0:
+            sys.exit()
+"""
+_FRANKA = f"""{_COUNTED}
+    q, tau_J, tau_J_d = angles, torques, commanded
+    def read_once(self):
+        self.counted()
+        return self
+"""
+_UR = f"""{_COUNTED}
+    def getActualQ(self):
+        self.counted()
+        return angles
+    def getTargetMoment(self):
+        return commanded
+    def getActualCurrentAsTorque(self):
+        return torques
+RTDEReceiveInterface = Robot
+"""
+_LCM = """
+class LCM:
+    def subscribe(self, channel, handler):
+        assert channel == "IIWA_STATUS"
+        self.handler, self.left = handler, 5
+    def handle(self):
+        self.left -= 1
+        if self.left < 0:
+            sys.exit()
+        self.handler("IIWA_STATUS", b"status")
+"""
+_DRAKE = """
+class lcmt_iiwa_status:
+    joint_position_measured, joint_torque_measured = angles, torques
+    joint_torque_commanded, utime = commanded, 1e6 * time
+    def decode(data):
+        assert data == b"status"
+        return lcmt_iiwa_status
+"""
+_ROS = """
+from types import ModuleType, SimpleNamespace
+class JointState: ...
+class Node:
+    def __init__(self, name): ...
+    def create_subscription(self, kind, topic, call, qos):
+        assert (kind, topic) == (JointState, "joint_states")
+        self.call = call
+def init(): ...
+def spin(node):
+    stamp = SimpleNamespace(sec=int(time), nanosec=0)
+    # In the order of the first message; what others have comes in between.
+    names = [f"joint{k}" for k in range(7)]
+    for turn in range(5):
+        order = range(7) if turn == 0 else range(6, -1, -1)
+        node.call(SimpleNamespace(
+            header=SimpleNamespace(stamp=stamp), name=[names[k] for k in order],
+            position=[angles[k] for k in order], effort=[torques[k] for k in order]))
+        node.call(SimpleNamespace(
+            header=SimpleNamespace(stamp=stamp), name=["wheel"], position=[1.0], effort=[]))
+for name, has in {"rclpy.node": {"Node": Node}, "rclpy.qos": {"qos_profile_sensor_data": 0},
+                  "sensor_msgs": {}, "sensor_msgs.msg": {"JointState": JointState}}.items():
+    sys.modules[name] = ModuleType(name)
+    vars(sys.modules[name]).update(has)
+"""
+BUILD: dict[str, Callable[[Path, str], list[str]]] = {
+    "c": c,
+    "franka-cpp": franka_cpp,
+    "franka-python": python(pylibfranka=_FRANKA),
+    "lcm": python(lcm=_LCM, drake=_DRAKE),
+    "ros2": python(rclpy=_ROS),
+    "rust": rust,
+    "simulink": simulink,
+    "ur": python(rtde_receive=_UR),
+}
+
+
+def test_all_are_tried() -> None:
+    assert BUILD.keys() == snippets().keys()
+
+
+@pytest.mark.parametrize("name", BUILD)
+def test_what_a_snippet_sends_is_what_its_scene_shows(name: str, tmp_path: Path) -> None:
+    port = str(free_udp_port())
+    status, text = run_command(["snippet", name, "--port", port], tmp_path, os.environ)
+    assert status == 0
+    sender = BUILD[name](tmp_path, text)
+    status, scene = run_command(["snippet", name, "--scene", "--port", port], tmp_path, os.environ)
+    assert status == 0
+    (tmp_path / "scene.toml").write_text(scene)
+    with Mirror(load_scene(tmp_path / "scene.toml")) as mirror:
+        source = mirror.sources["udp"]
+        subprocess.run(sender, cwd=tmp_path, check=True, timeout=30)
+        until(lambda: source.counters.received == 5)
+        mirror.advance()
+        data, slots = mirror.data, mirror.world.slots
+        assert data.qpos == pytest.approx(ANGLES)
+        assert data.userdata[slots["lwr.torques"]] == pytest.approx(TORQUES)
+        commanded = np.full(N, np.nan) if name == "ros2" else COMMANDED
+        found = data.userdata[slots["lwr.commanded_torques"]]
+        assert found == pytest.approx(commanded, nan_ok=True)
+        counters = source.counters
+        assert (counters.malformed, counters.wrong_size, counters.lost) == (0, 0, 0)
+
+
+def test_a_robot_gives_the_number_of_joints_and_a_mistyped_name_is_told(tmp_path: Path) -> None:
+    status, text = run_command(
+        ["snippet", "c", "--robot", "hit_finger", "--host", "10.1.2.3"], tmp_path, os.environ
+    )
+    assert status == 0 and '#define HOST "10.1.2.3"' in text
+    assert "#define JOINTS 3\n" in text  # the last of four is coupled
+    status, said = run_command(["snippet", "frank-cpp"], tmp_path, os.environ)
+    assert status == 2 and said == "sero-mj: no snippet 'frank-cpp'; did you mean 'franka-cpp'?\n"
