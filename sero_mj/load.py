@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .base import paths
-from .base.errors import DeclarationError, Problem, UnknownName, UsageError
+from .base.errors import DeclarationError, Problem, UnknownName, UsageError, nearest
 from .data.drive.wiring import wire
 from .robots.declared.robot import SerialRobot
 from .robots.declared.scene import Scene
@@ -54,6 +54,8 @@ def load_scene(
                 models = [*no_robot.available, *no_group.available]
                 available = [*paths.list_scenes(), *paths.list_scenarios(), *models]
                 hint = paths.file_hint(name)
+                if not hint and nearest(name, available) is None:
+                    hint = no_robot.hint
                 raise UnknownName("scene or robot", name, available, hint) from error
     if path.name == paths.ROBOT_FILE or path.suffix in paths.robot_endings():
         own = paths.model_name(path)

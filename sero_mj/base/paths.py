@@ -13,10 +13,10 @@ import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from .errors import Problem, UnknownName, nearest
-from .plugins import IMPORTERS, load_all
+from .plugins import IMPORTERS, ROBOTS, load_all
 
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
 # Of robot files in other formats than TOML.
@@ -149,10 +149,24 @@ def _find_model(kind: str, name: str, beside: Path | None, file: str) -> Path:
         if candidate.suffix in endings and os.path.isfile(candidate):
             return _plain(candidate)
     _refuse_path(name, beside)
-    if file == ROBOT_FILE and name and (inside := _model_in(local)) is not None:
+    if file == ROBOT_FILE and name and (inside := model_in(local)) is not None:
         return _plain(inside)
     available = [*_models_in(beside or Path.cwd(), file), *_models_in(models_dir(), file)]
-    raise UnknownName(kind, name, available)
+    hint = ""
+    if file == ROBOT_FILE and name:
+        places = robot_places()
+        for place in places:
+            if (elsewhere := place.find(name)) is not None:
+                return _plain(Path(elsewhere))
+        if nearest(name, available) is None:
+            near = filter(None, (place.near(name) for place in places))
+            hint = next((f"; did you mean '{each}'?" for each in near), "")
+    raise UnknownName(kind, name, available, hint)
+
+
+def robot_places() -> list[Any]:
+    """All installed places where robots have names, see `robots.importers.robot_places`."""
+    return [kind() for kind in sorted(load_all(ROBOTS).values(), key=lambda kind: kind.order)]
 
 
 def _plain(path: Path) -> Path:
@@ -160,7 +174,7 @@ def _plain(path: Path) -> Path:
     return plain if plain.exists() and plain.samefile(path) else path
 
 
-def _model_in(folder: Path) -> Path | None:
+def model_in(folder: Path) -> Path | None:
     """The model of a third-party folder: its scene, or else the only one; None for none.
 
     Raises:
@@ -200,7 +214,7 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     """
     path = (beside or Path()) / name
     ending = path.suffix.lower()
-    if "\0" in name:
+    if "\0" in name or "://" in name:
         return
     is_read = ending in (read := (".toml", *robot_endings(), *scene_endings()))
     if not is_read and os.path.exists(path) and not os.path.isdir(path):

@@ -1,6 +1,7 @@
 """Extensions by other packages: entry points, also used for sero-mj's own parts.
 
     sero_mj.importers       files of robots, see `robots.importers.importer.Importer`
+    sero_mj.robots          places where robots have names, see `robots.importers.robot_places`
     sero_mj.sources         kinds of sources in scenes, see `data.receive.source.Source`
     sero_mj.controllers     kinds of controllers, see `simulate.control.controller`
     sero_mj.target_motions  kinds of targets, see `simulate.control.target_motions`
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-IMPORTERS, SOURCES = "sero_mj.importers", "sero_mj.sources"
+IMPORTERS, ROBOTS, SOURCES = "sero_mj.importers", "sero_mj.robots", "sero_mj.sources"
 CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
 DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
 _WITH_KIND = (CONTROLLERS, TARGET_MOTIONS)  # classes say their name, the entry point's, again

@@ -15,6 +15,7 @@ from ..base.plugins import (
     CONTROLLERS,
     DECOR,
     IMPORTERS,
+    ROBOTS,
     SOURCES,
     TARGET_MOTIONS,
     TOOLS,
@@ -31,9 +32,11 @@ class ListOptions(Options):
     """List the shipped robots, scenes, scenarios and environments.
 
     Attributes:
+        known: list the robots of others that are known by name, see docs/robots.md.
         fields: list the fields of a robot and their defaults, or those of a scenario.
     """
 
+    known: bool = False
     fields: Annotated[Literal["robots", "scenarios"] | None, Option(bare="robots")] = None
 
 
@@ -41,6 +44,9 @@ def run(options: ListOptions) -> int:
     """Prints; returns 0."""
     if options.fields:
         (_print_fields if options.fields == "robots" else _print_scenario_fields)()
+        return 0
+    if options.known:
+        _print_known()
         return 0
     shipped = {
         "robots (models/)": (paths.list_models, paths.find_model),
@@ -62,6 +68,12 @@ def run(options: ListOptions) -> int:
 add_to = command("list", run, ListOptions, "See also: sero-mj check SCENE")
 
 
+def _print_known() -> None:
+    for place in paths.robot_places():
+        names = place.names()
+        print(f"{place.title}: {', '.join(names) or place.none}")
+
+
 def _print_environments() -> None:
     from ..study.learning.make import TASKS
 
@@ -75,6 +87,7 @@ def _print_environments() -> None:
 
 _KINDS = {
     IMPORTERS: "files of robots and scenes in formats of others",
+    ROBOTS: "places where robots have names",
     SOURCES: "kinds of sources",
     CONTROLLERS: "kinds of controllers",
     TARGET_MOTIONS: "kinds of target motions",

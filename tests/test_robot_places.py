@@ -1,0 +1,161 @@
+"""Robots by their names elsewhere: descriptions in a cache, a checkout of models, ROS packages."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+from commands import UNSET, run_command
+from conftest import raises_with
+
+from sero_mj import load_scene
+from sero_mj.base import paths
+from sero_mj.base.errors import UnknownName, UsageError
+from sero_mj.robots.importers.robot_places import RobotDescriptions
+
+ARM = """<mujoco model="arm"><worldbody><body name="a"><geom size=".1"/>
+<body name="b" pos="0 0 .3"><joint name="turn" axis="0 0 1"/><geom size=".1"/></body></body>
+</worldbody></mujoco>"""
+URDF = """<robot name="{name}"><link name="base"/><link name="arm"/>
+<joint name="{joint}" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="10" velocity="1"/></joint></robot>"""
+
+
+@pytest.fixture
+def menagerie(tmp_path: Path) -> Path:
+    for folder in ("universal_robots_ur5e", "universal_robots_ur10e", "kuka_iiwa_14", "franka_fr3"):
+        (tmp_path / "checkout" / folder).mkdir(parents=True)
+        (tmp_path / "checkout" / folder / f"{folder.rpartition('_')[2]}.xml").write_text(ARM)
+        scene = f'<mujoco><include file="{folder.rpartition("_")[2]}.xml"/></mujoco>'
+        (tmp_path / "checkout" / folder / "scene.xml").write_text(scene)
+    (tmp_path / "checkout" / "assets").mkdir()
+    return tmp_path / "checkout"
+
+
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [
+        ("universal_robots_ur5e", "universal_robots_ur5e"),
+        ("ur5e", "universal_robots_ur5e"),
+        ("UR10e", "universal_robots_ur10e"),
+        ("lbr_iiwa14_r820", "kuka_iiwa_14"),
+        ("iiwa", "kuka_iiwa_14"),
+        ("franka_research_3", "franka_fr3"),
+    ],
+)
+def test_a_model_of_a_checkout_is_found_by_its_name(
+    menagerie: Path, monkeypatch: pytest.MonkeyPatch, name: str, folder: str
+) -> None:
+    monkeypatch.setenv("MENAGERIE_PATH", str(menagerie))
+    assert paths.find_model(name) == menagerie / folder / "scene.xml"
+    scene = load_scene(name)
+    assert [robot.names for robot in scene.robots.values()] == [["turn"]]
+    assert scene.name == folder
+
+
+def test_a_checkout_in_the_working_folder_is_found_as_well(
+    menagerie: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MENAGERIE_PATH", raising=False)
+    menagerie.rename(menagerie.with_name("mujoco_menagerie"))
+    monkeypatch.chdir(menagerie.parent)
+    assert paths.find_model("fr3").parent.name == "franka_fr3"
+    Path("scene.toml").write_text('[robots.left]\nmodel = "fr3"\n[robots.right]\nmodel = "ur5e"\n')
+    assert list(load_scene("scene.toml").robots) == ["left", "right"]
+    with raises_with(UnknownName, hint="; did you mean 'universal_robots_ur5e'?"):
+        paths.find_model("universal_robot_ur5e")
+
+
+def test_a_file_of_a_ros_package_is_a_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "arm_description" / "urdf").mkdir(parents=True)
+    (tmp_path / "arm_description" / "urdf" / "arm.urdf").write_text(
+        URDF.format(name="arm", joint="turn")
+    )
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path))
+    robot = load_scene("package://arm_description/urdf/arm.urdf").robots["arm"]
+    assert robot.names == ["turn"]
+    with pytest.raises(UsageError) as error:
+        load_scene("package://arm_description/urdf/arm2.urdf")
+    assert str(error.value).startswith("package://arm_description/urdf/arm2.urdf: no such file")
+
+
+def cached(cache: Path, repository: str, files: Mapping[str, str]) -> dict[str, str]:
+    """A repository as `robot_descriptions` has it in its cache, and the environment to use it."""
+    work = cache / "work"
+    for name, text in files.items():
+        (work / name).parent.mkdir(parents=True, exist_ok=True)
+        (work / name).write_text(text)
+    who = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    for words in (["init", "-q"], ["add", "."], [*who, "commit", "-qm", "all"]):
+        subprocess.run(["git", *words], cwd=work, check=True)
+    asked = subprocess.run(
+        ["git", "rev-parse", "HEAD"], cwd=work, check=True, capture_output=True, text=True
+    )
+    commit = asked.stdout.strip()
+    (cache / f"{repository}-{commit}").mkdir()
+    work.rename(cache / f"{repository}-{commit}" / repository)
+    known = {key: value for key, value in os.environ.items() if key not in UNSET}
+    return {**known, "ROBOT_DESCRIPTIONS_CACHE": str(cache), "ROBOT_DESCRIPTION_COMMIT": commit}
+
+
+def test_a_description_is_taken_from_the_cache_without_a_network(tmp_path: Path) -> None:
+    urdf = URDF.format(name="panda", joint="panda_joint1")
+    files = {"robots/panda_description/urdf/panda.urdf": urdf}
+    environment = cached(tmp_path / "cache", "example-robot-data", files)
+    status, said = run_command(["check", "panda_description"], tmp_path, environment)
+    assert status == 0, said
+    assert "panda: no errors" in said and "joint panda_joint1 moves" in said
+    (tmp_path / "scene.toml").write_text('[robots.one]\nmodel = "panda_description"\n')
+    status, said = run_command(["check", "scene.toml"], tmp_path, environment)
+    assert status == 0 and "robot   one: 1 joints" in said
+
+
+def test_a_description_of_xacro_has_its_arguments(tmp_path: Path) -> None:
+    top = (
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="$(arg name)">'
+        '<xacro:arg name="ur_type" default="ur3"/><xacro:arg name="name" default="none"/>'
+        '<xacro:include filename="$(find ur_description)/urdf/inc/$(arg ur_type).xacro"/></robot>'
+    )
+    part = URDF.format(name="part", joint="shoulder_pan_joint")
+    files = {
+        "package.xml": "<package><name>ur_description</name></package>",
+        "urdf/ur.urdf.xacro": top,
+        "urdf/inc/ur5e.xacro": part,
+    }
+    environment = cached(tmp_path / "cache", "ur_description", files)
+    status, said = run_command(["check", "ur5e_description"], tmp_path, environment)
+    assert status == 0, said
+    assert "ur5e_description: no errors" in said and "shoulder_pan_joint moves" in said
+
+
+def test_what_cannot_be_fetched_is_told(tmp_path: Path) -> None:
+    environment = cached(tmp_path / "cache", "example-robot-data", {"README": "empty"})
+    (folder,) = (tmp_path / "cache").iterdir()
+    other = "0" * 40
+    folder.rename(folder.with_name(f"example-robot-data-{other}"))
+    environment["ROBOT_DESCRIPTION_COMMIT"] = other  # which would have to be fetched
+    status, said = run_command(["check", "panda_description"], tmp_path, environment)
+    assert status == 2
+    (line,) = [each for each in said.splitlines() if each.startswith("sero-mj: ")]
+    assert line.startswith("sero-mj: panda_description: robot_descriptions cannot fetch it: ")
+    assert "Traceback" not in said
+
+
+def test_names_are_listed_and_suggested(tmp_path: Path) -> None:
+    environment = {key: value for key, value in os.environ.items() if key not in UNSET}
+    status, said = run_command(["list", "--known"], tmp_path, environment)
+    assert status == 0 and "ur5e_description" in said and "MuJoCo Menagerie: no checkout" in said
+    for name in ("ur5e_descriptio", "ur5e", "UR5e"):
+        with raises_with(UnknownName, hint="; did you mean 'ur5e_description'?"):
+            load_scene(name)
+
+
+def test_without_the_package_there_are_no_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "robot_descriptions", None)
+    assert RobotDescriptions().names() == [] and RobotDescriptions().find("ur5e") is None
