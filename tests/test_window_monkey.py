@@ -48,7 +48,8 @@ def test_random_events_do_not_end_a_window(display: str, tmp_path: Path) -> None
         window.ask("[w.actions.press(key) for key in ('escape', '0', 'r', 'backspace')] and None")
         window.until("(w.picture().max(axis=(0, 1)) > 100).all()")
     assert window.process.exitcode == 0
-    assert errors.read_text() == ""
+    told = errors.read_text().splitlines()
+    assert [line for line in told if " was not finished; this makes it: " not in line] == []
 
 
 def from_screen(window: Driven, places: random.Random) -> None:

@@ -6,8 +6,8 @@ packages. Another package adds a place by an entry point in the group `sero_mj.r
 
 from __future__ import annotations
 
-import importlib
 import os
+import pkgutil
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -89,8 +89,9 @@ class RobotDescriptions(RobotPlace):
         """See `RobotPlace`."""
         if find_spec("robot_descriptions") is None:
             return []
-        known = importlib.import_module("robot_descriptions._descriptions").DESCRIPTIONS
-        return [name for name, about in known.items() if about.has_urdf or about.has_mjcf]
+        from robot_descriptions._descriptions import DESCRIPTIONS
+
+        return [name for name, about in DESCRIPTIONS.items() if about.has_urdf or about.has_mjcf]
 
     def find(self, name: str) -> Path | None:
         """See `RobotPlace`."""
@@ -98,7 +99,7 @@ class RobotDescriptions(RobotPlace):
         if module is None:
             return None
         try:
-            found = importlib.import_module(f"robot_descriptions.{module}")
+            found = pkgutil.resolve_name(f"robot_descriptions.{module}")
         except Exception as error:  # of git, of the network, of the package
             told = " ".join(str(error).split())[:300]
             raise UsageError(
