@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from polling import until
 from web_tools import MISSING, POSE, Served, Visitor
 
 pytestmark = [
@@ -34,11 +35,8 @@ def test_sliders_links_and_the_clipboard(browser: Any, tmp_path: Path) -> None:
         page.get_by_role("button", name="home").click()
         page.get_by_text("copy the pose").click()
         page.get_by_role("button", name="command").click()
-        copied = page.wait_for_function(
-            "async () => { const text = await navigator.clipboard.readText();"
-            " return text.startsWith('sero-mj view lwr --') && text }"
-        ).json_value()
-        assert copied == "sero-mj view lwr --set lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0\n"
+        wanted = "sero-mj view lwr --set lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0\n"
+        assert until(lambda: page.evaluate("navigator.clipboard.readText()") == wanted)
         seen = served.ask(CAMERA)
         x, y = visitor.joint(3)
         page.mouse.move(x, y)
