@@ -117,6 +117,7 @@ def middle_of(bodies: dict[str, list[tuple[float, np.ndarray]]]) -> tuple[float,
     return sum(masses), np.average(centers, axis=0, weights=masses)
 
 
+@pytest.mark.thorough
 def test_it_stands_on_both_feet_also_when_it_is_pushed() -> None:
     simulation = standing()
     assert [each.text for each in simulation.outcomes() if not each.holds] == []

@@ -351,6 +351,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_run(simulated_swing(fault), tmp_path_factory.mktemp("recorded") / "gauge.mcap")
 
 
+@pytest.mark.thorough
 def test_the_command_says_for_every_joint_what_explains_it(
     recorded: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

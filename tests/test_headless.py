@@ -228,6 +228,7 @@ def mixed_colours(picture: np.ndarray) -> int:
     return len(np.unique(picture.reshape(-1, 3), axis=0))
 
 
+@pytest.mark.thorough
 def test_a_draft_has_no_shadows_and_hard_edges(world) -> None:
     pictures = {}
     for quality in ("normal", "draft"):

@@ -131,6 +131,7 @@ def test_the_arm_carries_the_weight_of_the_hand() -> None:
     assert mass == pytest.approx(own + palm[0] + adapter[0] + parts + 0.2, abs=1e-9)
 
 
+@pytest.mark.thorough
 def test_distal_joints_follow_the_medial_ones_also_under_load() -> None:
     log = grasp().log
     for name in HAND:

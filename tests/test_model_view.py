@@ -52,6 +52,7 @@ def test_a_browser_shows_inertias_in_what_is_transparent(browser: Any, tmp_path:
 
 
 @pytest.mark.skipif(bool(web_tools.MISSING), reason=f"needs {', '.join(web_tools.MISSING)}")
+@pytest.mark.thorough
 def test_two_plots_fit_beside_the_picture(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "impedance_push") as served:
         visitor = Visitor(browser, served, (1280, 800))

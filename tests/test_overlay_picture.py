@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
-import nbformat
 import numpy as np
 import pytest
 from conftest import raises_with
 from foreign_models import JACO_TORQUES, arm, jaco
-from nbclient import NotebookClient
 from PIL import Image
 
 import sero_mj
@@ -298,8 +296,11 @@ def test_a_picture_of_a_scene_is_shown_as_well() -> None:
         assert renderer.render(world.make_data())._repr_png_()  # type: ignore[attr-defined]
 
 
+@pytest.mark.thorough
 def test_a_real_notebook_shows_it(tmp_path: Any) -> None:
+    import nbformat  # takes seconds, which each worker would spend
     from foreign_models import ARM
+    from nbclient import NotebookClient
 
     book = nbformat.v4.new_notebook()
     book.cells = [

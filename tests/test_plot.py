@@ -252,6 +252,7 @@ def test_matplotlib_is_imported_when_a_figure_is_made_and_pyplot_never(tmp_path:
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_a_comparison_shows_both_torques_and_both_differences(
     tmp_path: Path, figures: list[Figure]
 ) -> None:

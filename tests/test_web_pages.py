@@ -182,6 +182,7 @@ def test_a_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path
         visitor.close()
 
 
+@pytest.mark.thorough
 def test_the_help_opens_over_a_small_page_and_closes(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr") as served:
         visitor = Visitor(browser, served, (600, 380))

@@ -275,6 +275,7 @@ def test_a_recording_is_scrubbed_and_its_end_is_the_end(display: str, tmp_path: 
         assert window.ask("w.data.qpos[0]") == pytest.approx(0.2, abs=1e-3)
 
 
+@pytest.mark.thorough
 def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path: Path) -> None:
     sender = subprocess.Popen(
         [sys.executable, "-m", "sero_mj", "send", "lwr_udp", "--port", "32755", "--rate", "200"],
