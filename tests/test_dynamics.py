@@ -439,7 +439,7 @@ def test_check_says_what_is_estimated(tmp_path, capsys):
     assert [line for line in told if line.startswith(("weighs", "dynamics"))] == [
         "weighs 15.95 kg, as declared",
         "dynamics: as declared",
-        "weighs 0.005643 kg, estimated: none are declared, its shapes count with 840 kg/m3",
+        "weighs 0.005474 kg, estimated: none are declared, its shapes count with 840 kg/m3",
         "dynamics: estimated motor_inertias, viscous_friction, joint_stiffness, joint_damping",
     ]
 

@@ -15,8 +15,8 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 
-HALF_PI = math.pi / 2
-NAMES = ["puma560", "panda", "scara", "stanford"]
+HALF_PI, QUARTER = math.pi / 2, math.pi / 4
+NAMES = ["puma560", "panda", "scara", "stanford", "ur5e", "ur10e", "fr3", "iiwa14"]
 QN = np.array([0, math.pi / 4, -math.pi, 0, math.pi / 4, 0])  # the Puma's nominal pose
 
 
@@ -40,6 +40,32 @@ def panda(q):
     ]  # fmt: skip
     steps = [(move(*at[:3]), rot(0, at[3]), rot(2, t)) for at, t in zip(bodies, q, strict=True)]
     return chain(*(step for body in steps for step in body), move(z=0.107))
+
+
+def universal(d1, a2, a3, d4, d5, d6):
+    """The frames of a UR by UR's own standard table, turned as the base of its ROS package is."""
+
+    def frames(q):
+        rows = [(0, d1, HALF_PI), (a2, 0, 0), (a3, 0, 0), (0, d4, HALF_PI), (0, d5, -HALF_PI),
+                (0, d6, 0)]  # fmt: skip
+        steps = [(rot(2, t), move(a, 0, d), rot(0, al))
+                 for (a, d, al), t in zip(rows, q, strict=True)]  # fmt: skip
+        return chain(rot(2, math.pi), *(step for row in steps for step in row))
+
+    return frames
+
+
+# Universal Robots, "DH parameters for calculations of kinematics and dynamics".
+UR5E = universal(0.1625, -0.425, -0.3922, 0.1333, 0.0997, 0.0996)
+UR10E = universal(0.1807, -0.6127, -0.57155, 0.17415, 0.11985, 0.11655)
+
+
+def iiwa(q):
+    """The arm as KUKA draws it: turns about the vertical and the horizontal axis by turns."""
+    return chain(
+        move(z=0.36), rot(2, q[0]), rot(1, q[1]), move(z=0.42), rot(2, q[2]), rot(1, -q[3]),
+        move(z=0.4), rot(2, q[4]), rot(1, q[5]), move(z=0.152), rot(2, q[6]),
+    )  # fmt: skip
 
 
 def scara(q):
@@ -69,9 +95,14 @@ def stanford(q):
     return T
 
 
-@pytest.mark.parametrize("by_hand", [puma, panda, scara, stanford])
-def test_table_and_model_agree_with_another_route_at_random_poses(by_hand):
-    name = {"puma": "puma560"}.get(by_hand.__name__, by_hand.__name__)
+BY_HAND = {
+    "puma560": puma, "panda": panda, "scara": scara, "stanford": stanford, "ur5e": UR5E,
+    "ur10e": UR10E, "fr3": panda, "iiwa14": iiwa,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "by_hand"), BY_HAND.items())
+def test_table_and_model_agree_with_another_route_at_random_poses(name, by_hand):
     robot = SerialRobot.from_model(name)
     world = World(Scene(robots=[robot]))
     data = world.make_data()
@@ -95,6 +126,17 @@ def test_table_and_model_agree_with_another_route_at_random_poses(by_hand):
         ("puma560", QN, [0.5963, -0.15005, 0.65748], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
         # petercorke/robotics-toolbox-matlab, issue 125: 0.926 m; ROBOTS.md 4.2, 6
         ("panda", [0] * 7, [0.088, 0, 0.926], np.diag([1, -1, -1])),
+        # Franka's ready pose, as frankarobotics/libfranka's examples begin; FD's kinematics.yaml.
+        (
+            "fr3",
+            [0, -QUARTER, 0, -3 * QUARTER, 0, HALF_PI, QUARTER],
+            [0.30689, 0, 0.59028],
+            np.array([[1, -1, 0], [-1, -1, 0], [0, 0, -math.sqrt(2)]]) / math.sqrt(2),
+        ),
+        ("iiwa14", [0] * 7, [0, 0, 1.332], np.eye(3)),  # KUKA: 360 + 420 + 400 mm, and the flange
+        # UR's table at zero: x = a2 + a3, y = -(d4 + d6), z = d1 - d5, turned about z.
+        ("ur5e", [0] * 6, [0.8172, 0.2329, 0.0628], [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]),
+        ("ur10e", [0] * 6, [1.18425, 0.2907, 0.06085], [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]),
         # Stretched, it reaches 600 mm, for which it is named; its quill moves 210 mm.
         ("scara", [0] * 4, [0.6, 0, 0.387], np.diag([1, -1, -1])),
         ("scara", [0, 0, 0.21, 0], [0.6, 0, 0.177], np.diag([1, -1, -1])),
@@ -114,7 +156,7 @@ def test_shipped_pose_is_within_the_limits(name):
     robot = SerialRobot.from_model(name)
     low, high = robot.position_limits.T
     assert (robot.home >= low).all() and (robot.home <= high).all()
-    assert "prismatic" in robot.types or name in ("puma560", "panda")
+    assert "prismatic" in robot.types or name not in ("scara", "stanford")
 
 
 # petercorke/robotics-toolbox-python, docs/notebooks/icra2021.ipynb and tests/test_DHRobot.py:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from math import pi
 
@@ -85,9 +86,17 @@ def test_capsules_lead_from_the_base_through_every_joint_to_the_flange(table, po
     q = np.random.default_rng(seed).uniform(-pi, pi, len(table)) * table.revolute
     frames = table.frames(q)
     flange = flange_at(point)
+    base, *links = generate_shapes(table, flange)
+    # What stands on the base begins above it by its round end, within the pedestal.
+    base = [
+        replace(shape, ends=np.array([np.zeros(3), shape.ends[1]]))
+        if np.linalg.norm(shape.ends[0]) <= 1.001 * shape.size[0]
+        else shape
+        for shape in base
+    ]
     rods = [
         in_world(T, shape.ends)
-        for T, shapes in zip(frames, generate_shapes(table, flange), strict=True)
+        for T, shapes in zip(frames, [base, *links], strict=True)
         for shape in shapes
         if shape.kind == "capsule"
     ]
@@ -205,8 +214,9 @@ def test_capsule_before_a_turning_joint_ends_at_its_anchor(convention):
     # By hand: a link of 0.5 m along the joint's axis, seen in the frame it stands still in.
     table = DhTable.from_rows([[pi / 2, 0, 0.3, 0.5]], convention)
     (rod,) = [shape for shape in generate_shapes(table, np.eye(4))[0] if shape.kind == "capsule"]
-    end = [0, -0.5, 0] if convention == "craig" else [0, 0, 0.5]
-    np.testing.assert_allclose(rod.ends, [[0, 0, 0], end], atol=1e-15)
+    end = np.array([0, -0.5, 0] if convention == "craig" else [0, 0, 0.5])
+    # Its round end stands on the ground.
+    np.testing.assert_allclose(rod.ends, [rod.size[0] / 0.5 * end, end], atol=1e-15)
 
 
 @given(TABLES, POINTS)

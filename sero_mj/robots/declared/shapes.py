@@ -116,8 +116,17 @@ def generate_shapes(
             links[i + 1].append(housing)
     end = housings[flange_link - 1 if flange_link > 0 else -1] * 0.9
     links[flange_link] += _capsules(np.array([np.zeros(3), flange_frame[:3, 3]]), end)
-    links[0].append(_pedestal(housings[0]))
+    links[0] = [*map(_above_ground, links[0]), _pedestal(housings[0])]
     return links
+
+
+def _above_ground(shape: LinkShape) -> LinkShape:
+    """Returns a shape of the base without a round end below where the base stands."""
+    start, end = shape.ends
+    length = float(np.linalg.norm(end - start))
+    if shape.kind != "capsule" or start.any() or length <= shape.size[0]:
+        return shape
+    return replace(shape, ends=np.array([shape.size[0] / length * end, end]))
 
 
 def _on_root(shapes: list[LinkShape], root: Array | None) -> list[LinkShape]:
