@@ -7,14 +7,19 @@ import pytest
 from decor_tools import GEOM, drawn, labels, of_kind, toggles_of, view_at, world_of
 from hypothesis import given
 from hypothesis import strategies as st
+from newton_euler import inverse_dynamics
 
 from sero_mj.data.drive.place import follow
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.double import Double
 from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.robot_parts import ARROW_QUANTITIES
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.declared.shapes import housing_radii
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
+from sero_mj.viewer.decor.quantities import arrow_values, joint_values
 from sero_mj.viewer.decor.ribbons import ribbon_shape
 from sero_mj.viewer.decor.round_arrows import (
     NEGATIVE_RGBA,
@@ -339,6 +344,32 @@ def test_arrows_show_the_quantity_that_the_scene_chooses(quantity, expected) -> 
         assert arrow["size"][0, 2] * 2 == pytest.approx(width, rel=1e-5)
         colour = POSITIVE_RGBA if values[joint] > 0 else NEGATIVE_RGBA
         assert arrow["rgba"][0] == pytest.approx(colour)
+
+
+def test_arrows_show_what_the_model_of_gravity_does_not_explain() -> None:
+    angles = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
+    lwr = SerialRobot.from_model("lwr", arrow_quantity="torque_without_gravity", name="lwr")
+    held = inverse_dynamics(lwr, robot_dynamics(lwr), angles)
+    pushed = np.array([5.0, -8.0, 2.0, 6.0, 0.5, -1.0, 0.2])
+    robot = lwr.model_copy(update={"joint_angles": angles, "torques": held + pushed})
+    double = Double(name="goal", of="lwr", torques=held)
+    world = World(Scene(robots=[robot], doubles=[double], floor=False))
+    data = world.make_data()
+    quantity = np.full(14, ARROW_QUANTITIES.index("torque_without_gravity"))
+    shown, limit = arrow_values(world, data, joint_values(world, data), quantity)
+    assert shown[:7] == pytest.approx(pushed, abs=1e-6)
+    assert np.isnan(shown[7:]).all()  # a double has no weight
+    assert limit == pytest.approx(world.joints.torque_limit)
+
+
+def test_a_robot_that_holds_nothing_has_no_such_arrows(caplog: pytest.LogCaptureFixture) -> None:
+    robot = SerialRobot.from_model("lwr", name="lwr", free_base=True, torques=np.ones(7))
+    world = World(Scene(robots=[robot], floor=False))
+    data, quantity = world.make_data(), np.full(7, 4)
+    for _ in range(2):
+        shown, _ = arrow_values(world, data, joint_values(world, data), quantity)
+        assert np.isnan(shown).all()
+    assert caplog.text.count("has a free base: it holds nothing") == 1
 
 
 def test_one_joint_without_data_loses_its_arrow_and_the_others_go_on() -> None:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
 
-from ...base.errors import DeclarationError, Problem
+from ...base.errors import DeclarationError, Problem, SeroError
 from ...base.frames import Array
 from ..declared.robot import SerialRobot
 from ..declared.scene import Scene
 from .robot_dynamics import EARTH
 from .world import World, dynamics_of
+from .world_view import WorldView
+
+log = logging.getLogger(__name__)
 
 
 class GravityTorques:
@@ -56,3 +62,34 @@ class GravityTorques:
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_rne(model, data, 0, self._torques)
         return {name: self._torques[part.dofs] for name, part in parts.items()}
+
+
+_KNOWN: WeakKeyDictionary[WorldView, GravityTorques | None] = WeakKeyDictionary()  # None: cannot be
+
+
+def gravity_torques(world: WorldView, data: Any) -> Array:
+    """Returns the torques that hold the joints of a world against gravity, (N,), Nm or N.
+
+    Those of doubles are NaN, and all are where the robots have no model of it, which is logged
+    once. The first call for a world compiles that model.
+
+    Args:
+        world: with robots.
+        data: its state.
+    """
+    found = np.full(len(world.joints.names), np.nan)
+    if world not in _KNOWN:
+        try:
+            _KNOWN[world] = GravityTorques(
+                {name: part.robot for name, part in world.robots.items()}
+            )
+        except SeroError as error:
+            log.warning("no torque without gravity: %s", error)
+            _KNOWN[world] = None
+    model = _KNOWN[world]
+    if model is not None:
+        angles = world.joints.angles(data)
+        of = model.of({name: angles[part.joints] for name, part in world.robots.items()})
+        for name, part in world.robots.items():
+            found[part.joints] = of[name]
+    return found

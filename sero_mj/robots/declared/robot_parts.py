@@ -14,7 +14,10 @@ from ...base.frames import Array, frame_from
 from .dh import COLUMNS, Column
 from .surroundings import MeshFile, Object, check_shape_size
 
-ArrowQuantity = Literal["torques", "torque_error", "joint_accelerations", "singularity"]
+# Packets choose them by their number, so new ones come last.
+ArrowQuantity = Literal[
+    "torques", "torque_error", "joint_accelerations", "singularity", "torque_without_gravity"
+]
 ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
 # Per-joint inputs of every robot and double, in addition to joint angles and its own `inputs`.
 VALUE_INPUTS = ("torques", "commanded_torques", "joint_accelerations", "billboard_values")

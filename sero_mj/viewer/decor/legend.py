@@ -27,10 +27,12 @@ _WORDS = {
     "torque_error": ("torque error, commanded - measured", "torque limit"),
     "joint_accelerations": ("joint acceleration", "acceleration limit"),
     "singularity": ("towards the singularity", "at it"),
+    "torque_without_gravity": ("torque less the model's gravity", "torque limit"),
 }
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
 _MAX_NAMES = 32  # characters, of robots before a note, and of arrows before their scale
-_TORQUES = 2  # the first two quantities are torques, and forces of sliding joints
+# Of sliding joints these are forces.
+_TORQUES = ("torques", "torque_error", "torque_without_gravity")
 _UNLIMITED = "width grows with the value"
 _BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
 # A line with a bar before each number, as wide as an arrow of that share of the limit.
@@ -103,15 +105,16 @@ class Legend(Feature):
         for code, shown in kinds:
             if not shown.any():
                 continue
-            what, width = _WORDS[ARROW_QUANTITIES[code]]
-            if ARROW_QUANTITIES[code] == "torque_error":
+            quantity = ARROW_QUANTITIES[code]
+            what, width = _WORDS[quantity]
+            if quantity == "torque_error":
                 what = self._difference(shown) or what
             if (toggles.modelled & of_torque)[shown].any():
                 what = _MODELLED
             if not np.isfinite(limit[shown]).any():
                 has_load = np.isfinite(self.world.joints.arrow_load[shown]).any()
                 width = _BY_LOAD if has_load else _UNLIMITED
-            if not self.world.joints.revolute[shown].all() and code < _TORQUES:
+            if not self.world.joints.revolute[shown].all() and quantity in _TORQUES:
                 what += ", or force"
             has_scale = width not in (_UNLIMITED, _BY_LOAD)
             scale = "".join(SCALE) + width if has_scale else width

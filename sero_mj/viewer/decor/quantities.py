@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array
+from ...robots.assemble.gravity_torques import gravity_torques
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from .singularity import towards_singularity
@@ -16,6 +17,7 @@ QUANTITY_NAMES = {
     "torque_error": "torque error",
     "joint_accelerations": "acceleration",
     "singularity": "towards singularity",
+    "torque_without_gravity": "torque without gravity",
 }
 # A value above this multiple of its limit is considered a fault of its source.
 IMPLAUSIBLE_FACTOR = 1e3
@@ -93,6 +95,9 @@ def arrow_values(
                         at[part.joints], towards_singularity(world, data, part), shown[part.joints]
                     )
             limit[at] = 1.0
+            continue
+        if name == "torque_without_gravity":
+            shown[at] = (values["torques"] - gravity_torques(world, data))[at]
             continue
         shown[at] = values[name][at]
         if name == "joint_accelerations":
