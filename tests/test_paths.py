@@ -405,22 +405,24 @@ MJCF = '<mujoco><worldbody><body><joint axis="0 0 1"/><geom size=".1"/></body></
 
 
 def test_a_folder_of_others_means_its_scene_or_its_one_model(elsewhere):
-    robot = write(elsewhere / "ur5e" / "ur5e.xml", MJCF)
-    write(elsewhere / "ur5e" / "package.xml", "<package/>")
-    write(elsewhere / "ur5e" / "assets" / "base.obj", "")
-    assert paths.find_model("ur5e/") == robot
+    robot = write(elsewhere / "ur16e" / "ur16e.xml", MJCF)
+    write(elsewhere / "ur16e" / "package.xml", "<package/>")
+    write(elsewhere / "ur16e" / "assets" / "base.obj", "")
+    assert paths.find_model("ur16e/") == robot
+    own = write(elsewhere / "fr3" / "fr3.xml", MJCF)
+    assert paths.find_model("fr3/") == own  # and not the one that is shipped
     inner = write(elsewhere / "talos_data" / "robots" / "talos.urdf", "<robot/>")
     assert paths.find_model("talos_data") == inner
-    write(elsewhere / "ur5e" / "ur5e_mjx.xml", MJCF)
+    write(elsewhere / "ur16e" / "ur16e_mjx.xml", MJCF)
     with pytest.raises(DeclarationError) as caught:
-        load_scene("ur5e")
+        load_scene("ur16e")
     (problem,) = caught.value.problems
     assert problem.message == (
-        "found 2 models in this folder; expected one of ur5e.xml, ur5e_mjx.xml"
+        "found 2 models in this folder; expected one of ur16e.xml, ur16e_mjx.xml"
     )
-    scene = write(elsewhere / "ur5e" / "scene.xml", '<mujoco><include file="ur5e.xml"/></mujoco>')
-    assert paths.find_model("ur5e") == scene
-    assert list(load_scene("ur5e").robots) == ["ur5e"]
+    scene = write(elsewhere / "ur16e" / "scene.xml", '<mujoco><include file="ur16e.xml"/></mujoco>')
+    assert paths.find_model("ur16e") == scene
+    assert list(load_scene("ur16e").robots) == ["ur16e"]
 
 
 @pytest.mark.parametrize(

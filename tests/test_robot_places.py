@@ -27,7 +27,7 @@ URDF = """<robot name="{name}"><link name="base"/><link name="arm"/>
 
 @pytest.fixture
 def menagerie(tmp_path: Path) -> Path:
-    for folder in ("universal_robots_ur5e", "universal_robots_ur10e", "kuka_iiwa_14", "franka_fr3"):
+    for folder in ("universal_robots_ur16e", "universal_robots_ur20", "kuka_iiwa_14", "franka_fr3"):
         (tmp_path / "checkout" / folder).mkdir(parents=True)
         (tmp_path / "checkout" / folder / f"{folder.rpartition('_')[2]}.xml").write_text(ARM)
         scene = f'<mujoco><include file="{folder.rpartition("_")[2]}.xml"/></mujoco>'
@@ -39,9 +39,9 @@ def menagerie(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("name", "folder"),
     [
-        ("universal_robots_ur5e", "universal_robots_ur5e"),
-        ("ur5e", "universal_robots_ur5e"),
-        ("UR10e", "universal_robots_ur10e"),
+        ("universal_robots_ur16e", "universal_robots_ur16e"),
+        ("ur16e", "universal_robots_ur16e"),
+        ("UR20", "universal_robots_ur20"),
         ("lbr_iiwa14_r820", "kuka_iiwa_14"),
         ("iiwa", "kuka_iiwa_14"),
         ("franka_research_3", "franka_fr3"),
@@ -63,11 +63,13 @@ def test_a_checkout_in_the_working_folder_is_found_as_well(
     monkeypatch.delenv("MENAGERIE_PATH", raising=False)
     menagerie.rename(menagerie.with_name("mujoco_menagerie"))
     monkeypatch.chdir(menagerie.parent)
-    assert paths.find_model("fr3").parent.name == "franka_fr3"
-    Path("scene.toml").write_text('[robots.left]\nmodel = "fr3"\n[robots.right]\nmodel = "ur5e"\n')
+    assert paths.find_model("franka_fr3").parent.name == "franka_fr3"
+    Path("scene.toml").write_text(
+        '[robots.left]\nmodel = "franka_fr3"\n[robots.right]\nmodel = "ur16e"\n'
+    )
     assert list(load_scene("scene.toml").robots) == ["left", "right"]
-    with raises_with(UnknownName, hint="; did you mean 'universal_robots_ur5e'?"):
-        paths.find_model("universal_robot_ur5e")
+    with raises_with(UnknownName, hint="; did you mean 'universal_robots_ur16e'?"):
+        paths.find_model("universal_robot_ur16e")
 
 
 def test_a_file_of_a_ros_package_is_a_robot(
@@ -151,9 +153,17 @@ def test_names_are_listed_and_suggested(tmp_path: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if key not in UNSET}
     status, said = run_command(["list", "--known"], tmp_path, environment)
     assert status == 0 and "ur5e_description" in said and "MuJoCo Menagerie: no checkout" in said
-    for name in ("ur5e_descriptio", "ur5e", "UR5e"):
-        with raises_with(UnknownName, hint="; did you mean 'ur5e_description'?"):
+    for name in ("talos_descriptio", "talos", "Talos"):
+        with raises_with(UnknownName, hint="; did you mean 'talos_description'?"):
             load_scene(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "shipped"),
+    [("franka_fr3", "fr3"), ("UR5e", "ur5e"), ("lbr_iiwa14_r820", "iiwa14"), ("LWR", "lwr")],
+)
+def test_makers_spellings_mean_what_is_shipped(name: str, shipped: str) -> None:
+    assert paths.find_model(name) == paths.models_dir() / shipped / "robot.toml"
 
 
 def test_without_the_package_there_are_no_names(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -145,7 +145,8 @@ def find_group_model(name: str, beside: Path | None = None) -> Path:
 def _find_model(kind: str, name: str, beside: Path | None, file: str) -> Path:
     local = (beside or Path.cwd()) / name
     endings = (".toml", *(robot_endings() if file == ROBOT_FILE else ()))
-    for candidate in (local / file, local, models_dir() / name / file):
+    shipped = () if name.endswith(("/", os.sep)) else (models_dir() / name / file,)
+    for candidate in (local / file, local, *shipped):
         if candidate.suffix in endings and os.path.isfile(candidate):
             return _plain(candidate)
     _refuse_path(name, beside)

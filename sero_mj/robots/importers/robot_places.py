@@ -18,13 +18,14 @@ from typing import Any, ClassVar
 from xml.sax.saxutils import quoteattr
 
 from ...base.errors import UsageError, nearest
-from ...base.paths import model_in
+from ...base.paths import ROBOT_FILE, list_models, model_in, models_dir
 from .package_files import find_file
 
 # Names of makers and of their drivers, for what others call otherwise.
 _ALIASES: Mapping[str, str] = {
     "frankaemikapanda": "panda",
     "frankapanda": "panda",
+    "frankafr3": "fr3",
     "frankaresearch3": "fr3",
     "iiwa": "iiwa14",
     "iiwa14r820": "iiwa14",
@@ -33,6 +34,8 @@ _ALIASES: Mapping[str, str] = {
     "lbriiwa14": "iiwa14",
     "lbriiwa14r820": "iiwa14",
     "lbriiwa7": "iiwa7",
+    "universalrobotsur10e": "ur10e",
+    "universalrobotsur5e": "ur5e",
 }
 _ENDINGS = ("_description", "_mj_description")  # of the modules of robot_descriptions
 _BESIDE = ("mujoco_menagerie", "menagerie")  # folders of a checkout
@@ -168,6 +171,23 @@ def _menagerie() -> list[Path]:
             continue
         return [each for each in inner if any(each.glob("*.xml"))]
     return []
+
+
+class OtherSpellings(RobotPlace):
+    """Shipped robots as their makers and drivers call them: `franka_research_3`, `UR5e`."""
+
+    order: ClassVar[int] = 30
+    title: ClassVar[str] = "other spellings of shipped robots"
+
+    def names(self) -> list[str]:
+        """See `RobotPlace`."""
+        return sorted(name for name, usual in _ALIASES.items() if usual in list_models())
+
+    def find(self, name: str) -> Path | None:
+        """See `RobotPlace`."""
+        shipped = {_plain(each): each for each in list_models()}
+        found = shipped.get(_plain(_common(name)))
+        return None if found is None else models_dir() / found / ROBOT_FILE
 
 
 class RosPackages(RobotPlace):
