@@ -58,10 +58,11 @@ _SCREENS = (*_PAGES, *_WINDOWS)
 _LIVE = (*_SCREENS, "test_docs")
 # These simulate whole runs, or start many processes: half of the time of all tests of logic.
 _SLOW = (
-    "test_biped", "test_calibrate", "test_dlr_models", "test_environment",
-    "test_explain", "test_gallery", "test_identify", "test_justin", "test_live_control",
-    "test_many_environments", "test_mutations", "test_plot", "test_scenarios", "test_shm",
-    "test_simulate_command", "test_torque_loop", "test_trigger",
+    "test_biped", "test_calibrate", "test_dlr_models", "test_doors", "test_environment",
+    "test_explain", "test_gallery", "test_hit_hand", "test_hostile", "test_identify",
+    "test_justin", "test_live_control", "test_many_environments", "test_mutations",
+    "test_new_files", "test_parallel_robots", "test_player", "test_plot", "test_run_batch",
+    "test_scenarios", "test_shm", "test_simulate_command", "test_torque_loop", "test_trigger",
 )  # fmt: skip
 # These open the ports of shipped scenes; another worker runs them all.
 _PORTS = (
