@@ -244,6 +244,9 @@ def _send_fri(options: SendOptions, scene: Scene, source: Any) -> int:
     from ..data.send.fri_controller import FriController, NetworkFaults
     from ..data.send.sender import UdpSink
 
+    if source.is_iiwa:
+        reason = f"is {source.about}; played is FRI 1.0 of an LWR, or a recording by --play"
+        raise UsageError(f"source '{source.name}' {reason}")
     options.refuse(("shm",), ": FRI is a protocol of UDP; leave it out")
     options.refuse(("structure",), ": FRI fixes it; leave it out")
     if options.cycle is not None and options.rate is not None:

@@ -104,7 +104,7 @@ def _table(found: list[dict[str, Any]]) -> Any:
     for entry in found:
         title = f"{entry['source']}\n{entry['about']}"
         for row in describe(entry):
-            style = "" if row[0] in ("state", "received", "blanked") else "bold red"
+            style = "" if row[0] in ("state", "controller", "received", "blanked") else "bold red"
             table.add_row(title, *row, style=style)
             title = ""
         table.add_section()

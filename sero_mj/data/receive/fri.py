@@ -1,9 +1,9 @@
-"""KUKA's Fast Research Interface (FRI) 1.0: its packets, and `FriReceiver` for an LWR 4/4+.
+"""KUKA's Fast Research Interface (FRI): packets of an LWR 4/4+ (1.0), and `FriReceiver`.
 
-The controller sends one measurement packet each cycle (1 to 100 ms) to a configured address; a
-client answers each with a command packet. Without answers it still sends measurements, with the
-quality `unacceptable`. Packets are little-endian and without gaps; their layouts are those of the
-interface, the names are ours.
+`fri_iiwa.py` has the messages of an iiwa. The controller of an LWR sends one measurement packet
+each cycle (1 to 100 ms) to a configured address; a client answers each with a command packet.
+Without answers it still sends measurements, with the quality `unacceptable`. Packets are
+little-endian and without gaps; their layouts are those of the interface, the names are ours.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Collection, Mapping
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from ...base.frames import Array
+from . import fri_iiwa
 from ._scheduling import short_turns
 from ._udp_socket import OnArrival
 from .structure import Rows, Structure, are_frames
@@ -181,6 +182,17 @@ def no_command(counter: int, reflected: int) -> bytes:
     return struct.pack("<HH", counter & 0xFFFF, reflected) + _NO_COMMAND
 
 
+_STRUCTURES = {"1": MEASUREMENT, **fri_iiwa.STRUCTURES}
+
+
+def _words(state: float, quality: float) -> list[str]:
+    """The quality and the state of an LWR, in words."""
+    return [
+        words.get(int(number), f"{number:.0f}")
+        for words, number in ((QUALITIES, quality), (STATES, state))
+    ]
+
+
 def is_good(state: float, quality: float) -> bool:
     """Whether a controller's state and quality need no warning."""
     return STATES.get(int(state)) in ("monitor", "command") and QUALITIES.get(int(quality)) in (
@@ -190,7 +202,7 @@ def is_good(state: float, quality: float) -> bool:
 
 
 class FriReceiver(UdpReceiver):
-    """Receives the measurements of an LWR, without commanding it.
+    """Receives the measurements of an LWR or an iiwa, without commanding it.
 
     Fields fixed by FRI (`structure`, byte order, counters, time stamps) cannot be set. Events are
     in SI units; frames are T_base_tcp with the base and tool set in the controller, that is base to
@@ -198,11 +210,14 @@ class FriReceiver(UdpReceiver):
     `jitter` (s) and `miss_rate` it is an average of the controller over 100 packets.
 
     Attributes:
+        version: of FRI: `1` of an LWR 4/4+, `iiwa-1` and `iiwa-2` (1.x and 2.x) of an iiwa or Med,
+            whose port is 30200 unless another is given.
         answer: whether measurements are answered. Every answer is a command packet without a
-            command: all but its header, including its flags, is 0. Without answers the controller
-            rates the quality as unacceptable. With them an interface put into command mode by its
-            program stays there, and the robot follows that program. Answers have priority: packets
-            are processed up to 4 ms later.
+            command: all but its header, including its flags, is 0, or left out. Without answers
+            the controller rates the quality as unacceptable, or poor. With them an interface of an
+            LWR put into command mode by its program stays there, and the robot follows that
+            program; an iiwa that waits for commands, or follows them, gets no answer. Answers have
+            priority: packets are processed up to 4 ms later.
     """
 
     name: str = "fri"
@@ -212,34 +227,86 @@ class FriReceiver(UdpReceiver):
     structure: str = MEASUREMENT
     sequence: str = "send_counter"
     time: str = "timestamp"
+    version: Literal["1", "iiwa-1", "iiwa-2"] = "1"
     answer: bool = False
 
     protocol: ClassVar[str] = "fri"
+    _fixed_by: ClassVar[str] = "FRI"
     # As long as the routes are unknown, frames may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(FRAMES)
     _answers: int = PrivateAttr(0)
 
-    @field_validator(
-        "is_double", "column_major", "alignment", "scale", "structure", "sequence", "time",
-        "time_scale", mode="before",
-    )  # fmt: skip
+    @model_validator(mode="before")
     @classmethod
-    def _is_fixed(cls, value: Any, info: ValidationInfo) -> Any:
-        assert info.field_name is not None
-        if value != cls.model_fields[info.field_name].default:
-            raise ValueError(f"found {value!r}; FRI fixes it: leave it out")
-        return value
+    def _complete(cls, fields: dict[str, Any]) -> dict[str, Any]:
+        """Completes what follows from the version."""
+        fields = dict(fields)
+        structure = _STRUCTURES.get(str(fields.get("version", "1")))
+        if structure and fields.get("structure", MEASUREMENT) in _STRUCTURES.values():
+            fields["structure"] = structure
+        if structure != MEASUREMENT and not {"port", "udpport"} & fields.keys():
+            fields["port"] = fri_iiwa.PORT
+        return fields
+
+    def model_post_init(self, context: Any, /) -> None:
+        """Lets messages of an iiwa leave out what they may, until the routes are known."""
+        if self.is_iiwa:
+            self._nan_allowed = fri_iiwa.OPTIONAL & self.events.keys()
+
+    @classmethod
+    def _fixed(cls, field: str) -> Collection[Any]:
+        return _STRUCTURES.values() if field == "structure" else super()._fixed(field)
 
     @cached_property
-    def layout(self) -> FriLayout:
+    def layout(self) -> Structure:
         """The decoder."""
+        if self.is_iiwa:
+            return fri_iiwa.IiwaLayout(self.version)
         return FriLayout(self._nan_allowed)
+
+    def decoding_fields(self) -> dict[str, Any]:
+        """The fields that determine the meaning of packets; for recordings."""
+        if self.is_iiwa:  # which determines the structure
+            return {"version": self.version}
+        return super().decoding_fields()
+
+    @property
+    def is_iiwa(self) -> bool:
+        """Whether it receives messages of an iiwa."""
+        return self.version != "1"
+
+    @property
+    def can_be_played(self) -> bool:
+        """Whether `sero-mj send` can send what it receives."""
+        return not self.is_iiwa
 
     @property
     def about(self) -> str:
         """Kind and address, as shown to the user."""
         does = "answers, commands nothing" if self.answer else "listens only"
-        return f"KUKA FRI 1.0 on {super().about}, {does}"
+        name = f"FRI {self.version[-1]}.x of an iiwa" if self.is_iiwa else "FRI 1.0"
+        return f"KUKA {name} on {super().about}, {does}"
+
+    def describe_link(self, values: Mapping[str, Array]) -> str:
+        """What a packet says of the robot's controller, in words."""
+        if self.is_iiwa:
+            return fri_iiwa.describe(values)
+        return "state {1}, quality {0}".format(*_words(*self.link_state(values)))
+
+    def link_faults(self, state: float, quality: float) -> list[str]:
+        """What is wrong with the robot's controller or the link to it, one per line."""
+        if self.is_iiwa:
+            in_words = [fri_iiwa.word(fri_iiwa.QUALITIES, quality)]
+            in_words.append(fri_iiwa.word(fri_iiwa.STATES, state))
+            good = state > 0 and in_words[0] in ("good", "excellent")
+        else:
+            in_words, good = _words(state, quality), is_good(state, quality)
+        if good:
+            return []
+        lines = ["quality {}, state {}".format(*in_words)]
+        if in_words[0] in ("unacceptable", "poor") and not self.answer:
+            lines.append("  no answers are sent to it: answer = false")
+        return lines
 
     @property
     def answers(self) -> int:
@@ -253,7 +320,8 @@ class FriReceiver(UdpReceiver):
             UnknownName: an event that FRI does not have.
         """
         super().allow_nan(events)
-        self.layout.missing = FRAMES & self._nan_allowed
+        if isinstance(self.layout, FriLayout):
+            self.layout.missing = FRAMES & self._nan_allowed
 
     def open(self) -> None:
         """Binds the socket and starts the thread; raises SourceError as `UdpReceiver.open` does."""
@@ -275,16 +343,31 @@ class FriReceiver(UdpReceiver):
         """Answers before anything else, because the controller measures the latency."""
         if not self.answer:
             return None
+        reply = self._reply_of_lwr if not self.is_iiwa else self._reply_of_iiwa(fri_iiwa.Monitor())
 
         def answer(packet: memoryview, length: int, sender: bytes) -> None:
-            reflected = counter_of(packet, length)
-            if reflected is None or not self._is_known(sender):
+            if not self._is_known(sender):
+                return
+            packed = reply(packet, length)
+            if packed is None:
                 return
             try:
-                send(no_command(self._answers + 1, reflected), sender)
+                send(packed, sender)
             except OSError as error:
                 self._warn(f"no answer could be sent: {error.strerror}")
                 return
             self._answers += 1
 
         return answer
+
+    def _reply_of_lwr(self, packet: memoryview, length: int) -> bytes | None:
+        reflected = counter_of(packet, length)
+        return None if reflected is None else no_command(self._answers + 1, reflected)
+
+    def _reply_of_iiwa(
+        self, monitor: fri_iiwa.Monitor
+    ) -> Callable[[memoryview, int], bytes | None]:
+        def reply(packet: memoryview, length: int) -> bytes | None:
+            return monitor.answer(bytes(packet[:length]), self._answers)
+
+        return reply

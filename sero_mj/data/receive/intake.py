@@ -150,7 +150,7 @@ class Intake:
         """Sorts packets, and returns those to apply; `count` then counts all.
 
         Args:
-            rows: (n, `size` or more), n >= 1, one packet a row.
+            rows: (n, `size` or more; of encoded packets any number), n >= 1, one packet a row.
             lengths: of the packets, (n,), bytes; may exceed the row.
             arrivals: (n,), s.
             senders: addresses, (n, any number of bytes).
@@ -160,13 +160,16 @@ class Intake:
         """
         counters, layout = self._tally, self.layout
         counters.received += len(rows)
+        received, sizes = rows, lengths
+        if layout.message:
+            rows, lengths = layout.unpack(rows, lengths)
         rows = rows[:, : layout.size]
         if (lengths != layout.size).any():
             bad = lengths != layout.size
             counters.wrong_size += int(bad.sum())
-            counters.last_size = int(lengths[bad][-1])
-            hint = layout.for_size(counters.last_size)
-            found = f"{counters.last_size} bytes; expected {layout.size}{hint and f'; {hint}'}"
+            counters.last_size = int(sizes[bad][-1])
+            packet = received[bad][-1].tobytes()[: counters.last_size]
+            found = layout.describe_wrong_size(packet, counters.last_size)
             self._fault(found, arrivals[bad][-1])
             rows, arrivals = rows[~bad], arrivals[~bad]
             senders = None if senders is None else senders[~bad]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -48,9 +48,24 @@ class PacketDeclaration(Declaration):
 
     # The protocol of the sender in addition to the structure: `fri`, or none.
     protocol: ClassVar[str] = ""
+    # The protocol that fixes these fields, so that no file may: `FRI`, or none.
+    _fixed_by: ClassVar[str] = ""
     # The origin of the structure, for kinds whose structure cannot be declared.
     _structure_is: ClassVar[str] = ""
     _nan_allowed: frozenset[str] = PrivateAttr(frozenset())
+
+    @field_validator(*_DECODING, mode="before")
+    @classmethod
+    def _is_fixed(cls, value: Any, info: ValidationInfo) -> Any:
+        assert info.field_name is not None
+        if cls._fixed_by and value not in cls._fixed(info.field_name):
+            raise ValueError(f"found {value!r}; {cls._fixed_by} fixes it: leave it out")
+        return value
+
+    @classmethod
+    def _fixed(cls, field: str) -> Collection[Any]:
+        """The values of a field that the protocol can have."""
+        return (cls.model_fields[field].default,)
 
     @field_validator("structure")
     @classmethod
@@ -107,6 +122,23 @@ class PacketDeclaration(Declaration):
             values: event name to its array, of one packet.
         """
         return self.layout.link_state(values)
+
+    def describe_link(self, values: Mapping[str, Array]) -> str:
+        """What a packet says of the robot's controller, in words; empty if nothing.
+
+        Args:
+            values: event name to its array, of one packet.
+        """
+        return ""
+
+    def link_faults(self, state: float, quality: float) -> list[str]:
+        """What is wrong with the robot's controller or the link to it, one per line.
+
+        Args:
+            state: as in `link_state`.
+            quality: likewise.
+        """
+        return []
 
     def decoding_fields(self) -> dict[str, Any]:
         """The fields that determine the meaning of packets, as JSON types; for recordings.

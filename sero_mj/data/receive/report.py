@@ -32,10 +32,12 @@ def report(source: Source) -> dict[str, Any]:
         every counter by its name, and `source`, `about`, `receiving`, `rate` (packets/s), `age` (s
         since the last good packet, None before the first), `jitter` and `delay` (s, None where
         the packets have no time stamp), `good`, `trouble` (why no packets arrive, if known: missing
-        shared memory, say), `fault_age` (s since the last rejected packet, None for none).
+        shared memory, say), `controller` (what the last good packet says of the robot's controller,
+        in words), `fault_age` (s since the last rejected packet, None for none).
     """
     counters, timing = source.counters, source.timing
-    since = age(source.latest(), source.now())
+    latest = source.latest()
+    since = age(latest, source.now())
     return {
         "source": source.name,
         "about": source.about,
@@ -46,6 +48,7 @@ def report(source: Source) -> dict[str, Any]:
         "jitter": timing.jitter,
         "delay": timing.delay if source.time else None,
         "trouble": source.trouble,
+        "controller": "" if latest is None else source.original.describe_link(latest.values),
         "malformed": counters.malformed,
         "fault_age": source.now() - counters.last_fault_time if counters.malformed else None,
         **{field.name: getattr(counters, field.name) for field in fields(Counters)},
@@ -69,6 +72,8 @@ def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
         rows.append(("state", f"{found['rate']:.1f}/s", jitter))
     else:
         rows.append(("state", "quiet", f"no good packet for {found['age']:.1f} s{why}"))
+    if found["controller"]:
+        rows.append(("controller", "", found["controller"]))
     rows.append(("received", str(found["received"]), f"{found['good']} of them applied"))
     meanings = dict(MEANINGS)
     if found["wrong_size"] or found["wrong_constant"]:

@@ -122,6 +122,11 @@ class Source(PacketDeclaration):
         return None
 
     @property
+    def can_be_played(self) -> bool:
+        """Whether `sero-mj send` can send what it receives."""
+        return self.place is not None or self.memory is not None
+
+    @property
     def trouble(self) -> str:
         """Why no packets arrive, as shown to the user; empty when unknown."""
         return ""

@@ -54,12 +54,16 @@ class Structure:
         events: event name to the shape of its array.
         matrices: names of the events that are matrices.
         size: bytes of a packet.
+        message: what packets are called that come encoded, of any size, and are turned into ones of
+            `size` bytes by `unpack`; empty if they come as they are.
         dtype: numpy's record type of a packet: the raw numbers of every event.
 
     Raises:
         StructureError: points at the first invalid character.
         ValueError: the alignment is not 1, 2, 4 or 8, or the scale is not above 0.
     """
+
+    message: str = ""
 
     def __init__(
         self,
@@ -104,6 +108,29 @@ class Structure:
         ]
         self._is_plain = not any(item for *_, item in self._plan)
         self._blocks: dict[frozenset[str], list[_Block]] = {}
+
+    def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
+        """Turns packets as they come into those that this structure describes.
+
+        Args:
+            rows: as received, (n, any number of bytes).
+            lengths: of the packets, (n,), bytes; may exceed the row.
+
+        Returns:
+            rows (n, `size` or more) and lengths (n,), which are not `size` where a packet cannot be
+            read; here those given.
+        """
+        return rows, lengths
+
+    def describe_wrong_size(self, packet: bytes, length: int) -> str:
+        """Describes why a packet of that length, as it came, cannot be one of these.
+
+        Args:
+            packet: its first bytes at least.
+            length: of all of it, bytes.
+        """
+        hint = self.for_size(length)
+        return f"{length} bytes; expected {self.size}{hint and f'; {hint}'}"
 
     def for_size(self, size: int) -> str:
         """Suggests what would explain a different size: alignment, float32, padding.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -11,8 +11,7 @@ import mujoco
 import numpy as np
 
 from ...base.errors import SeroError
-from ...data.receive import fri
-from ...data.receive.source import make_source
+from ...data.receive.source import Source, make_source
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.inputs import SOURCE_FIELDS
 from .cards import move_below
@@ -32,13 +31,15 @@ _MAX_AWAITED = 3  # sources
 SHOWN_FOR = 5.0  # s for which a malformed or lost packet is shown
 
 
-def _source_faults(name: str, state: Any) -> list[str]:
+def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
     """Returns the faults of one source, one per line."""
+    message = "" if source is None else source.layout.message
     lines = []
     if state.malformed and state.fault_age < SHOWN_FOR:
         lines.append(f"{name}: {state.malformed:.0f} of {state.received:.0f} packets not applied")
         if state.wrong_size:
-            lines.append(f"  {state.last_size:.0f} bytes, expected {state.size:.0f}")
+            wrong = f" that are no {message}" if message else f", expected {state.size:.0f}"
+            lines.append(f"  {state.last_size:.0f} bytes{wrong}")
         if state.not_frames:
             lines.append("  a matrix that is not a frame")
         if state.wrong_constant:
@@ -78,36 +79,24 @@ def _packets(count: float) -> str:
     return f"{count:.0f} packet{'' if count == 1 else 's'}"
 
 
-def _controller_faults(name: str, state: Any, answers: bool) -> list[str]:
+def _controller_faults(name: str, state: Any, source: Source | None) -> list[str]:
     """Returns the faults that a robot's controller reports in its last packet, one per line."""
     # Before the first packet the fields are 0, which would be a valid state here.
-    if not state.received or state.link_quality < 0:
+    if source is None or not state.received or state.link_quality < 0:
         return []
-    if fri.is_good(state.robot_state, state.link_quality):
-        return []
-    quality = fri.QUALITIES.get(int(state.link_quality), f"{state.link_quality:.0f}")
-    of_robot = fri.STATES.get(int(state.robot_state), f"{state.robot_state:.0f}")
-    lines = [f"{name}: quality {quality}, state {of_robot}"]
-    if quality == "unacceptable" and not answers:
-        lines.append("  no answers are sent to it: answer = false")
-    return lines
+    first, *more = source.original.link_faults(state.robot_state, state.link_quality) or [""]
+    return [f"{name}: {first}", *more] if first else []
 
 
-def _about(world: WorldView, name: str) -> str:
-    """Returns kind and address of a live source; empty for sources read from files."""
-    with suppress(SeroError):
-        declared = world.scene.sources[name]
-        if isinstance(declared, Mapping):
-            declared = make_source(name, {**declared, "debug_level": 0})
-        return str(declared.about) if declared.is_live else ""
-    return ""
-
-
-def _answers(source: Any) -> bool:
-    """Whether a source, or its declaration, sends answers."""
-    if isinstance(source, Mapping):
-        return bool(source.get("answer", False))
-    return bool(getattr(source, "answer", False))
+def _sources(world: WorldView) -> dict[str, Source]:
+    """Returns the sources of a scene, made to be asked; those that cannot be made are left out."""
+    sources = {}
+    for name, declared in world.scene.sources.items():
+        with suppress(SeroError):
+            source = make_source(name, declared)
+            _ = source.original  # while errors of its file are left out
+            sources[name] = source
+    return sources
 
 
 class Status(Feature):
@@ -118,14 +107,11 @@ class Status(Feature):
     def __init__(self, world: WorldView) -> None:
         super().__init__(world)
         self._slots = [
-            (name, world.slots[f"sources.{name}"], _answers(world.scene.sources[name]))
+            (name, world.slots[f"sources.{name}"])
             for name in world.scene.sources
             if name in world.scene.sources_of()
         ]
-
-        self._where = {
-            name: about for name in world.scene.sources if (about := _about(world, name))
-        }
+        self._sources = _sources(world)
 
     def lay_out(self, frame: Frame) -> None:
         """Adds panels to the upper left corner, below the right one's if they overlap."""
@@ -148,15 +134,20 @@ class Status(Feature):
         """Returns the packets expected from silent sources, and the command to send them."""
         if not toggles.status:
             return None
-        lines = []
-        for name, slot, _ in self._slots:
+        lines, can_be_played = [], False
+        for name, slot in self._slots:
             state: Any = SourceState(*data.userdata[slot])
-            if name in self._where and not state.received:
-                lines.append(f"nothing yet on {self._where[name]}")
-                lines.append(f"  awaited: packets of {state.size:.0f} bytes")
+            source = self._sources.get(name)
+            if source is not None and source.is_live and not state.received:
+                message = source.layout.message
+                packets = f"{message}s" if message else f"packets of {state.size:.0f} bytes"
+                lines += [f"nothing yet on {source.about}", f"  awaited: {packets}"]
+                can_be_played |= source.can_be_played
         if not lines:
             return None
-        lines = [*lines[: 2 * _MAX_AWAITED], f"  to try: sero-mj send {self.world.scene.argument}"]
+        lines = lines[: 2 * _MAX_AWAITED]
+        if can_be_played:
+            lines.append(f"  to try: sero-mj send {self.world.scene.argument}")
         return _corner(lines, PANEL_RGBA, view)
 
     def panels(
@@ -171,10 +162,10 @@ class Status(Feature):
             more: other faults, one per line; only the first few are shown.
         """
         lines = [*more[:_MAX_MORE]]
-        for name, slot, answers in self._slots:
-            state = SourceState(*data.userdata[slot])
-            lines += _source_faults(name, state) + _link_faults(name, state)
-            lines += _controller_faults(name, state, answers)
+        for name, slot in self._slots:
+            state, source = SourceState(*data.userdata[slot]), self._sources.get(name)
+            lines += _source_faults(name, state, source) + _link_faults(name, state)
+            lines += _controller_faults(name, state, source)
         return _corner(lines, FAULT_RGBA, view) if lines and toggles.status else None
 
 
