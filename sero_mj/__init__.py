@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .data.drive.place import Placer as Placer
     from .data.drive.record_sources import record_sources as record_sources
     from .data.receive.fri import FriReceiver as FriReceiver
+    from .data.receive.rtde import RtdeReceiver as RtdeReceiver
     from .data.receive.shm import ShmReader as ShmReader
     from .data.receive.structure import Structure as Structure
     from .data.receive.udp import UdpReceiver as UdpReceiver
@@ -106,6 +107,7 @@ _HOME = {
     "FriReceiver": "data.receive.fri",
     "Recording": "data.record.recording",
     "Replay": "data.record.replay",
+    "RtdeReceiver": "data.receive.rtde",
     "ShmReader": "data.receive.shm",
     "SimulationError": "base.errors",
     "Structure": "data.receive.structure",

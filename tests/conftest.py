@@ -48,7 +48,7 @@ settings.load_profile("quarter")
 # What a machine cannot have: dm-control from Python 3.13 on, and what is of another system.
 _MAY_BE_SKIPPED = (
     "dm-control is not installed", "by hand", "Linux", "no IPv6 groups",
-    "stable-baselines3", "octave-cli", "rustc",
+    "stable-baselines3", "octave-cli", "rustc", "ur_rtde is not installed",
 )  # fmt: skip
 # Browsers and windows take both cores; of several workers one runs all pages, and one all windows.
 # Start pages of either listen on the same ports.

@@ -9,9 +9,6 @@ import struct
 import zlib
 from typing import Any
 
-import pytest
-
-pytest.importorskip("google.protobuf", reason="protobuf is not installed")
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 # Message to its fields: name, number, type; `*` marks a repeated one.
@@ -48,7 +45,6 @@ MESSAGES = {
     ],
     "Command": [("header", 1, "Header"), ("commandData", 2, "CommandData")],
 }  # fmt: skip
-PACKED = ("JointValuesPacked", [("*value", 1, "double")])
 
 
 def _make() -> Any:

@@ -250,6 +250,7 @@ class FriReceiver(UdpReceiver):
 
     def model_post_init(self, context: Any, /) -> None:
         """Lets messages of an iiwa leave out what they may, until the routes are known."""
+        self.__pydantic_fields_set__.discard("structure")  # nobody has declared it
         if self.is_iiwa:
             self._nan_allowed = fri_iiwa.OPTIONAL & self.events.keys()
 

@@ -1,0 +1,460 @@
+"""`RtdeReceiver`: a robot of Universal Robots, by its Real-Time Data Exchange (RTDE) on TCP 30004.
+
+A client asks for variables by name and starts them; the controller then sends a data package each
+cycle (2 ms, CB3: 8 ms). All messages are big-endian: a size of 2 bytes, a type of 1 byte, a
+payload. Nothing but questions is ever sent: no input is set up, so nothing can be commanded. The
+protocol and names of variables are those of UR's RTDE guide, protocol version 2.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import selectors
+import socket
+import struct
+import threading
+import time as clock
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import cached_property
+from typing import ClassVar
+
+from pydantic import Field, PrivateAttr, field_validator
+
+from ...base.errors import Problem
+from ...base.frames import Array
+from .source import Source, log
+from .structure import Structure
+
+PORT = 30004
+VERSION = 2  # of the protocol
+# Types of messages.
+_TYPES = b"VvOSUM"
+ASK_VERSION, ASK_CONTROLLER, SET_UP, START, DATA, TEXT = _TYPES
+_HEAD = struct.Struct(">HB")
+_MOST_BYTES = 4096  # of a message; those of a controller have up to 600
+
+# Variable, its type, and its events.
+VARIABLES = (
+    ("timestamp", "DOUBLE", "timestamp:1d"),
+    ("actual_q", "VECTOR6D", "joint_angles:6d"),
+    ("actual_qd", "VECTOR6D", "joint_velocities:6d"),
+    ("actual_current", "VECTOR6D", "currents:6d"),
+    ("actual_current_as_torque", "VECTOR6D", "torques:6d"),
+    ("target_moment", "VECTOR6D", "commanded_torques:6d"),
+    ("target_q", "VECTOR6D", "commanded_angles:6d"),
+    ("actual_TCP_force", "VECTOR6D", "tcp_force:1Vd tcp_moment:1Vd"),
+    ("robot_mode", "INT32", "robot_mode:1i"),
+    ("safety_mode", "INT32", "safety_mode:1i"),
+)
+# What is added to a data package: whether its torques are commanded ones, and its number, counted
+# by time stamps, of which those of packages that the controller left out are passed over.
+_ADDED = struct.Struct(">BI")
+STRUCTURE = " ".join(
+    (">", *(events for *_, events in VARIABLES), "torques_are_commanded:1B package_number:1I")
+)
+MEASURED, COMMANDED = "actual_current_as_torque", "target_moment"
+UNKNOWN = -128  # of a mode that the controller does not tell
+_NAN = struct.pack(">d", math.nan)
+_ABSENT = {"DOUBLE": _NAN, "VECTOR6D": 6 * _NAN, "INT32": struct.pack(">i", UNKNOWN)}
+
+ROBOT_MODES = {
+    -1: "without a controller", 0: "disconnected", 1: "waiting for its safety to be confirmed",
+    2: "booting", 3: "powered off", 4: "powered on", 5: "idle", 6: "in backdrive", 7: "running",
+    8: "updating its firmware",
+}  # fmt: skip
+SAFETY_MODES = {
+    1: "normal", 2: "reduced", 3: "protective stop", 4: "recovery", 5: "safeguard stop",
+    6: "system emergency stop", 7: "robot emergency stop", 8: "violation", 9: "fault",
+    10: "joint identification", 11: "undefined",
+}  # fmt: skip
+_RUNNING, _SAFE = 7, (1, 2)
+
+_PATIENCE = 2.0  # s for an answer, or for the next data package
+_SHORTEST, _LONGEST = 0.1, 5.0  # s between attempts to connect
+_MOST_KEPT = 2048  # bytes of what is no message
+_EARLY = 0.25  # of a period: so much less between stamps is still another package
+_MOST_TOLD = 100  # different texts
+
+
+class RtdeReceiver(Source):
+    """Receives the state of a robot of Universal Robots, without commanding it.
+
+    It connects, and connects again when the connection is lost. Events are in SI units; currents
+    in A. `torques` are those measured, `actual_current_as_torque`, which controllers have from
+    PolyScope 5.23 and 10.11 on; before that they are the commanded ones, which is told, and
+    `torques_are_commanded` is 1. `tcp_force` and `tcp_moment` are at the TCP, in directions of the
+    base. What the controller does not have is NaN, a mode -128.
+
+    Attributes:
+        host: address of the controller.
+        port: its port.
+        frequency: of data packages, Hz; 0 for the highest of the controller: 500, or 125 of a CB3.
+    """
+
+    name: str = "rtde"
+    host: str
+    port: int = Field(PORT, ge=1, le=65535)
+    frequency: float = Field(0.0, ge=0.0, le=500.0)
+    structure: str = STRUCTURE
+    sequence: str = "package_number"
+    time: str = "timestamp"
+
+    _fixed_by: ClassVar[str] = "RTDE"
+    # As long as the routes are unknown, what older controllers lack may be missing.
+    _nan_allowed: frozenset[str] = PrivateAttr(
+        frozenset(("currents", "torques", "commanded_torques", "tcp_force", "tcp_moment"))
+    )
+    _thread: threading.Thread | None = PrivateAttr(None)
+    _wake: tuple[socket.socket, socket.socket] | None = PrivateAttr(None)
+    _trouble: str = PrivateAttr("")
+    _told: set[str] = PrivateAttr(default_factory=set)
+    _state: str = PrivateAttr("")  # of the connection, for people
+
+    @field_validator("host")
+    @classmethod
+    def _host_is_an_address(cls, host: str) -> str:
+        if not host or any(character.isspace() for character in host):
+            raise Problem(found=host, expected="an address such as 192.168.0.3").error()
+        return host
+
+    @cached_property
+    def layout(self) -> Structure:
+        """The decoder."""
+        return RtdeLayout(STRUCTURE)
+
+    @property
+    def about(self) -> str:
+        """Kind and address, as shown to the user."""
+        state = f", {self._state}" if self._state else ""
+        return f"UR RTDE of {self.host}:{self.port}{state}"
+
+    @property
+    def trouble(self) -> str:
+        """Why no packets arrive, as shown to the user; empty when unknown."""
+        return self._trouble
+
+    def describe_link(self, values: Mapping[str, Array]) -> str:
+        """What a packet says of the robot's controller, in words."""
+        said = _modes(*self.link_state(values))
+        if values["torques_are_commanded"][0]:
+            said.append("torques are commanded, not measured")
+        return ", ".join(said)
+
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """A packet's `robot_mode` and `safety_mode`; the latter is -1 where it is unknown."""
+        return float(values["robot_mode"][0]), max(float(values["safety_mode"][0]), -1.0)
+
+    def link_faults(self, state: float, quality: float) -> list[str]:
+        """What keeps the robot from moving, one per line."""
+        good = state in (_RUNNING, UNKNOWN) and (quality < 0 or quality in _SAFE)
+        return [] if good else [", ".join(_modes(state, quality))]
+
+    def open(self) -> None:
+        """Starts the thread that connects; the controller need not be there."""
+        self.close()
+        self.reset()
+        self._trouble = self._state = ""
+        self._told = set()
+        self._wake = socket.socketpair()
+        self._thread = threading.Thread(target=self._receive, name=f"rtde {self.name}", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends the connection; harmless when it is not open."""
+        if self._thread is not None and self._wake is not None:
+            self.closing.set()
+            self._wake[1].send(b"x")
+            self._thread.join()
+            for end in self._wake:
+                end.close()
+        self._thread = self._wake = None
+
+    def _receive(self) -> None:
+        """Connects again and again, until it is closed."""
+        assert self._wake is not None
+        wake = self._wake[0]
+        pause, left_out = _SHORTEST, frozenset[str]()
+        while not self.closing.is_set():
+            good = self.receive_trigger
+            try:
+                with _Connection(self.host, self.port, wake) as connection:
+                    lacking = self._converse(connection, left_out)
+            except _ClosedHere:
+                break
+            except _Nonsense as error:
+                self._end(f"{self.host}:{self.port} {error}")
+                if raw := error.received[:_MOST_KEPT]:
+                    self.accept([raw + b"\0" * (len(raw) == self.size)])
+            except OSError as error:
+                self._end(f"{self.host}:{self.port}: {error.strerror or error}")
+            else:  # once more without what the controller lacks, as UR's own client does it
+                left_out |= lacking
+                continue
+            left_out = frozenset()
+            if self.receive_trigger > good:
+                pause = _SHORTEST
+            self.closing.wait(pause)
+            pause = min(2.0 * pause, _LONGEST)
+
+    def _end(self, trouble: str) -> None:
+        self._trouble, self._state = trouble, ""
+        self._tell(f"{trouble}; it is tried again")
+
+    def _tell(self, text: str) -> None:
+        """Logs something once."""
+        if self.debug_level >= 1 and text not in self._told and len(self._told) < _MOST_TOLD:
+            self._told.add(text)
+            log.warning("source '%s': %s", self.name, text)
+
+    def _converse(self, connection: _Connection, left_out: frozenset[str]) -> frozenset[str]:
+        """Agrees on a recipe and receives until the connection ends.
+
+        Returns at once the variables that the controller lacks, if there are any.
+        """
+        if connection.ask(ASK_VERSION, struct.pack(">H", VERSION), self._hear) != b"\1":
+            raise _Nonsense("does not accept version 2 of RTDE")
+        answer = connection.ask(ASK_CONTROLLER, b"", self._hear)
+        if len(answer) != 16:
+            raise _Nonsense("does not tell its version", answer)
+        version = struct.unpack(">4I", answer)
+        fastest = 500.0 if version[0] >= 5 else 125.0
+        rate = min(self.frequency or fastest, fastest)
+        recipe = [(name, kind) for name, kind, _ in VARIABLES if name not in left_out]
+        names = ",".join(name for name, _ in recipe).encode()
+        answer = connection.ask(SET_UP, struct.pack(">d", rate) + names, self._hear)
+        found = answer[1:].decode("ascii", "replace").split(",")
+        if len(found) != len(recipe):
+            raise _Nonsense(f"told {len(found)} types of {len(recipe)} variables", answer)
+        lacking = self._check_types(recipe, found)
+        if lacking:
+            if len(lacking) == len(recipe):
+                raise _Nonsense("has none of the variables that are needed")
+            return lacking
+        if connection.ask(START, b"", self._hear) != b"\1":
+            raise _Nonsense("does not start to send")
+        if self.receive_trigger:
+            self.intake.restart()
+        self._trouble, self._state = "", f"{rate:g} Hz"
+        if MEASURED in left_out and COMMANDED not in left_out:
+            self._state += ", torques are commanded, not measured"
+            self._tell(
+                f"controller {'.'.join(map(str, version[:3]))} does not measure torques "
+                "(actual_current_as_torque, from PolyScope 5.23 and 10.11 on); those shown are "
+                "the commanded ones (target_moment)"
+            )
+        packages = _Packages(answer[0], left_out, rate, fastest)
+        while True:
+            bodies = [
+                payload for kind, payload in connection.receive() if self._is_data(kind, payload)
+            ]
+            if bodies:
+                self.accept([packages.packet(body, self.size) for body in bodies])
+
+    def _check_types(self, recipe: list[tuple[str, str]], found: list[str]) -> frozenset[str]:
+        """The variables that cannot be had as they are needed."""
+        lacking = set()
+        for (name, kind), other in zip(recipe, found, strict=True):
+            if other == kind:
+                continue
+            lacking.add(name)
+            if other == "NOT_FOUND":
+                if name != MEASURED:  # which is told when it is known what stands in for it
+                    self._tell(f"the controller has no {name}")
+            elif other == "IN_USE":
+                self._tell(f"{name} is in use by another client")
+            else:
+                self._tell(f"{name} is of type {other[:40]}; expected {kind}")
+        return frozenset(lacking)
+
+    def _is_data(self, kind: int, payload: bytes) -> bool:
+        if kind == TEXT:
+            self._hear(payload)
+        elif kind != DATA:
+            raise _Nonsense(f"sent message {chr(kind)} among data packages", payload)
+        return kind == DATA
+
+    def _hear(self, payload: bytes) -> None:
+        """Passes on what a controller has to say: length, text, length, source, level."""
+        is_whole = bool(payload) and 1 + payload[0] <= len(payload)
+        text = payload[1 : 1 + payload[0]] if is_whole else payload
+        self._tell(f"the controller says: {text.decode('utf-8', 'replace').strip()}")
+
+
+class RtdeLayout(Structure):
+    """The packets of `RtdeReceiver`, which are data packages with `_ADDED`."""
+
+    message = "data package"
+
+    def describe_wrong_size(self, packet: bytes, length: int) -> str:
+        """Describes why a packet is none; see `Structure.describe_wrong_size`."""
+        return f"{length} bytes that are no {self.message} as agreed"
+
+
+class _ClosedHere(Exception):
+    """The source is being closed."""
+
+
+class _Nonsense(Exception):
+    """The peer sent what is not RTDE, or refuses.
+
+    Attributes:
+        received: the bytes at fault; may be empty.
+    """
+
+    def __init__(self, text: str, received: bytes = b"") -> None:
+        super().__init__(text)
+        self.received = received
+
+
+class _Connection:
+    """A connection to a controller, which ends when `wake` can be read.
+
+    Raises:
+        OSError: it cannot be made, or is lost, in any method.
+        _ClosedHere: likewise.
+        _Nonsense: what comes is no message.
+    """
+
+    def __init__(self, host: str, port: int, wake: socket.socket) -> None:
+        self._wake, self._received = wake, b""
+        self._messages: deque[tuple[int, bytes]] = deque()
+        self._selector = selectors.DefaultSelector()
+        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        self._socket = socket.socket(family, kind)
+        try:
+            self._selector.register(wake, selectors.EVENT_READ)
+            self._socket.setblocking(False)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with suppress(BlockingIOError):
+                self._socket.connect(address)
+            self._selector.register(self._socket, selectors.EVENT_WRITE)
+            self._wait(clock.monotonic() + _PATIENCE, "does not answer")
+            if error := self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+                raise OSError(error, os.strerror(error))
+            self._selector.modify(self._socket, selectors.EVENT_READ)
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def __enter__(self) -> _Connection:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._selector.close()
+        self._socket.close()
+
+    def _wait(self, deadline: float, else_what: str) -> None:
+        """Waits until the socket is ready."""
+        ready = self._selector.select(max(deadline - clock.monotonic(), 0.0))
+        found = [key.fileobj for key, _ in ready]
+        if self._wake in found:
+            raise _ClosedHere
+        if not found:
+            raise TimeoutError(else_what)
+
+    def ask(self, kind: int, question: bytes, hear: Callable[[bytes], None]) -> bytes:
+        """Sends a question, and returns the payload of its answer.
+
+        Args:
+            kind: of both.
+            question: its payload.
+            hear: called with texts that come before the answer.
+        """
+        self._socket.sendall(_HEAD.pack(_HEAD.size + len(question), kind) + question)
+        deadline = clock.monotonic() + _PATIENCE
+        while True:
+            while not self._messages:
+                self._read(deadline, f"does not answer question {chr(kind)}")
+            found, payload = self._messages.popleft()
+            if found == kind:
+                return payload
+            if found != TEXT:
+                raise _Nonsense(f"answers question {chr(kind)} by message {chr(found)}", payload)
+            hear(payload)
+            if clock.monotonic() > deadline:
+                raise TimeoutError(f"does not answer question {chr(kind)}")
+
+    def receive(self) -> list[tuple[int, bytes]]:
+        """Waits for messages; returns their types and payloads, at least one."""
+        deadline = clock.monotonic() + _PATIENCE
+        while not self._messages:
+            self._read(deadline, f"sends nothing for {_PATIENCE:g} s")
+        messages = [*self._messages]
+        self._messages.clear()
+        return messages
+
+    def _read(self, deadline: float, else_what: str) -> None:
+        """Reads what has come, and splits it into messages."""
+        self._wait(deadline, else_what)
+        more = self._socket.recv(65536)
+        if not more:
+            raise ConnectionError("it closed the connection")
+        received, at = self._received + more, 0
+        while len(received) - at >= _HEAD.size:
+            size, kind = _HEAD.unpack_from(received, at)
+            if not _HEAD.size <= size <= _MOST_BYTES or kind not in _TYPES:
+                text = f"sends what is no message of RTDE: {size} bytes of type {kind}"
+                raise _Nonsense(text, received[at:])
+            if len(received) - at < size:
+                break
+            self._messages.append((kind, received[at + _HEAD.size : at + size]))
+            at += size
+        self._received = received[at:]
+
+
+class _Packages:
+    """Turns payloads of data packages into packets.
+
+    Args:
+        recipe: number of the recipe.
+        left_out: variables that are not in it.
+        rate: of the packages, Hz.
+        fastest: rate of the controller's cycle, Hz.
+    """
+
+    def __init__(self, recipe: int, left_out: frozenset[str], rate: float, fastest: float) -> None:
+        self._recipe = recipe
+        places, at = {}, 1  # behind the recipe's number
+        for name, kind, _ in VARIABLES:
+            if name not in left_out:
+                places[name] = slice(at, at + len(_ABSENT[kind]))
+                at = places[name].stop
+        self._length = at
+        self._is_commanded = MEASURED not in places and COMMANDED in places
+        if self._is_commanded:
+            places[MEASURED] = places[COMMANDED]
+        self._pieces = [(places.get(name), _ABSENT[kind]) for name, kind, _ in VARIABLES]
+        self._has_time = "timestamp" in places
+        # The longest time between packages: whole cycles, of which a rate may not be a divisor.
+        self._period = math.ceil(fastest / rate - 1e-6) / fastest
+        self._number, self._stamp = 0, math.nan
+
+    def packet(self, payload: bytes, size: int) -> bytes:
+        """Returns the packet of a payload; other payloads as they are, and not `size` bytes."""
+        if len(payload) != self._length or payload[0] != self._recipe:
+            return payload + b"\0" * (len(payload) == size)
+        step = 1
+        if self._has_time:
+            (stamp,) = struct.unpack_from(">d", payload, 1)
+            passed = (stamp - self._stamp) / self._period
+            # A simulated controller may stamp by a clock that is not that of its cycles.
+            step = max(math.floor(passed + _EARLY), 1) if 0.0 < passed < 2.0**31 else 1
+            self._stamp = stamp
+        self._number = (self._number + step) & 0xFFFFFFFF
+        data = b"".join(
+            [absent if place is None else payload[place] for place, absent in self._pieces]
+        )
+        return data + _ADDED.pack(self._is_commanded, self._number)
+
+
+def _modes(state: float, quality: float) -> list[str]:
+    """The robot's mode and that of its safety, in words, as far as they are known."""
+    said = []
+    if state != UNKNOWN:
+        said.append(f"robot {ROBOT_MODES.get(int(state), f'in mode {state:.0f}')}")
+    if quality >= 0:
+        said.append(f"safety: {SAFETY_MODES.get(int(quality), f'mode {quality:.0f}')}")
+    return said
