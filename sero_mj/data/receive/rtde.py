@@ -190,6 +190,8 @@ class RtdeReceiver(Source):
                     self.accept([raw + b"\0" * (len(raw) == self.size)])
             except OSError as error:
                 self._end(f"{self.host}:{self.port}: {error.strerror or error}")
+            except UnicodeError:  # of names that no resolver is asked for
+                self._end(f"{self.host}:{self.port}: not an address")
             else:  # once more without what the controller lacks, as UR's own client does it
                 left_out |= lacking
                 continue
