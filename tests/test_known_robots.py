@@ -43,14 +43,14 @@ def panda(q):
 
 
 def universal(d1, a2, a3, d4, d5, d6):
-    """The frames of a UR by UR's own standard table, turned as the base of its ROS package is."""
+    """The frames of a UR by UR's own standard table."""
 
     def frames(q):
         rows = [(0, d1, HALF_PI), (a2, 0, 0), (a3, 0, 0), (0, d4, HALF_PI), (0, d5, -HALF_PI),
                 (0, d6, 0)]  # fmt: skip
         steps = [(rot(2, t), move(a, 0, d), rot(0, al))
                  for (a, d, al), t in zip(rows, q, strict=True)]  # fmt: skip
-        return chain(rot(2, math.pi), *(step for row in steps for step in row))
+        return chain(*(step for row in steps for step in row))
 
     return frames
 
@@ -134,9 +134,9 @@ def test_table_and_model_agree_with_another_route_at_random_poses(name, by_hand)
             np.array([[1, -1, 0], [-1, -1, 0], [0, 0, -math.sqrt(2)]]) / math.sqrt(2),
         ),
         ("iiwa14", [0] * 7, [0, 0, 1.332], np.eye(3)),  # KUKA: 360 + 420 + 400 mm, and the flange
-        # UR's table at zero: x = a2 + a3, y = -(d4 + d6), z = d1 - d5, turned about z.
-        ("ur5e", [0] * 6, [0.8172, 0.2329, 0.0628], [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]),
-        ("ur10e", [0] * 6, [1.18425, 0.2907, 0.06085], [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]),
+        # UR's table at zero: x = a2 + a3, y = -(d4 + d6), z = d1 - d5.
+        ("ur5e", [0] * 6, [-0.8172, -0.2329, 0.0628], [[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        ("ur10e", [0] * 6, [-1.18425, -0.2907, 0.06085], [[1, 0, 0], [0, 0, -1], [0, 1, 0]]),
         # Stretched, it reaches 600 mm, for which it is named; its quill moves 210 mm.
         ("scara", [0] * 4, [0.6, 0, 0.387], np.diag([1, -1, -1])),
         ("scara", [0, 0, 0.21, 0], [0.6, 0, 0.177], np.diag([1, -1, -1])),

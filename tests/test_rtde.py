@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import random
 import select
 import socket
@@ -70,8 +69,6 @@ if len(sys.argv) > 1:
     sys.stdin.readline()
     robot.disconnect()
 """
-# With which ur_rtde is installed, if not with ours.
-PEER_PYTHON = os.environ.get("UR_RTDE_PYTHON", sys.executable)
 
 
 @pytest.fixture(autouse=True)
@@ -223,7 +220,7 @@ def test_rates_between_those_of_the_cycle_lose_nothing(
 
 def test_ur_rtde_reads_the_same_from_the_same_controller() -> None:
     try:
-        subprocess.run([PEER_PYTHON, "-c", PEER], check=True, capture_output=True)
+        subprocess.run([sys.executable, "-c", PEER], check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError):
         pytest.skip("ur_rtde is not installed")
     host = f"127.{random.randint(1, 254)}.{random.randint(1, 254)}.7"  # its port is fixed
@@ -231,7 +228,7 @@ def test_ur_rtde_reads_the_same_from_the_same_controller() -> None:
     with RtdeServer(host=host, port=30004) as server:
         values = {"actual_q": SIX, "target_moment": SIX[::-1], "actual_TCP_force": SIX}
         process = subprocess.Popen(
-            [PEER_PYTHON, "-c", PEER, host, names],
+            [sys.executable, "-c", PEER, host, names],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         assert process.stdin is not None and process.stdout is not None
