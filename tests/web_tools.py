@@ -142,7 +142,7 @@ class Visitor:
 
     def sees_camera(self) -> None:
         """Waits until it sees what the server's camera does."""
-        self.until(f"player.serial === {self._served.ask('w.view._serial')}")
+        self.until(f"player.serial >= {self._served.ask('w.view._serial')}")
 
     def joint(self, index: int) -> tuple[float, float]:
         """Where a joint of the world is on the page, pixels from the upper left corner."""
