@@ -13,7 +13,6 @@ import os
 import selectors
 import socket
 import struct
-import threading
 import time as clock
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -25,7 +24,7 @@ from pydantic import Field, PrivateAttr, field_validator
 
 from ...base.errors import Problem
 from ...base.frames import Array
-from .source import Source, log
+from .source import ReceivingThread, Source, log
 from .structure import Structure
 
 PORT = 30004
@@ -107,8 +106,7 @@ class RtdeReceiver(Source):
     _nan_allowed: frozenset[str] = PrivateAttr(
         frozenset(("currents", "torques", "commanded_torques", "tcp_force", "tcp_moment"))
     )
-    _thread: threading.Thread | None = PrivateAttr(None)
-    _wake: tuple[socket.socket, socket.socket] | None = PrivateAttr(None)
+    _thread: ReceivingThread | None = PrivateAttr(None)
     _trouble: str = PrivateAttr("")
     _told: set[str] = PrivateAttr(default_factory=set)
     _state: str = PrivateAttr("")  # of the connection, for people
@@ -158,24 +156,17 @@ class RtdeReceiver(Source):
         self.reset()
         self._trouble = self._state = ""
         self._told = set()
-        self._wake = socket.socketpair()
-        self._thread = threading.Thread(target=self._receive, name=f"rtde {self.name}", daemon=True)
-        self._thread.start()
+        self._thread = ReceivingThread(f"rtde {self.name}", self._receive)
 
     def close(self) -> None:
         """Ends the connection; harmless when it is not open."""
-        if self._thread is not None and self._wake is not None:
+        if self._thread is not None:
             self.closing.set()
-            self._wake[1].send(b"x")
-            self._thread.join()
-            for end in self._wake:
-                end.close()
-        self._thread = self._wake = None
+            self._thread.end()
+        self._thread = None
 
-    def _receive(self) -> None:
+    def _receive(self, wake: socket.socket) -> None:
         """Connects again and again, until it is closed."""
-        assert self._wake is not None
-        wake = self._wake[0]
         pause, left_out = _SHORTEST, frozenset[str]()
         while not self.closing.is_set():
             good = self.receive_trigger

@@ -6,6 +6,7 @@ A source reads outside the render thread. Malformed packets are counted and neve
 from __future__ import annotations
 
 import logging
+import socket
 import threading
 import time as clock
 from abc import abstractmethod
@@ -39,6 +40,27 @@ QUIET_AFTER = 0.5  # s without a packet until a source counts as silent
 _WARN_INTERVAL = 10.0  # s
 # Receives raw packets: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
 Tap = Callable[[Rows, Ints, Array], object]
+
+
+class ReceivingThread:
+    """A thread that waits for sockets, among them one by which it is woken to end.
+
+    Args:
+        name: of the thread.
+        work: what it does; gets the socket that can be read once it is to end.
+    """
+
+    def __init__(self, name: str, work: Callable[[socket.socket], object]) -> None:
+        self._wake, self._waker = socket.socketpair()
+        self._thread = threading.Thread(target=work, args=(self._wake,), name=name, daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        """Wakes it, and waits until it has ended."""
+        self._waker.send(b"x")
+        self._thread.join()
+        self._wake.close()
+        self._waker.close()
 
 
 class Source(PacketDeclaration):

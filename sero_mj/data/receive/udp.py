@@ -5,7 +5,6 @@ from __future__ import annotations
 import ipaddress
 import selectors
 import socket
-import threading
 import time
 from collections.abc import Callable
 from functools import lru_cache
@@ -25,7 +24,7 @@ from ._udp_socket import (
     open_socket,
     pack_address,
 )
-from .source import Source, log
+from .source import ReceivingThread, Source, log
 
 # At high rates it is cheaper to gather packets; the renderer shares the interpreter with this
 # thread.
@@ -64,8 +63,7 @@ class UdpReceiver(Source):
     buffer_size: int = Field(0, ge=0, le=2**31 - 1)
 
     _socket: socket.socket | None = PrivateAttr(None)
-    _wake: tuple[socket.socket, socket.socket] | None = PrivateAttr(None)
-    _thread: threading.Thread | None = PrivateAttr(None)
+    _thread: ReceivingThread | None = PrivateAttr(None)
     _allowed: frozenset[tuple[bytes, int]] = PrivateAttr(frozenset())
 
     @field_validator("host")
@@ -111,27 +109,22 @@ class UdpReceiver(Source):
         self._allowed = frozenset(
             canonical_address(pack_address(*split_sender(sender))) for sender in self.sender
         )
-        self._wake = socket.socketpair()
         if self.debug_level >= 2:
             log.info("source '%s': listening on %s", self.name, self.about)
-        self._thread = threading.Thread(target=self._receive, name=f"udp {self.name}", daemon=True)
-        self._thread.start()
+        self._thread = ReceivingThread(f"udp {self.name}", self._receive)
 
     def close(self) -> None:
         """Stops the thread and closes the socket; harmless when it is not open."""
-        if self._thread is not None and self._wake is not None:
+        if self._thread is not None:
             self.closing.set()
-            self._wake[1].send(b"x")
-            self._thread.join()
-            for end in self._wake:
-                end.close()
+            self._thread.end()
         if self._socket is not None:
             self._socket.close()
-        self._socket = self._wake = self._thread = None
+        self._socket = self._thread = None
 
-    def _receive(self) -> None:
-        sock, wake = self._socket, self._wake
-        assert sock is not None and wake is not None
+    def _receive(self, wake: socket.socket) -> None:
+        sock = self._socket
+        assert sock is not None
         # One additional byte reveals packets that are too long if the system does not report it. A
         # recording keeps what is wrong whole, if it is not very long.
         datagrams = Datagrams(sock, max(self.layout.size + 1, _KEPT_BYTES))
@@ -141,7 +134,7 @@ class UdpReceiver(Source):
             request_short_slices()
         with selectors.DefaultSelector() as selector:
             selector.register(sock, selectors.EVENT_READ)
-            selector.register(wake[0], selectors.EVENT_READ)
+            selector.register(wake, selectors.EVENT_READ)
             while not self.closing.is_set():
                 try:
                     count = datagrams.read()
