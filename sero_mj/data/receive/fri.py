@@ -102,6 +102,23 @@ class FriLayout(Structure):
         """
         return float(values["state"][0]), float(values["quality"][0])
 
+    def link_words(self, state: float, quality: float) -> tuple[str, str]:
+        """Returns a state and a quality in words."""
+        state_word, quality_word = (
+            words.get(int(number), f"{number:.0f}")
+            for words, number in ((STATES, state), (QUALITIES, quality))
+        )
+        return state_word, quality_word
+
+    def is_good(self, state: float, quality: float) -> bool:
+        """Whether a controller's state and quality need no warning."""
+        state_word, quality_word = self.link_words(state, quality)
+        return state_word in ("monitor", "command") and quality_word in ("ok", "perfect")
+
+    def describe(self, values: Mapping[str, Array]) -> str:
+        """What a packet says of the robot's controller, in words."""
+        return "state {}, quality {}".format(*self.link_words(*self.link_state(values)))
+
     @property
     def required_frames(self) -> tuple[str, ...]:
         """Matrices that make a packet malformed unless they are frames or NaN."""
@@ -185,22 +202,6 @@ def no_command(counter: int, reflected: int) -> bytes:
 _STRUCTURES = {"1": MEASUREMENT, **fri_iiwa.STRUCTURES}
 
 
-def _words(state: float, quality: float) -> list[str]:
-    """The quality and the state of an LWR, in words."""
-    return [
-        words.get(int(number), f"{number:.0f}")
-        for words, number in ((QUALITIES, quality), (STATES, state))
-    ]
-
-
-def is_good(state: float, quality: float) -> bool:
-    """Whether a controller's state and quality need no warning."""
-    return STATES.get(int(state)) in ("monitor", "command") and QUALITIES.get(int(quality)) in (
-        "ok",
-        "perfect",
-    )
-
-
 class FriReceiver(UdpReceiver):
     """Receives the measurements of an LWR or an iiwa, without commanding it.
 
@@ -259,7 +260,7 @@ class FriReceiver(UdpReceiver):
         return _STRUCTURES.values() if field == "structure" else super()._fixed(field)
 
     @cached_property
-    def layout(self) -> Structure:
+    def layout(self) -> FriLayout | fri_iiwa.IiwaLayout:
         """The decoder."""
         if self.is_iiwa:
             return fri_iiwa.IiwaLayout(self.version)
@@ -290,22 +291,15 @@ class FriReceiver(UdpReceiver):
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
         """What a packet says of the robot's controller, in words."""
-        if self.is_iiwa:
-            return fri_iiwa.describe(values)
-        return "state {1}, quality {0}".format(*_words(*self.link_state(values)))
+        return self.layout.describe(values)
 
     def link_faults(self, state: float, quality: float) -> list[str]:
         """What is wrong with the robot's controller or the link to it, one per line."""
-        if self.is_iiwa:
-            in_words = [fri_iiwa.word(fri_iiwa.QUALITIES, quality)]
-            in_words.append(fri_iiwa.word(fri_iiwa.STATES, state))
-            good = state > 0 and in_words[0] in ("good", "excellent")
-        else:
-            in_words, good = _words(state, quality), is_good(state, quality)
-        if good:
+        if self.layout.is_good(state, quality):
             return []
-        lines = ["quality {}, state {}".format(*in_words)]
-        if in_words[0] in ("unacceptable", "poor") and not self.answer:
+        state_word, quality_word = self.layout.link_words(state, quality)
+        lines = [f"quality {quality_word}, state {state_word}"]
+        if quality_word in ("unacceptable", "poor") and not self.answer:
             lines.append("  no answers are sent to it: answer = false")
         return lines
 

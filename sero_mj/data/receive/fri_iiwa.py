@@ -256,24 +256,27 @@ class IiwaLayout(Structure):
         """
         return float(values["state"][0]), float(values["quality"][0])
 
+    def link_words(self, state: float, quality: float) -> tuple[str, str]:
+        """Returns a state and a quality in words."""
+        return word(STATES, state), word(QUALITIES, quality)
 
-def describe(values: Mapping[str, Array]) -> str:
-    """What the controller says of itself in a packet, in words.
+    def is_good(self, state: float, quality: float) -> bool:
+        """Whether a controller's state and quality need no warning."""
+        return state > 0 and word(QUALITIES, quality) in ("good", "excellent")
 
-    Args:
-        values: event name to its array, of one packet.
-    """
-    drives = values["drives"]
-    drive = drives[0] if (drives == drives[0]).all() else 1.0  # as KUKA's client has it
-    said = [
-        word(STATES, values["state"][0]),
-        f"quality {word(QUALITIES, values['quality'][0])}",
-        word(CONTROLS, values["control"][0]),
-        word(DRIVES, drive),
-        word(SAFETIES, values["safety"][0]),
-        word(COMMANDS, values["command_mode"][0]),
-    ]
-    return ", ".join(text for text in said if text)
+    def describe(self, values: Mapping[str, Array]) -> str:
+        """What a packet says of the robot's controller, in words."""
+        drives = values["drives"]
+        drive = drives[0] if (drives == drives[0]).all() else 1.0  # as KUKA's client has it
+        said = [
+            word(STATES, values["state"][0]),
+            f"quality {word(QUALITIES, values['quality'][0])}",
+            word(CONTROLS, values["control"][0]),
+            word(DRIVES, drive),
+            word(SAFETIES, values["safety"][0]),
+            word(COMMANDS, values["command_mode"][0]),
+        ]
+        return ", ".join(text for text in said if text)
 
 
 def word(words: Sequence[str], number: float) -> str:
