@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from typing import Any
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakSet
 
 import mujoco
 import numpy as np
@@ -64,7 +64,19 @@ class GravityTorques:
         return {name: self._torques[part.dofs] for name, part in parts.items()}
 
 
-_KNOWN: WeakKeyDictionary[WorldView, GravityTorques | None] = WeakKeyDictionary()  # None: cannot be
+_KNOWN: WeakKeyDictionary[WorldView, GravityTorques] = WeakKeyDictionary()
+_WITHOUT: WeakSet[WorldView] = WeakSet()  # of which it is logged why they have no such model
+
+
+def gravity_model(world: WorldView) -> GravityTorques:
+    """Returns the model of the robots of a world, which is compiled once.
+
+    Raises:
+        DeclarationError: as `GravityTorques`.
+    """
+    if world not in _KNOWN:
+        _KNOWN[world] = GravityTorques({name: part.robot for name, part in world.robots.items()})
+    return _KNOWN[world]
 
 
 def gravity_torques(world: WorldView, data: Any) -> Array:
@@ -78,18 +90,16 @@ def gravity_torques(world: WorldView, data: Any) -> Array:
         data: its state.
     """
     found = np.full(len(world.joints.names), np.nan)
-    if world not in _KNOWN:
-        try:
-            _KNOWN[world] = GravityTorques(
-                {name: part.robot for name, part in world.robots.items()}
-            )
-        except SeroError as error:
-            log.warning("no torque without gravity: %s", error)
-            _KNOWN[world] = None
-    model = _KNOWN[world]
-    if model is not None:
-        angles = world.joints.angles(data)
-        of = model.of({name: angles[part.joints] for name, part in world.robots.items()})
-        for name, part in world.robots.items():
-            found[part.joints] = of[name]
+    if world in _WITHOUT:
+        return found
+    try:
+        model = gravity_model(world)
+    except SeroError as error:
+        log.warning("no torque without gravity: %s", error)
+        _WITHOUT.add(world)
+        return found
+    angles = world.joints.angles(data)
+    of = model.of({name: angles[part.joints] for name, part in world.robots.items()})
+    for name, part in world.robots.items():
+        found[part.joints] = of[name]
     return found

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...base.errors import SeroError
 from ...base.frames import Array
-from ...robots.assemble.gravity_torques import GravityTorques
+from ...robots.assemble.gravity_torques import GravityTorques, gravity_model
 from ...robots.declared.joint_speeds import undeclared_speeds
 from ...robots.declared.robot import SerialRobot
 from ..decor.toggles import Handles
@@ -145,11 +145,10 @@ class Jogging(Tool):
         """Compiles the model in the background: of a robot with many meshes it takes a second."""
         if self._compiling is not None:
             return
-        robots = {name: part.robot for name, part in self._mirror.world.robots.items()}
 
         def make() -> None:
             try:
-                self._gravity = GravityTorques(robots)
+                self._gravity = gravity_model(self._mirror.world)
             except SeroError as error:
                 self.note = f"no gravity torque: {error}"
 
