@@ -98,6 +98,8 @@ class RobotDescriptions(RobotPlace):
 
     def find(self, name: str) -> Path | None:
         """See `RobotPlace`."""
+        if not _plain(name).endswith(_plain(_ENDINGS[0])):  # importing the package takes a while
+            return None
         module = {_plain(each): each for each in self.names()}.get(_plain(name))
         if module is None:
             return None
