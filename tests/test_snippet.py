@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -191,11 +192,11 @@ def test_all_are_tried() -> None:
 
 @pytest.mark.parametrize("name", BUILD)
 def test_what_a_snippet_sends_is_what_its_scene_shows(name: str, tmp_path: Path) -> None:
-    port = str(free_udp_port())
-    status, text = run_command(["snippet", name, "--port", port], tmp_path, os.environ)
+    port, words = str(free_udp_port()), ["snippet", name, "--robot", "lwr"]
+    status, text = run_command([*words, "--port", port], tmp_path, os.environ)
     assert status == 0
     sender = BUILD[name](tmp_path, text)
-    status, scene = run_command(["snippet", name, "--scene", "--port", port], tmp_path, os.environ)
+    status, scene = run_command([*words, "--scene", "--port", port], tmp_path, os.environ)
     assert status == 0
     (tmp_path / "scene.toml").write_text(scene)
     with Mirror(load_scene(tmp_path / "scene.toml")) as mirror:
@@ -221,3 +222,16 @@ def test_a_robot_gives_the_number_of_joints_and_a_mistyped_name_is_told(tmp_path
     assert "#define JOINTS 3\n" in text  # the last of four is coupled
     status, said = run_command(["snippet", "frank-cpp"], tmp_path, os.environ)
     assert status == 2 and said == "sero-mj: no snippet 'frank-cpp'; did you mean 'franka-cpp'?\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "robot"), [("ur", "ur5e"), ("franka-cpp", "fr3"), ("lcm", "iiwa14"), ("c", "lwr")]
+)
+def test_a_snippet_is_for_the_robot_that_it_is_of(name: str, robot: str, tmp_path: Path) -> None:
+    status, text = run_command(["snippet", name, "--scene"], tmp_path, os.environ)
+    assert status == 0
+    (tmp_path / "scene.toml").write_text(text)
+    ((found, of),) = load_scene(tmp_path / "scene.toml").robots.items()
+    assert found == robot
+    status, text = run_command(["snippet", name], tmp_path, os.environ)
+    assert status == 0 and re.search(rf"JOINTS\b[^\d\n]{{1,9}}{of.n}\b", text)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from ..base.errors import UnknownName
 from ..base.options import Option, Options, Port, positional
-from ._arguments import command, read_scene
+from ._arguments import command
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,7 +44,7 @@ time = "time"
 "{robot}.torques" = "udp.torques"
 "{robot}.commanded_torques" = "udp.commanded"
 """
-_LOOPBACK = "127.0.0.1"
+_ROBOTS = {"franka-cpp": "fr3", "franka-python": "fr3", "lcm": "iiwa14", "ur": "ur5e"}
 _HOST, _PORT = re.compile(r"127\.0\.0\.1"), re.compile(r"\b32000\b")
 _JOINTS = re.compile(r"(JOINTS\b[^\d\n]{1,9})\d+")
 ORDER = 33  # in the help of `sero-mj`
@@ -55,15 +55,15 @@ class SnippetOptions(Options):
 
     Attributes:
         name: franka-cpp, franka-python, ur, ros2, lcm, simulink, c or rust.
-        robot: that the scene shows: a file, or a shipped name.
+        robot: that the scene shows: a file, or a shipped name; that of the snippet when None.
         host: where sero-mj runs, as the robot's computer knows it.
         port: of the packets.
         scene: print the scene instead.
     """
 
     name: Annotated[str, positional("NAME")]
-    robot: Annotated[str, Option("ROBOT")] = "lwr"
-    host: Annotated[str, Option("HOST")] = _LOOPBACK
+    robot: Annotated[str | None, Option("ROBOT")] = None
+    host: Annotated[str, Option("HOST")] = "127.0.0.1"
     port: Port = 32000
     scene: bool = False
 
@@ -77,15 +77,18 @@ def snippets() -> Mapping[str, str]:
 
 def run(options: SnippetOptions) -> int:
     """Prints; returns 0."""
+    from ..load import load_robot
+
     known = snippets()
     if options.name not in known:
         raise UnknownName("snippet", options.name, known)
-    robot = next(iter(read_scene(options.robot).robots.values()))
+    model = options.robot or _ROBOTS.get(options.name, "lwr")
+    robot = load_robot(model)
     n = robot.coupled.k  # others follow
     if options.scene:
         print(
             _SCENE.format(
-                name=options.name, robot=robot.name, model=options.robot, n=n,
+                name=options.name, robot=robot.name, model=model, n=n,
                 host=options.host, port=options.port,
             ),
             end="",
