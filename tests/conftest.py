@@ -155,6 +155,15 @@ def state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def controller() -> Iterator[socket.socket]:
+    """The socket of a robot's controller."""
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        sock.bind(("127.0.0.1", 0))
+        sock.settimeout(5.0)
+        yield sock
+
+
 @pytest.fixture(autouse=True)
 def backend() -> Iterator[None]:
     """Commands that are run in this process choose the window's OpenGL; programs after them not."""

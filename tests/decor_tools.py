@@ -7,12 +7,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from sero_mj.data.drive.mirror import Mirror
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
 from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.decor.status import Status
 from sero_mj.viewer.decor.toggles import Toggles
 
 GEOM = mujoco.mjtGeom
@@ -118,3 +120,9 @@ def texts_in(view: PictureView, rows: Any, panel: Any) -> list[str]:
         if (start >= low - 0.5).all() and (start <= high + 0.5).all():
             found.append((-start[1], row["label"].decode()))
     return [text for _, text in sorted(found)]
+
+
+def corner_lines(mirror: Mirror) -> list[str]:
+    """What the panel in the upper left corner says."""
+    panels = Status(mirror.world).panels(mirror.data, Toggles(mirror.world), view_at())
+    return [] if panels is None else [text.decode() for text in panels.texts[0]]

@@ -20,15 +20,6 @@ from sero_mj.data.receive.fri import FriLayout, FriReceiver
 from sero_mj.data.receive.source import make_source
 from sero_mj.load import load_scene
 
-
-@pytest.fixture
-def controller() -> Iterator[socket.socket]:
-    with socket.socket(type=socket.SOCK_DGRAM) as sock:
-        sock.bind(("127.0.0.1", 0))
-        sock.settimeout(5.0)
-        yield sock
-
-
 # ---- the layout
 
 

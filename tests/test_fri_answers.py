@@ -10,11 +10,10 @@ import socket
 import struct
 import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from decor_tools import view_at
+from decor_tools import corner_lines
 from fri_packets import give, measurement
 from polling import until
 
@@ -26,16 +25,6 @@ from sero_mj.data.receive.structure import Structure
 from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.load import load_scene
-from sero_mj.viewer.decor.status import Status
-from sero_mj.viewer.decor.toggles import Toggles
-
-
-@pytest.fixture
-def controller() -> Iterator[socket.socket]:
-    with socket.socket(type=socket.SOCK_DGRAM) as sock:
-        sock.bind(("127.0.0.1", 0))
-        sock.settimeout(5.0)
-        yield sock
 
 
 def test_without_answer_no_byte_leaves_the_socket(controller: socket.socket) -> None:
@@ -198,24 +187,18 @@ def test_a_state_that_is_not_good_is_in_the_corner(
     scene = load_scene("lwr_fri")
     scene.sources["fri"] |= {"port": 0, "answer": answer}
     with Mirror(scene) as mirror:
-        assert corner(mirror) == []
+        assert corner_lines(mirror) == []
         fri = mirror.sources["fri"]
         assert isinstance(fri, FriReceiver)
         give(fri, controller, measurement(state=state, quality=quality))
         mirror.advance()
-        assert corner(mirror) == lines
+        assert corner_lines(mirror) == lines
         give(fri, controller, measurement(1, datagram_id=1))
         mirror.advance()
-        assert corner(mirror)[:2] == [
+        assert corner_lines(mirror)[:2] == [
             "fri: 1 of 2 packets not applied",
             "  another kind of packet: a constant is wrong",
         ]
-
-
-def corner(mirror: Mirror) -> list[str]:
-    """What the panel in the upper left corner says."""
-    panels = Status(mirror.world).panels(mirror.data, Toggles(mirror.world), view_at())
-    return [] if panels is None else [text.decode() for text in panels.texts[0]]
 
 
 def test_a_recording_of_fri_is_decoded_as_fri(tmp_path: Path) -> None:
@@ -233,7 +216,7 @@ def test_a_recording_of_fri_is_decoded_as_fri(tmp_path: Path) -> None:
     with Mirror(scene) as mirror:
         mirror.advance(0.5)
         assert mirror.sources["fri"].counters.not_finite == 1  # it would move the double
-        assert corner(mirror)[-1] == "fri: quality bad, state monitor"
+        assert corner_lines(mirror)[-1] == "fri: quality bad, state monitor"
         slots, data = mirror.world.slots, mirror.data.userdata
         assert data[slots["moment.vector"]].tolist() == [1, 2, 3]
         assert data[slots["commanded.joint_angles"]] == pytest.approx([0.1] * 7)

@@ -6,14 +6,13 @@ import math
 import socket
 import struct
 import zlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import examples, raises_with
-from decor_tools import view_at
+from decor_tools import corner_lines, view_at
 from fri_packets import give
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -52,14 +51,6 @@ BY_HAND = bytes.fromhex(
     + "7a00"  # 15: a time of no fields
     + "22080801100218052001"  # 4: monitoring wait, good, 5 ms, every one
 )  # fmt: skip
-
-
-@pytest.fixture
-def controller() -> Iterator[socket.socket]:
-    with socket.socket(type=socket.SOCK_DGRAM) as sock:
-        sock.bind(("127.0.0.1", 0))
-        sock.settimeout(5.0)
-        yield sock
 
 
 def iiwa(version: str, **fields: Any) -> FriReceiver:
@@ -310,18 +301,13 @@ def test_a_state_that_is_not_good_is_in_the_corner(
         link = {"sessionState": state, "quality": quality}
         give(source, controller, monitoring(connectionInfo=link))
         mirror.advance()
-        assert corner(mirror) == lines
+        assert corner_lines(mirror) == lines
         give(source, controller, b"short")
         mirror.advance()
-        assert corner(mirror)[:2] == [
+        assert corner_lines(mirror)[:2] == [
             "fri: 1 of 2 packets not applied",
             "  5 bytes that are no FRI message",
         ]
-
-
-def corner(mirror: Mirror) -> list[str]:
-    panels = Status(mirror.world).panels(mirror.data, Toggles(mirror.world), view_at())
-    return [] if panels is None else [text.decode() for text in panels.texts[0]]
 
 
 # ---- answers

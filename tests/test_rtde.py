@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import examples
-from decor_tools import view_at
+from decor_tools import corner_lines, view_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from polling import until
@@ -93,11 +93,6 @@ def give(receiver: RtdeReceiver, server: RtdeServer, *messages: bytes) -> None:
     before = receiver.counters.received
     server.send(*messages)
     assert until(lambda: receiver.counters.received == before + len(messages))
-
-
-def corner(mirror: Mirror) -> list[str]:
-    panels = Status(mirror.world).panels(mirror.data, Toggles(mirror.world), view_at())
-    return [] if panels is None else [text.decode() for text in panels.texts[0]]
 
 
 # ---- what comes
@@ -435,7 +430,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             idle = server.package(robot_mode=5, safety_mode=3)
             give(source, server, idle)
             mirror.advance()
-            assert corner(mirror) == [
+            assert corner_lines(mirror) == [
                 "ur: 1 of 3 packets not applied",
                 f"  {len(good) - 4} bytes that are no data package",
                 "ur: robot idle, safety: protective stop",

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from decor_tools import GEOM, belonging, labels, of_kind, rectangle, view_at
+from decor_tools import GEOM, belonging, corner_lines, labels, of_kind, rectangle, view_at
 from polling import until
 from source_slots import set_source
 
@@ -25,7 +25,7 @@ from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.font import line_height
 from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.decor.panels import Panels
-from sero_mj.viewer.decor.status import FAULT_RGBA, Status
+from sero_mj.viewer.decor.status import FAULT_RGBA
 from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.typesetting import Typesetter
 
@@ -194,8 +194,7 @@ def test_a_source_that_nothing_is_routed_from_is_not_complained_about() -> None:
 def corner(mirror: Mirror) -> list[str]:
     """What the corner says after what has come is applied."""
     mirror.advance()
-    panels = Status(mirror.world).panels(mirror.data, Toggles(mirror.world), view_at())
-    return [] if panels is None else [text.decode() for text in panels.texts[0]]
+    return corner_lines(mirror)
 
 
 def test_what_a_link_loses_and_mixes_up_is_written() -> None:
