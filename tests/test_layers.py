@@ -24,6 +24,7 @@ ORDER = (
     "robots.assemble",
     "robots.external",
     "data.receive",
+    "data.ros",
     "data.record",
     "data.drive",
     "data.send",

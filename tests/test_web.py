@@ -76,8 +76,9 @@ def test_a_click_on_a_link_shows_its_billboard_and_selects_its_joint(
 
 
 def test_a_click_on_an_arrow_shows_its_precise_numbers(served: Served, page: Visitor) -> None:
+    # An arrow that turns moves away; whatever is seen with arrows is of after the pause.
+    served.ask("setattr(w.clock, 'is_paused', True)")
     served.ask("w.toggles.arrows.fill(True)")
-    served.ask("setattr(w.clock, 'is_paused', True)")  # an arrow that turns moves away
     page.until("player.state.arrowOn.every(isOn => isOn)")
     place = (
         "(lambda d, n: w.decor.view.project(d.rows['pos'][:n][(d.kinds[:n] == 1)"

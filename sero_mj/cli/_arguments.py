@@ -24,7 +24,7 @@ from .options import add_options, read_options
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ..data.record.recording import Recording
+    from ..data.record.recording import PacketFile
     from ..robots.declared.scene import Scene
     from ..simulate.runs.run_log import RunLog
 
@@ -256,10 +256,13 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         RecordingError: it cannot be read.
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
-    from ..data.record.recording import Recording
+    from ..data.drive.bag_topics import replay_of, topics_of, with_bag
+    from ..data.record.bag import open_recording
     from ..simulate.runs.run_log import routes_from_recording
 
-    with Recording(file) as recording:
+    led = with_bag(scene, file)
+    scene.robots, scene.sources, scene.routes = led.robots, led.sources, led.routes
+    with open_recording(file, topics_of(scene)) as recording:
         recorded = {name: list(source.events) for name, source in recording.sources.items()}
         check_span(recording, start)
     both = [name for name in scene.sources if name in recorded]
@@ -268,7 +271,7 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         expected = ", ".join(scene.sources) or "none: it has no sources"
         raise UsageError(f"--replay {file} has {found}; scene '{scene.name}' expects {expected}")
     for name in both:
-        scene.sources[name] = {"kind": "replay", "file": str(file), "source": name}
+        scene.sources[name] = replay_of(scene, name, file)
         scene.routes = routes_from_recording(scene.routes, name, recorded[name])
         if start is not None:
             scene.sources[name]["start"] = start
@@ -316,7 +319,7 @@ def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> Ru
         raise
 
 
-def check_span(recording: Recording, start: float | None, stop: float | None = None) -> None:
+def check_span(recording: PacketFile, start: float | None, stop: float | None = None) -> None:
     """Raises UsageError if a recording has no data between `--start` and `--stop`, s."""
     from ..data.record.replay import check_start
 

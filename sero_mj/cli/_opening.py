@@ -75,12 +75,12 @@ def with_scene(options: T) -> T:
 
 
 def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
-    from ..data.record.recording import Recording
+    from ..data.record.bag import open_recording
     from ..data.record.scene_files import write_scene
 
     if shown is not None:
         yield shown
-    with Recording(path) as recording:
+    with open_recording(path) as recording:
         name = recording.about.get("scene", "")
     if not name:
         return
@@ -91,7 +91,7 @@ def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
         yield str(beside)
     if paths.shipped_file(name) is not None:
         yield name
-    with Recording(path) as recording:
+    with open_recording(path) as recording:
         own = write_scene(recording, name, paths.make_temporary_folder())
     if own is not None:
         yield str(own)

@@ -42,13 +42,13 @@ class ExportCsvOptions(Options):
 
 def run(options: ExportCsvOptions) -> int:
     """Writes; returns 0, or 1 if there are packets and none could be decoded."""
+    from ..data.record.bag import open_recording
     from ..data.record.csv_files import export_csv
-    from ..data.record.recording import Recording
     from ..data.record.replay import Replay
 
     if not options.overwrite:
         check_new([options.output], "choose another name, or --overwrite")
-    with Recording(options.recording) as recording:
+    with open_recording(options.recording) as recording:
         name = recording.choose_source(options.source or "")
         check_span(recording, options.start, options.stop)
         source = Replay(file=options.recording, source=name)

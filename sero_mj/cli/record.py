@@ -169,7 +169,7 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     from ..data.drive.record_sources import record_events
     from ..data.drive.trigger import Trigger
     from ..data.drive.wiring import wire
-    from ..data.record.recording import Recording
+    from ..data.record.bag import open_recording
     from ..data.record.recording_format import RecordingClock
 
     scene = read_scene(options.scene)
@@ -177,7 +177,7 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     more: dict[str, Any] = {}
     if options.replay is not None:
         replay_instead(scene, options.replay, 0.0)
-        with Recording(options.replay) as recording:
+        with open_recording(options.replay) as recording:
             begin = recording.start.timestamp()
         more = {
             "now": None,

@@ -209,7 +209,7 @@ def _print_notes(notes: list[str]) -> int:
 
 
 def _open_file(options: SendOptions, source: Source, structure: Structure, file: Path) -> Playback:
-    from ..data.record.recording import Recording
+    from ..data.record.bag import open_recording
     from ..data.send.playback import RecordedPackets, TablePackets
 
     if file.suffix.lower() == ".csv":
@@ -220,7 +220,7 @@ def _open_file(options: SendOptions, source: Source, structure: Structure, file:
         raise UsageError("--rate: a recording has its own times; --speed changes them")
     name = options.recorded or ""
     if not name:
-        with Recording(file) as recording:
+        with open_recording(file) as recording:
             name = source.name if source.name in recording.sources else ""
     return RecordedPackets(file, name, structure, only_whole=goes_to_shm(options, source))
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -45,7 +45,7 @@ from ...robots.declared.inputs import (
 from ...robots.declared.mounts import carriers, mount_circles
 from ...robots.declared.route_text import NOT, names_in, parts_of_origin
 from ...robots.declared.scene import Scene
-from ..receive.source import SIGNALS, Source, make_source
+from ..receive.source import SIGNALS, LedJoint, Source, make_source
 from ._units import UNITS, robot_of, units_of, wrong_unit
 from .conditions import condition_of
 from .joint_routes import (
@@ -101,7 +101,7 @@ def wire(scene: Scene) -> Wiring:
     wiring = Wiring()
     for name, declared in scene.sources.items():
         with collect(wiring.problems, f"sources.{name}"):
-            wiring.sources[name] = make_source(name, declared)
+            wiring.sources[name] = wired_source(scene, name, declared)
     wiring.problems += _shared_places(wiring.sources)
     checker = _RouteChecker(scene, wiring.sources)
     led_by: dict[tuple[str, int], str] = {}  # the entry that leads to a number of an input
@@ -132,6 +132,43 @@ def wire(scene: Scene) -> Wiring:
     except CycleError as error:
         wiring.problems.append(_circle("frames", error))
     return wiring
+
+
+def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) -> Source:
+    """Builds a source of a scene, which is told the joints that its routes lead to.
+
+    Args:
+        scene: the declaration.
+        name: of the source.
+        declared: its table, or the source itself.
+
+    Raises:
+        DeclarationError: as `make_source`.
+    """
+    source = make_source(name, declared)
+    source.led_to(_joints_led_to(scene, name))
+    return source
+
+
+def _joints_led_to(scene: Scene, source: str) -> list[LedJoint]:
+    """The independent joints of the first robot or group to which a source's values are routed."""
+    inputs = list_inputs(scene)
+    for target, origin in scene.routes.items():
+        if not any(name.partition(".")[0] == source for name in names_in(origin)):
+            continue
+        owner, _, key = target.partition(".")
+        members = scene.members(owner) or [owner]
+        items = [inputs.get(f"{name}.{key}") for name in members]
+        joints = [
+            LedJoint(robot.names[k], float(robot.home[k]), float(robot.torque_bounds[k]))
+            for item in items
+            if item is not None and item.kind in ("angles", "values")
+            for robot in (robot_of(scene, item),)
+            for k in robot.coupled.independent
+        ]
+        if joints and None not in items:
+            return joints
+    return []
 
 
 def _led_twice(

@@ -83,7 +83,7 @@ class PacketDeclaration(Declaration):
     @field_validator("sequence", "time")
     @classmethod
     def _is_one_number(cls, event: str, info: ValidationInfo) -> str:
-        if not event or "structure" not in info.data:
+        if not event or cls._structure_is or "structure" not in info.data:
             return event
         events = _structure_of(info.data["structure"], info).events
         if event not in events:

@@ -235,7 +235,8 @@ class ShmReader(Source):
         if not self._gathered:
             return
         gathered, self._gathered = self._gathered, []
-        self.accept(*zip(*gathered, strict=True))
+        packets, arrivals = zip(*gathered, strict=True)
+        self.accept(packets, arrivals)
         self._checked = clock.monotonic()
 
     def _look_for_another(self) -> None:

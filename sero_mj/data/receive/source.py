@@ -12,7 +12,7 @@ import time as clock
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, PrivateAttr
@@ -61,6 +61,20 @@ class ReceivingThread:
         self._thread.join()
         self._wake.close()
         self._waker.close()
+
+
+class LedJoint(NamedTuple):
+    """A joint to which routes lead.
+
+    Attributes:
+        name: the robot's name for it.
+        angle: as declared, rad or m.
+        torque_limit: its largest torque, Nm or N; infinite where it is unknown.
+    """
+
+    name: str
+    angle: float = 0.0
+    torque_limit: float = np.inf
 
 
 class Source(PacketDeclaration):
@@ -217,6 +231,12 @@ class Source(PacketDeclaration):
         self._nan_allowed = frozenset(events)
         self.intake.nan_allowed = self._nan_allowed
 
+    def led_to(self, joints: Sequence[LedJoint]) -> None:
+        """Tells it the joints of the first robot or group that routes from it lead to, in order.
+
+        For sources whose messages name joints; called before its events are asked for.
+        """
+
     def on_receive(self, callback: Callable[[], None]) -> None:
         """Registers a callback, on the source's thread, for the arrival of good packets."""
         self._callbacks.append(callback)
@@ -297,12 +317,18 @@ class Source(PacketDeclaration):
         """Waits up to `timeout` s for a good packet; returns whether one has arrived."""
         return self._mail.wait(timeout)
 
-    def accept(self, packets: Sequence[bytes], arrivals: Sequence[float] | None = None) -> None:
+    def accept(
+        self,
+        packets: Sequence[bytes],
+        arrivals: Sequence[float] | None = None,
+        senders: Rows | None = None,
+    ) -> None:
         """Accepts raw packets, malformed ones included; only for the source's own thread.
 
         Args:
             packets: bytes of each, n.
             arrivals: of each, n, s on the clock of `now`; now when None.
+            senders: what tells their senders apart, (n, any number of bytes); one when None.
 
         Raises:
             ValueError: the numbers of arrivals and packets differ.
@@ -311,7 +337,7 @@ class Source(PacketDeclaration):
         if len(times) != len(packets):
             raise ValueError(f"found {len(times)} arrivals for {len(packets)} packets")
         if len(packets):
-            self._accept(*pad_packets(packets, self.size), times)
+            self._accept(*pad_packets(packets, self.size), times, senders)
 
     def _accept(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None

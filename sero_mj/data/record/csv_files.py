@@ -25,7 +25,7 @@ from ...base.paths import open_file
 if TYPE_CHECKING:
     from _csv import Reader, Writer
 
-    from .recording import Recording
+    from .recording import PacketFile
 
 
 TIME = "time"
@@ -89,7 +89,7 @@ def column_names(events: Mapping[str, tuple[int, ...]]) -> list[str]:
 
 
 def export_csv(
-    recording: Recording,
+    recording: PacketFile,
     name: str,
     path: Path | str,
     decode: Callable[[bytes], Mapping[str, NDArray[np.float64]] | None],

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import threading
 import zlib
+from abc import ABC, abstractmethod
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import accumulate
 from pathlib import Path
+from typing import Self
 
 from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
@@ -61,14 +63,12 @@ class RecordedSource(SourceDeclaration):
         return self.count > 0 and math.isnan(self.first)
 
 
-class Recording:
-    """A finished recording, or one still being written. For any number of threads.
+class OfAnotherProgram(RecordingError):
+    """An MCAP file that is not a recording of sero-mj."""
 
-    Times are s since the recording began. Damaged chunks are left out and reported in `faults`,
-    like all other tolerable errors.
 
-    Args:
-        path: the file.
+class PacketFile(ABC):
+    """A file with the packets of sources. Times are s since it begins.
 
     Attributes:
         path: the file.
@@ -77,9 +77,112 @@ class Recording:
         duration: s from its beginning to its last packet.
         sources: name to source.
         lost: source to the number of its lost packets.
-        faults: its errors, a sentence each. Damaged chunks are detected when they are read.
+        faults: its errors, a sentence each; some are found when they are read.
+    """
+
+    path: Path
+    about: dict[str, str]
+    start: datetime
+    duration: float
+    sources: dict[str, RecordedSource]
+    lost: dict[str, int]
+    faults: list[str]
+
+    def choose_source(self, name: str = "", default: str = "") -> str:
+        """Returns the name of one of its sources.
+
+        Args:
+            name: which; empty for `default`, or the only one.
+            default: used if there is a source of this name and no other is requested.
+
+        Raises:
+            UsageError: there is no such source, or there are several.
+        """
+        names = list(self.sources)
+        chosen = name or (default if default in names or len(names) != 1 else names[0])
+        if chosen in names:
+            return chosen
+        if name:
+            where = f"in {self.path}"
+            raise UsageError(Problem("", "no source", found=name, of=where, available=names))
+        found = f"has several sources: {', '.join(names)}; choose one" if names else "has no source"
+        raise UsageError(f"{self.path} {found}")
+
+    @abstractmethod
+    def packets(
+        self, name: str, start: float = -math.inf, stop: float | None = None
+    ) -> Iterator[tuple[float, bytes]]:
+        """Iterates over a source's packets in file order; reads only the required chunks.
+
+        Args:
+            name: the source.
+            start: first time, s since the recording began.
+            stop: end time, exclusive, likewise; None for the end.
+
+        Returns:
+            Arrival of each, s since the recording began, and its bytes.
+
+        Raises:
+            RecordingError: the file cannot be read.
+            UnknownName: no such source was recorded.
+        """
+
+    @abstractmethod
+    def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
+        """Returns a source's newest packet at or before a time, or None; used by seeking.
+
+        Args:
+            name: the source.
+            t: s since the recording began.
+
+        Returns:
+            When it arrived, s since the recording began, and its bytes.
+
+        Raises:
+            RecordingError: the file cannot be read.
+            UnknownName: no such source was recorded.
+        """
+
+    @property
+    @abstractmethod
+    def attachments(self) -> tuple[str, ...]:
+        """Names of the files in the recording."""
+
+    @abstractmethod
+    def read_attachment(self, name: str) -> bytes:
+        """Returns a file that is in the recording; raises RecordingError and UnknownName."""
+
+    def check_readable(self, name: str) -> None:
+        """Raises RecordingError if none of a source's packets is readable."""
+        source = self.sources[name]
+        if source.is_unreadable:
+            why, *others = self.faults or ["its index is wrong"]
+            more = f" (and {len(others)} more of the kind)" if others else ""
+            reason = f"none of the {source.count} packets of '{name}' can be read: {why}{more}"
+            raise RecordingError(self.path, reason)
+
+    @abstractmethod
+    def close(self) -> None:
+        """Closes the file."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class Recording(PacketFile):
+    """A finished recording, or one still being written. For any number of threads.
+
+    Damaged chunks, which are detected when they are read, are left out and reported in `faults`,
+    like all other tolerable errors.
+
+    Args:
+        path: the file.
 
     Raises:
+        OfAnotherProgram: it is an MCAP file, but no recording.
         RecordingError: it cannot be read, or is not a recording.
     """
 
@@ -152,7 +255,7 @@ class Recording:
             raise RecordingError(self.path, Problem("", why, expected=_EXPECTED))
         topics = ", ".join(sorted(channel.topic for channel in index.channels.values())[:10])
         reason = f"is an MCAP file of another program: found the topics {topics}"
-        raise RecordingError(self.path, Problem("", reason, expected=_EXPECTED))
+        raise OfAnotherProgram(self.path, Problem("", reason, expected=_EXPECTED))
 
     def _read_clock(self, index: FileIndex) -> RecordingClock:
         metadata = index.metadata.get(CLOCK)
@@ -187,43 +290,10 @@ class Recording:
             return math.nan, math.nan
         return self._seconds(first), self._seconds(last)
 
-    def choose_source(self, name: str = "", default: str = "") -> str:
-        """Returns the name of one of its sources.
-
-        Args:
-            name: which; empty for `default`, or the only one.
-            default: used if there is a source of this name and no other is requested.
-
-        Raises:
-            UsageError: there is no such source, or there are several.
-        """
-        names = list(self.sources)
-        chosen = name or (default if default in names or len(names) != 1 else names[0])
-        if chosen in names:
-            return chosen
-        if name:
-            where = f"in {self.path}"
-            raise UsageError(Problem("", "no source", found=name, of=where, available=names))
-        found = f"has several sources: {', '.join(names)}; choose one" if names else "has no source"
-        raise UsageError(f"{self.path} {found}")
-
     def packets(
         self, name: str, start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, bytes]]:
-        """Iterates over a source's packets in file order; reads only the required chunks.
-
-        Args:
-            name: the source.
-            start: first time, s since the recording began.
-            stop: end time, exclusive, likewise; None for the end.
-
-        Returns:
-            Arrival of each, s since the recording began, and its bytes.
-
-        Raises:
-            RecordingError: the file cannot be read.
-            UnknownName: no such source was recorded.
-        """
+        """Iterates over a source's packets; see `PacketFile.packets`."""
         channel = self._find(name)
         begin, end = self._log_time(start), self._log_time(math.inf if stop is None else stop)
         # After the last chunk entirely before the start, and before the first one entirely after
@@ -239,19 +309,7 @@ class Recording:
                     yield self._seconds(log_time), data
 
     def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
-        """Returns a source's newest packet at or before a time, or None; used by seeking.
-
-        Args:
-            name: the source.
-            t: s since the recording began.
-
-        Returns:
-            When it arrived, s since the recording began, and its bytes.
-
-        Raises:
-            RecordingError: the file cannot be read.
-            UnknownName: no such source was recorded.
-        """
+        """A source's newest packet at or before a time; see `PacketFile.last_before`."""
         channel, at = self._find(name), self._log_time(t)
         best: tuple[int, bytes] | None = None
         for i in range(bisect_right(self._earliest, at) - 1, -1, -1):
@@ -287,24 +345,9 @@ class Recording:
         except OSError as error:
             raise self._unreadable(error) from error
 
-    def check_readable(self, name: str) -> None:
-        """Raises RecordingError if none of a source's packets is readable."""
-        source = self.sources[name]
-        if source.is_unreadable:
-            why, *others = self.faults or ["its index is wrong"]
-            more = f" (and {len(others)} more of the kind)" if others else ""
-            reason = f"none of the {source.count} packets of '{name}' can be read: {why}{more}"
-            raise RecordingError(self.path, reason)
-
     def close(self) -> None:
         """Closes the file."""
         self._file.close()
-
-    def __enter__(self) -> Recording:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def _find(self, name: str) -> int:
         if name not in self._channels:

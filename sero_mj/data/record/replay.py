@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -22,9 +22,12 @@ from ...base.errors import (
 from ...base.plugins import SOURCES, load_plugin, plugins
 from ..receive.intake import Intake
 from ..receive.mailbox import Packets
-from ..receive.source import Source, log
+from ..receive.source import LedJoint, Source, log
 from ..receive.structure import Structure
-from .recording import RecordedSource, Recording
+from ..ros.dds import Ros2
+from ..ros.ros_source import RosSource
+from .bag import open_recording
+from .recording import PacketFile, RecordedSource, Recording
 
 _BATCH = 4096  # packets
 
@@ -47,6 +50,8 @@ class Replay(Source):
         source: name of the recorded source; when empty, the one of this name, or the only one.
         speed: 1 is the original speed, 2 twice as fast.
         loop: whether to restart at the end; else it stays there, and its data become stale.
+        topics: what to read of a recording of ROS, as of a source of kind `ros2`: `joint_states`,
+            `joints`, `commands`, `wrench`, `frames` and so on.
         start: first time, s since the recording began; that of the first packet of any of its
             sources when None.
         stop: end time, likewise; the recording's end when None.
@@ -54,6 +59,7 @@ class Replay(Source):
 
     name: str = "replay"
     file: Annotated[Path, BeforeValidator(_as_path)]
+    topics: dict[str, Any] = {}
     source: str = ""
     speed: float = Field(1.0, gt=0, le=1e6)
     loop: bool = False
@@ -63,7 +69,8 @@ class Replay(Source):
 
     _structure_is: ClassVar[str] = "what the recording says"
 
-    _recording: Recording | None = PrivateAttr(None)
+    _recording: PacketFile | None = PrivateAttr(None)
+    _of_ros: RosSource | None = PrivateAttr(None)  # what is read of a recording of ROS
     _coming: Iterator[tuple[float, bytes]] = PrivateAttr(default_factory=lambda: iter(()))
     _held: tuple[float, bytes] | None = PrivateAttr(None)
     _position: float = PrivateAttr(0.0)
@@ -77,18 +84,31 @@ class Replay(Source):
     @classmethod
     def _file_is_a_recording(cls, file: Path) -> Path:
         try:
-            Recording(file).close()
+            open_recording(file).close()
         except RecordingError as error:
             raise ValueError(str(error)) from None
         return file
 
+    @field_validator("topics")
+    @classmethod
+    def _are_of_ros(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        if topics and "file" in info.data:
+            with open_recording(info.data["file"], {"": Ros2(**topics)}) as recording:
+                if isinstance(recording, Recording):
+                    raise ValueError("are for recordings of ROS; leave them out")
+                if not recording.sources:
+                    raise ValueError(f"{recording.path} has none of these")
+        return topics
+
     @field_validator("source")
     @classmethod
     def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
-        if "file" not in info.data:
+        if "file" not in info.data or "topics" not in info.data:
             return source
-        with Recording(info.data["file"]) as recording:
-            chosen = recording.choose_source(source, str(info.data.get("name")))
+        topics, name = info.data["topics"], str(info.data.get("name"))
+        wanted = {source or name: Ros2(**topics)} if topics else None
+        with open_recording(info.data["file"], wanted) as recording:
+            chosen = recording.choose_source(source, name)
         try:
             _receiver_of(recording.path, recording.sources[chosen], chosen)
         except RecordingError as error:
@@ -99,7 +119,7 @@ class Replay(Source):
     @classmethod
     def _begins_in_the_recording(cls, start: float | None, info: ValidationInfo) -> float | None:
         if start is not None and "file" in info.data:
-            with Recording(info.data["file"]) as recording:
+            with open_recording(info.data["file"]) as recording:
                 check_start(start, recording)
         return start
 
@@ -111,16 +131,36 @@ class Replay(Source):
         if info.data["start"] is not None:
             begin, word = info.data["start"], "start"
         else:
-            with Recording(info.data["file"]) as recording:
+            with open_recording(info.data["file"]) as recording:
                 begin, word = _first_of(recording), "where its first packet came"
         if not begin < stop < np.inf:
             raise Problem(found=stop, expected=f"more than {begin:g}, {word}, in s").error()
         return stop
 
+    def led_to(self, joints: Sequence[LedJoint]) -> None:
+        """Takes the joints that routes lead to, for recordings of ROS, whose messages name them."""
+        with self._opened() as recording:
+            if isinstance(recording, Recording) or not joints:
+                return
+            declared = {**recording.sources[self.source].declared}
+        if "joints" not in self.topics:
+            declared.pop("joints", None)
+        self._of_ros = Ros2(**{**declared, **self.topics})
+        self._of_ros.led_to(joints)
+        for key in ("recorded", "original", "layout"):
+            self.__dict__.pop(key, None)
+
+    def _opened(self) -> PacketFile:
+        """The recording, opened; its user closes it."""
+        if self._of_ros is None and self.topics:
+            self._of_ros = Ros2(**self.topics)
+        wanted = None if self._of_ros is None else {self.source: self._of_ros}
+        return open_recording(self.file, wanted)
+
     @cached_property
     def recorded(self) -> RecordedSource:
         """The source as it was recorded."""
-        with Recording(self.file) as recording:
+        with self._opened() as recording:
             return recording.sources[self.source]
 
     @cached_property
@@ -154,7 +194,7 @@ class Replay(Source):
     def _begin(self) -> float:
         if self.start is not None:
             return self.start
-        with Recording(self.file) as recording:
+        with self._opened() as recording:
             return _first_of(recording)
 
     @property
@@ -200,7 +240,7 @@ class Replay(Source):
         """
         self.close()
         try:
-            self._recording = Recording(self.file)
+            self._recording = self._opened()
             self._recording.check_readable(self.source)
         except RecordingError as error:
             self.close()
@@ -343,12 +383,12 @@ def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
     return receiver
 
 
-def _first_of(recording: Recording) -> float:
+def _first_of(recording: PacketFile) -> float:
     """Arrival of the first packet of any source, s since the recording began."""
     return min((s.first for s in recording.sources.values() if s.count), default=0.0)
 
 
-def check_start(start: float, recording: Recording) -> None:
+def check_start(start: float, recording: PacketFile) -> None:
     """Raises ValueError for a time, s, at which a recording is over."""
     if not start <= recording.duration:
         raise ValueError(f"found {start:g}; the recording ends at {recording.duration:.2f} s")

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 from ...base import paths
 from ...robots.declared.scene import Scene
-from .recording import Recording
+from .recording import PacketFile
 
 log = logging.getLogger(__name__)
 
@@ -53,12 +53,12 @@ def attached_files(scene: Scene, tables: Iterable[Path]) -> dict[str, Path]:
     return found | {f"{_TREE}{file.relative_to(folder).as_posix()}": file for file in inside}
 
 
-def table_names(recording: Recording) -> list[str]:
+def table_names(recording: PacketFile) -> list[str]:
     """Returns the names of a recording's files without its tree of them."""
     return [each for each in recording.attachments if not each.startswith(_TREE)]
 
 
-def write_scene(recording: Recording, name: str, folder: Path) -> Path | None:
+def write_scene(recording: PacketFile, name: str, folder: Path) -> Path | None:
     """Writes the files of a recording's scene to a folder; returns the scene's file there.
 
     Args:

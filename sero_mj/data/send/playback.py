@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from ...base.errors import CsvError, RecordingError, UsageError, did_you_mean
 from ...base.frames import Array
 from ..receive.structure import Structure
+from ..record.bag import open_recording
 from ..record.csv_files import column_names, read_csv
-from ..record.recording import Recording
 from ..record.replay import Replay
 
 
@@ -87,7 +87,7 @@ class RecordedPackets(Playback):
         only_whole: bool = False,
     ) -> None:
         self.file, self._only_whole = file, only_whole
-        with Recording(file) as recording:
+        with open_recording(file) as recording:
             name = recording.choose_source(source)
             recording.check_readable(name)
         self._replay = Replay(file=file, source=name)
@@ -108,7 +108,7 @@ class RecordedPackets(Playback):
     def packets(self) -> Iterator[tuple[float, bytes]]:
         """When each packet is due, s after the first, and its bytes; malformed ones too if raw."""
         recorded = self._replay.recorded
-        with Recording(self.file) as recording:
+        with open_recording(self.file) as recording:
             for arrival, packet in recording.packets(recorded.name):
                 sent = packet if self.is_raw else self._again(packet)
                 if self._only_whole and self.is_raw and len(packet) != self.structure.size:

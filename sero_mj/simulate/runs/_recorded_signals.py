@@ -17,7 +17,7 @@ from ...data.drive.wiring import wire
 from ...data.receive.intake import pad_packets
 from ...data.receive.mailbox import Packets
 from ...data.receive.source import SIGNALS, Source
-from ...data.record.recording import Recording
+from ...data.record.recording import PacketFile
 from ...data.record.replay import Replay
 from ...robots.declared.double import Double
 from ...robots.declared.groups import Group
@@ -56,7 +56,7 @@ class Series:
         return values
 
 
-def read_events(recording: Recording, receiver: Source, name: str) -> Series:
+def read_events(recording: PacketFile, receiver: Source, name: str) -> Series:
     """Decodes a source's packets; malformed ones are left out, as they were when they came.
 
     Where packets carry the time at which they were sent, and it only rises, that is their time,
@@ -131,14 +131,14 @@ def spread_bunches(arrivals: Array) -> Array:
     return np.asarray(np.repeat(ends, counts) - np.repeat(spans / counts, counts) * behind)
 
 
-def receiver_of(recording: Recording, name: str) -> Source:
+def receiver_of(recording: PacketFile, name: str) -> Source:
     """A receiver that decodes the packets of a recorded source."""
     receiver = Replay(file=recording.path, source=name).original
     receiver.debug_level = 0
     return receiver
 
 
-def _decoded(recording: Recording, receiver: Source, name: str) -> Iterator[Packets]:
+def _decoded(recording: PacketFile, receiver: Source, name: str) -> Iterator[Packets]:
     intake, number = receiver.intake, 0
     packets = recording.packets(name)
     while batch := list(islice(packets, _AT_ONCE)):

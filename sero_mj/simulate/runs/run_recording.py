@@ -23,9 +23,12 @@ from ...base.errors import (
 )
 from ...base.frames import Array
 from ...base.toml_file import parse_toml
-from ...data.receive.source import Source, make_source
+from ...data.drive.bag_topics import topics_of, with_bag
+from ...data.drive.wiring import wired_source
+from ...data.receive.source import Source
+from ...data.record.bag import open_recording
 from ...data.record.csv_files import column_names, read_csv
-from ...data.record.recording import Recording
+from ...data.record.recording import PacketFile
 from ...data.record.scene_files import table_names
 from ...robots.declared.group_model import Expanded, expand_groups
 from ...robots.declared.robot import SerialRobot, build_robot
@@ -64,7 +67,11 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         UsageError: no such source, or there are several and one has to be chosen.
     """
     path = Path(path)
-    with Recording(path) as recording:
+    topics = None
+    if scene is not None:
+        scene = with_bag(scene, path)
+        topics = topics_of(scene)
+    with open_recording(path, topics) as recording:
         names = _chosen(recording, source)
         runs = [name for name in names if _robots_of(recording.sources[name].events)]
         if len(runs) > 1:
@@ -108,7 +115,7 @@ def read_run_table(path: Path | str, scene: Scene, source: str | None = None) ->
     if log is not None:
         return replace(log, signals=_with_velocities(log.robots, log.signals, log.times))
     names = scene.sources if source is None else [source]
-    wanted = {name: make_source(name, scene.sources[name]) for name in names}
+    wanted = {name: wired_source(scene, name, scene.sources[name]) for name in names}
     sent = {name: columns_of_events(columns, each.events) for name, each in wanted.items()}
     possible = {name: events for name, events in sent.items() if events}
     if len(possible) > 1:
@@ -153,7 +160,7 @@ def _mirrored(
     return RunLog(known, _with_velocities(known, signals, times), times, path.stem)
 
 
-def _chosen(recording: Recording, source: str | None) -> list[str]:
+def _chosen(recording: PacketFile, source: str | None) -> list[str]:
     names = list(recording.sources)
     if source is not None and source not in names:
         where = f"in {recording.path}"
@@ -183,7 +190,7 @@ def _robots_of(events: Iterable[str]) -> list[str]:
     ]
 
 
-def _simulated(recording: Recording, name: str, scene: Scene | None) -> RunLog:
+def _simulated(recording: PacketFile, name: str, scene: Scene | None) -> RunLog:
     receiver = receiver_of(recording, name)
     receiver.allow_nan([event for event in receiver.events if event != TIME])
     series = read_events(recording, receiver, name)
@@ -266,7 +273,7 @@ def _declared_in(scene: Scene) -> _Declared:
     return _Declared(scene.robots, dict(scene.routes), doubles, groups)
 
 
-def _recorded(recording: Recording) -> _Declared:
+def _recorded(recording: PacketFile) -> _Declared:
     """Robots by their names in the recorded scene, else by those of their folders; its routes.
 
     A robot that is installed here as it was recorded has its meshes; of another one the links grow
@@ -317,7 +324,7 @@ def _folder(model: str) -> str:
     return path.parent.name if path.suffix == ".toml" else path.name
 
 
-def _expanded(recording: Recording, groups: dict[str, Any], directory: Path) -> Expanded:
+def _expanded(recording: PacketFile, groups: dict[str, Any], directory: Path) -> Expanded:
     """What groups become, whose models are in a folder or installed."""
     scene = directory / "scene.toml"  # which is not there: models are found beside it
     found = expand_groups(_in_folders(groups), scene, MOST_ENTRIES)
@@ -339,7 +346,7 @@ def _in_folders(tables: Mapping[str, Any]) -> dict[str, Any]:
     return {**found, "model": _folder(model)} if isinstance(model, str) else found
 
 
-def _read_tables(recording: Recording) -> dict[str, dict[str, Any]]:
+def _read_tables(recording: PacketFile) -> dict[str, dict[str, Any]]:
     """Tables of every scene and robot file in a recording, by its name there.
 
     Raises:
@@ -366,7 +373,7 @@ def _read_tables(recording: Recording) -> dict[str, dict[str, Any]]:
 
 
 def _robot(
-    recording: Recording, name: str, table: dict[str, Any], models: Mapping[str, str]
+    recording: PacketFile, name: str, table: dict[str, Any], models: Mapping[str, str]
 ) -> SerialRobot:
     model = table.pop("model", None)
     # What is fixed to the flange may be in files that are not there; frames for mounts are not.
@@ -392,7 +399,7 @@ def _robot(
 
 
 def _built(
-    recording: Recording, name: str, fields: dict[str, Any], model: str | None
+    recording: PacketFile, name: str, fields: dict[str, Any], model: str | None
 ) -> SerialRobot:
     try:
         return build_robot(fields, None if model is None else paths.find_model(model))

@@ -1,0 +1,257 @@
+"""`Bag`: a recording of ROS as if it were one of ours; rosbag2 (MCAP, SQLite) and ROS 1 bags.
+
+The messages of several topics become the packets of one source, as when they are received.
+`open_recording` opens recordings of either kind.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from ...base.errors import Problem, RecordingError, UnknownName
+from ..ros.dds import Ros2
+from ..ros.joined_packets import FRAMES, JoinedPackets
+from ..ros.messages import JOINT_STATE, TEXT, MalformedMessage, type_store
+from ..ros.ros_source import MOST_KEPT, TYPES, RosSource
+from .recording import OfAnotherProgram, PacketFile, RecordedSource, Recording
+
+DESCRIPTION = "robot.urdf"  # an attachment: what the topic robot_description says
+_ENDINGS = (".bag", ".db3")
+_METADATA = "metadata.yaml"  # in the folder of a rosbag2
+_BEFORE = 0.5  # s before a time in which what was true at that time is looked for
+_LONGER = 8.0  # times as long, as long as nothing is found
+_NEXT = 1e-9  # s, the resolution of times
+_MANY = 10  # topics in a message
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a file or folder is a recording of ROS, by its name; MCAP may be one as well."""
+    return path.suffix.lower() in _ENDINGS or (path / _METADATA).is_file()
+
+
+def open_recording(path: Path | str, topics: Mapping[str, RosSource] | None = None) -> PacketFile:
+    """Opens a recording of ours or of ROS.
+
+    Args:
+        path: the file, or the folder of a rosbag2.
+        topics: of recordings of ROS: what to read as which source; see `Bag`.
+
+    Raises:
+        RecordingError: it cannot be read, or is neither.
+    """
+    path = Path(path)
+    if is_bag(path):
+        return Bag(path, topics)
+    try:
+        return Recording(path)
+    except OfAnotherProgram:
+        return Bag(path, topics)
+
+
+class Bag(PacketFile):
+    """A recording of ROS. Times are s since its first message, of any topic.
+
+    Args:
+        path: the file, or the folder of a rosbag2.
+        topics: the name of a source to the topics that make its packets; those that the bag does
+            not have are left out. When None, each topic with the states of joints is a source of
+            its name (`/arm/joint_states` is `arm_joint_states`), of the joints that its first
+            message names.
+
+    Raises:
+        RecordingError: it cannot be read, has no joint states, or a package is missing.
+    """
+
+    def __init__(self, path: Path, topics: Mapping[str, RosSource] | None = None) -> None:
+        self.path = path
+        self.about, self.lost, self.faults = {}, {}, []
+        try:
+            from rosbags.highlevel import AnyReader
+        except ImportError as error:
+            reason = f"is a recording of ROS, which rosbags reads ({error}): "
+            raise RecordingError(path, f"{reason}pip install 'sero-mj[ros2]'") from error
+        self._reader: Any = None
+        try:
+            self._reader = AnyReader([path], default_typestore=type_store())
+            self._reader.open()
+            self._read_all_but_messages(topics)
+        except RecordingError:
+            self.close()
+            raise
+        except Exception as error:  # rosbags, its parsers and its decompressors raise many kinds
+            self.close()
+            reason = f"cannot be read: {error or type(error).__name__}"
+            raise RecordingError(path, reason) from error
+
+    def _read_all_but_messages(self, topics: Mapping[str, RosSource] | None) -> None:
+        reader = self._reader
+        self._begin = min(reader.start_time, reader.end_time)
+        self.start = datetime.fromtimestamp(self._begin / 1e9, UTC)
+        states = [each.topic for each in reader.connections if each.msgtype == JOINT_STATE]
+        self._states = list(dict.fromkeys(states))
+        self._topics = self._found(topics) if topics else self._named_by_topic()
+        self.sources = {name: self._declared(name) for name in self._topics}
+        ends = [source.last for source in self.sources.values() if source.count]
+        self.duration = max(ends, default=0.0)
+
+    def _found(self, topics: Mapping[str, RosSource]) -> dict[str, RosSource]:
+        """Those of the declared sources whose topics there are."""
+        there = {each.topic for each in self._reader.connections}
+        found: dict[str, RosSource] = {}
+        for name, source in topics.items():
+            if any(topic in there for topic, tells in source.topics if tells != FRAMES):
+                found[name] = source
+            elif len(self._states) == 1 and source.is_default("joint_states"):
+                found[name] = source.with_topic(self._states[0])
+        return found
+
+    def _named_by_topic(self) -> dict[str, RosSource]:
+        """A source for each topic with the states of joints."""
+        if not self._states:
+            kinds = {each.topic: each.msgtype for each in self._reader.connections}
+            listed = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(kinds)[:_MANY])
+            problem = Problem("", f"has the topics {listed}", expected=f"one of {JOINT_STATE}")
+            raise RecordingError(self.path, problem)
+        found: dict[str, RosSource] = {}
+        for topic in self._states:
+            first = next((message for _, message in self._messages([topic])), None)
+            names = list(getattr(first, "name", []))
+            name = topic.strip("/").replace("/", "_")
+            if names:
+                found[name] = Ros2(name=name, joint_states=topic, joints=names)
+            else:
+                self.faults.append(f"no message of {topic} names joints; it is left out")
+        return found
+
+    def _declared(self, name: str) -> RecordedSource:
+        source = self._topics[name]
+        leading = source.topics[0][0]
+        count = sum(each.msgcount for each in self._reader.connections if each.topic == leading)
+        first = next(self.packets(name), None) if count else None
+        last = self.last_before(name, math.inf) if first else None
+        return RecordedSource(
+            name,
+            source.kind,
+            source.decoding_fields(),
+            source.events,
+            source.size,
+            count,
+            first[0] if first else math.nan,
+            last[0] if last else math.nan,
+        )
+
+    def packets(
+        self, name: str, start: float = -math.inf, stop: float | None = None
+    ) -> Iterator[tuple[float, bytes]]:
+        """Iterates over a source's packets; see `PacketFile.packets`.
+
+        They begin with what messages up to half a second before `start` have told.
+        """
+        source = self._source(name)
+        joined, tells = source.joined(), dict(source.topics)
+        if math.isfinite(start) and start > 0.0:
+            self._take_still(joined, source, start)
+        for time, connection, raw in self._raw(list(tells), start - _BEFORE, stop):
+            packet = self._joined_with(joined, tells[connection.topic], connection, raw, time)
+            if packet is not None and time >= start:
+                yield time, packet
+
+    def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
+        """A source's newest packet at or before a time; see `PacketFile.last_before`."""
+        self._source(name)
+        end = (self._reader.end_time - self._begin) * 1e-9
+        t, back = min(t, end), _BEFORE
+        while True:
+            newest = deque(self.packets(name, t - back, t + _NEXT), maxlen=1)
+            if newest or t - back < 0.0:
+                return newest[0] if newest else None
+            back *= _LONGER
+
+    @property
+    def attachments(self) -> tuple[str, ...]:
+        """The robot's description, if the bag has one."""
+        return (DESCRIPTION,) if self._descriptions() else ()
+
+    def read_attachment(self, name: str) -> bytes:
+        """Returns the robot's description; raises RecordingError and UnknownName."""
+        topics = self._descriptions()
+        if name != DESCRIPTION or not topics:
+            raise UnknownName("file in the recording", name, self.attachments)
+        for _, message in self._messages(topics):
+            return str(message.data).encode()
+        raise RecordingError(self.path, f"{topics[0]} has no message")
+
+    def close(self) -> None:
+        """Closes the file; harmless when it is not open."""
+        if self._reader is not None and self._reader.stack is not None:
+            self._reader.close()
+
+    def _descriptions(self) -> list[str]:
+        """Topics with a robot's description."""
+        return [
+            each.topic
+            for each in self._reader.connections
+            if each.msgtype == TEXT and each.topic.endswith("/robot_description")
+        ]
+
+    def _source(self, name: str) -> RosSource:
+        if name not in self._topics:
+            raise UnknownName("source", name, self._topics)
+        return self._topics[name]
+
+    def _raw(
+        self, topics: list[str], start: float = -math.inf, stop: float | None = None
+    ) -> Iterator[tuple[float, Any, bytes]]:
+        """Messages of topics in order of time: when, s, the connection, and the bytes."""
+        chosen = [each for each in self._reader.connections if each.topic in topics]
+        if not chosen:
+            return
+        first = max(self._begin, self._nanoseconds(start)) if math.isfinite(start) else None
+        end = self._nanoseconds(stop) if stop is not None and math.isfinite(stop) else None
+        try:
+            for connection, when, raw in self._reader.messages(chosen, first, end):
+                yield (when - self._begin) * 1e-9, connection, raw
+        except Exception as error:  # as in the constructor
+            if (fault := f"it ends early: {error or type(error).__name__}") not in self.faults:
+                self.faults.append(fault)
+
+    def _nanoseconds(self, seconds: float) -> int:
+        return int(self._begin + round(seconds * 1e9))
+
+    def _messages(self, topics: list[str]) -> Iterator[tuple[str, Any]]:
+        """Topics and messages that can be decoded."""
+        for _, connection, raw in self._raw(topics):
+            try:
+                yield connection.topic, self._decoded(connection, raw)
+            except MalformedMessage as error:
+                if (fault := str(error)) not in self.faults:
+                    self.faults.append(fault)
+
+    def _decoded(self, connection: Any, raw: bytes) -> Any:
+        try:
+            return self._reader.deserialize(raw, connection.msgtype)
+        except Exception as error:  # as in the constructor
+            raise MalformedMessage(f"no {connection.msgtype}: {error}") from error
+
+    def _take_still(self, joined: JoinedPackets, source: RosSource, until: float) -> None:
+        """Takes frames that do not move, which are published once."""
+        if source.frames:
+            for time, connection, raw in self._raw(["/tf_static"], stop=until):
+                self._joined_with(joined, FRAMES, connection, raw, time)
+
+    def _joined_with(
+        self, joined: JoinedPackets, tells: str, connection: Any, raw: bytes, time: float
+    ) -> bytes | None:
+        """The packet that a message makes: its own bytes where it is malformed."""
+        try:
+            if connection.msgtype != TYPES[tells]:
+                raise MalformedMessage(f"{connection.topic} is of type {connection.msgtype}")
+            arrival = self._begin * 1e-9 + time
+            return joined.take(tells, self._decoded(connection, raw), arrival)
+        except MalformedMessage:
+            return joined.layout.never(raw[:MOST_KEPT])

@@ -1,0 +1,288 @@
+"""Joins messages of ROS to packets: the newest values of all topics, in the order of the joints.
+
+Messages name their joints, in any order, and one robot's joints may come from several publishers
+(arm and gripper). A packet is made of each message that has the first of the joints; what others
+have told until then is in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...base.frames import Array, frame, rotation_from_quat
+from ..receive.source import LedJoint
+from ..receive.structure import Structure
+from .messages import MalformedMessage
+
+JOINT_STATES, FORCES, COMMANDS, FRAMES = "joint states", "wrench", "commands", "transforms"
+_MANY = 8  # names in a message
+_FAR_TOO_MUCH = 3.0  # times the largest torque
+_UNIT_TOLERANCE = 1e-2  # of a quaternion's length
+
+
+class JoinedPackets:
+    """Packets of messages.
+
+    Angles are in rad (m), torques in Nm (N). What no message has told is NaN, but for angles, which
+    stay as the robot declares them.
+
+    Args:
+        joints: whose values are wanted, n.
+        names: joint to its name in messages, where that is another.
+        has_commands: whether torques are commanded on a topic.
+        has_forces: whether there is a topic of a wrench.
+        frames: names of frames that are wanted, k.
+        root: the frame in which they are wanted; empty: the one at the root of their tree.
+        torque_constants: torque per unit of effort, one for all, or (n,).
+        tell: gets what a user should know, once.
+
+    Attributes:
+        structure: of the packets.
+        leads: the topic whose messages make packets.
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[LedJoint],
+        names: Mapping[str, str],
+        *,
+        has_commands: bool = False,
+        has_forces: bool = False,
+        frames: Sequence[str] = (),
+        root: str = "",
+        torque_constants: float | Sequence[float] = 1.0,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._joints = list(joints)
+        self._wanted = [names.get(joint.name, joint.name) for joint in joints]
+        self._frames, self._root = list(frames), root
+        self._factors = np.broadcast_to(np.asarray(torque_constants, float), len(joints))
+        self._limits = np.array([joint.torque_limit for joint in joints])
+        self._tell = tell
+        count = len(joints)
+        parts = {"stamp:1d": 1}
+        if count:
+            parts |= dict.fromkeys(
+                (f"{event}:{count}d" for event in ("joint_angles", "joint_velocities", "torques")),
+                count,
+            )
+            if has_commands:
+                parts[f"commanded_torques:{count}d"] = count
+        if has_forces:
+            parts |= {"force:1Vd": 3, "moment:1Vd": 3}
+        parts |= {f"{event_of_frame(name)}:1Td": 12 for name in frames}
+        self.structure = f"< {' '.join(parts)}"
+        ends = np.cumsum([*parts.values()]).tolist()
+        self._places = {
+            text.partition(":")[0]: slice(end - size, end)
+            for (text, size), end in zip(parts.items(), ends, strict=True)
+        }
+        self._values = np.full(ends[-1], np.nan)
+        if count:
+            self._values[self._places["joint_angles"]] = [joint.angle for joint in joints]
+        orders = {JOINT_STATES: count, FORCES: has_forces, FRAMES: frames}
+        self.leads = next((topic for topic, is_wanted in orders.items() if is_wanted), JOINT_STATES)
+        self._first = count  # the first joint that any message had so far
+        self._found: list[str] | None = None  # names in the last message
+        self._mine = self._theirs = np.arange(0)
+        self._has_doubts = False  # whether efforts are torques
+        self._parents: dict[str, tuple[str, Array]] = {}
+
+    @cached_property
+    def layout(self) -> MessageLayout:
+        """The decoder of its packets."""
+        return MessageLayout(self.structure)
+
+    def take(self, topic: str, message: Any, arrival: float) -> bytes | None:
+        """Takes a message; returns the packet that it makes, or None.
+
+        Args:
+            topic: what it tells: `JOINT_STATES` and so on.
+            message: as `messages.decode` returns it.
+            arrival: s since the epoch, in the place of stamps that are not set.
+
+        Raises:
+            MalformedMessage: it contradicts itself.
+        """
+        values = self._values.copy()
+        makes = topic == self.leads
+        if topic == JOINT_STATES:
+            makes = self._take_joints(values, message)
+        elif topic == COMMANDS:
+            self._take_commands(values, message)
+        elif topic == FORCES:
+            wrench = message.wrench
+            for event, vector in (("force", wrench.force), ("moment", wrench.torque)):
+                values[self._places[event]] = vector.x, vector.y, vector.z
+        else:
+            self._take_frames(values, message)
+        header = getattr(message, "header", None)
+        if makes:
+            stamp = 0.0 if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
+            values[0] = stamp or arrival
+        # What moves the robot is kept only if it is finite; the rest may say that it is unknown.
+        angles = self._places.get("joint_angles")
+        if angles is None or np.isfinite(values[angles]).all():
+            self._values = values
+        return values.tobytes() if makes else None
+
+    def _take_joints(self, values: Array, message: Any) -> bool:
+        """Takes the values of some joints; whether the first of all is among them."""
+        count = len(message.name)
+        if message.name != self._found:
+            self._match(message.name, len(message.position))
+        if not len(self._mine):
+            return False
+        given = (message.position, message.velocity, message.effort)
+        events = ("joint_angles", "joint_velocities", "torques")
+        for event, numbers in zip(events, given, strict=True):
+            into = values[self._places[event]]
+            if len(numbers) not in (0, count or len(self._joints)):
+                raise MalformedMessage(
+                    f"found {len(numbers)} values of {event} for {count} names of joints"
+                )
+            if len(numbers):
+                into[self._mine] = numbers[self._theirs]
+            elif event != "joint_angles":
+                into[self._mine] = np.nan
+        if len(message.effort):
+            torques = values[self._places["torques"]]
+            torques[self._mine] *= self._factors[self._mine]
+            self._check_torques(torques)
+        self._first = min(self._first, int(self._mine[0]))
+        return int(self._mine[0]) == self._first
+
+    def _match(self, names: list[str], count: int) -> None:
+        """Finds the joints in the names of a message."""
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise MalformedMessage(f"joint {twice} is named twice")
+        if not names:
+            matches = count == len(self._joints)
+            self._mine = np.arange(count if matches else 0)
+            self._theirs = self._mine
+            if count:
+                said = "taken in the robot's order" if matches else "not used"
+                self._tell(f"messages of {count} joints without names are {said}")
+            return
+        prefix = self._prefix(names)
+        places = {name: k for k, name in enumerate(names)}
+        pairs = [
+            (joint, places[prefix + name])
+            for joint, name in enumerate(self._wanted)
+            if prefix + name in places
+        ]
+        self._found = list(names)
+        self._mine = np.array([joint for joint, _ in pairs], np.intp)
+        self._theirs = np.array([place for _, place in pairs], np.intp)
+        if prefix:
+            self._tell(f"joints are named with {prefix!r} before the robot's names")
+        others = [name for k, name in enumerate(names) if k not in self._theirs]
+        missing = [name for k, name in enumerate(self._wanted) if k not in self._mine]
+        if not pairs:
+            self._tell(
+                f"messages of the joints {_listed(names)} have none of {_listed(self._wanted)}; "
+                "joints = [...] says how they are named"
+            )
+        elif missing:
+            self._tell(
+                f"no values of {_listed(missing)} in messages of {_listed(names)}; they stay as "
+                "declared until other messages have them"
+            )
+        if pairs and others:
+            self._tell(f"the robot has no {_listed(others)}: not used")
+
+    def _prefix(self, names: Sequence[str]) -> str:
+        """What stands before all of the wanted names, in the names of a message; else nothing."""
+        if any(name in names for name in self._wanted):
+            return ""
+        first = self._wanted[0]
+        before = [name.removesuffix(first) for name in names if name.endswith(first)]
+        known = set(names)
+        found = [text for text in before if known.issuperset(text + name for name in self._wanted)]
+        return found[0] if len(found) == 1 else ""
+
+    def _check_torques(self, torques: Array) -> None:
+        """Tells, once, of torques that the robot's joints cannot have."""
+        if self._has_doubts:
+            return
+        with np.errstate(invalid="ignore"):
+            wrong = np.abs(torques) > _FAR_TOO_MUCH * self._limits
+        if wrong.any():
+            self._has_doubts, k = True, int(np.argmax(wrong))
+            self._tell(
+                f"the effort of {self._wanted[k]} is {torques[k]:.4g}, where the robot's limit is "
+                f"{self._limits[k]:g} Nm; is it in other units? effort_unit and torque_constants "
+                "convert it"
+            )
+
+    def _take_commands(self, values: Array, message: Any) -> None:
+        if len(message.data) != len(self._joints):
+            found = f"found {len(message.data)} commanded torques"
+            raise MalformedMessage(f"{found}; expected {len(self._joints)}, one for each joint")
+        values[self._places["commanded_torques"]] = message.data
+
+    def _take_frames(self, values: Array, message: Any) -> None:
+        for transform in message.transforms:
+            parent, child = transform.header.frame_id, transform.child_frame_id
+            moved, turned = transform.transform.translation, transform.transform.rotation
+            pose = _pose((moved.x, moved.y, moved.z), (turned.w, turned.x, turned.y, turned.z))
+            if pose is None:
+                raise MalformedMessage(f"the rotation of {child} is no unit quaternion")
+            self._parents[child.lstrip("/")] = parent.lstrip("/"), pose
+        for name in self._frames:
+            pose = self._in_root(name)
+            if pose is not None:
+                values[self._places[event_of_frame(name)]] = pose[:3].T.ravel()  # column-major
+
+    def _in_root(self, name: str) -> Array | None:
+        """The pose of a frame in the root; None while it is unknown."""
+        pose, at = np.eye(4), name
+        for _ in range(len(self._parents)):
+            if at == self._root or at not in self._parents:
+                break
+            at, step = self._parents[at]
+            pose = step @ pose
+        is_known = at == self._root if self._root else name in self._parents
+        return pose if is_known else None
+
+
+class MessageLayout(Structure):
+    """The layout of packets that are made of messages.
+
+    Attributes:
+        fault: of the last malformed message.
+    """
+
+    message = "message"
+    fault = ""
+
+    def describe_wrong_size(self, packet: bytes, length: int) -> str:
+        """Describes why a message makes no packet; see `Structure.describe_wrong_size`."""
+        return self.fault or f"{length} bytes that are no {self.message}"
+
+    def never(self, message: bytes) -> bytes:
+        """The bytes of a malformed message, of another length than packets have."""
+        return message + b"\0" * (len(message) == self.size)
+
+
+def event_of_frame(name: str) -> str:
+    """The event with the pose of a frame."""
+    return "tf_" + "".join(c if c.isalnum() and c.isascii() else "_" for c in name)
+
+
+def _pose(position: Sequence[float], quaternion: Sequence[float]) -> Array | None:
+    """A pose (4, 4) from a position, m, and a quaternion w, x, y, z; None if it is none."""
+    length = float(np.linalg.norm(quaternion))
+    if not np.isfinite(position).all() or not abs(length - 1.0) <= _UNIT_TOLERANCE:
+        return None
+    return frame(rotation_from_quat(np.array(quaternion)), np.array(position))
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MANY} more" if len(names) > _MANY else ""
+    return ", ".join(names[:_MANY]) + more
