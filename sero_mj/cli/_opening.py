@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 from ..base import paths
 from ..base.errors import SeroError, UsageError
 from ..viewer.session.recent_views import RecentView, recent_views
 from ._arguments import read_scene, replay_instead
 from .shared_options import is_recording
+
+if TYPE_CHECKING:
+    from ..data.record.bag import Bag
+
+NETWORK = "ros2://"
 
 
 class _ShowsScene(Protocol):
@@ -41,7 +46,7 @@ def view_of_file(path: Path, shown: str | None) -> RecentView:
     """
     if not is_recording(path):
         return RecentView(str(path.resolve()))
-    if not path.is_file():
+    if not path.exists():
         raise UsageError(f"{path}: no such file")
     why: list[SeroError] = []
     for scene in _scenes_of(path, shown):
@@ -64,7 +69,14 @@ def view_of_file(path: Path, shown: str | None) -> RecentView:
 
 
 def with_scene(options: T) -> T:
-    """Returns the options of what shows a scene; where that is a recording, with its own scene."""
+    """Returns the options of what shows a scene, where that is something else, with its own scene.
+
+    That is a recording, or a network, `ros2://`.
+    """
+    if options.scene is not None and str(options.scene).startswith(NETWORK):
+        from ..data.drive.described_scene import scene_of_network
+
+        return options.model_copy(update={"scene": str(scene_of_network(str(options.scene)))})
     if options.scene is None or not is_recording(options.scene):
         return options
     if options.replay is not None:
@@ -75,12 +87,15 @@ def with_scene(options: T) -> T:
 
 
 def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
-    from ..data.record.bag import open_recording
+    from ..data.record.bag import Bag, open_recording
     from ..data.record.scene_files import write_scene
 
     if shown is not None:
         yield shown
     with open_recording(path) as recording:
+        if isinstance(recording, Bag):
+            yield from _scenes_of_bag(recording)
+            return
         name = recording.about.get("scene", "")
     if not name:
         return
@@ -95,6 +110,18 @@ def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
         own = write_scene(recording, name, paths.make_temporary_folder())
     if own is not None:
         yield str(own)
+
+
+def _scenes_of_bag(bag: Bag) -> Iterator[str]:
+    """Scenes of the robots that a recording of ROS may be of: described in it, or shipped."""
+    from ..data.drive.described_scene import described_scene
+    from ..data.record.bag import DESCRIPTION
+    from ..data.ros.network import robots_with
+
+    if DESCRIPTION in bag.attachments:
+        yield str(described_scene(bag.read_attachment(DESCRIPTION).decode("utf-8")))
+    for source in bag.sources.values():
+        yield from robots_with(source.declared["joints"])
 
 
 def is_temporary(view: RecentView) -> bool:

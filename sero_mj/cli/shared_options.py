@@ -29,8 +29,10 @@ Flag = Annotated[str | None, Option("NAME")]
 
 
 def is_recording(path: Path | str) -> bool:
-    """Whether a file is a recording, by its name."""
-    return str(path).lower().endswith(".mcap")
+    """Whether a file or folder is a recording, ours or of ROS, by its name."""
+    return str(path).lower().endswith((".mcap", ".bag", ".db3")) or (
+        Path(path, "metadata.yaml").is_file()
+    )
 
 
 class SceneArgument(Options):

@@ -10,6 +10,7 @@ from typing import Any
 from ...base.errors import SeroError
 from ...robots.declared.scene import Scene
 from ..record.bag import Bag, open_recording
+from ..record.replay import Replay
 from ..ros.ros_source import RosSource
 from .wiring import wired_source
 
@@ -17,13 +18,14 @@ _FIELDS = frozenset(RosSource.model_fields) - {"name", "structure", "only_latest
 
 
 def topics_of(scene: Scene) -> dict[str, RosSource]:
-    """A scene's sources of ROS; those that are declared wrongly are left out."""
-    found = {}
+    """What a scene's sources read of ROS; those that are declared wrongly are left out."""
+    found: dict[str, RosSource] = {}
     for name, declared in scene.sources.items():
         with suppress(SeroError):
             source = wired_source(scene, name, declared)
-            if isinstance(source, RosSource):
-                found[name] = source
+            of_ros = source.of_ros if isinstance(source, Replay) else source
+            if isinstance(of_ros, RosSource):
+                found[name] = of_ros
     return found
 
 

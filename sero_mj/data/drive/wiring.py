@@ -542,6 +542,11 @@ class _RouteChecker:
         if name not in self._sources:
             return None
         events = {**self._sources[name].events, **SIGNALS}
+        if self._sources[name].needs_joints(event):
+            if self._scene.broken:  # a robot, reported elsewhere
+                return None
+            reason = f"joints of {name} are not known: no route leads it to all joints of a robot"
+            return Problem("", reason, expected=f"sources.{name}.joints, their names")
         if event not in events:
             hint, of = _missing_spaces(event, events), f"of {name}"
             if hint:

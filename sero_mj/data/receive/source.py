@@ -237,6 +237,10 @@ class Source(PacketDeclaration):
         For sources whose messages name joints; called before its events are asked for.
         """
 
+    def needs_joints(self, event: str) -> bool:
+        """Whether an event is not there because it is not known which joints are wanted."""
+        return False
+
     def on_receive(self, callback: Callable[[], None]) -> None:
         """Registers a callback, on the source's thread, for the arrival of good packets."""
         self._callbacks.append(callback)

@@ -13,7 +13,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from mcap.reader import make_reader
+
 from ...base.errors import Problem, RecordingError, UnknownName
+from ...base.paths import open_file
 from ..ros.dds import Ros2
 from ..ros.joined_packets import FRAMES, JoinedPackets
 from ..ros.messages import JOINT_STATE, TEXT, MalformedMessage, type_store
@@ -50,7 +53,15 @@ def open_recording(path: Path | str, topics: Mapping[str, RosSource] | None = No
     try:
         return Recording(path)
     except OfAnotherProgram:
-        return Bag(path, topics)
+        if _profile(path) == "ros2":
+            return Bag(path, topics)
+        raise
+
+
+def _profile(path: Path) -> str:
+    """What an MCAP file says that its messages are."""
+    with open_file(path) as file:
+        return make_reader(file).get_header().profile
 
 
 class Bag(PacketFile):

@@ -150,6 +150,11 @@ class Replay(Source):
         for key in ("recorded", "original", "layout"):
             self.__dict__.pop(key, None)
 
+    @property
+    def of_ros(self) -> RosSource | None:
+        """What it reads of a recording of ROS, once its joints are known; None for ours."""
+        return self._of_ros
+
     def _opened(self) -> PacketFile:
         """The recording, opened; its user closes it."""
         if self._of_ros is None and self.topics:
@@ -228,9 +233,7 @@ class Replay(Source):
         self.original.allow_nan(events)  # whose decoder this is
 
     def _new_intake(self) -> Intake:
-        intake = self.original._new_intake()
-        intake.nan_allowed = self._nan_allowed
-        return intake
+        return self.original._new_intake()
 
     def open(self) -> None:
         """Opens the file and goes to the start.

@@ -117,20 +117,15 @@ class Readers:
             self.trouble = ""
             return
         published = self._participant.published()
+        if not published:
+            self.trouble = f"nobody publishes in domain {self._participant.domain}"
+            if self._source.host == LOCALHOST:
+                self.trouble += " of this machine; host = 'subnet' looks on the network"
+            return
         wrong: list[str] = []
         for topic, tells in self._source.topics:
             wrong += self._wrong_with(topic, TYPES[tells], published)
-        if wrong:
-            self.trouble = "; ".join(wrong)
-        elif not published:
-            where = "on this machine" if self._source.host == LOCALHOST else "is heard"
-            self.trouble = f"nobody publishes {where} in domain {self._participant.domain}" + (
-                "; host = 'subnet' looks on the network too"
-                if self._source.host == LOCALHOST
-                else ""
-            )
-        else:
-            self.trouble = "its publisher is silent"
+        self.trouble = "; ".join(wrong) or "its publisher is silent"
 
     def _wrong_with(self, topic: str, kind: str, published: list[Publication]) -> list[str]:
         """What is wrong with a topic, in words."""
@@ -262,14 +257,19 @@ class Participant:
             if getattr(sample, "topic_name", "").startswith("rt/") and sample.participant_key != own
         ]
 
+    def wait(self, seconds: float) -> bool:
+        """Waits for messages; whether there are some."""
+        from cyclonedds.util import duration
+
+        return bool(self._waits.wait(duration(nanoseconds=round(max(seconds, 0.0) * 1e9))))
+
     def run(self, name: str, read: Callable[[], None], look: Callable[[], None]) -> None:
         """Starts a thread that calls `read` when messages have come, and `look` each second."""
-        from cyclonedds.util import duration
 
         def work() -> None:
             due = clock.monotonic() + _LOOKS
             while not self._closing.is_set():
-                self._waits.wait(duration(seconds=_LOOKS))
+                self.wait(_LOOKS)
                 if self._closing.is_set():
                     break
                 read()

@@ -19,6 +19,7 @@ from ..receive.structure import Structure
 from .messages import MalformedMessage
 
 JOINT_STATES, FORCES, COMMANDS, FRAMES = "joint states", "wrench", "commands", "transforms"
+JOINT_EVENTS = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 _MANY = 8  # names in a message
 _FAR_TOO_MUCH = 3.0  # times the largest torque
 _UNIT_TOLERANCE = 1e-2  # of a quaternion's length
@@ -66,12 +67,8 @@ class JoinedPackets:
         count = len(joints)
         parts = {"stamp:1d": 1}
         if count:
-            parts |= dict.fromkeys(
-                (f"{event}:{count}d" for event in ("joint_angles", "joint_velocities", "torques")),
-                count,
-            )
-            if has_commands:
-                parts[f"commanded_torques:{count}d"] = count
+            events = JOINT_EVENTS if has_commands else JOINT_EVENTS[:3]
+            parts |= {f"{event}:{count}d": count for event in events}
         if has_forces:
             parts |= {"force:1Vd": 3, "moment:1Vd": 3}
         parts |= {f"{event_of_frame(name)}:1Td": 12 for name in frames}
@@ -138,8 +135,7 @@ class JoinedPackets:
         if not len(self._mine):
             return False
         given = (message.position, message.velocity, message.effort)
-        events = ("joint_angles", "joint_velocities", "torques")
-        for event, numbers in zip(events, given, strict=True):
+        for event, numbers in zip(JOINT_EVENTS, given, strict=False):
             into = values[self._places[event]]
             if len(numbers) not in (0, count or len(self._joints)):
                 raise MalformedMessage(
@@ -169,7 +165,7 @@ class JoinedPackets:
                 said = "taken in the robot's order" if matches else "not used"
                 self._tell(f"messages of {count} joints without names are {said}")
             return
-        prefix = self._prefix(names)
+        prefix = prefix_before(self._wanted, names)
         places = {name: k for k, name in enumerate(names)}
         pairs = [
             (joint, places[prefix + name])
@@ -195,16 +191,6 @@ class JoinedPackets:
             )
         if pairs and others:
             self._tell(f"the robot has no {_listed(others)}: not used")
-
-    def _prefix(self, names: Sequence[str]) -> str:
-        """What stands before all of the wanted names, in the names of a message; else nothing."""
-        if any(name in names for name in self._wanted):
-            return ""
-        first = self._wanted[0]
-        before = [name.removesuffix(first) for name in names if name.endswith(first)]
-        known = set(names)
-        found = [text for text in before if known.issuperset(text + name for name in self._wanted)]
-        return found[0] if len(found) == 1 else ""
 
     def _check_torques(self, torques: Array) -> None:
         """Tells, once, of torques that the robot's joints cannot have."""
@@ -268,6 +254,19 @@ class MessageLayout(Structure):
     def never(self, message: bytes) -> bytes:
         """The bytes of a malformed message, of another length than packets have."""
         return message + b"\0" * (len(message) == self.size)
+
+
+def prefix_before(wanted: Sequence[str], names: Sequence[str]) -> str:
+    """What stands before all of the wanted names of joints, in the names of a message.
+
+    Empty where they stand there as they are, or not all of them do with one prefix.
+    """
+    known = set(names)
+    if not wanted or not known.isdisjoint(wanted):
+        return ""
+    before = [name.removesuffix(wanted[0]) for name in names if name.endswith(wanted[0])]
+    found = [text for text in before if known.issuperset(text + name for name in wanted)]
+    return found[0] if len(found) == 1 else ""
 
 
 def event_of_frame(name: str) -> str:

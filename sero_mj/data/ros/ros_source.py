@@ -18,6 +18,7 @@ from .joined_packets import (
     COMMANDS,
     FORCES,
     FRAMES,
+    JOINT_EVENTS,
     JOINT_STATES,
     JoinedPackets,
     MessageLayout,
@@ -114,6 +115,10 @@ class RosSource(Source):
         """Takes the joints that routes lead to; those of `joints` stay if they are a list."""
         self._led = list(joints)
         self.__dict__.pop("layout", None)
+
+    def needs_joints(self, event: str) -> bool:
+        """Whether an event is not there because it is not known which joints are wanted."""
+        return not self.joint_names and event in JOINT_EVENTS
 
     @property
     def joint_names(self) -> list[str]:

@@ -1,0 +1,93 @@
+"""Scenes of robots that ROS describes: by a topic, or in a recording."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from ...base import paths
+from ...base.errors import UsageError
+from ..ros.network import SCHEME, Address, Found, find_robot
+from .bag_topics import joint_routes
+
+_PATIENCE = 5.0  # s for a network to tell of its robot
+_SOURCE = "ros"
+
+
+def scene_of_network(text: str) -> Path:
+    """Writes a scene of the robot that a network of ROS 2 tells of; returns its file.
+
+    Args:
+        text: where it is, `ros2://...`, see `Address`.
+
+    Raises:
+        SourceError: a package is missing, or the domain cannot be joined.
+        UsageError: there is no robot, or it is not known which.
+    """
+    address = Address.parse(text)
+    found = find_robot(address, _PATIENCE)
+    source = {**address.source}
+    if found.joint_states and "joint_states" not in source:
+        source["joint_states"] = found.joint_states
+    return described_scene(_robot(address, found), source)
+
+
+def _robot(address: Address, found: Found) -> str:
+    """The model of a robot that was found, or its description."""
+    if address.robot or found.urdf:
+        return address.robot or found.urdf
+    if len(found.robots) == 1:
+        return found.robots[0]
+    url = f"{SCHEME}{address.host}?robot=NAME"
+    if found.robots:
+        known = f"the joints of {found.joint_states} are those of {', '.join(found.robots)}"
+    else:
+        known = f"nobody publishes a robot_description for {found.joint_states}"
+    raise UsageError(f"{known}; say which robot it is: {url}")
+
+
+def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path:
+    """Writes a scene of one robot, in a folder that ends with this process; returns its file.
+
+    Args:
+        robot: its description (URDF), or the name of a model.
+        source: the table of what moves it; None for nothing.
+    """
+    folder, model = paths.make_temporary_folder(), robot
+    if robot.lstrip("\ufeff \t\r\n").startswith("<"):
+        name = _name_in(robot)
+        model = f"{name}.urdf"
+        (folder / model).write_text(robot, encoding="utf-8")
+    else:
+        name = paths.model_name(paths.find_model(robot))
+    tables: dict[str, Mapping[str, Any]] = {
+        "": {"floor": "below"},
+        f"robots.{name}": {"model": model, "show_arrows": True},
+    }
+    if source is not None:
+        tables[f"sources.{_SOURCE}"] = source
+        tables["routes"] = joint_routes(name, _SOURCE)
+    file = folder / f"{name}.toml"
+    file.write_text("\n".join(_toml(*each) for each in tables.items()), encoding="utf-8")
+    return file
+
+
+def _toml(name: str, table: Mapping[str, Any]) -> str:
+    """A table of numbers and texts in TOML, which writes these as JSON does."""
+    head = f"[{name}]\n" if name else ""
+    return head + "".join(
+        f"{json.dumps(key)} = {json.dumps(value)}\n" for key, value in table.items()
+    )
+
+
+def _name_in(urdf: str) -> str:
+    """The name of a robot in its description, as the scene can have it."""
+    try:
+        name = ElementTree.fromstring(urdf).get("name", "")
+    except ElementTree.ParseError:  # which opening it reports
+        name = ""
+    return re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", name) if name else "robot"

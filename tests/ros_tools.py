@@ -1,0 +1,118 @@
+"""Messages of ROS, bags with them, and publishers in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags import rosbag1, rosbag2
+from rosbags.typesys import Stores, get_typestore
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+OLD_STORE = get_typestore(Stores.ROS1_NOETIC)
+JOINT_STATE = "sensor_msgs/msg/JointState"
+BEGIN = 1_700_000_000 * 10**9  # ns since the epoch
+
+
+def joint_state(
+    names: Sequence[str],
+    angles: Any = (),
+    velocities: Any = (),
+    torques: Any = (),
+    stamp: int = 0,
+    store: Any = STORE,
+) -> Any:
+    """A message of joints; the stamp is in ns."""
+    types = store.types
+    time = types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
+    order = ((0,) if store is OLD_STORE else ()) + (time, "")
+    header = types["std_msgs/msg/Header"](*order)
+    numbers = [np.array(each, float) for each in (angles, velocities, torques)]
+    return types[JOINT_STATE](header, list(names), *numbers)
+
+
+def encoded(message: Any) -> bytes:
+    """A message in CDR."""
+    return bytes(STORE.serialize_cdr(message, message.__msgtype__))
+
+
+def write_bag(path: Path, topics: dict[str, list[tuple[int, Any]]], kind: str = "mcap") -> Path:
+    """Writes a bag, and returns what opens it.
+
+    Args:
+        path: of the folder or file.
+        topics: name to messages and their times, ns since `BEGIN`.
+        kind: `mcap`, `db3`, or `bag` for ROS 1.
+    """
+    if kind == "bag":
+        with rosbag1.Writer(path) as writer:
+            _fill(writer, topics, OLD_STORE, OLD_STORE.serialize_ros1)
+        return path
+    plugin = {"mcap": rosbag2.StoragePlugin.MCAP, "db3": rosbag2.StoragePlugin.SQLITE3}[kind]
+    with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
+        _fill(writer, topics, STORE, STORE.serialize_cdr)
+    return path
+
+
+def _fill(writer: Any, topics: Any, store: Any, serialize: Any) -> None:
+    connections = {
+        name: writer.add_connection(name, messages[0][1].__msgtype__, typestore=store)
+        for name, messages in topics.items()
+    }
+    merged = sorted(
+        ((time, name, message) for name, each in topics.items() for time, message in each),
+        key=lambda entry: entry[0],
+    )
+    for time, name, message in merged:
+        writer.write(connections[name], BEGIN + time, serialize(message, message.__msgtype__))
+
+
+class Peer:
+    """Publishers in a process of their own; see `ros2_peer`."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+        self._hear()
+
+    def _hear(self) -> None:
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "done\n"
+
+    def say(self, **said: Any) -> None:
+        """Has it do something, and waits until it has."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(said) + "\n")
+        self._process.stdin.flush()
+        self._hear()
+
+    def joints(self, topic: str = "/joint_states", **message: Any) -> None:
+        """Publishes the state of joints."""
+        self.say(write=topic, kind="JointState", message=message)
+
+
+def free_domain() -> int:
+    """A domain that other tests beside do not use."""
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+    return 100 + (worker * 40 + os.getpid()) % 130
+
+
+@contextmanager
+def publishing(domain: int) -> Iterator[Peer]:
+    """Publishers in a domain, on this machine."""
+    command = [sys.executable, str(Path(__file__).with_name("ros2_peer.py")), str(domain)]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield Peer(process)
+        finally:
+            assert process.stdin is not None
+            process.stdin.close()
+            process.wait(10)

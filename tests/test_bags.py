@@ -1,0 +1,221 @@
+"""Recordings of ROS, played as recordings of ours."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_tools import OLD_STORE, STORE, joint_state, write_bag
+from test_cli import run
+
+from sero_mj.base.errors import DeclarationError, RecordingError
+from sero_mj.cli._arguments import replay_instead
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.receive.source import LedJoint
+from sero_mj.data.record.bag import DESCRIPTION, Bag, open_recording
+from sero_mj.data.record.replay import Replay
+from sero_mj.load import load_scene
+from sero_mj.simulate.runs.run_recording import read_run
+
+KINDS = ("mcap", "db3", "bag")
+COUNT, STEP = 400, 10**7  # messages, and ns between them
+ORDER = [3, 1, 7, 2, 4, 6, 5]  # of the joints in messages
+NAMES = [f"fr3_joint{i}" for i in ORDER]
+LED = [LedJoint(f"fr3_joint{i}") for i in range(1, 8)]
+
+
+def angles(k: int) -> np.ndarray:
+    """Of joints 1 to 7 in message k."""
+    return np.sin(0.01 * k + np.arange(7.0))
+
+
+def states(store: Any = STORE, names: list[str] = NAMES) -> list[tuple[int, Any]]:
+    order = np.array(ORDER) - 1
+    return [
+        (
+            k * STEP,
+            joint_state(names, angles(k)[order], (), 10 * angles(k)[order], k * STEP + 1, store),
+        )
+        for k in range(COUNT)
+    ]
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    kind = str(request.param)
+    path = tmp_path_factory.mktemp(kind) / ("drive.bag" if kind == "bag" else "drive")
+    store = OLD_STORE if kind == "bag" else STORE
+    text = store.types["std_msgs/msg/String"]("<robot name='x'/>")
+    topics = {"/joint_states": states(store), "/robot_description": [(0, text)]}
+    return write_bag(path, topics, kind)
+
+
+def test_packets_are_those_of_the_messages_in_the_robot_s_order(bag: Path) -> None:
+    replay = Replay(name="drive", file=bag)
+    replay.led_to(LED)
+    assert replay.events["joint_angles"] == (7,)
+    with open_recording(bag) as recording:
+        assert isinstance(recording, Bag)
+        assert list(recording.sources) == ["joint_states"]
+        assert recording.duration == pytest.approx((COUNT - 1) * STEP / 1e9)
+        assert recording.sources["joint_states"].count == COUNT
+        assert recording.read_attachment(DESCRIPTION) == b"<robot name='x'/>"
+    with replay:
+        replay.keep_all()
+        replay.advance_to(100.0)
+        packets = replay.take_all()
+    assert packets is not None
+    found = packets.values["joint_angles"]
+    # The first one was there when it was opened.
+    assert found == pytest.approx(np.array([angles(k) for k in range(1, COUNT)]))
+    assert packets.values["torques"] == pytest.approx(10 * found)
+    assert packets.arrivals == pytest.approx(np.arange(1, COUNT) * STEP / 1e9)
+
+
+@pytest.mark.parametrize("time", [0.0, 0.004, 1.234, 3.99, 50.0])
+def test_seeking_gives_what_playing_up_to_there_gives(bag: Path, time: float) -> None:
+    with open_recording(bag) as recording:
+        played = [entry for entry in recording.packets("joint_states") if entry[0] <= time]
+        assert recording.last_before("joint_states", time) == played[-1]
+        rest = list(recording.packets("joint_states", time))
+        assert rest == [e for e in recording.packets("joint_states") if e[0] >= time]
+        assert recording.last_before("joint_states", -1.0) is None
+
+
+def test_a_robot_alone_is_led_by_a_bag(bag: Path, tmp_path: Path, capsys: Any) -> None:
+    picture = tmp_path / "seen.png"
+    still = tmp_path / "still.png"
+    command = ["render", "fr3", "--replay", str(bag), "--size", "160x120", "--output"]
+    assert run(capsys, *command, str(picture), "--at", "3")[0] == 0
+    assert run(capsys, *command, str(still), "--at", "0")[0] == 0
+    assert picture.read_bytes() != still.read_bytes()
+
+
+def test_a_bag_is_a_table_and_a_run(bag: Path, tmp_path: Path, capsys: Any) -> None:
+    table = tmp_path / "drive.csv"
+    assert run(capsys, "export-csv", str(bag), str(table))[0] == 0
+    header, *rows = table.read_text(encoding="utf-8").splitlines()
+    assert header.split(",")[:3] == ["time", "stamp[0]", "joint_angles[0]"]
+    assert len(rows) == COUNT
+    log = read_run(bag, scene=load_scene("fr3"))
+    assert log.signals["fr3_joint_angles"] == pytest.approx(
+        np.array([angles(k) for k in range(COUNT)])
+    )
+    assert log.signals["fr3_torques"][5] == pytest.approx(10 * angles(5))
+
+
+def test_scenes_read_what_their_source_reads_live(tmp_path: Path) -> None:
+    wrench = STORE.types["geometry_msgs/msg/WrenchStamped"]
+    vector = STORE.types["geometry_msgs/msg/Vector3"]
+    both = STORE.types["geometry_msgs/msg/Wrench"](vector(1, 2, 3), vector(4, 5, 6))
+    force = wrench(joint_state(()).header, both)
+    other = states(names=[f"left_{name}" for name in NAMES])
+    bag = write_bag(
+        tmp_path / "both",
+        {"/left/joint_states": other, "/right/joint_states": states(), "/ft": [(0, force)]},
+    )
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        """
+[robots.arm]
+model = "fr3"
+[sources.ros]
+kind = "ros2"
+namespace = "left"
+wrench = "/ft"
+[arrows.contact]
+at = "arm/flange"
+[routes]
+"arm.joint_angles" = "ros.joint_angles"
+"contact.vector" = "ros.force[0]"
+""",
+        encoding="utf-8",
+    )
+    scene = load_scene(file)
+    replay_instead(scene, bag, None)
+    with Mirror(scene) as mirror:
+        mirror.advance(0.0)
+        mirror.advance(2.0)
+        assert mirror.data.qpos == pytest.approx(angles(200), abs=0.05)
+        packet = mirror.sources["ros"].latest()
+        assert packet is not None
+        assert packet.values["force"].tolist() == [[1, 2, 3]]
+
+
+def test_a_source_may_play_a_bag_by_itself(bag: Path, tmp_path: Path) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        f"""
+[robots.arm]
+model = "fr3"
+[sources.drive]
+kind = "replay"
+file = "{bag}"
+[routes]
+"arm.joint_angles" = "drive.joint_angles"
+""",
+        encoding="utf-8",
+    )
+    with Mirror(load_scene(file)) as mirror:
+        mirror.advance(0.0)
+        mirror.advance(1.0)
+        assert mirror.data.qpos == pytest.approx(angles(100), abs=0.02)
+
+
+def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "two", {"/a/joint_states": states(), "/b/joint_states": states()})
+    with pytest.raises(DeclarationError, match="has several sources: a_joint_states, b_joint_st"):
+        Replay(file=bag)
+    assert Replay(file=bag, source="b_joint_states").recorded.count == COUNT
+    assert Replay(file=bag, topics={"joint_states": "/a/joint_states"}).recorded.name == "replay"
+    with pytest.raises(DeclarationError, match=r"topics: .* has none of these"):
+        Replay(file=bag, topics={"joint_states": "/c"})
+
+
+def damaged(bag: Path, to: Path, cut: float) -> Path:
+    """A copy of a bag whose largest file is cut off."""
+    if bag.is_dir():
+        shutil.copytree(bag, to)
+        file = max(to.iterdir(), key=lambda each: each.stat().st_size)
+    else:
+        file = Path(shutil.copy(bag, to.with_suffix(bag.suffix)))
+        to = file
+    data = file.read_bytes()
+    file.write_bytes(data[: int(len(data) * cut)])
+    return to
+
+
+@pytest.mark.parametrize("cut", [0.0, 0.01, 0.5, 0.97])
+def test_damaged_bags_are_errors_or_end_early(bag: Path, tmp_path: Path, cut: float) -> None:
+    path = damaged(bag, tmp_path / "cut", cut)
+    try:
+        with open_recording(path) as recording:
+            found = list(recording.packets("joint_states"))
+    except RecordingError as error:
+        assert str(path) in str(error)
+    else:
+        assert len(found) < COUNT
+        assert recording.faults
+
+
+def test_a_bag_without_joints_says_what_it_has(tmp_path: Path) -> None:
+    text = STORE.types["std_msgs/msg/String"]("hello")
+    bag = write_bag(tmp_path / "text", {"/chatter": [(0, text)]})
+    with pytest.raises(RecordingError, match=r"/chatter \(std_msgs/msg/String\)") as caught:
+        open_recording(bag)
+    assert "expected one of sensor_msgs/msg/JointState" in str(caught.value)
+
+
+def test_malformed_messages_of_a_bag_are_counted(tmp_path: Path) -> None:
+    entries = states()
+    entries[7] = (7 * STEP, joint_state(NAMES, [1.0]))
+    entries[8] = (8 * STEP, joint_state(NAMES, [math.nan] * 7))
+    bag = write_bag(tmp_path / "bad", {"/joint_states": entries})
+    with Replay(file=bag) as replay:
+        replay.advance_to(100.0)
+        assert replay.counters.received == COUNT
+        assert (replay.counters.wrong_size, replay.counters.not_finite) == (1, 1)
