@@ -49,6 +49,7 @@ settings.load_profile("quarter")
 _MAY_BE_SKIPPED = (
     "dm-control is not installed", "by hand", "Linux", "no IPv6 groups",
     "stable-baselines3", "octave-cli", "rustc", "ur_rtde is not installed",
+    "rclpy cannot be installed",
 )  # fmt: skip
 # Browsers and windows take both cores; of several workers one runs all pages, and one all windows.
 # Start pages of either listen on the same ports.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
 
@@ -116,3 +118,29 @@ def publishing(domain: int) -> Iterator[Peer]:
             assert process.stdin is not None
             process.stdin.close()
             process.wait(10)
+
+
+@contextmanager
+def rclpy_environment(folder: Path) -> Iterator[Path]:
+    """The Python of an environment with ROS 2 Kilted's `rclpy` over Fast DDS, from wheels.
+
+    Skips the test where these cannot be installed.
+    """
+    python = folder / "bin" / "python"
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with (folder.parent / f"{folder.name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "complete").exists():
+            packages = ("rclpy", "rmw-fastrtps-cpp", "sensor-msgs", "std-msgs")
+            for command in (
+                [sys.executable, "-m", "venv", "--clear", str(folder)],
+                [str(python), "-m", "pip", "install", "-q", *(f"ros-{each}" for each in packages)],
+                [str(python), "-c", "import rclpy, sensor_msgs.msg"],
+            ):
+                done = subprocess.run(
+                    command, capture_output=True, text=True, timeout=250, check=False
+                )
+                if done.returncode:
+                    pytest.skip(f"rclpy cannot be installed: {done.stderr.strip()[-200:]}")
+            (folder / "complete").touch()
+        yield python

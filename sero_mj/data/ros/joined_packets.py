@@ -37,7 +37,7 @@ class JoinedPackets:
         has_commands: whether torques are commanded on a topic.
         has_forces: whether there is a topic of a wrench.
         frames: names of frames that are wanted, k.
-        root: the frame in which they are wanted; empty: the one at the root of their tree.
+        root: the frame in which they are wanted.
         torque_constants: torque per unit of effort, one for all, or (n,).
         tell: gets what a user should know, once.
 
@@ -233,8 +233,7 @@ class JoinedPackets:
                 break
             at, step = self._parents[at]
             pose = step @ pose
-        is_known = at == self._root if self._root else name in self._parents
-        return pose if is_known else None
+        return pose if at == self._root else None
 
 
 class MessageLayout(Structure):

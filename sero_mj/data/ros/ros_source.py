@@ -52,7 +52,7 @@ class RosSource(Source):
         commands: topic of `std_msgs/Float64MultiArray` with commanded torques; empty for none.
         wrench: topic of `geometry_msgs/WrenchStamped`; empty for none.
         frames: names of frames of `tf` and `tf_static` to receive.
-        root: the frame in which these are; empty for the root of their tree.
+        root: the frame in which these are wanted.
         namespace: stands before topics that do not begin with `/`.
         effort_unit: of efforts: `Nm`, or `A` with `torque_constants`.
         torque_constants: torque per ampere, Nm/A, one for all joints or one for each.
@@ -101,7 +101,7 @@ class RosSource(Source):
         return frames
 
     @model_validator(mode="after")
-    def _amperes_are_converted(self) -> RosSource:
+    def _fields_fit_each_other(self) -> RosSource:
         has_constants = self.torque_constants is not None
         if has_constants != (self.effort_unit == "A"):
             found = "without" if self.effort_unit == "A" else "with"
@@ -109,6 +109,10 @@ class RosSource(Source):
             raise problem.error()
         if not (self.joint_states or self.wrench or self.frames):
             raise Problem("joint_states", "no topic is read", expected="the name of one").error()
+        if self.frames and not self.root:
+            expected = "the frame in which they are wanted, base_link say"
+            raise Problem("root", "frames are read without it", expected=expected).error()
+        self._nan_allowed |= {event_of_frame(name) for name in self.frames}
         return self
 
     def led_to(self, joints: Sequence[LedJoint]) -> None:
