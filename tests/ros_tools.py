@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
 
@@ -74,6 +76,21 @@ def _fill(writer: Any, topics: Any, store: Any, serialize: Any) -> None:
     )
     for time, name, message in merged:
         writer.write(connections[name], BEGIN + time, serialize(message, message.__msgtype__))
+
+
+def read_joint_states(path: Path) -> dict[str, list[tuple[int, Any]]]:
+    """Messages of joints and their times, ns, by topic, as MCAP's reader for ROS has them."""
+    found: dict[str, list[tuple[int, Any]]] = {}
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for schema, channel, message in reader.iter_messages():
+            if schema is not None and schema.name == JOINT_STATE:
+                decoded = DecoderFactory().decoder_for(channel.message_encoding, schema)
+                assert decoded is not None
+                found.setdefault(channel.topic, []).append(
+                    (message.log_time, decoded(message.data))
+                )
+    return found
 
 
 class Peer:

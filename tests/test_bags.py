@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_tools import OLD_STORE, STORE, joint_state, write_bag
+from ros_tools import OLD_STORE, STORE, joint_state, read_joint_states, write_bag
 from test_cli import run
 
 from sero_mj.base.errors import DeclarationError, RecordingError
@@ -219,3 +219,23 @@ def test_malformed_messages_of_a_bag_are_counted(tmp_path: Path) -> None:
         replay.advance_to(100.0)
         assert replay.counters.received == COUNT
         assert (replay.counters.wrong_size, replay.counters.not_finite) == (1, 1)
+
+
+def test_recordings_of_runs_have_the_states_of_joints_for_ros(tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "run.mcap"
+    command = ["simulate", "impedance_push", "--record", str(path)]
+    assert run(capsys, *command)[0] == 0
+    log = read_run(path)
+    ((topic, messages),) = read_joint_states(path).items()
+    assert topic == "/lwr/joint_states"
+    assert [*messages[0][1].name] == list(log.robots["lwr"].names)
+    for time, message in messages:
+        stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        assert stamp == time
+        k = int(np.argmin(abs(log.times - (time - messages[0][0]) / 1e9)))
+        for event, numbers in (
+            ("joint_angles", message.position),
+            ("joint_velocities", message.velocity),
+            ("torques", message.effort),
+        ):
+            assert numbers == pytest.approx(log.signals[f"lwr_{event}"][k])

@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import __version__
 from ..base.frames import Array
-from ..data.drive.record_sources import joint_names
+from ..data.drive.record_sources import joint_names, joint_states_of
 from ..data.record.recording_format import Signals, media_type
 from ..data.record.recording_writer import RecordingWriter
 from ..data.record.scene_files import attached_files
@@ -95,7 +95,8 @@ def _signals_of(simulation: Simulation) -> Signals:
     origins = {
         each: f"{event}[{i}]" for event, found in names.items() for i, each in enumerate(found)
     }
-    return Signals(shapes, names, origins)
+    joints = joint_states_of(simulation.scenario.scene.robots, shapes, event_of)
+    return Signals(shapes, names, origins, joints)
 
 
 def files_of(scenario: Scenario) -> list[Path]:

@@ -5,7 +5,7 @@ The numbers of joints and arrows are called `lwr.A1.torque [Nm]`, in SI units.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 from ..receive.source import Source
 from ..receive.structure import Rows
+from ..record.joint_state_messages import JointStates
 from ..record.recorder import SIGNALS_RATE, Recorder
 from ..record.recording_format import Signals, media_type
 from ..record.scene_files import attached_files
@@ -203,6 +204,27 @@ def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:
     ]
 
 
+def joint_states_of(
+    robots: Mapping[str, SerialRobot], keys: Collection[str], key_of: Callable[[str, str], str]
+) -> dict[str, JointStates]:
+    """Which values are the states of robots' joints.
+
+    Args:
+        robots: by name.
+        keys: of the values, `lwr.joint_angles` say.
+        key_of: the key of a robot's quantity, by the names of both.
+    """
+    found = {}
+    for name, robot in robots.items():
+        angles, velocities, torques = (
+            key if (key := key_of(name, quantity)) in keys else ""
+            for quantity in ("joint_angles", "joint_velocities", "torques")
+        )
+        if angles:
+            found[name] = JointStates(robot.names, angles, velocities, torques)
+    return found
+
+
 class RoutedSignals:
     """The packets of a source in a scene's terms: values routed to joints and arrows, by name.
 
@@ -238,7 +260,8 @@ class RoutedSignals:
             target: (len(each),) for target, each in names.items()
         }
         shapes |= {event: tuple(events[event]) for event in self._events}
-        self.signals = Signals(shapes, names, origins)
+        joints = joint_states_of(scene.robots, shapes, "{}.{}".format)
+        self.signals = Signals(shapes, names, origins, joints)
 
     def of(self, values: Mapping[str, Array]) -> dict[str, Array]:
         """Returns the arrays of a decoded packet, by `signals`."""

@@ -6,6 +6,7 @@
     channel /NAME/raw     a source's packets, byte for byte; its metadata says how to decode them
     channel /NAME/signals what the good ones of them mean, as JSON that Foxglove and PlotJuggler
                           plot; its metadata says of every name where its number comes from
+    channel /ROBOT/joint_states   likewise the states of a robot's joints, as ROS has them
     attachments           the scene file and its robots' files
 
 A message's log time is when the packet arrived, in ns since the epoch. It is the monotonic clock
@@ -35,6 +36,7 @@ from numpy.typing import NDArray
 
 from ... import __version__
 from ...base.errors import Problem
+from .joint_state_messages import JointStates
 
 FORMAT = 1
 ABOUT, CLOCK, LOST = "about", "sero-mj", "lost"
@@ -143,11 +145,13 @@ class Signals:
         shapes: event, or routed input, to its shape: (n,), (n, 3) or (n, 4, 4).
         names: one of these to the names of its numbers, n; the others are arrays.
         origins: such a name to the origin of its number: `values1[0]`.
+        joint_states: robot to which of these are the states of its joints.
     """
 
     shapes: Mapping[str, tuple[int, ...]]
     names: Mapping[str, Sequence[str]] = field(default_factory=dict)
     origins: Mapping[str, str] = field(default_factory=dict)
+    joint_states: Mapping[str, JointStates] = field(default_factory=dict)
 
     def schema(self, title: str) -> bytes:
         """Returns the JSON Schema of the messages."""
@@ -165,8 +169,12 @@ class Signals:
 
     def encode(self, values: Mapping[str, NDArray[np.float64]]) -> bytes:
         """Returns a decoded packet as a message; arrays by `shapes`."""
+        return self.encode_table(self.table(values))[0] if self.shapes else b"{}"
+
+    def table(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Returns a decoded packet as a table of one row, (1, k); arrays by `shapes`."""
         numbers = [np.asarray(values[key], np.float64).ravel() for key in self.shapes]
-        return self.encode_table(np.concatenate(numbers)[None])[0] if numbers else b"{}"
+        return np.concatenate([*numbers, np.zeros(0)])[None]
 
     def encode_table(self, table: NDArray[np.float64]) -> list[bytes]:
         """Returns many decoded packets at once, each as `encode` does.

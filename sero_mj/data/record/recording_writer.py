@@ -24,6 +24,8 @@ from numpy.typing import NDArray
 
 from ... import __version__
 from ...base.errors import RecordingError, UnknownName
+from . import joint_state_messages
+from .joint_state_messages import JointStateMessages
 from .recording_format import (
     ABOUT,
     CLOCK,
@@ -160,11 +162,12 @@ def _why(error: Exception) -> str:
 
 @dataclass
 class _Channels:
-    """The numbers of a source's two channels, what the second holds, and the next packet's."""
+    """The numbers of a source's channels, what the decoded ones hold, and the next packet's."""
 
     raw: int
     decoded: int
     signals: Signals
+    joints: list[tuple[int, JointStateMessages]]
     number: int = 0
 
 
@@ -202,6 +205,7 @@ class RecordingWriter:
     ) -> None:
         self.clock = RecordingClock() if clock is None else clock
         self._channels: dict[str, _Channels] = {}
+        self._joint_schema = 0  # until there is one
         self._chunk_bytes, self._flush_after = chunk_bytes, flush_after
         self._waiting = 0  # bytes of the messages not yet in the file
         self._oldest = 0.0  # when the first of them came, on time.monotonic
@@ -259,8 +263,21 @@ class RecordingWriter:
         schema: int = self._writer.register_schema(title, SCHEMA_ENCODING, text)
         self._repeat(Schema(id=schema, name=title, encoding=SCHEMA_ENCODING, data=text))
         decoded = self._add_channel(f"/{name}/signals", SIGNALS_ENCODING, schema, signals.origins)
-        self._channels[name] = _Channels(raw, decoded, signals)
+        joints = [
+            (self._add_joint_states(robot), JointStateMessages(states, signals.shapes))
+            for robot, states in signals.joint_states.items()
+        ]
+        self._channels[name] = _Channels(raw, decoded, signals, joints)
         self._file.flush()
+
+    def _add_joint_states(self, robot: str) -> int:
+        if not self._joint_schema:
+            name, encoding = joint_state_messages.SCHEMA_NAME, joint_state_messages.SCHEMA_ENCODING
+            text = joint_state_messages.SCHEMA
+            self._joint_schema = self._writer.register_schema(name, encoding, text)
+            self._repeat(Schema(id=self._joint_schema, name=name, encoding=encoding, data=text))
+        topic = f"/{robot}/joint_states"
+        return self._add_channel(topic, joint_state_messages.ENCODING, self._joint_schema, {})
 
     def _add_channel(
         self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]
@@ -338,8 +355,8 @@ class RecordingWriter:
             arrival: when the packet arrived, s on the clock of `time.monotonic`.
         """
         channels = self._find(name)
-        log_time, number = self.clock.log_time(arrival), max(0, channels.number - 1)
-        self._add(channels.decoded, channels.signals.encode(values), log_time, number)
+        table, number = channels.signals.table(values), max(0, channels.number - 1)
+        self.write_signal_rows(name, table, np.array([arrival]), [number])
 
     def write_signal_rows(
         self,
@@ -357,9 +374,13 @@ class RecordingWriter:
             sequences: the packets' numbers, n, counted from 0.
         """
         channels = self._find(name)
-        messages = channels.signals.encode_table(table)
-        for message, arrival, number in zip(messages, arrivals.tolist(), sequences, strict=True):
-            self._add(channels.decoded, message, self.clock.log_time(arrival), number)
+        log_times = [self.clock.log_time(arrival) for arrival in arrivals.tolist()]
+        encoded = [(channels.decoded, channels.signals.encode_table(table))]
+        for channel, joints in channels.joints:
+            encoded.append((channel, joints.encode(table, log_times)))
+        for channel, messages in encoded:
+            for message, log_time, number in zip(messages, log_times, sequences, strict=True):
+                self._add(channel, message, log_time, number)
 
     def _find(self, name: str) -> _Channels:
         channels = self._channels.get(name)

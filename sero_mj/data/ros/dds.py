@@ -317,13 +317,15 @@ def _cyclone(owner: str) -> tuple[Any, Any]:
     return core, qos
 
 
-_domains: dict[int, tuple[str, Any]] = {}  # number to host and domain, for the whole process
+# Number to host, domain, and a participant that stays: what others announce while a process has
+# none would be lost to the next one.
+_domains: dict[int, tuple[str, Any, Any]] = {}
 _lock = threading.Lock()
 
 
 def _configure(number: int, host: str, owner: str) -> None:
     """Configures a domain, which a process can do once for each."""
-    from cyclonedds.domain import Domain
+    from cyclonedds.domain import Domain, DomainParticipant
 
     with _lock:
         if number in _domains:
@@ -332,7 +334,8 @@ def _configure(number: int, host: str, owner: str) -> None:
                 reason = f"found host '{host}'; domain {number} is open with host '{other}'"
                 raise SourceError(owner, Problem("", reason, expected="one host for each domain"))
             return
-        _domains[number] = host, Domain(number, _configuration(host))
+        domain = Domain(number, _configuration(host))
+        _domains[number] = host, domain, DomainParticipant(number)
 
 
 def _configuration(host: str) -> str:
