@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from threading import Event, Thread
@@ -22,11 +23,12 @@ from sero_mj.base.errors import SourceError
 from sero_mj.data.drive.described_scene import scene_of_network
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.record_sources import record_sources
-from sero_mj.data.receive.report import report
+from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.source import LedJoint, make_source
 from sero_mj.data.record.replay import Replay
 from sero_mj.data.ros.dds import Ros2
 from sero_mj.load import load_scene
+from sero_mj.viewer.session.status_line import source_text
 
 DOMAIN = free_domain()
 ARM = ("shoulder", "elbow")
@@ -110,6 +112,39 @@ def test_values_arrive_by_the_names_of_joints(peer: Peer) -> None:
             "torques": [10.0, 20.0],
         }
         assert (source.trouble, source.counters.senders) == ("", 1)
+
+
+@pytest.mark.parametrize(
+    ("late", "shown"), [(2.5, ", its clock 2.5 s behind"), (-2.5, ", its clock 2.5 s ahead")]
+)
+def test_a_clock_that_differs_is_found_and_shown(peer: Peer, late: float, shown: str) -> None:
+    with source_of(joint_states="/clock") as source:
+        peer.say(match="/clock", kind="JointState")
+
+        def arrives() -> bool:
+            seconds, fraction = divmod(time.time() - late, 1.0)
+            stamp = {"sec": int(seconds), "nanosec": int(fraction * 1e9)}
+            peer.joints("/clock", header={"stamp": stamp}, name=ARM, position=[1, 2])
+            return source.receive_trigger > 5
+
+        assert until(arrives)
+        found = report(source)
+        assert found["clock"] == pytest.approx(late, abs=0.05)
+        assert shown in source_text(found, is_live=True)[0]
+        (row,) = [why for what, _, why in describe(found) if what == "clock"]
+        assert re.search(r"25\d\d\.\d ms behind" if late > 0 else r"24\d\d\.\d ms ahead", row), row
+
+
+def test_stamps_that_are_not_of_a_clock_are_not_compared(peer: Peer) -> None:
+    with source_of(joint_states="/simulated") as source:
+        peer.say(match="/simulated", kind="JointState")
+
+        def arrives() -> bool:
+            peer.joints("/simulated", header={"stamp": {"sec": 3}}, name=ARM, position=[1, 2])
+            return source.receive_trigger > 0
+
+        assert until(arrives)
+        assert report(source)["clock"] is None
 
 
 def test_forces_commands_and_frames_come_with_the_joints(peer: Peer) -> None:

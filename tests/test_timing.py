@@ -49,6 +49,7 @@ def test_a_steady_sender_at_1_khz() -> None:
     assert timing.rate == pytest.approx(1000.0)
     assert timing.jitter == pytest.approx(0.0, abs=1e-9)
     assert timing.delay == pytest.approx(0.0, abs=1e-9)
+    assert timing.fastest == pytest.approx(0.002)
     timing.add(np.array([0.105]), np.array([0.100]))
     assert timing.delay == pytest.approx(0.003)
     assert timing.jitter == pytest.approx(0.003 / 16)

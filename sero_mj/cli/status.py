@@ -27,6 +27,7 @@ Every cause for which packets are not applied is counted. Exits with 1 when a so
 """
 
 _EVERY = 0.25  # s
+_GOOD = ("state", "controller", "clock", "received", "blanked")  # rows that tell of no fault
 ORDER = 28  # in the help of `sero-mj`
 
 
@@ -104,7 +105,11 @@ def _table(found: list[dict[str, Any]]) -> Any:
     for entry in found:
         title = f"{entry['source']}\n{entry['about']}"
         for row in describe(entry):
-            style = "" if row[0] in ("state", "controller", "received", "blanked") else "bold red"
+            style = (
+                ""
+                if row[0] in ("state", "controller", "clock", "received", "blanked")
+                else "bold red"
+            )
             table.add_row(title, *row, style=style)
             title = ""
         table.add_section()

@@ -328,6 +328,15 @@ class Timing:
         self.delay = last - min(self._fastest)
 
     @property
+    def fastest(self) -> float:
+        """The least time from a stamp to its arrival in the last 10 to 20 s, s; infinite: unknown.
+
+        It is that by which the receiver's clock is ahead of the sender's, and how long the fastest
+        packet took.
+        """
+        return min(self._fastest)
+
+    @property
     def rate(self) -> float:
         """Packets per second; 0 while unknown."""
         return 1.0 / self.interval if self.interval > 0 else 0.0

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import fields
 from typing import Any
 
 from .intake import Counters
 from .source import Source, age
 
+_SAME_DAY = 86_400.0  # s; stamps farther from the time count from something else
 # Diagnoses by counter, in the order in which to check them.
 MEANINGS = {
     "lost": "numbers that never came",
@@ -31,9 +33,11 @@ def report(source: Source) -> dict[str, Any]:
     Returns:
         every counter by its name, and `source`, `about`, `receiving`, `rate` (packets/s), `age` (s
         since the last good packet, None before the first), `jitter` and `delay` (s, None where
-        the packets have no time stamp), `good`, `trouble` (why no packets arrive, if known: missing
-        shared memory, say), `controller` (what the last good packet says of the robot's controller,
-        in words), `fault_age` (s since the last rejected packet, None for none).
+        the packets have no time stamp), `clock` (s by which the sender's clock is behind ours, with
+        the time that the fastest packet took; None where its stamps are not of a clock), `good`,
+        `trouble` (why no packets arrive, if known: missing shared memory, say), `controller` (what
+        the last good packet says of the robot's controller, in words), `fault_age` (s since the
+        last rejected packet, None for none).
     """
     counters, timing = source.counters, source.timing
     latest = source.latest()
@@ -47,12 +51,19 @@ def report(source: Source) -> dict[str, Any]:
         "age": since if since < float("inf") else None,
         "jitter": timing.jitter,
         "delay": timing.delay if source.time else None,
+        "clock": _clock(source),
         "trouble": source.trouble,
         "controller": "" if latest is None else source.original.describe_link(latest.values),
         "malformed": counters.malformed,
         "fault_age": source.now() - counters.last_fault_time if counters.malformed else None,
         **{field.name: getattr(counters, field.name) for field in fields(Counters)},
     }
+
+
+def _clock(source: Source) -> float | None:
+    """How far a sender's clock is behind ours, s; None where its stamps are not of the time."""
+    behind = source.timing.fastest + time.time() - time.monotonic()
+    return behind if source.is_live and abs(behind) < _SAME_DAY else None
 
 
 def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
@@ -74,6 +85,10 @@ def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
         rows.append(("state", "quiet", f"no good packet for {found['age']:.1f} s{why}"))
     if found["controller"]:
         rows.append(("controller", "", found["controller"]))
+    if found["clock"] is not None:
+        behind = found["clock"] * 1e3
+        what = f"{abs(behind):.1f} ms {'behind' if behind >= 0.0 else 'ahead of'} ours"
+        rows.append(("clock", "", f"the sender's is {what}, if the fastest packet took no time"))
     rows.append(("received", str(found["received"]), f"{found['good']} of them applied"))
     meanings = dict(MEANINGS)
     if found["wrong_size"] or found["wrong_constant"]:

@@ -13,6 +13,7 @@ from .clock import Clock, time_text
 Mood = Literal["good", "quiet", "bad", "plain", "dim", "title"]
 Piece = tuple[str, Mood]
 
+_CLOCKS_DIFFER = 0.1  # s from which this is shown; the network may take the rest
 _SEEN_LOSS = 0.0005  # fraction of lost packets below which their number is shown
 _SLOW = 0.85  # fraction of the selected speed below which the actual speed is shown
 
@@ -36,6 +37,9 @@ def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
         what = "nothing usable" if is_faulty else "quiet"
         return f"{name}: {what} for {found['age']:.1f} s{_loss(found)}", "bad"
     text = f"{name}: {found['rate']:.0f}/s, {1e3 * found['age']:.0f} ms old{_loss(found)}"
+    if found["clock"] is not None and abs(found["clock"]) > _CLOCKS_DIFFER:
+        side = "behind" if found["clock"] > 0.0 else "ahead"
+        text += f", its clock {abs(found['clock']):.1f} s {side}"
     return text, "bad" if is_faulty else "good"
 
 
