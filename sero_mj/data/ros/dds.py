@@ -20,7 +20,7 @@ from pydantic import Field, PrivateAttr, field_validator
 
 from ...base.errors import Problem, SourceError
 from . import messages
-from .ros_source import TYPES, Listener, RosSource
+from .ros_source import TYPES, Listener, RosSource, ros_type, wrong_with
 
 LOCALHOST, SUBNET = "localhost", "subnet"
 MOST_DOMAIN = 232
@@ -129,16 +129,15 @@ class Readers:
 
     def _wrong_with(self, topic: str, kind: str, published: list[Publication]) -> list[str]:
         """What is wrong with a topic, in words."""
+        wrong = wrong_with(topic, kind, ((each.topic, each.kind) for each in published))
+        if wrong:
+            return [wrong]
         mine = [each for each in published if each.topic == topic]
-        if not mine:
-            if topic in ("/tf", "/tf_static"):
-                return []
-            fitting = sorted({each.topic for each in published if each.kind == kind})
-            instead = f"; of its type are {', '.join(fitting[:5])}" if fitting else ""
-            return [f"nobody publishes {topic}{instead}"]
-        if all(each.kind != kind for each in mine):
-            return [f"{topic} is of type {mine[0].kind}; expected {kind}"]
-        if self._source.reliability == "reliable" and not any(each.is_reliable for each in mine):
+        if (
+            mine
+            and self._source.reliability == "reliable"
+            and not any(each.is_reliable for each in mine)
+        ):
             return [f"{topic} is published best effort: reliability = 'best_effort' reads it"]
         return []
 
@@ -249,7 +248,7 @@ class Participant:
         return [
             Publication(
                 sample.topic_name.removeprefix("rt"),
-                _ros_type(sample.type_name),
+                ros_type(sample.type_name),
                 is_reliable=isinstance(sample.qos[reliability], reliability.Reliable),
                 is_kept=sample.qos[durability] == durability.TransientLocal,
             )
@@ -351,11 +350,6 @@ def _configuration(host: str) -> str:
         "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex></Discovery></Domain></CycloneDDS>"
     )
     return ",".join(filter(None, (own, os.environ.get("CYCLONEDDS_URI"))))
-
-
-def _ros_type(name: str) -> str:
-    """A type's name in ROS, from that in DDS."""
-    return name.replace("::dds_::", "::").replace("::", "/").removesuffix("_")
 
 
 @cache

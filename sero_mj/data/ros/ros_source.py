@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time as clock
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, PrivateAttr, field_validator, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, field_validator, model_validator
 
 from ...base.errors import Problem, SourceError
 from ..receive.source import LedJoint, Source, log
@@ -35,6 +35,16 @@ TYPES = {
 }
 MOST_KEPT = 2048  # bytes of a malformed message
 _MOST_TOLD = 100  # different texts
+_MOST_NAMED = 5  # topics in a text
+
+
+def _as_address(host: str) -> str:
+    if not host or any(character.isspace() for character in host):
+        raise Problem(found=host, expected="an address such as 192.168.0.3").error()
+    return host
+
+
+Address = Annotated[str, AfterValidator(_as_address)]  # of a machine
 
 
 class RosSource(Source):
@@ -252,3 +262,27 @@ class Listener:
         if packets:
             rows = np.frombuffer(b"".join(s.ljust(8, b"\0") for s in senders), np.uint8)
             source.accept(packets, senders=rows.reshape(len(packets), 8))
+
+
+def wrong_with(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> str:
+    """What is wrong with a topic, in words; empty when nothing is.
+
+    Args:
+        topic: with a `/` before it.
+        kind: type of its messages, as ROS has it.
+        published: topics that are there, and their types.
+    """
+    published = list(published)
+    kinds = [other for each, other in published if each == topic]
+    if not kinds:
+        if topic in ("/tf", "/tf_static"):  # of which one may be missing
+            return ""
+        fitting = sorted({each for each, other in published if other == kind})
+        instead = f"; of its type are {', '.join(fitting[:_MOST_NAMED])}" if fitting else ""
+        return f"nobody publishes {topic}{instead}"
+    return "" if kind in kinds else f"{topic} is of type {kinds[0]}; expected {kind}"
+
+
+def ros_type(name: str) -> str:
+    """A type's name in ROS, from that in DDS."""
+    return name.replace("::dds_::", "::").replace("::", "/").removesuffix("_")
