@@ -105,11 +105,7 @@ def _table(found: list[dict[str, Any]]) -> Any:
     for entry in found:
         title = f"{entry['source']}\n{entry['about']}"
         for row in describe(entry):
-            style = (
-                ""
-                if row[0] in ("state", "controller", "clock", "received", "blanked")
-                else "bold red"
-            )
+            style = "" if row[0] in _GOOD else "bold red"
             table.add_row(title, *row, style=style)
             title = ""
         table.add_section()
