@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...base.errors import SeroError
+from ...base.frames import Array
 from ...robots.declared.scene import Scene
 from ..record.bag import Bag, open_recording
 from ..record.replay import Replay
@@ -65,13 +66,31 @@ def with_bag(scene: Scene, file: Path) -> Scene:
         names = list(recording.sources)
     if len(names) != 1:
         return scene
-    (robot,), (source,) = scene.robots, names
+    (name, robot), (source,) = next(iter(scene.robots.items())), names
     led = copy(scene)
     led.sources = {source: {"kind": "replay", "file": str(file), "source": source}}
-    led.routes = {**joint_routes(robot, source), **scene.routes}
-    if "show_arrows" not in scene.robots[robot].model_fields_set:
-        led.robots = {robot: scene.robots[robot].model_copy(update={"show_arrows": True})}
+    led.routes = {**joint_routes(name, source), **scene.routes}
+    shown: dict[str, Any] = {"joint_angles": _first_angles(led, source)}
+    if "show_arrows" not in robot.model_fields_set:
+        shown["show_arrows"] = True
+    led.robots = {name: robot.model_copy(update=shown)}
     return led
+
+
+def _first_angles(scene: Scene, source: str) -> Array:
+    """The angles of a robot's joints at the beginning of what leads it, to which views are fitted.
+
+    Args:
+        scene: of one robot.
+        source: that leads it.
+    """
+    (robot,) = scene.robots.values()
+    with suppress(SeroError), wired_source(scene, source, scene.sources[source]) as replay:
+        packet = replay.latest()
+        angles = None if packet is None else packet.values.get("joint_angles")
+        if angles is not None and len(angles) == robot.coupled.k:
+            return robot.coupled.positions(angles)
+    return robot.home
 
 
 def joint_routes(robot: str, source: str) -> dict[str, str]:

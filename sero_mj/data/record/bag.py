@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -37,24 +37,29 @@ def is_bag(path: Path) -> bool:
     return path.suffix.lower() in _ENDINGS or (path / _METADATA).is_file()
 
 
-def open_recording(path: Path | str, topics: Mapping[str, RosSource] | None = None) -> PacketFile:
+def open_recording(
+    path: Path | str,
+    topics: Mapping[str, RosSource] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> PacketFile:
     """Opens a recording of ours or of ROS.
 
     Args:
         path: the file, or the folder of a rosbag2.
         topics: of recordings of ROS: what to read as which source; see `Bag`.
+        tell: likewise.
 
     Raises:
         RecordingError: it cannot be read, or is neither.
     """
     path = Path(path)
     if is_bag(path):
-        return Bag(path, topics)
+        return Bag(path, topics, tell)
     try:
         return Recording(path)
     except OfAnotherProgram:
         if _profile(path) == "ros2":
-            return Bag(path, topics)
+            return Bag(path, topics, tell)
         raise
 
 
@@ -73,13 +78,19 @@ class Bag(PacketFile):
             not have are left out. When None, each topic with the states of joints is a source of
             its name (`/arm/joint_states` is `arm_joint_states`), of the joints that its first
             message names.
+        tell: gets what a user should know of the messages, once or more.
 
     Raises:
         RecordingError: it cannot be read, has no joint states, or a package is missing.
     """
 
-    def __init__(self, path: Path, topics: Mapping[str, RosSource] | None = None) -> None:
-        self.path = path
+    def __init__(
+        self,
+        path: Path,
+        topics: Mapping[str, RosSource] | None = None,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.path, self._tell = path, tell
         self.about, self.lost, self.faults = {}, {}, []
         try:
             from rosbags.highlevel import AnyReader
@@ -114,12 +125,21 @@ class Bag(PacketFile):
         """Those of the declared sources whose topics there are."""
         there = {each.topic for each in self._reader.connections}
         found: dict[str, RosSource] = {}
-        for name, source in topics.items():
-            if any(topic in there for topic, tells in source.topics if tells != FRAMES):
-                found[name] = source
-            elif len(self._states) == 1 and source.is_default("joint_states"):
-                found[name] = source.with_topic(self._states[0])
+        for name, declared in topics.items():
+            source = declared
+            if not any(topic in there for topic, tells in source.topics if tells != FRAMES):
+                if len(self._states) != 1 or not source.is_default("joint_states"):
+                    continue
+                source = source.with_fields(joint_states=self._states[0])
+            if source.joint_states and not source.joint_names:
+                source = source.with_fields(joints=self._joints_of(source.topics[0][0]))
+            found[name] = source
         return found
+
+    def _joints_of(self, topic: str) -> list[str]:
+        """Names in the first message of a topic."""
+        first = next((message for _, message in self._messages([topic])), None)
+        return list(getattr(first, "name", []))
 
     def _named_by_topic(self) -> dict[str, RosSource]:
         """A source for each topic with the states of joints."""
@@ -130,9 +150,7 @@ class Bag(PacketFile):
             raise RecordingError(self.path, problem)
         found: dict[str, RosSource] = {}
         for topic in self._states:
-            first = next((message for _, message in self._messages([topic])), None)
-            names = list(getattr(first, "name", []))
-            name = topic.strip("/").replace("/", "_")
+            name, names = topic.strip("/").replace("/", "_"), self._joints_of(topic)
             if names:
                 found[name] = Ros2(name=name, joint_states=topic, joints=names)
             else:
@@ -164,7 +182,7 @@ class Bag(PacketFile):
         They begin with what messages up to half a second before `start` have told.
         """
         source = self._source(name)
-        joined, tells = source.joined(), dict(source.topics)
+        joined, tells = source.joined(self._tell), dict(source.topics)
         if math.isfinite(start) and start > 0.0:
             self._take_still(joined, source, start)
         for time, connection, raw in self._raw(list(tells), start - _BEFORE, stop):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -78,6 +78,7 @@ class Replay(Source):
     _anchor: tuple[float, float] = PrivateAttr((0.0, 0.0))  # the clock's time, and the position
     _paused: bool = PrivateAttr(False)
     _told: int = PrivateAttr(0)  # faults of the recording
+    _told_of: set[str] = PrivateAttr(default_factory=set)  # its messages
     _lock: Any = PrivateAttr(default_factory=threading.RLock)
 
     @field_validator("file")
@@ -155,12 +156,18 @@ class Replay(Source):
         """What it reads of a recording of ROS, once its joints are known; None for ours."""
         return self._of_ros
 
-    def _opened(self) -> PacketFile:
+    def _tell(self, text: str) -> None:
+        """Logs something once."""
+        if self.debug_level and text not in self._told_of:
+            self._told_of.add(text)
+            log.warning("source '%s': %s", self.name, text)
+
+    def _opened(self, tell: Callable[[str], None] = lambda _: None) -> PacketFile:
         """The recording, opened; its user closes it."""
         if self._of_ros is None and self.topics:
             self._of_ros = Ros2(**self.topics)
         wanted = None if self._of_ros is None else {self.source: self._of_ros}
-        return open_recording(self.file, wanted)
+        return open_recording(self.file, wanted, tell)
 
     @cached_property
     def recorded(self) -> RecordedSource:
@@ -243,7 +250,7 @@ class Replay(Source):
         """
         self.close()
         try:
-            self._recording = self._opened()
+            self._recording = self._opened(self._tell)
             self._recording.check_readable(self.source)
         except RecordingError as error:
             self.close()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -142,8 +142,12 @@ class RosSource(Source):
         names = self.joints if isinstance(self.joints, dict) else {}
         return [names.get(joint.name, joint.name) for joint in self._led]
 
-    def joined(self) -> JoinedPackets:
-        """Joins messages from now on."""
+    def joined(self, tell: Callable[[str], None] | None = None) -> JoinedPackets:
+        """Returns what joins messages from now on.
+
+        Args:
+            tell: gets what the user should know; logged once when None.
+        """
         led = self._led
         if isinstance(self.joints, list) and self.joints:
             if len(led) != len(self.joints):
@@ -159,7 +163,7 @@ class RosSource(Source):
             frames=self.frames,
             root=self.root,
             torque_constants=1.0 if constants is None else constants,
-            tell=self.tell_once,
+            tell=self.tell_once if tell is None else tell,
         )
 
     @cached_property
@@ -197,10 +201,10 @@ class RosSource(Source):
         """Whether a field is as it is where it is not declared."""
         return bool(getattr(self, field) == type(self).model_fields[field].default)
 
-    def with_topic(self, joint_states: str) -> RosSource:
-        """Another one that reads the joints' states from a topic."""
-        fields = {key: self.__dict__[key] for key in type(self).model_fields}
-        other = type(self)(**{**fields, "joint_states": joint_states})
+    def with_fields(self, **fields: Any) -> RosSource:
+        """Another one that differs in some fields."""
+        own = {key: self.__dict__[key] for key in type(self).model_fields}
+        other = type(self)(**{**own, **fields})
         other.led_to(self._led)
         return other
 
