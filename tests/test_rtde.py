@@ -26,7 +26,7 @@ from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.record_sources import record_sources
-from sero_mj.data.receive import rtde
+from sero_mj.data.receive import connecting, rtde
 from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.rtde import STRUCTURE, VARIABLES, RtdeReceiver
 from sero_mj.data.receive.source import make_source
@@ -74,8 +74,8 @@ if len(sys.argv) > 1:
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts to connect follow each other quickly."""
-    monkeypatch.setattr(rtde, "_SHORTEST", 0.002)
-    monkeypatch.setattr(rtde, "_LONGEST", 0.02)
+    monkeypatch.setattr(connecting, "SHORTEST", 0.002)
+    monkeypatch.setattr(connecting, "LONGEST", 0.02)
 
 
 @pytest.fixture
@@ -314,7 +314,7 @@ def test_data_packages_that_were_not_agreed_are_counted(server: RtdeServer) -> N
 
 
 def test_a_peer_that_stalls_is_left(server: RtdeServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rtde, "_PATIENCE", 0.05)
+    monkeypatch.setattr(connecting, "PATIENCE", 0.05)
     with receiver_of(server) as receiver:
         server.answers["v"] = b""
         assert until(lambda: receiver.trouble.endswith(": does not answer question v"))

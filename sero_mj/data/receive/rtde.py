@@ -9,22 +9,19 @@ protocol and names of variables are those of UR's RTDE guide, protocol version 2
 from __future__ import annotations
 
 import math
-import os
-import selectors
 import socket
 import struct
 import time as clock
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from functools import cached_property
 from typing import ClassVar
 
-from pydantic import Field, PrivateAttr, field_validator
+from pydantic import Field, PrivateAttr
 
-from ...base.errors import Problem
 from ...base.frames import Array
-from .source import ReceivingThread, Source, log
+from . import connecting
+from .connecting import ConnectingSource, Connection, Nonsense
 from .structure import Structure
 
 PORT = 30004
@@ -71,14 +68,10 @@ SAFETY_MODES = {
 }  # fmt: skip
 _RUNNING, _SAFE = 7, (1, 2)
 
-_PATIENCE = 2.0  # s for an answer, or for the next data package
-_SHORTEST, _LONGEST = 0.1, 5.0  # s between attempts to connect
-_MOST_KEPT = 2048  # bytes of what is no message
 _EARLY = 0.25  # of a period: so much less between stamps is still another package
-_MOST_TOLD = 100  # different texts
 
 
-class RtdeReceiver(Source):
+class RtdeReceiver(ConnectingSource):
     """Receives the state of a robot of Universal Robots, without commanding it.
 
     It connects, and connects again when the connection is lost. Events are in SI units; currents
@@ -94,7 +87,6 @@ class RtdeReceiver(Source):
     """
 
     name: str = "rtde"
-    host: str
     port: int = Field(PORT, ge=1, le=65535)
     frequency: float = Field(0.0, ge=0.0, le=500.0)
     structure: str = STRUCTURE
@@ -102,37 +94,16 @@ class RtdeReceiver(Source):
     time: str = "timestamp"
 
     _fixed_by: ClassVar[str] = "RTDE"
+    _link: ClassVar[str] = "UR RTDE"
     # As long as the routes are unknown, what older controllers lack may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(
         frozenset(("currents", "torques", "commanded_torques", "tcp_force", "tcp_moment"))
     )
-    _thread: ReceivingThread | None = PrivateAttr(None)
-    _trouble: str = PrivateAttr("")
-    _told: set[str] = PrivateAttr(default_factory=set)
-    _state: str = PrivateAttr("")  # of the connection, for people
-
-    @field_validator("host")
-    @classmethod
-    def _host_is_an_address(cls, host: str) -> str:
-        if not host or any(character.isspace() for character in host):
-            raise Problem(found=host, expected="an address such as 192.168.0.3").error()
-        return host
 
     @cached_property
     def layout(self) -> Structure:
         """The decoder."""
         return RtdeLayout(STRUCTURE)
-
-    @property
-    def about(self) -> str:
-        """Kind and address, as shown to the user."""
-        state = f", {self._state}" if self._state else ""
-        return f"UR RTDE of {self.host}:{self.port}{state}"
-
-    @property
-    def trouble(self) -> str:
-        """Why no packets arrive, as shown to the user; empty when unknown."""
-        return self._trouble
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
         """What a packet says of the robot's controller, in words."""
@@ -150,68 +121,23 @@ class RtdeReceiver(Source):
         good = state in (_RUNNING, UNKNOWN) and (quality < 0 or quality in _SAFE)
         return [] if good else [", ".join(_modes(state, quality))]
 
-    def open(self) -> None:
-        """Starts the thread that connects; the controller need not be there."""
-        self.close()
-        self.reset()
-        self._trouble = self._state = ""
-        self._told = set()
-        self._thread = ReceivingThread(f"rtde {self.name}", self._receive)
+    def _converse(self, wake: socket.socket) -> None:
+        """Connects and receives; see `ConnectingSource`."""
+        left_out = frozenset[str]()
+        while True:  # once more without what the controller lacks, as UR's own client does it
+            with _Connection(self.host, self.port, wake) as connection:
+                left_out |= self._talk(connection, left_out)
 
-    def close(self) -> None:
-        """Ends the connection; harmless when it is not open."""
-        if self._thread is not None:
-            self.closing.set()
-            self._thread.end()
-        self._thread = None
-
-    def _receive(self, wake: socket.socket) -> None:
-        """Connects again and again, until it is closed."""
-        pause, left_out = _SHORTEST, frozenset[str]()
-        while not self.closing.is_set():
-            good = self.receive_trigger
-            try:
-                with _Connection(self.host, self.port, wake) as connection:
-                    lacking = self._converse(connection, left_out)
-            except _ClosedHere:
-                break
-            except _Nonsense as error:
-                self._end(f"{self.host}:{self.port} {error}")
-                if raw := error.received[:_MOST_KEPT]:
-                    self.accept([raw + b"\0" * (len(raw) == self.size)])
-            except OSError as error:
-                self._end(f"{self.host}:{self.port}: {error.strerror or error}")
-            except UnicodeError:  # of names that no resolver is asked for
-                self._end(f"{self.host}:{self.port}: not an address")
-            else:  # once more without what the controller lacks, as UR's own client does it
-                left_out |= lacking
-                continue
-            left_out = frozenset()
-            if self.receive_trigger > good:
-                pause = _SHORTEST
-            self.closing.wait(pause)
-            pause = min(2.0 * pause, _LONGEST)
-
-    def _end(self, trouble: str) -> None:
-        self._trouble, self._state = trouble, ""
-        self._tell(f"{trouble}; it is tried again")
-
-    def _tell(self, text: str) -> None:
-        """Logs something once."""
-        if self.debug_level >= 1 and text not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(text)
-            log.warning("source '%s': %s", self.name, text)
-
-    def _converse(self, connection: _Connection, left_out: frozenset[str]) -> frozenset[str]:
+    def _talk(self, connection: _Connection, left_out: frozenset[str]) -> frozenset[str]:
         """Agrees on a recipe and receives until the connection ends.
 
         Returns at once the variables that the controller lacks, if there are any.
         """
         if connection.ask(ASK_VERSION, struct.pack(">H", VERSION), self._hear) != b"\1":
-            raise _Nonsense("does not accept version 2 of RTDE")
+            raise Nonsense("does not accept version 2 of RTDE")
         answer = connection.ask(ASK_CONTROLLER, b"", self._hear)
         if len(answer) != 16:
-            raise _Nonsense("does not tell its version", answer)
+            raise Nonsense("does not tell its version", answer)
         version = struct.unpack(">4I", answer)
         fastest = 500.0 if version[0] >= 5 else 125.0
         rate = min(self.frequency or fastest, fastest)
@@ -220,17 +146,15 @@ class RtdeReceiver(Source):
         answer = connection.ask(SET_UP, struct.pack(">d", rate) + names, self._hear)
         found = answer[1:].decode("ascii", "replace").split(",")
         if len(found) != len(recipe):
-            raise _Nonsense(f"told {len(found)} types of {len(recipe)} variables", answer)
+            raise Nonsense(f"told {len(found)} types of {len(recipe)} variables", answer)
         lacking = self._check_types(recipe, found)
         if lacking:
             if len(lacking) == len(recipe):
-                raise _Nonsense("has none of the variables that are needed")
+                raise Nonsense("has none of the variables that are needed")
             return lacking
         if connection.ask(START, b"", self._hear) != b"\1":
-            raise _Nonsense("does not start to send")
-        if self.receive_trigger:
-            self.intake.restart()
-        self._trouble, self._state = "", f"{rate:g} Hz"
+            raise Nonsense("does not start to send")
+        self._begin(f"{rate:g} Hz")
         if MEASURED in left_out and COMMANDED not in left_out:
             self._state += ", torques are commanded, not measured"
             self._tell(
@@ -266,7 +190,7 @@ class RtdeReceiver(Source):
         if kind == TEXT:
             self._hear(payload)
         elif kind != DATA:
-            raise _Nonsense(f"sent message {chr(kind)} among data packages", payload)
+            raise Nonsense(f"sent message {chr(kind)} among data packages", payload)
         return kind == DATA
 
     def _hear(self, payload: bytes) -> None:
@@ -286,67 +210,19 @@ class RtdeLayout(Structure):
         return f"{length} bytes that are no {self.message} as agreed"
 
 
-class _ClosedHere(Exception):
-    """The source is being closed."""
-
-
-class _Nonsense(Exception):
-    """The peer sent what is not RTDE, or refuses.
-
-    Attributes:
-        received: the bytes at fault; may be empty.
-    """
-
-    def __init__(self, text: str, received: bytes = b"") -> None:
-        super().__init__(text)
-        self.received = received
-
-
-class _Connection:
-    """A connection to a controller, which ends when `wake` can be read.
+class _Connection(Connection):
+    """A connection to a controller.
 
     Raises:
         OSError: it cannot be made, or is lost, in any method.
-        _ClosedHere: likewise.
-        _Nonsense: what comes is no message.
+        ClosedHere: likewise.
+        Nonsense: what comes is no message.
     """
 
     def __init__(self, host: str, port: int, wake: socket.socket) -> None:
-        self._wake, self._received = wake, b""
+        super().__init__(host, port, wake)
+        self._received = b""
         self._messages: deque[tuple[int, bytes]] = deque()
-        self._selector = selectors.DefaultSelector()
-        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        self._socket = socket.socket(family, kind)
-        try:
-            self._selector.register(wake, selectors.EVENT_READ)
-            self._socket.setblocking(False)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            with suppress(BlockingIOError):
-                self._socket.connect(address)
-            self._selector.register(self._socket, selectors.EVENT_WRITE)
-            self._wait(clock.monotonic() + _PATIENCE, "does not answer")
-            if error := self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-                raise OSError(error, os.strerror(error))
-            self._selector.modify(self._socket, selectors.EVENT_READ)
-        except BaseException:
-            self.__exit__()
-            raise
-
-    def __enter__(self) -> _Connection:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self._selector.close()
-        self._socket.close()
-
-    def _wait(self, deadline: float, else_what: str) -> None:
-        """Waits until the socket is ready."""
-        ready = self._selector.select(max(deadline - clock.monotonic(), 0.0))
-        found = [key.fileobj for key, _ in ready]
-        if self._wake in found:
-            raise _ClosedHere
-        if not found:
-            raise TimeoutError(else_what)
 
     def ask(self, kind: int, question: bytes, hear: Callable[[bytes], None]) -> bytes:
         """Sends a question, and returns the payload of its answer.
@@ -356,8 +232,8 @@ class _Connection:
             question: its payload.
             hear: called with texts that come before the answer.
         """
-        self._socket.sendall(_HEAD.pack(_HEAD.size + len(question), kind) + question)
-        deadline = clock.monotonic() + _PATIENCE
+        self.socket.sendall(_HEAD.pack(_HEAD.size + len(question), kind) + question)
+        deadline = clock.monotonic() + connecting.PATIENCE
         while True:
             while not self._messages:
                 self._read(deadline, f"does not answer question {chr(kind)}")
@@ -365,32 +241,29 @@ class _Connection:
             if found == kind:
                 return payload
             if found != TEXT:
-                raise _Nonsense(f"answers question {chr(kind)} by message {chr(found)}", payload)
+                raise Nonsense(f"answers question {chr(kind)} by message {chr(found)}", payload)
             hear(payload)
             if clock.monotonic() > deadline:
                 raise TimeoutError(f"does not answer question {chr(kind)}")
 
     def receive(self) -> list[tuple[int, bytes]]:
         """Waits for messages; returns their types and payloads, at least one."""
-        deadline = clock.monotonic() + _PATIENCE
+        deadline = clock.monotonic() + connecting.PATIENCE
         while not self._messages:
-            self._read(deadline, f"sends nothing for {_PATIENCE:g} s")
+            self._read(deadline, f"sends nothing for {connecting.PATIENCE:g} s")
         messages = [*self._messages]
         self._messages.clear()
         return messages
 
     def _read(self, deadline: float, else_what: str) -> None:
         """Reads what has come, and splits it into messages."""
-        self._wait(deadline, else_what)
-        more = self._socket.recv(65536)
-        if not more:
-            raise ConnectionError("it closed the connection")
-        received, at = self._received + more, 0
+        self.wait(deadline, else_what)
+        received, at = self._received + self.read(), 0
         while len(received) - at >= _HEAD.size:
             size, kind = _HEAD.unpack_from(received, at)
             if not _HEAD.size <= size <= _MOST_BYTES or kind not in _TYPES:
                 text = f"sends what is no message of RTDE: {size} bytes of type {kind}"
-                raise _Nonsense(text, received[at:])
+                raise Nonsense(text, received[at:])
             if len(received) - at < size:
                 break
             self._messages.append((kind, received[at + _HEAD.size : at + size]))
