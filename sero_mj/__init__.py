@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from .data.drive.mirror import Mirror as Mirror
     from .data.drive.place import Placer as Placer
     from .data.drive.record_sources import record_sources as record_sources
+    from .data.receive.franka import FrankaReceiver as FrankaReceiver
     from .data.receive.fri import FriReceiver as FriReceiver
     from .data.receive.rtde import RtdeReceiver as RtdeReceiver
     from .data.receive.shm import ShmReader as ShmReader
@@ -104,6 +105,7 @@ _HOME = {
     "make_environment": "study.learning.make",
     "DeclarationError": "base.errors",
     "SeroError": "base.errors",
+    "FrankaReceiver": "data.receive.franka",
     "FriReceiver": "data.receive.fri",
     "Recording": "data.record.recording",
     "Replay": "data.record.replay",

@@ -25,7 +25,7 @@ from .structure import LAST_ROW, LAST_ROW_TOLERANCE, Rows, Structure, are_frames
 # In the order of their updates: malformed counts are last, so that waiting for them suffices.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
             "wrong_constant", "wrong_size", "received")  # fmt: skip
-_MAX_KEPT = 2048  # bytes of a malformed packet, or the size of a valid one
+_MAX_KEPT = 4096  # bytes of a packet, if it is malformed or comes encoded
 
 
 def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
@@ -37,7 +37,7 @@ def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
 
     Returns:
         rows (n, `size` or more), shorter packets padded with zeros, longer ones truncated after
-        2048 bytes or `size`; and the lengths of the packets, (n,).
+        4096 bytes or `size`; and the lengths of the packets, (n,).
     """
     lengths = np.array([len(packet) for packet in packets], np.intp)
     width = max(size, min(int(lengths.max()), _MAX_KEPT))
