@@ -399,3 +399,42 @@ def test_packets_of_strangers_are_in_the_slot(sender: Send) -> None:
             assert (found["foreign"], found["foreign_age"]) == (count, 0.0)
         mirror.advance()
         assert 0.0 < counted(mirror)["foreign_age"] < 5.0
+
+
+def test_velocities_are_differences_of_angles() -> None:
+    robots = [arm(), arm("copy")]
+    scene = Scene(
+        robots=robots,
+        sources={"udp": {"kind": "udp", "structure": "3F", "port": 0}},
+        routes={
+            "arm.joint_angles": "udp.values0",
+            "copy.joint_angles": "-2 * arm.joint_angles",
+        },
+        floor=False,
+    )
+    speeds = np.array([0.3, -0.02, 1.5])
+    with Mirror(scene) as mirror:
+        source, parts = mirror.sources["udp"], mirror.world.robots
+
+        def velocities(time: float, angles: Array) -> tuple[list[float], list[float]]:
+            source.accept([struct.pack("<3d", *angles)], [time])
+            assert mirror.advance()
+            arm, copy = (mirror.data.qvel[parts[name].dofs] for name in ("arm", "copy"))
+            return arm.tolist(), copy.tolist()
+
+        none = ([0.0] * 3, [0.0] * 3)
+        assert velocities(10.0, np.zeros(3)) == none  # nothing is known yet
+        for time in (10.016, 10.05, 10.4):
+            found = velocities(time, speeds * (time - 10.0))
+            assert found[0] == pytest.approx(speeds)
+            assert found[1] == pytest.approx(-2 * speeds)
+        mirror.reset()
+        mirror.advance()
+        assert not mirror.data.qvel.any()
+        assert velocities(11.0, np.ones(3)) == none  # after a silence
+        assert velocities(10.9, np.zeros(3)) == none  # a recording goes back
+        assert velocities(10.9, np.zeros(3)) == none
+        assert velocities(11.0, speeds)[0] == pytest.approx(10 * speeds)
+    with mirror:  # what was before is forgotten
+        mirror.reset()
+        assert velocities(11.1, np.zeros(3)) == none

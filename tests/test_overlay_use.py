@@ -237,7 +237,7 @@ TORQUES = "4, one per joint: shape (4,), or one per degree of freedom of the mod
             {
                 "found": "error",
                 "expected": "1 number, or one of torques, torque_error, joint_accelerations, "
-                "singularity, torque_without_gravity",
+                "singularity, torque_without_gravity, torque_without_friction",
             },
         ),
         (

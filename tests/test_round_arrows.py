@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 
+import mujoco
 import numpy as np
 import pytest
 from decor_tools import GEOM, drawn, labels, of_kind, toggles_of, view_at, world_of
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from newton_euler import inverse_dynamics
 
 from sero_mj.data.drive.place import follow
+from sero_mj.robots.assemble.friction_torques import SLOW, friction_of
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.double import Double
@@ -370,6 +372,67 @@ def test_a_robot_that_holds_nothing_has_no_such_arrows(caplog: pytest.LogCapture
         shown, _ = arrow_values(world, data, joint_values(world, data), quantity)
         assert np.isnan(shown).all()
     assert caplog.text.count("has a free base: it holds nothing") == 1
+
+
+def test_arrows_show_what_the_declared_friction_does_not_explain() -> None:
+    lwr = SerialRobot.from_model(
+        "lwr", name="lwr", inputs=["joint_velocities"], torques=np.linspace(-9.0, 9.0, 7)
+    )
+    double = Double(name="goal", of="lwr", torques=np.ones(7))
+    scene = Scene(robots=[lwr], doubles=[double], floor=False)
+    world, moving = World(scene), World(scene, dynamic=True)
+    data, physics = world.make_data(), moving.make_data()
+    velocities = np.array([0.5, -1.0, 0.02, -0.3, 2.0, -0.05, 0.8])
+    dofs = moving.robots["lwr"].dofs
+    physics.qvel[dofs] = velocities
+    mujoco.mj_forward(moving.model, physics)  # MuJoCo's friction acts against motion
+    rows = physics.efc_type == int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
+    friction = np.zeros(7)
+    friction[physics.efc_id[rows]] = -physics.efc_force[rows]
+    friction -= physics.qfrc_passive[dofs]
+    quantity = np.full(14, ARROW_QUANTITIES.index("torque_without_friction"))
+    for received in (False, True):
+        if received:
+            data.qvel[:] = 7.0  # of which nothing is taken
+            world.set_input(data, "lwr.joint_velocities", velocities)
+        else:
+            data.qvel[world.robots["lwr"].dofs] = velocities
+        shown, limit = arrow_values(world, data, joint_values(world, data), quantity)
+        assert shown[:7] == pytest.approx(lwr.torques - friction, abs=1e-6)
+        assert np.isnan(shown[7:]).all()
+        assert limit == pytest.approx(world.joints.torque_limit)
+
+
+def test_friction_changes_its_sign_without_a_jump() -> None:
+    lwr = SerialRobot.from_model("lwr", name="lwr")
+    slow = np.linspace(-2 * SLOW, 2 * SLOW, 401)[:, None] * np.ones(7)
+    friction = friction_of(lwr, slow)
+    assert friction[200] == pytest.approx(0.0)
+    assert friction == pytest.approx(-friction[::-1])
+    assert np.diff(friction, axis=0).max() < 0.01 * lwr.dynamics.coulomb_friction.max() + 1e-3
+    assert friction[-1] == pytest.approx(
+        lwr.dynamics.coulomb_friction + 2 * SLOW * lwr.dynamics.viscous_friction
+    )
+
+
+def test_a_robot_that_declares_no_friction_has_no_such_arrows(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    robots = [
+        SerialRobot.from_model("lwr", name="lwr", torques=np.ones(7)),
+        SerialRobot.from_model("fr3", name="fr3", torques=np.ones(7)),
+    ]
+    world = World(Scene(robots=robots, floor=False))
+    data = world.make_data()
+    quantity = np.full(14, ARROW_QUANTITIES.index("torque_without_friction"))
+    for _ in range(2):
+        shown, _ = arrow_values(world, data, joint_values(world, data), quantity)
+        assert shown[:7] == pytest.approx(np.ones(7))
+        assert np.isnan(shown[7:]).all()
+    assert [record.message for record in caplog.records] == [
+        "no torque without friction: robots.fr3: dynamics has neither viscous_friction nor "
+        "coulomb_friction"
+    ]
 
 
 def test_one_joint_without_data_loses_its_arrow_and_the_others_go_on() -> None:

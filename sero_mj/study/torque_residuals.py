@@ -29,6 +29,7 @@ import numpy as np
 
 from ..base.errors import Problem, UsageError
 from ..base.frames import Array, Bools
+from ..robots.assemble.friction_torques import SLOW
 from ..robots.assemble.robot_dynamics import GRAVITY, robot_dynamics
 from ..robots.declared.robot import SerialRobot
 from ..simulate.control.robot_model import RobotModel
@@ -41,7 +42,6 @@ _ROW_SPACING = 2.0  # of these, between kept rows
 MOST_ROWS = 600  # kept
 _MAX_READ = 120_000  # rows of a run; of longer ones every second, third, ... is used
 _MIN_ROWS = 12  # kept
-_SLOW = 0.01  # rad/s or m/s, below which Coulomb friction may hold the joint
 _TURNING = 0.999  # mean of the sign of the velocity, below which it reverses
 _SATURATED = 0.95  # of a torque limit, above which a drive may be saturated
 _NOISE_CORRELATION = -0.35  # correlation of second differences, below which they are noise
@@ -173,10 +173,10 @@ def torque_residuals(
     smooth = low_pass(v + a * step)
     speed = np.abs(smooth)
     sign = np.sign(low_pass.fully(v + a * step))
-    sign[np.abs(low_pass.fully(v)) < _SLOW] = 0.0
+    sign[np.abs(low_pass.fully(v)) < SLOW] = 0.0
     signs = low_pass(sign)
     with np.errstate(invalid="ignore"):
-        slow = ~(speed > _SLOW)
+        slow = ~(speed > SLOW)
         turns = slow | ~(np.abs(signs) > _TURNING)
     acceleration = low_pass(a)
     if robot.elastic_joints:  # the motor's, ahead of the link's by the spring's deflection

@@ -19,6 +19,7 @@ from ..receive.mailbox import Packet, Packets
 from ..receive.source import QUIET_AFTER, Source, age
 from .place import Placer, Router, follow
 from .route import Route
+from .velocities import Velocities
 from .wiring import wire
 
 if TYPE_CHECKING:  # what only overlays need
@@ -106,6 +107,7 @@ class Mirror:
             name: Router(self.world, [r for r in self.routes if r.direct == name]) for name in used
         }
         self._placer = Placer(self.world, wiring)
+        self._velocities = Velocities(self.world, self.routes)
         self._states = _SourceStates(self.world)
         self._latest: dict[str, Packet] = {}
         self._again: set[str] = set()  # whose latest packet is to be applied again
@@ -124,6 +126,7 @@ class Mirror:
         """
         self._latest.clear()
         self._states.forget()
+        self._velocities.forget()
         self._again.clear()
         self._news.clear()
         try:
@@ -247,7 +250,9 @@ class Mirror:
                 fresh.add(name)
         self._states.write(data, self.sources, self._latest)
         self._again.clear()
+        self._velocities.update(data, fresh, self._latest, late=False)
         self._placer.place(data, self._values(fresh))
+        self._velocities.update(data, fresh, self._latest, late=True)
         return bool(fresh)
 
     def _values(self, fresh: Set[str]) -> dict[str, dict[str, Array]]:

@@ -123,8 +123,9 @@ class RobotDeclaration(Declaration):
         axes_transparency: 0 opaque to 1 invisible.
         show_arrows: whether round arrows are shown.
         arrow_quantity: quantity of the arrows: `torques`, `torque_error` (commanded - measured),
-            `joint_accelerations`, `singularity` (see `viewer.decor.singularity`), or
-            `torque_without_gravity` (measured less what the model needs to hold itself).
+            `joint_accelerations`, `singularity` (see `viewer.decor.singularity`),
+            `torque_without_gravity` (measured less what the model needs to hold itself), or
+            `torque_without_friction` (measured less the friction that `dynamics` declares).
         arrow_dead_band: fraction of the limit below which no arrow is shown, to hide noise.
         arrow_radius: of the round arrows, m; by default large enough to clear generated shapes.
         fit_arrows: whether each joint's arrow is fitted to the adjacent links' geometry, instead of

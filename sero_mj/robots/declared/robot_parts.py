@@ -16,8 +16,9 @@ from .surroundings import MeshFile, Object, check_shape_size
 
 # Packets choose them by their number, so new ones come last.
 ArrowQuantity = Literal[
-    "torques", "torque_error", "joint_accelerations", "singularity", "torque_without_gravity"
-]
+    "torques", "torque_error", "joint_accelerations", "singularity", "torque_without_gravity",
+    "torque_without_friction",
+]  # fmt: skip
 ARROW_QUANTITIES: tuple[str, ...] = get_args(ArrowQuantity)
 # Per-joint inputs of every robot and double, in addition to joint angles and its own `inputs`.
 VALUE_INPUTS = ("torques", "commanded_torques", "joint_accelerations", "billboard_values")

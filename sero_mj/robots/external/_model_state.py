@@ -51,6 +51,11 @@ class ModelState:
         return np.asarray(self.data.qpos)
 
     @property
+    def qvel(self) -> Array:
+        """Of the user's data."""
+        return np.asarray(self.data.qvel)
+
+    @property
     def xpos(self) -> Array:
         """Positions of the bodies, m."""
         return np.asarray(self.data.xpos)

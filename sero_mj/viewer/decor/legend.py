@@ -28,11 +28,12 @@ _WORDS = {
     "joint_accelerations": ("joint acceleration", "acceleration limit"),
     "singularity": ("towards the singularity", "at it"),
     "torque_without_gravity": ("torque less the model's gravity", "torque limit"),
+    "torque_without_friction": ("torque less the model's friction", "torque limit"),
 }
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
 _MAX_NAMES = 32  # characters, of robots before a note, and of arrows before their scale
 # Of sliding joints these are forces.
-_TORQUES = ("torques", "torque_error", "torque_without_gravity")
+_TORQUES = ("torques", "torque_error", "torque_without_gravity", "torque_without_friction")
 _UNLIMITED = "width grows with the value"
 _BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
 # A line with a bar before each number, as wide as an arrow of that share of the limit.

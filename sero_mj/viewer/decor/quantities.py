@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array
+from ...robots.assemble.friction_torques import friction_torques
 from ...robots.assemble.gravity_torques import gravity_torques
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
@@ -18,6 +19,7 @@ QUANTITY_NAMES = {
     "joint_accelerations": "acceleration",
     "singularity": "towards singularity",
     "torque_without_gravity": "torque without gravity",
+    "torque_without_friction": "torque without friction",
 }
 # A value above this multiple of its limit is considered a fault of its source.
 IMPLAUSIBLE_FACTOR = 1e3
@@ -98,6 +100,9 @@ def arrow_values(
             continue
         if name == "torque_without_gravity":
             shown[at] = (values["torques"] - gravity_torques(world, data))[at]
+            continue
+        if name == "torque_without_friction":
+            shown[at] = (values["torques"] - friction_torques(world, data))[at]
             continue
         shown[at] = values[name][at]
         if name == "joint_accelerations":

@@ -1,0 +1,79 @@
+"""`Velocities`: velocities of joints, as differences of the angles that come."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence, Set
+
+import mujoco
+
+from ...base.frames import Array
+from ...robots.assemble.world_view import WorldView
+from ..receive.mailbox import Packet
+from ..receive.source import QUIET_AFTER
+from .route import Route
+
+
+class Velocities:
+    """Writes the velocities of robots whose angles are received into `qvel`.
+
+    They are differences between the angles of two packets that were applied, by their arrivals;
+    zero where these are more than half a second apart.
+
+    Args:
+        world: the compiled scene.
+        routes: all routes of numbers.
+    """
+
+    def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
+        by_target = {route.to.target: route for route in routes}
+        self._parts = {
+            name: (part, by_target[target].direct is None, sources)
+            for name, part in world.robots.items()
+            if (sources := _sources(by_target, target := f"{name}.joint_angles"))
+        }
+        self._before: dict[str, tuple[float, Array]] = {}  # arrival and angles
+
+    def forget(self) -> None:
+        """Resets, when the sources are opened."""
+        self._before.clear()
+
+    def update(
+        self,
+        data: mujoco.MjData,
+        fresh: Set[str],
+        latest: Mapping[str, Packet],
+        *,
+        late: bool,
+    ) -> None:
+        """Updates the velocities of robots that have moved.
+
+        Args:
+            data: the world's state, with their angles.
+            fresh: sources whose packets have just been applied.
+            latest: the packet applied last, by source.
+            late: whether of the robots that `Placer.place` moves, else of all others.
+        """
+        for name, (part, is_late, sources) in self._parts.items():
+            came = [latest[source].arrival for source in sources & fresh]
+            if not came or is_late != late:
+                continue
+            now, angles = max(came), data.qpos[part.qpos].copy()
+            before = self._before.get(name)
+            self._before[name] = now, angles
+            if before is None or now == before[0]:
+                continue  # the first one, or the same once more
+            step = now - before[0]
+            is_next = 0.0 < step < QUIET_AFTER
+            data.qvel[part.dofs] = (angles - before[1]) / step if is_next else 0.0
+
+
+def _sources(routes: Mapping[str, Route], target: str) -> frozenset[str]:
+    """The sources whose values lead to a target, also through other routes."""
+    found, todo, seen = set[str](), [target], set[str]()
+    while todo:
+        route = routes.get(at := todo.pop())
+        if route is not None and at not in seen:
+            seen.add(at)
+            found |= {*route.sources}
+            todo += route.outputs
+    return frozenset(found)
