@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from newton_euler import inverse_dynamics
 from numpy.typing import NDArray
 from polling import until
 from route_scenes import arm, scene_of
@@ -19,8 +20,11 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.place import Placer, Router
 from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.udp import UdpReceiver
+from sero_mj.data.send.play import MotionPackets
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.double import Double
+from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.staleness import NO_DATA_YET, Staleness
 
@@ -299,3 +303,149 @@ def test_a_mirror_computes_with_the_packets_of_two_sources() -> None:
         assert data.userdata[world.flags["lwr.torques"]] == 0.0
         assert mirror.advance()
         assert data.userdata[world.slots["lwr.torques"]].tolist() == [4.0, 3.0]
+
+
+# ---- what models tell
+
+ANGLES = np.array([0.2, 0.6, -0.3, -1.2, 0.4, 0.8, 0.1])
+MODELLED = {
+    "robots": [SerialRobot.from_model("lwr", name="lwr", inputs=["joint_velocities"])],
+    "sources": {"udp": {"kind": "udp", "structure": "7F7F7F"}},
+    "doubles": [],
+    "arrows": [],
+}
+
+
+def weight(angles: Array, **of_robot: Any) -> Array:
+    robot = SerialRobot.from_model("lwr", **of_robot)
+    return inverse_dynamics(robot, robot_dynamics(robot), angles)
+
+
+def test_a_route_reads_the_torques_that_hold_a_robot() -> None:
+    fed = Fed(
+        {
+            "lwr.joint_angles": "udp.values0",
+            "lwr.torques": "udp.values1 - lwr.gravity_torques",
+            "lwr.billboard_values": "lwr.gravity_torques * 1",
+            "lwr.commanded_torques": "2 * lwr.torques[0:7] + 0 * Nm",
+        },
+        **MODELLED,
+    )
+    for angles in (ANGLES, -ANGLES, np.zeros(7)):
+        fed.feed("udp", values0=angles, values1=np.full(7, 5.0))
+        assert fed["lwr.billboard_values"] == pytest.approx(weight(angles), abs=1e-6)
+        assert fed["lwr.torques"] == pytest.approx(5.0 - weight(angles), abs=1e-6)
+        assert fed["lwr.commanded_torques"] == pytest.approx(10.0 - 2 * weight(angles), abs=1e-6)
+
+
+def test_it_is_computed_after_the_angles_that_come_by_another_route() -> None:
+    robots = [SerialRobot.from_model("lwr", name=name) for name in ("one", "two")]
+    fed = Fed(
+        {
+            "two.billboard_values": "two.gravity_torques",
+            "two.joint_angles": "-1 * one.joint_angles",
+            "one.joint_angles": "udp.values0",
+        },
+        **{**MODELLED, "robots": robots},
+    )
+    fed.feed("udp", values0=ANGLES)
+    assert fed["two.billboard_values"] == pytest.approx(weight(-ANGLES), abs=1e-6)
+
+
+def test_a_robot_carries_what_is_mounted_on_it() -> None:
+    below = SerialRobot.from_model("lwr", name="below")
+    above = SerialRobot.from_model("lwr", name="above", mount="below/flange")
+    routes = {"below.billboard_values": "below.gravity_torques",
+              "below.joint_angles": "udp.values0"}  # fmt: skip
+    fed = Fed(routes, **{**MODELLED, "robots": [below, above]})
+    fed.feed("udp", values0=ANGLES)
+    assert abs(fed["below.billboard_values"][1]) > 1.5 * abs(weight(ANGLES)[1])
+
+
+def test_a_route_reads_the_friction_that_a_robot_declares() -> None:
+    robot = MODELLED["robots"][0]
+    fed = Fed(
+        {
+            "lwr.joint_angles": "udp.values0",
+            "lwr.joint_velocities": "udp.values2 * deg / s",
+            "lwr.torques": "udp.values1 - lwr.friction_torques",
+        },
+        **MODELLED,
+    )
+    speeds = np.array([30.0, -60.0, 2.0, -90.0, 10.0, -5.0, 180.0])
+    fed.feed("udp", values1=np.ones(7), values2=speeds)
+    dynamics = robot.dynamics
+    expected = dynamics.viscous_friction * np.deg2rad(speeds)
+    expected += dynamics.coulomb_friction * np.sign(speeds)
+    assert fed["lwr.torques"] == pytest.approx(1.0 - expected, abs=1e-9)
+
+
+def test_an_input_of_that_name_comes_before_the_model() -> None:
+    robot = SerialRobot.from_model("lwr", name="lwr", inputs=["gravity_torques"])
+    routes = {"lwr.gravity_torques": "udp.values1",
+              "lwr.billboard_values": "lwr.gravity_torques"}  # fmt: skip
+    fed = Fed(routes, **{**MODELLED, "robots": [robot]})
+    fed.feed("udp", values1=ANGLES)
+    assert fed["lwr.billboard_values"] == ANGLES.tolist()
+
+
+def test_a_mirror_derives_velocities_for_friction() -> None:
+    scene = scene_of(
+        {"lwr.joint_angles": "udp.values0", "lwr.billboard_values": "lwr.friction_torques"},
+        **MODELLED,
+    )
+    dynamics = MODELLED["robots"][0].dynamics
+    with Mirror(scene) as mirror:
+        for time in (1.0, 1.02):
+            packet = struct.pack("<21d", *[0.5 * time] * 7, *[0.0] * 14)
+            mirror.sources["udp"].accept([packet], [time])
+            mirror.advance()
+        found = mirror.data.userdata[mirror.world.slots["lwr.billboard_values"]]
+        assert found == pytest.approx(0.5 * dynamics.viscous_friction + dynamics.coulomb_friction)
+
+
+@pytest.mark.parametrize(
+    ("routes", "fields", "message"),
+    [
+        ({"fr3.torques": "fr3.friction_torques"}, {},
+         "no output 'friction_torques' of fr3: dynamics has neither viscous_friction nor "
+         "coulomb_friction"),
+        ({"fr3.torques": "fr3.gravity_torques"}, {"free_base": True},
+         "no output 'gravity_torques' of fr3: the base of fr3 is free: it holds nothing"),
+        ({"fr3.torques": "fr3.gravity_torque"}, {},
+         "no output 'gravity_torque' of fr3; did you mean 'gravity_torques'?"),
+        ({"fr3.joint_angles": "fr3.gravity_torques"}, {},
+         "fr3.gravity_torques is a torque (Nm); fr3.joint_angles takes an angle (rad)"),
+        ({"fr3.torques": "udp.values0 * deg - fr3.gravity_torques"}, {},
+         "expected one unit on both sides; there are an angle (rad) and a torque (Nm)"),
+        ({"fr3.joint_angles": "0.1 * fr3.billboard_values",
+          "fr3.billboard_values": "fr3.gravity_torques"}, {},
+         "values that follow each other: fr3.billboard_values -> fr3.joint_angles -> "
+         "fr3.billboard_values"),
+    ],
+)  # fmt: skip
+def test_what_a_model_cannot_tell_is_said(
+    routes: Mapping[str, Any], fields: Mapping[str, Any], message: str
+) -> None:
+    robots = [SerialRobot.from_model("fr3", name="fr3", **fields)]
+    problems = wire(scene_of(routes, **{**MODELLED, "robots": robots})).problems
+    (found,) = [problem.message for problem in problems]
+    assert message in found.replace("\n", " ")
+
+
+def test_what_is_sent_gives_back_what_is_shown() -> None:
+    scene = scene_of(
+        {
+            "lwr.joint_angles": "udp.values0",
+            "lwr.joint_velocities": "udp.values2",
+            "lwr.torques": "udp.values1 - lwr.gravity_torques - lwr.friction_torques",
+        },
+        **MODELLED,
+    )
+    packets = MotionPackets(scene)
+    fed = Fed(scene.routes, **MODELLED)
+    for time in (0.0, 0.7, 3.1):
+        values = packets.structure.decode(packets.at(time))
+        fed.feed("udp", **values)
+        expected = packets._robots["lwr"].signals(time)["torques"]
+        assert fed["lwr.torques"] == pytest.approx(expected, abs=1e-9)

@@ -9,6 +9,7 @@ import pytest
 from conftest import raises_with
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from newton_euler import inverse_dynamics
 from runs import HOME, in_old_words, record_packets, record_run, simulated
 
 from sero_mj.base.errors import CsvError, RecordingError, UsageError
@@ -18,6 +19,7 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.recording_writer import FLUSH_AFTER
 from sero_mj.load import load_scene
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.declared.scene_file import read_scene_file
 from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.runs._recorded_signals import spread_bunches
@@ -149,6 +151,28 @@ def test_velocities_that_were_not_sent_are_differences(
         (left[11] - left[10]) / after * before + (left[10] - left[9]) / before * after
     ) / (before + after)  # fmt: skip
     np.testing.assert_allclose(run.of("left", "joint_velocities")[10], slope, rtol=1e-6)
+
+
+def test_torques_of_models_are_computed_over_time(
+    mirrored: tuple[Path, np.ndarray, np.ndarray],
+) -> None:
+    path, times, numbers = mirrored
+    scene = SCENE.replace(
+        '"udp.values1[0:7] * mNm"',
+        '"udp.values1[0:7] * mNm - left.gravity_torques - left.friction_torques"',
+    )
+    rows = {"values0": numbers[:, :7], "values1": numbers[:, 7:21], "values2": numbers[:, 21:]}
+    path = path.with_name("modelled.mcap")
+    run = read_run(record_packets(path, "7F14F7F", rows, times, {"scenes/mine.toml": scene}))
+    robot = run.robots["left"]
+    weight = np.array(
+        [inverse_dynamics(robot, robot_dynamics(robot), np.deg2rad(row)) for row in numbers[:, :7]]
+    )
+    speeds = run.of("left", "joint_velocities")
+    signs = np.clip(speeds / 0.01, -1.0, 1.0)
+    friction = robot.dynamics.viscous_friction * speeds + robot.dynamics.coulomb_friction * signs
+    expected = numbers[:, 7:14] * 1e-3 - weight - friction
+    np.testing.assert_allclose(run.of("left", "torques"), expected, atol=1e-6)
 
 
 def test_robots_and_routes_may_be_given(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import free_udp_port, raises_with
+from newton_euler import inverse_dynamics
 from polling import until
 
 from sero_mj import Scene, SerialRobot, UdpReceiver
@@ -27,6 +28,7 @@ from sero_mj.data.receive.intake import pad_packets
 from sero_mj.data.receive.structure import Structure
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.triggered_recorder import TriggeredRecorder
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.simulate.runs.run_recording import read_run
 
 LAYOUT = Structure("7F7F7F")
@@ -99,6 +101,41 @@ def test_what_holds_is_told_with_joint_and_value() -> None:
     assert hits.describe(1) == (
         "lwr/A4: lwr.commanded_torques[3:6] = 23.46 > 20, udp.values0[0] = 0 < 1"
     )
+
+
+def test_models_of_robots_are_signals() -> None:
+    of = scene()
+    lwr = SerialRobot.from_model("lwr", inputs=["joint_velocities"])
+    moved = Scene(
+        robots=[lwr],
+        sources=of.sources,
+        routes={
+            **ROUTES,
+            "lwr.joint_velocities": "udp.values1 * deg / s",
+            "lwr.billboard_values": "lwr.torques - lwr.gravity_torques",
+        },
+        name="cell",
+    )
+    events = {**EVENTS, "values0": EVENTS["values0"] / 10}
+    weight = np.array(
+        [inverse_dynamics(lwr, robot_dynamics(lwr), angles) for angles in events["values0"]]
+    )
+    found = trigger("abs(lwr.gravity_torques[1]) > 20", moved).find("udp", events)
+    assert np.array_equal(found.holds, np.abs(weight[:, 1]) > 20)
+    assert 0 < found.holds.sum() < 200
+    hits = trigger("lwr.billboard_values[3] > 5", moved).find("udp", events)
+    assert np.array_equal(hits.holds, (TORQUES - weight)[:, 3] > 5)
+    speeds = np.deg2rad(events["values1"])
+    signs = np.clip(speeds / 0.01, -1.0, 1.0)
+    friction = lwr.dynamics.viscous_friction * speeds + lwr.dynamics.coulomb_friction * signs
+    hits = trigger("lwr.friction_torques > 1.2", moved).find("udp", events)
+    assert np.array_equal(hits.holds, (friction > 1.2).any(axis=1))
+    assert hits.describe(int(np.argmax(hits.holds))).startswith("lwr/A")
+    reason = "nothing is routed to lwr.joint_velocities, which lwr.friction_torques needs"
+    for text in ("lwr.friction_torques[0] > 1", "1 < lwr.billboard_values[0]"):
+        still = scene(**{"lwr.billboard_values": "udp.values1 - lwr.friction_torques"})
+        with raises_with(RouteError, reason=reason, position=4 if text[0] == "1" else 0):
+            trigger(text, still)
 
 
 def test_no_data_fulfils_nothing_and_other_sources_keep_their_last_values() -> None:

@@ -72,6 +72,8 @@ _JOINTS: dict[str, tuple[Dimension, Dimension]] = {
     "joint_angles": (_ANGLE, LENGTH),
     "torques": (_TORQUE, _FORCE),
     "commanded_torques": (_TORQUE, _FORCE),
+    "gravity_torques": (_TORQUE, _FORCE),
+    "friction_torques": (_TORQUE, _FORCE),
     "joint_velocities": (_TURN, _SPEED),
     "joint_accelerations": ((0, 0, -2, 1), (1, 0, -2, 0)),
 }

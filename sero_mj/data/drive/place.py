@@ -14,6 +14,7 @@ from ...robots.declared.cartesian import WORLD
 from ...robots.declared.double import OUT_OF_SIGHT, fade_in
 from ...robots.declared.inputs import BLANKABLE
 from ...robots.declared.mounts import mount_pose
+from .model_torques import output_now
 from .route import FrameRoute, Origin, Route
 from .wiring import Wiring, wire
 
@@ -222,6 +223,8 @@ class Router:
             return origin.key in packets.get(origin.name, ())
         if origin.key == "joint_angles" and origin.name in self._world.robots:
             return True  # a robot always has a pose
+        if str(origin) not in self._world.flags:
+            return True  # so its model tells something
         return bool(data.userdata[self._world.flags[str(origin)]] > 0)
 
     def _numbers(self, data: mujoco.MjData, packets: LatestValues, origin: Origin) -> Array:
@@ -229,6 +232,8 @@ class Router:
             return packets[origin.name][origin.key].ravel()
         if origin.key == "joint_angles" and origin.name in self._world.robots:
             return np.asarray(data.qpos[self._world.robots[origin.name].qpos])
+        if str(origin) not in self._world.flags:
+            return output_now(self._world, data, origin.name, origin.key)
         return np.asarray(data.userdata[self._world.slots[str(origin)]])
 
     def _numbers_if_there(

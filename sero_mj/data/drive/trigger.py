@@ -1,8 +1,9 @@
 """Triggers: conditions on received values, `abs(lwr.torque_error) > 20`, packet by packet.
 
 `language` has their grammar, and `conditions` their meaning. Names are events of sources
-(`udp.values0`), inputs that routes lead to (`lwr.torques`) and, of robots with commanded and
-measured torque, their difference (`lwr.torque_error`).
+(`udp.values0`), inputs that routes lead to (`lwr.torques`), what the models of robots tell
+(`lwr.gravity_torques`, `lwr.friction_torques`) and, of robots with commanded and measured torque,
+their difference (`lwr.torque_error`).
 """
 
 from __future__ import annotations
@@ -15,11 +16,13 @@ import numpy as np
 
 from ...base.errors import did_you_mean
 from ...base.frames import Array, Bools
+from ...robots.assemble.friction_torques import VELOCITIES
 from ...robots.declared.scene import Scene
 from ..receive.source import SIGNALS
 from ._units import robot_of
 from .conditions import Compared, Conditions, Leaf, Signal
 from .language import first_word, parse
+from .model_torques import FRICTION, MODEL_TORQUES, ModelTorques, why_unknown
 from .route import Origin, Route
 from .wiring import Wiring
 
@@ -82,6 +85,7 @@ class Trigger:
         self._scene = scene
         self._routes = {route.to.target: route for route in [*wiring.routes, *wiring.later]}
         self._sources = wiring.sources
+        self._model = ModelTorques(scene.robots)
         self._expression = parse(text)
         self._latest: dict[str, dict[str, Array]] = {}
         # Report errors immediately.
@@ -132,7 +136,15 @@ class Trigger:
             if event not in SIGNALS
         ]
         robots = [name for name in self._scene.robots if self._has_error(name)]
-        return [*self._routes, *(f"{name}.{ERROR}" for name in robots), *events]
+        errors = [f"{name}.{ERROR}" for name in robots]
+        told = [
+            f"{name}.{key}"
+            for name in self._scene.robots
+            for key in MODEL_TORQUES
+            if f"{name}.joint_angles" in self._routes
+            and not why_unknown(self._scene.robots, name, key)
+        ]
+        return [*dict.fromkeys([*self._routes, *errors, *told, *events])]
 
     def _has_error(self, robot: str) -> bool:
         return all(f"{robot}.{key}" in self._routes for key in ("torques", "commanded_torques"))
@@ -141,6 +153,7 @@ class Trigger:
         """Refuses unknown names of signals."""
         names = self.names
         if name in names:
+            self._check_velocities(word, name)
             return
         robot, _, key = name.partition(".")
         reason = f"expected a signal of scene '{self._scene.name}'{did_you_mean(name, names)}"
@@ -152,6 +165,21 @@ class Trigger:
             ]
             reason = f"nothing is routed to {' and '.join(missing)}, which it is made of"
         self._expression.refuse(word, reason, len(name))
+
+    def _check_velocities(self, word: int, name: str) -> None:
+        """Refuses a name that needs velocities where none are received."""
+        todo, seen = [name], set[str]()
+        while todo:
+            output = todo.pop()
+            robot, _, key = output.partition(".")
+            if output in self._routes:
+                todo += [each for each in self._routes[output].outputs if each not in seen]
+                seen.add(output)
+            elif key == FRICTION and robot in self._scene.robots:
+                velocities = f"{robot}.{VELOCITIES}"
+                if velocities not in self._routes:
+                    reason = f"nothing is routed to {velocities}, which {output} needs"
+                    self._expression.refuse(word, reason, len(name))
 
 
 class _Reader:
@@ -174,6 +202,9 @@ class _Reader:
             )
             error = self._input(commanded) - self._input(measured)
             return Signal(error, _labels(trigger._scene, measured))
+        if owner in trigger._scene.robots and key in MODEL_TORQUES:
+            labels = [f"{owner}/{joint}" for joint in trigger._scene.robots[owner].names]
+            return Signal(self._model_output(owner, key), labels)
         values = self._event(Origin(owner, key, True))
         count = values.shape[1] if values.ndim > 1 else 0
         return Signal(values, [f"{name}[{k}]" for k in range(count)])
@@ -187,6 +218,13 @@ class _Reader:
             return np.full((1, *source.events[origin.key]), np.nan)
         return np.asarray(found[origin.key], np.float64)
 
+    def _model_output(self, robot: str, key: str) -> Array:
+        def input_of(target: str) -> Array | None:
+            route = self._trigger._routes.get(target)
+            return None if route is None else self._input(route)
+
+        return self._trigger._model.output(robot, key, input_of)
+
     def _input(self, route: Route) -> Array:
         target = route.to.target
         if target not in self._inputs:
@@ -194,6 +232,8 @@ class _Reader:
             def numbers_of(origin: Origin) -> Array:
                 if origin.is_event:
                     values = self._event(origin)
+                elif str(origin) not in self._trigger._routes and origin.key in MODEL_TORQUES:
+                    values = self._model_output(origin.name, origin.key)
                 else:
                     values = self._input(self._trigger._routes[str(origin)])
                 return np.broadcast_to(

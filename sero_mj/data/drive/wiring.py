@@ -7,6 +7,7 @@ target = name "." input          lwr.joint_angles, contact.vector, toggles.legen
 origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.torques - lwr.torques;
                                  `not` negates a toggle
        | expression "for" joints udp.values0 for l_elbow, r_arm; several of these with ";" between
+       | robot ".gravity_torques", robot ".friction_torques"  by its model, in expressions
        | frame                   lwr/flange: its pose in the world
        | robot ".fwd_kin_base_to_flange"  likewise in the robot's base
 
@@ -57,6 +58,7 @@ from .joint_routes import (
     whole_route,
 )
 from .language import Expression, parse
+from .model_torques import MODEL_TORQUES, model_output, origins_of, why_unknown
 from .route import FrameRoute, Origin, Route
 from .values import Value, constant, evaluate, joined, numbers_of
 
@@ -124,7 +126,7 @@ def wire(scene: Scene) -> Wiring:
     wiring.routes += [whole_route(scene, each) for each in parts.values()]
     _allow_blanks(wiring)
     try:
-        wiring.later = _routes_in_order(wiring.routes)
+        wiring.later = _routes_in_order(scene, wiring.routes)
     except CycleError as error:
         wiring.problems.append(_circle("values", error))
     try:
@@ -217,10 +219,21 @@ def _allow_blanks(wiring: Wiring) -> None:
         source.allow_nan({e for e in source.events if Origin(name, e, True) not in finite})
 
 
-def _routes_in_order(routes: Sequence[Route]) -> list[Route]:
+def _routes_in_order(scene: Scene, routes: Sequence[Route]) -> list[Route]:
     """The routes that need more than one packet, each after the routes to its origins."""
     later = {route.to.target: route for route in routes if route.direct is None}
-    after = {target: {*later} & set(route.outputs) for target, route in later.items()}
+    inputs = list_inputs(scene)
+
+    def needs(output: str) -> list[str]:
+        if output in inputs:
+            return [output]
+        name, _, key = output.partition(".")
+        return origins_of(scene.robots, name, key)
+
+    after = {
+        target: {*later} & {each for output in route.outputs for each in needs(output)}
+        for target, route in later.items()
+    }
     return [later[target] for target in TopologicalSorter(after).static_order()]
 
 
@@ -562,6 +575,15 @@ class _RouteChecker:
         if item is not None:
             return numbers_of(Origin(name, key, False), item.shape, units_of(self._scene, item))
         keys = [item.key for item in self._outputs.values() if item.name == name]
+        robots = self._scene.robots
+        if name in robots:
+            if key in MODEL_TORQUES:
+                if why := why_unknown(robots, name, key):
+                    return Problem("", f"no output '{key}' of {name}: {why}")
+                item = model_output(robots[name], key)
+                units = units_of(self._scene, item)
+                return numbers_of(Origin(name, key, False), item.shape, units)
+            keys += MODEL_TORQUES
         hint = _missing_spaces(key, keys)
         if not hint and name in self._scene.robots:
             hint = did_you_mean(key, [*keys, FWD_KIN])

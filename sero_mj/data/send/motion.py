@@ -216,6 +216,7 @@ class RobotSignals:
             "commanded_angles": target,
             "torques": torques,
             "commanded_torques": torques,  # a perfect controller: the error is zero
+            "joint_velocities": velocity,
             "joint_accelerations": acceleration,
             "billboard_values": velocity,
             "flange_check": self._robot.fwd_kin_base_to_flange(position),

@@ -14,8 +14,10 @@ import numpy as np
 
 from ...base.errors import UsageError, did_you_mean
 from ...base.frames import Array, frame, rotation_about
+from ...robots.assemble.friction_torques import VELOCITIES
 from ...robots.declared.inputs import Input, list_inputs
 from ...robots.declared.scene import Scene
+from ..drive.model_torques import ModelTorques, origins_of
 from ..drive.route import Origin, Route
 from ..drive.wiring import Wiring, wire
 from ..receive.source import Source
@@ -122,6 +124,7 @@ class MotionPackets:
                     f"nothing is known of robot '{name}'{did_you_mean(name, players or {})}"
                 )
         self._is_motion = players is None
+        self._model = ModelTorques(scene.robots)
 
     def _check_size(self, route: Route) -> None:
         """Whether the structure has all the numbers that a route takes."""
@@ -140,14 +143,23 @@ class MotionPackets:
     def _asked(self, routes: Sequence[Route]) -> list[Input]:
         """The inputs of routes, and those that they read of robots, doubles and arrows."""
         todo = [route.to.target for route in routes]
-        todo += [output for route in routes for output in route.outputs]
+        todo += [each for route in routes for each in self._origins(route)]
         seen: dict[str, Input] = {}
         while todo:
             target = todo.pop()
             if target not in seen:
                 seen[target] = self._inputs[target]
-                todo += self._routes[target].outputs if target in self._routes else []
+                todo += self._origins(self._routes[target]) if target in self._routes else []
         return list(seen.values())
+
+    def _origins(self, route: Route) -> list[str]:
+        """The inputs that a route reads, also by the models of robots."""
+        found = []
+        for output in route.outputs:
+            name, _, key = output.partition(".")
+            is_input = output in self._inputs
+            found += [output] if is_input else origins_of(self._scene.robots, name, key)
+        return [each for each in found if each in self._inputs]
 
     def _robot_of(self, item: Input) -> str | None:
         """The robot whose motion determines an input."""
@@ -185,6 +197,16 @@ class MotionPackets:
 
     def _output(self, target: str, now: Mapping[str, Mapping[str, Array]], t: float) -> Array:
         """An output of a robot, a double or an arrow at time t."""
+        if target not in self._inputs:
+            name, _, key = target.partition(".")
+
+            def input_of(each: str) -> Array | None:
+                robot, _, what = each.partition(".")
+                if each not in self._inputs or what == VELOCITIES:
+                    return now.get(robot, {}).get(what)
+                return self._output(each, now, t)
+
+            return self._model.output(name, key, input_of).reshape(-1)
         item, route = self._inputs[target], self._routes.get(target)
         if route is not None and route.sources:
             return self._value(item, now, t)

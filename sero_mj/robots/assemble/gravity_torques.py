@@ -63,6 +63,23 @@ class GravityTorques:
         mujoco.mj_rne(model, data, 0, self._torques)
         return {name: self._torques[part.dofs] for name, part in parts.items()}
 
+    def over_time(self, angles: Mapping[str, Array]) -> dict[str, Array]:
+        """Returns the torques of every robot at several times, (T, n), Nm or N.
+
+        Args:
+            angles: of every robot, (T, n), or (n,) if they are the same at all times; NaN where
+                they are unknown, which its torques and those of all others then are.
+        """
+        count = max((len(each) for each in angles.values() if each.ndim > 1), default=1)
+        rows = {name: np.broadcast_to(q, (count, q.shape[-1])) for name, q in angles.items()}
+        found = {name: np.full(q.shape, np.nan) for name, q in rows.items()}
+        for k in range(count):
+            now = {name: q[k] for name, q in rows.items()}
+            if all(np.isfinite(q).all() for q in now.values()):
+                for name, torques in self.of(now).items():
+                    found[name][k] = torques
+        return found
+
 
 _KNOWN: WeakKeyDictionary[WorldView, GravityTorques] = WeakKeyDictionary()
 _WITHOUT: WeakSet[WorldView] = WeakSet()  # of which it is logged why they have no such model

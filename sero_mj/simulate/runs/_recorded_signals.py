@@ -12,6 +12,7 @@ import numpy as np
 
 from ...base.errors import RecordingError
 from ...base.frames import Array
+from ...data.drive.model_torques import MODEL_TORQUES, ModelTorques
 from ...data.drive.route import Affine, Origin
 from ...data.drive.wiring import wire
 from ...data.receive.intake import pad_packets
@@ -19,6 +20,7 @@ from ...data.receive.mailbox import Packets
 from ...data.receive.source import SIGNALS, Source
 from ...data.record.recording import PacketFile
 from ...data.record.replay import Replay
+from ...robots.assemble.friction_torques import VELOCITIES
 from ...robots.declared.double import Double
 from ...robots.declared.groups import Group
 from ...robots.declared.robot import SerialRobot
@@ -213,7 +215,7 @@ def follow_routes(
     names = {origin.name for value in values.values() for origin in value.origins
              if origin.is_event}  # fmt: skip
     series = {name: read(name) for name in names}
-    follower = _Follower(values, series, path, f"{moved[0]}.joint_angles")
+    follower = _Follower(values, series, path, f"{moved[0]}.joint_angles", robots)
     inputs = {event_of(name, signal): f"{name}.{signal}" for name in moved for signal in _SIGNALS}
     for double, robot in ((name, each.of) for name, each in scene.doubles.items()):
         # The first one that is moved.
@@ -233,7 +235,7 @@ def _possible(
 ) -> dict[str, str]:
     """Routes to joint values from recorded events, or from each other."""
     inputs = {target for target in routes if target.partition(".")[0] in owners
-              and target.rpartition(".")[2] in (*_SIGNALS, "joint_accelerations",
+              and target.rpartition(".")[2] in (*_SIGNALS, VELOCITIES, "joint_accelerations",
                                                "billboard_values")}  # fmt: skip
     left = {target: routes[target] for target in inputs}
     while True:
@@ -246,8 +248,13 @@ def _possible(
 
 
 def _is_there(name: str, routes: Collection[str], sources: Collection[str]) -> bool:
-    """Whether a name in an origin is a unit, a recorded event or another route's input."""
+    """Whether a name in an origin is known.
+
+    It is a unit, a recorded event, another route's input, or told by the model of a moved robot.
+    """
     owner, dot, key = name.partition(".")
+    if key in MODEL_TORQUES and f"{owner}.joint_angles" in routes:
+        return True
     return not dot or name in routes or (owner in sources and key not in SIGNALS)
 
 
@@ -255,9 +262,15 @@ class _Follower:
     """Computes routes over time, each once, at the times of what leads to the first."""
 
     def __init__(
-        self, routes: Mapping[str, Affine], series: Mapping[str, Series], path: Path, first: str
+        self,
+        routes: Mapping[str, Affine],
+        series: Mapping[str, Series],
+        path: Path,
+        first: str,
+        robots: Mapping[str, SerialRobot],
     ) -> None:
         self._routes, self._series = routes, series
+        self._model = ModelTorques(robots)
         self._done: dict[str, Array] = {}
         todo, leading = [first], []
         while todo:
@@ -282,4 +295,17 @@ class _Follower:
     def _numbers(self, origin: Origin) -> Array:
         if origin.is_event:
             return self._series[origin.name].held_at(origin.key, self.times)
+        if str(origin) not in self._routes and origin.key in MODEL_TORQUES:
+            torques = self._model.output(origin.name, origin.key, self._input)
+            return np.broadcast_to(torques, (len(self.times), torques.shape[-1]))
         return self.compute(str(origin))
+
+    def _input(self, target: str) -> Array | None:
+        """An input over time; velocities that were not sent are differences of angles."""
+        if target in self._routes:
+            return self.compute(target)
+        robot, _, key = target.partition(".")
+        angles = f"{robot}.joint_angles"
+        if key == VELOCITIES and angles in self._routes and len(self.times) > 1:
+            return np.gradient(self.compute(angles), self.times, axis=0)
+        return None
