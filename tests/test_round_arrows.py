@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from newton_euler import inverse_dynamics
 
+from sero_mj.base.errors import DeclarationError
 from sero_mj.data.drive.place import follow
 from sero_mj.robots.assemble.friction_torques import SLOW, friction_of
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
@@ -433,6 +434,99 @@ def test_a_robot_that_declares_no_friction_has_no_such_arrows(
         "no torque without friction: robots.fr3: dynamics has neither viscous_friction nor "
         "coulomb_friction"
     ]
+
+
+# ---- the largest torque seen
+
+
+def largest_of(limits: object = "largest", **fields: object) -> World:
+    lwr = SerialRobot.from_model("lwr", name="lwr", torque_limits=limits, **fields)
+    double = Double(name="goal", of="lwr")
+    return World(Scene(robots=[lwr], doubles=[double], floor=False))
+
+
+def test_without_a_limit_the_largest_torque_seen_is_one() -> None:
+    world = largest_of(show_arrows=True)
+    data, quantity = world.make_data(), np.zeros(14, np.intp)
+
+    def seen(torques: np.ndarray, target: str = "lwr.torques") -> tuple[np.ndarray, np.ndarray]:
+        world.set_input(data, target, torques)
+        shown, limit = arrow_values(world, data, joint_values(world, data), quantity)
+        return shown.copy(), limit.copy()
+
+    floor = world.joints.torque_limit.copy()
+    noise = floor[:7] / 100
+    shown, limit = seen(noise)
+    assert shown[:7] == pytest.approx(noise)
+    assert limit == pytest.approx(floor)
+    peaks = floor[:7] * np.array([5.0, -80.0, 3.0, 0.5, -2.0, 7.0, 900.0])
+    _, limit = seen(peaks)
+    largest = np.maximum(np.abs(peaks), floor[:7])
+    assert limit == pytest.approx(np.tile(largest, 2))  # a double has its robot's scale
+    assert seen(noise)[1] == pytest.approx(np.tile(largest, 2))  # so far
+    widths = arrow_widths(peaks, limit[:7], np.full(7, 0.1), np.full(7, 0.01), np.full(7, 0.002))
+    assert widths[[0, 1, 6]] == pytest.approx(0.1)  # full
+    for wrong in (np.nan, np.inf, 1e30):
+        shown, limit = seen(np.full(7, wrong))
+        assert np.isnan(shown[:7]).all()
+        assert limit == pytest.approx(np.tile(largest, 2))
+    commanded = np.zeros(7)
+    commanded[5] = largest[5] = 2 * largest[5]
+    assert seen(commanded, "goal.commanded_torques")[1] == pytest.approx(np.tile(largest, 2))
+    assert np.isinf(world.robots["lwr"].robot.torque_bounds).all()  # nothing is limited by it
+
+
+def test_the_floor_is_a_share_of_the_load_where_it_is_known() -> None:
+    joints = largest_of(fit_arrows=True).joints
+    assert np.isfinite(joints.arrow_load).all()
+    assert joints.torque_limit == pytest.approx(0.1 * joints.arrow_load)
+    joints = largest_of(arrow_width_scale=0.02).joints
+    assert np.isinf(joints.arrow_load).all()
+    assert joints.torque_limit == pytest.approx(np.ones(14))
+
+
+def test_limits_set_by_hand_stay_beside_the_largest_seen() -> None:
+    world = largest_of([100.0, "largest", 50.0, "largest", 20.0, 10.0, 10.0])
+    data = world.make_data()
+    world.set_input(data, "lwr.torques", np.full(7, 400.0))
+    joint_values(world, data)
+    found = [100.0, 400.0, 50.0, 400.0, 20.0, 10.0, 10.0]
+    assert world.joints.torque_limit[:7] == pytest.approx(found)
+    assert np.flatnonzero(world.joints.is_largest[:7]).tolist() == [1, 3]
+
+
+@pytest.mark.parametrize(
+    ("limits", "expected"),
+    [
+        ("largest", "largest seen so far"),
+        ([9.0, "largest", *[9.0] * 5], "torque limit, or largest seen so far"),
+        ([9.0] * 7, "torque limit"),
+    ],
+)
+def test_legend_and_cards_say_that_the_limit_is_the_largest_seen(
+    limits: object, expected: str
+) -> None:
+    world = largest_of(limits, show_arrows=True, torques=np.full(7, 5.0))
+    toggles = toggles_of(world)
+    toggles.legend = True
+    toggles.details[1] = toggles.billboards[1] = True
+    decor = Decor(world)
+    decor.draw(world.make_data(), toggles, view_at())
+    texts = [b"\n".join(lines).decode() for panel in decor.panels for lines in panel.texts]
+    (legend,) = [text for text in texts if text.startswith("round arrows")]
+    assert legend.endswith(f"     {expected}")
+    (card,) = [text for text in texts if "share" in text]
+    assert ("largest seen" in card) == (limits != [9.0] * 7)
+    assert ("limit" in card) == (limits == [9.0] * 7)
+
+
+@pytest.mark.parametrize("limits", ["larger", [1.0, "largest", "x", 1, 1, 1, 1]])
+def test_other_words_are_no_limits(limits: object) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        SerialRobot.from_model("lwr", torque_limits=limits)
+    (problem,) = caught.value.problems
+    word = limits if isinstance(limits, str) else "x"
+    assert problem.message == f"found '{word}'; expected a number, inf for no limit, or \"largest\""
 
 
 def test_one_joint_without_data_loses_its_arrow_and_the_others_go_on() -> None:

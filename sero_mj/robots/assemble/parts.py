@@ -21,6 +21,9 @@ from .decor_sizes import Sizes
 Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name
 
 _DOUBLE_ARROW_RGBA_SHARE = 0.55  # opacity of a double's arrows
+# The least that counts as the largest torque, so that noise does not fill the arrow: a share of
+# what gravity loads the joint with, where that is known, else Nm or N.
+_FLOOR_OF_LOAD, _FLOOR = 0.1, 1.0
 _DOUBLE_ARROW_SIZE = 0.85  # both arrows are visible where a double coincides with its robot
 
 
@@ -263,7 +266,11 @@ class JointTable:
         slots: for each per-joint input, index in `userdata` of its value; -1 where the joint's
             owner does not have it.
         has: likewise for the flag that data was received; includes `joint_angles`.
-        torque_limit: Nm or N, inf for none.
+        torque_limit: Nm or N, inf for none. Where `is_largest`, the largest torque seen so far,
+            which `note_largest` raises.
+        is_largest: whether that is so, (N,).
+        scaled_with: index of the joint whose largest torque counts, (N,): of doubles that of their
+            robot.
         acceleration_limit: rad/s2 or m/s2, inf for none.
         arrow_quantity: index in `ARROW_QUANTITIES` of the quantity that its arrow initially
             shows.
@@ -286,6 +293,8 @@ class JointTable:
     slots: dict[str, Ints]
     has: dict[str, Ints]
     torque_limit: Array
+    is_largest: Bools
+    scaled_with: Ints
     acceleration_limit: Array
     arrow_quantity: Ints
     arrow_dead_band: Array
@@ -297,6 +306,20 @@ class JointTable:
     def angles(self, data: mujoco.MjData) -> Array:
         """Returns the angles of all joints (N,), rad or m; zero for a double without any."""
         return np.concatenate([data.qpos[self.qpos], data.userdata[self.angle_slots]])
+
+    def note_largest(self, torques: Array, most: float) -> None:
+        """Raises `torque_limit` to torques that are larger, where `is_largest`.
+
+        Args:
+            torques: (N,), Nm or N; NaN for no data.
+            most: multiple of the limit so far above which a torque counts as a fault.
+        """
+        limit, size = self.torque_limit, np.abs(torques)
+        with np.errstate(invalid="ignore"):
+            new = self.is_largest & (size > limit) & (size <= most * limit)
+        if new.any():
+            np.maximum.at(limit, self.scaled_with[new], size[new])
+            limit[self.is_largest] = limit[self.scaled_with[self.is_largest]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,6 +424,12 @@ def _joint_table(
         found = [slots.get(f"{name}.{key}") for name in owners]
         return [-1 if s is None else np.arange(s.start, s.stop) for s in found]
 
+    torque_limit = limits_of("torque_limits")
+    arrow_load = gather([part.arrow_loads for part in parts])
+    is_largest = gather([robot.scale_by_largest for robot in robots], bool)
+    is_largest &= np.isinf(torque_limit)
+    floor = np.where(np.isfinite(arrow_load), _FLOOR_OF_LOAD * arrow_load, _FLOOR)
+    torque_limit[is_largest] = floor[is_largest]
     limbs, before = [], 0
     for robot in robots:
         found = np.empty(robot.n, np.intp)
@@ -431,7 +460,16 @@ def _joint_table(
             key: gather([flags.get(f"{name}.{key}", -1) for name in owners], np.intp)
             for key in ("joint_angles", *keys)
         },
-        torque_limit=limits_of("torque_limits"),
+        torque_limit=torque_limit,
+        is_largest=is_largest,
+        scaled_with=gather(
+            [
+                (part.of if isinstance(part, DoublePart) else part).joints.start
+                + np.arange(part.robot.n)
+                for part in parts
+            ],
+            np.intp,
+        ),
         acceleration_limit=limits_of("acceleration_limits"),
         arrow_quantity=gather([ARROW_QUANTITIES.index(q) for q in quantities], np.intp),
         arrow_dead_band=gather([robot.arrow_dead_band for robot in robots]),
@@ -442,7 +480,7 @@ def _joint_table(
             ]
         ),
         arrow_width_scale=gather([part.arrow_width_scales for part in parts]),
-        arrow_load=gather([part.arrow_loads for part in parts]),
+        arrow_load=arrow_load,
         arrow_alpha=gather(np.where(is_double, _DOUBLE_ARROW_RGBA_SHARE, 1.0)),
     )
 

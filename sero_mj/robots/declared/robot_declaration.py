@@ -30,12 +30,14 @@ from .robot_parts import (
     LinkGeometry,
     OwnInputs,
     Ranges,
+    TorqueLimits,
     TreeFrames,
     check_colors,
     check_line_values,
     dh_rows,
     frame_label,
     frame_labels,
+    split_largest,
 )
 from .surroundings import Object, check_mjcf
 
@@ -86,7 +88,10 @@ class RobotDeclaration(Declaration):
         position_limits_deg: the same in degrees; converted to position_limits.
         velocity_limits: (n,), rad/s or m/s.
         velocity_limits_deg: the same in degrees per second; converted to velocity_limits.
-        torque_limits: (n,), Nm or N.
+        torque_limits: (n,), Nm or N; inf for none. `"largest"`, for all joints or among numbers for
+            some, is the same as inf with `scale_by_largest`.
+        scale_by_largest: whether arrows and cards of joints without a torque limit are scaled by
+            the largest torque seen so far, and say so. Nothing is limited by it.
         dynamics: masses, inertia and friction; estimated where not given.
         torque_control: of joint torque control, used in runs with `torque_control`.
         elastic_joints: whether simulated joints are elastic, with `dynamics.joint_stiffness`.
@@ -164,7 +169,8 @@ class RobotDeclaration(Declaration):
     position_limits_deg: Ranges = None
     velocity_limits: Limits = None
     velocity_limits_deg: Limits = None
-    torque_limits: Limits = None
+    torque_limits: TorqueLimits = None
+    scale_by_largest: bool = False
     dynamics: Dynamics = Field(default_factory=Dynamics)
     torque_control: TorqueControl = Field(default_factory=TorqueControl)
     elastic_joints: bool = False
@@ -322,6 +328,15 @@ class RobotDeclaration(Declaration):
         if limits is not None and "prismatic" in (info.data.get("joint_types") or []):
             raise ValueError(f"{info.field_name} is for revolute joints only; use {key} in rad, m")
         return limits
+
+    @model_validator(mode="before")
+    @classmethod
+    def _largest_instead_of_limits(cls, fields: Any) -> Any:
+        if isinstance(fields, Mapping):
+            limits, is_largest = split_largest(fields.get("torque_limits"))
+            if is_largest:
+                return {**fields, "torque_limits": limits, "scale_by_largest": True}
+        return fields
 
     @model_validator(mode="before")
     @classmethod

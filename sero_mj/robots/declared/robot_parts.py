@@ -31,6 +31,7 @@ BILLBOARD_VALUES = (
     "billboard_values",
 )
 MAX_JOINTS = 128
+LARGEST = "largest"  # torque limit of a joint that has none: the largest torque seen so far
 _MAX_CHILDREN = 2000  # as many as a scene may have objects
 # Fields that can be given in degrees instead.
 IN_DEGREES = {
@@ -152,6 +153,34 @@ def _are_positive(limits: Array | None) -> Array | None:
     return limits
 
 
+def _no_words(limits: Any) -> Any:
+    """Refuses a word that `split_largest` has not taken out."""
+    entries = limits if isinstance(limits, list | tuple) else [limits]
+    if words := [entry for entry in entries if isinstance(entry, str)]:
+        expected = f'a number, inf for no limit, or "{LARGEST}"'
+        raise Problem(found=words[0], expected=expected).error()
+    return limits
+
+
+def split_largest(limits: Any) -> tuple[Any, bool]:
+    """Takes the word "largest" out of torque limits.
+
+    Args:
+        limits: as given in a file: numbers, the word for all joints, or among numbers for some.
+
+    Returns:
+        the limits without it, None or inf in its place; and whether it was there.
+    """
+    if isinstance(limits, str) and limits == LARGEST:
+        return None, True
+    if isinstance(limits, list | tuple):
+        is_word = [isinstance(entry, str) and entry == LARGEST for entry in limits]
+        if any(is_word):
+            return [np.inf if word else entry
+                    for entry, word in zip(limits, is_word, strict=True)], True  # fmt: skip
+    return limits, False
+
+
 def _children_differ(children: list[Object]) -> list[Object]:
     names = [child.name for child in children]
     for name in names:
@@ -173,6 +202,13 @@ JointNames = Annotated[list[Name], AfterValidator(_differ)]
 OwnInputs = Annotated[list[Name], AfterValidator(_differ), AfterValidator(_differ_from_standard)]
 Ranges = Annotated[Array | None, _limits_of_shape(None, 2), AfterValidator(_are_ordered)]
 Limits = Annotated[Array | None, _limits_of_shape(None), AfterValidator(_are_positive)]
+_Limit = float | Literal["largest"]
+TorqueLimits = Annotated[
+    Array | None,
+    _limits_of_shape(None),
+    BeforeValidator(_no_words, json_schema_input_type=_Limit | list[_Limit] | None),
+    AfterValidator(_are_positive),
+]
 TreeFrames = Annotated[
     Array | None,
     BeforeValidator(_tree_frames, json_schema_input_type=list[list[Any] | dict[str, Any]] | None),

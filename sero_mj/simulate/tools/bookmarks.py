@@ -102,7 +102,8 @@ class Bookmarks(Tool):
                 self._found(f"{name} is silent", data.time - last)
             elif 0 <= last <= QUIET_AFTER:
                 self._silent.discard(name)
-        values, limit = joint_values(world, data), world.joints.torque_limit
+        values, joints = joint_values(world, data), world.joints
+        limit = np.where(joints.is_largest, np.inf, joints.torque_limit)
         torque, error, angle = (values[k] for k in ("torques", "torque_error", "joint_angles"))
         with np.errstate(invalid="ignore"):
             bad = np.array([np.abs(torque) > limit, np.abs(error) > self._share * limit,

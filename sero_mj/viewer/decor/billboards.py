@@ -58,6 +58,7 @@ _DETAILS = {
     "torque_share": "share",
 }
 
+_LARGEST = "largest seen"  # label of the largest torque seen so far, in place of a limit
 _STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
 _TINT = 0.30  # fraction of the double's colour in the colour of its panels
 
@@ -253,7 +254,7 @@ def joint_formats(world: WorldView, longest: int = LONGEST) -> Formats:
             for line in torques
         ]
         found.modelled.append(billboard_lines(name, of_model, *kind))
-        found.details.append(detail_lines(name, *kind))
+        found.details.append(detail_lines(name, *kind, is_largest=bool(joints.is_largest[k])))
     return found
 
 
@@ -376,11 +377,21 @@ def billboard_lines(
     ]
 
 
-def detail_lines(joint: str, prismatic: bool, full: float = np.inf) -> list[Line]:
-    """Returns the line formats of all values of one joint's arrow, see `billboard_lines`."""
+def detail_lines(
+    joint: str, prismatic: bool, full: float = np.inf, *, is_largest: bool = False
+) -> list[Line]:
+    """Returns the line formats of all values of one joint's arrow, see `billboard_lines`.
+
+    Args:
+        joint: its name.
+        prismatic: whether the joint is prismatic.
+        full: torque of an arrow of full width.
+        is_largest: whether its limit is the largest torque seen so far, which its line then says.
+    """
+    labels = {**_DETAILS, "torque_limit": _LARGEST} if is_largest else _DETAILS
     return [
         _line(joint, k, key, label, prismatic, full)
-        for k, (key, label) in enumerate(_DETAILS.items())
+        for k, (key, label) in enumerate(labels.items())
     ]
 
 

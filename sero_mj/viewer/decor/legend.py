@@ -34,6 +34,7 @@ _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
 _MAX_NAMES = 32  # characters, of robots before a note, and of arrows before their scale
 # Of sliding joints these are forces.
 _TORQUES = ("torques", "torque_error", "torque_without_gravity", "torque_without_friction")
+_LARGEST = "largest seen so far"
 _UNLIMITED = "width grows with the value"
 _BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
 # A line with a bar before each number, as wide as an arrow of that share of the limit.
@@ -115,6 +116,8 @@ class Legend(Feature):
             if not np.isfinite(limit[shown]).any():
                 has_load = np.isfinite(self.world.joints.arrow_load[shown]).any()
                 width = _BY_LOAD if has_load else _UNLIMITED
+            elif quantity in _TORQUES and (largest := self.world.joints.is_largest[shown]).any():
+                width = _LARGEST if largest.all() else f"{width}, or {_LARGEST}"
             if not self.world.joints.revolute[shown].all() and quantity in _TORQUES:
                 what += ", or force"
             has_scale = width not in (_UNLIMITED, _BY_LOAD)

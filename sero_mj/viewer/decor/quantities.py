@@ -29,6 +29,8 @@ DOUBTFUL_FACTOR = 10.0  # above it the arrow, which is striped, is not enough
 def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
     """Returns all received values of all joints, and those computed from them.
 
+    Where the largest torque so far is the scale of a joint, these torques count from here on.
+
     Returns:
         arrays (N,) by name: all per-joint inputs, `joint_angles`, and `torque_error`
         (commanded - measured); NaN for no data.
@@ -40,6 +42,9 @@ def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
         received = userdata[slots]
         received[(userdata[joints.has[key]] <= 0) | (slots < 0)] = np.nan
         values[key] = received
+    if joints.is_largest.any():
+        for key in ("torques", "commanded_torques"):
+            joints.note_largest(values[key], IMPLAUSIBLE_FACTOR)
     values["torque_error"] = values["commanded_torques"] - values["torques"]
     return values
 
@@ -47,6 +52,10 @@ def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
 def torque_and_unit(world: WorldView, joint: int) -> tuple[str, str]:
     """Returns how the torque of a joint is called, and its unit: a force where it slides."""
     return ("torque", "Nm") if world.joints.revolute[joint] else ("force", "N")
+
+
+def _limit_name(world: WorldView, joint: int) -> str:
+    return "the largest seen" if world.joints.is_largest[joint] else "the limit"
 
 
 def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]:
@@ -62,9 +71,9 @@ def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]
     return [
         f"{joints.names[i]}: {torques[i]:.3g} {torque_and_unit(world, i)[1]} is "
         + (
-            f"over {IMPLAUSIBLE_FACTOR:.0f} times the limit; not drawn"
+            f"over {IMPLAUSIBLE_FACTOR:.0f} times {_limit_name(world, i)}; not drawn"
             if share[i] > IMPLAUSIBLE_FACTOR
-            else f"{share[i]:.0f} times the limit"
+            else f"{share[i]:.0f} times {_limit_name(world, i)}"
         )
         for i in found.tolist()
     ]

@@ -60,7 +60,10 @@ class TorquePlots:
         limit = float(self._world.joints.torque_limit[joint])
         what, unit = torque_and_unit(self._world, joint)
         ui.same_line()
-        ui.label(f"limit {limit:g} {unit}" if np.isfinite(limit) else "no limit")
+        text = f"limit {limit:g} {unit}" if np.isfinite(limit) else "no limit"
+        if self._world.joints.is_largest[joint]:
+            text = f"largest seen {limit:.3g} {unit}"
+        ui.label(text)
         torques, error = self._plots
         room = min(ui.room()[1], height)
         is_for_two = room >= _ROOM_FOR_TWO
@@ -77,7 +80,8 @@ class TorquePlots:
     def plots(self, history: TorqueHistory, joint: int) -> list[Plot]:
         """Returns the plots of a joint: its torques, and their error."""
         times, (measured, commanded, error) = history.of(joint, self._points)
-        limit = float(self._world.joints.torque_limit[joint])
+        joints = self._world.joints
+        limit = np.inf if joints.is_largest[joint] else float(joints.torque_limit[joint])
         what, unit = torque_and_unit(self._world, joint)
         torques = [
             Line("measured", _MEASURED, *with_gaps(times, measured)),
