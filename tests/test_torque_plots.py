@@ -125,6 +125,26 @@ def test_a_joint_is_chosen_beside_its_limit_and_plotted_where_there_is_room(
     assert [label for kind, label in ui.built if kind == "plot"] == labels
 
 
+def test_without_a_limit_the_largest_torque_of_all_packets_stands_in() -> None:
+    scene = load_scene("lwr_udp", overrides={"lwr.torque_limits": "largest"})
+    fed, routes = World(scene), wire(scene).check(scene).routes
+    history, data = TorqueHistory(fed, routes), fed.make_data()
+    torques = np.full((20, 7), 2.0)
+    torques[7, 3] = -31.0  # which is in no picture
+    torques[9, 4] = np.nan
+    packets = Packets({"values1": torques}, np.linspace(100.0, 100.02, 20), 1)
+    data.time = 0.1
+    history.add_packets(data, "udp", packets, now=100.03)
+    floor = World(scene).joints.torque_limit
+    expected = np.maximum(floor, [2.0, 2.0, 2.0, 31.0, 2.0, 2.0, 2.0])
+    assert fed.joints.torque_limit == pytest.approx(expected)
+    ui = ScriptedWidgets({"##joint": "lwr/A3"}, size=(30.0, 40.0))
+    plots = TorquePlots(fed, 320)
+    plots.build(ui, history, 3)
+    assert ui.texts()[0] == "largest seen 31 Nm"
+    assert not np.isfinite(plots.plots(history, 3)[0].limits).any()  # it is no line there
+
+
 @pytest.mark.parametrize(("received", "which"), [
     (["torques"], "commanded "), (["commanded_torques"], "measured "), ([], ""),
 ])  # fmt: skip

@@ -11,7 +11,7 @@ from ...base.frames import Array, Ints
 from ...data.drive.route import Route
 from ...data.receive.mailbox import Packets
 from ...robots.assemble.world_view import WorldView
-from ..decor.quantities import joint_values
+from ..decor.quantities import IMPLAUSIBLE_FACTOR, joint_values
 from ..decor.staleness import Staleness
 from .binned_history import SHOWN, SPAN, BinnedHistory
 
@@ -88,6 +88,10 @@ class TorqueHistory:
             came[[row, _ERROR], joints] = True
         values[:, _ERROR] = values[:, _COMMANDED] - values[:, _MEASURED]
         values[:, ~came] = np.nan
+        if self._world.joints.is_largest.any():  # peaks between two pictures count as well
+            for row in (_MEASURED, _COMMANDED):
+                size = np.fmax.reduce(np.abs(values[:, row]), axis=0)
+                self._world.joints.note_largest(size, IMPLAUSIBLE_FACTOR)
         self._history.add(data.time - now + packets.arrivals, values)
 
     def _received(self, data: mujoco.MjData) -> Array:
