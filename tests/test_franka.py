@@ -85,7 +85,7 @@ def test_fields_are_where_a_packed_struct_has_them(version: int) -> None:
     assert state_size(version) == ctypes.sizeof(made)
 
 
-def test_offsets_are_those_that_were_seen_of_robots() -> None:
+def test_offsets_are_those_that_the_published_headers_compile_to() -> None:
     names = ("tau_J", "tau_J_d", "q", "q_d", "dq", "tau_ext_hat_filtered", "O_F_ext_hat_K")
     new, old = state_fields(10), state_fields(9)
     assert [new[name][0] for name in names] == [512, 540, 596, 624, 652, 840, 868]
@@ -225,6 +225,22 @@ def test_only_the_robot_is_listened_to(server: FrankaServer) -> None:
         assert until(lambda: receiver.counters.foreign == 1)
         give(receiver, server, server.state())
         assert (receiver.counters.received, receiver.receive_trigger) == (2, 1)
+
+
+def test_others_do_not_stand_in_for_a_robot_that_stalls(
+    server: FrankaServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connecting, "PATIENCE", 0.05)
+    with receiver_of(server), socket.socket(type=socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.2", 0))
+        assert server.started.wait(5.0)
+
+        def has_left() -> bool:
+            for _ in range(20):
+                other.sendto(state(q=SEVEN), server.to)
+            return server.connections > 1
+
+        assert until(has_left)
 
 
 def test_what_is_said_besides_states_ends_the_connection(server: FrankaServer) -> None:

@@ -287,6 +287,8 @@ class FrankaReceiver(ConnectingSource):
                 if self._take_in(batch, expected):
                     silent = f"sends nothing for {connecting.PATIENCE:g} s"
                     deadline = clock.monotonic() + connecting.PATIENCE
+                elif clock.monotonic() > deadline:  # others keep the socket ready
+                    raise TimeoutError(silent)
             if connection.socket in ready:
                 raise Nonsense("says what it was not asked", connection.read())
 
