@@ -164,8 +164,8 @@ def test_many_small_bombs_take_little_memory_each(tmp_path: Path) -> None:
         ),
         (
             {"kind": "replay"},
-            "source 'arm': no kind 'replay'; available: foxglove, franka, fri, ros2, rtde, shm, udp,"
-            " zenoh",
+            "source 'arm': no kind 'replay'; available: foxglove, franka, fri, ros2, rtde, shm, "
+            "udp, zenoh",
         ),
         (
             {"declared": {"structre": "2F"}},

@@ -438,7 +438,7 @@ def test_times_are_written_as_people_do(time: float, text: str) -> None:
 def found(**values: Any) -> dict[str, Any]:
     nothing = dict.fromkeys(("lost", "dropped", "malformed", "received"), 0)
     now = {"source": "udp", "age": 0.003, "receiving": True, "rate": 999.6, "fault_age": None}
-    return {**now, **nothing, **values}
+    return {**now, "clock": None, **nothing, **values}
 
 
 @pytest.mark.parametrize(

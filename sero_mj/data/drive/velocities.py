@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence, Set
 
 import mujoco
+import numpy as np
 
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
@@ -64,7 +65,9 @@ class Velocities:
                 continue  # the first one, or the same once more
             step = now - before[0]
             is_next = 0.0 < step < QUIET_AFTER
-            data.qvel[part.dofs] = (angles - before[1]) / step if is_next else 0.0
+            with np.errstate(over="ignore", invalid="ignore"):  # angles may be any numbers
+                speeds = (angles - before[1]) / step if is_next else np.zeros(len(angles))
+            data.qvel[part.dofs] = np.where(np.isfinite(speeds), speeds, 0.0)
 
 
 def _sources(routes: Mapping[str, Route], target: str) -> frozenset[str]:
