@@ -187,7 +187,8 @@ BUILD: dict[str, Callable[[Path, str], list[str]]] = {
 
 
 def test_all_are_tried() -> None:
-    assert BUILD.keys() == snippets().keys()
+    controllers = {name for name in snippets() if name.startswith("controller-")}
+    assert BUILD.keys() == snippets().keys() - controllers  # which test_external_control tries
 
 
 @pytest.mark.parametrize("name", BUILD)

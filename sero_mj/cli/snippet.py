@@ -1,4 +1,4 @@
-"""`sero-mj snippet`: lines for a user's own control loop that send what a scene here takes."""
+"""`sero-mj snippet`: lines for a user's own control loop, or a controller for a simulated robot."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ examples:
   sero-mj snippet franka-cpp > sero_mj.hpp               what a libfranka loop includes
   sero-mj snippet franka-cpp --scene > franka.toml       the scene that shows what it sends
   sero-mj snippet c --robot my_arm/robot.toml --host 192.168.0.7 --port 32001
+
+  sero-mj snippet controller-c > controller.c            a controller for a simulated robot
+  sero-mj snippet controller-c --scene > controller.toml
 
 Every packet has a count, a time (s), and angles (rad), measured and commanded torques (Nm) of all
 joints, as little-endian float64: the count tells lost packets, the time jitter. NaN is no data.
@@ -44,6 +47,37 @@ time = "time"
 "{robot}.torques" = "udp.torques"
 "{robot}.commanded_torques" = "udp.commanded"
 """
+_SCENARIO = """\
+# Runs the controller of `sero-mj snippet {name}`: it follows a sine, and does not overshoot.
+[robots.{robot}]
+model = "{model}"
+show_arrows = true
+
+[controllers.{robot}]
+{controller}
+
+[targets.{robot}]
+kind = "sine"
+amplitude_deg = 5
+frequency = 0.5
+ramp = 1.0
+
+[run]
+duration = 3.0
+
+[expect.follows]
+robot = "{robot}"
+measure = "position_error"
+below = 0.05
+"""
+_CONTROLLERS = {
+    "controller-c": 'kind = "library"\nfile = "controller.so"',
+    "controller-cpp": 'kind = "library"\nfile = "controller.so"',
+    "controller-rust": 'kind = "library"\nfile = "controller.so"',
+    "controller-udp-c": 'kind = "udp"\ncommand = ["./controller", "{port}"]',
+    "controller-udp-python": 'kind = "udp"\ncommand = ["python3", "controller.py", "{port}"]',
+}
+_HEADER = '#include "sero_mj_controller.h"\n'
 _ROBOTS = {"franka-cpp": "fr3", "franka-python": "fr3", "lcm": "iiwa14", "ur": "ur5e"}
 _HOST, _PORT = re.compile(r"127\.0\.0\.1"), re.compile(r"\b32000\b")
 _JOINTS = re.compile(r"(JOINTS\b[^\d\n]{1,9})\d+")
@@ -51,10 +85,12 @@ ORDER = 33  # in the help of `sero-mj`
 
 
 class SnippetOptions(Options):
-    """Print lines for your control loop that send what a scene here takes.
+    """Print lines for your control loop that send what a scene here takes, or a controller.
 
     Attributes:
-        name: franka-cpp, franka-python, ur, ros2, lcm, simulink, c or rust.
+        name: franka-cpp, franka-python, ur, ros2, lcm, simulink, c or rust; controllers for
+            simulated robots are controller-c, controller-cpp, controller-rust (libraries),
+            controller-udp-c and controller-udp-python (programs).
         robot: that the scene shows: a file, or a shipped name; that of the snippet when None.
         host: where sero-mj runs, as the robot's computer knows it.
         port: of the packets.
@@ -85,6 +121,11 @@ def run(options: SnippetOptions) -> int:
     model = options.robot or _ROBOTS.get(options.name, "lwr")
     robot = load_robot(model)
     n = robot.coupled.k  # others follow
+    if options.scene and options.name in _CONTROLLERS:
+        controller = _CONTROLLERS[options.name]
+        names = {"name": options.name, "robot": robot.name, "model": model}
+        print(_SCENARIO.format(controller=controller, **names), end="")
+        return 0
     if options.scene:
         print(
             _SCENE.format(
@@ -93,6 +134,11 @@ def run(options: SnippetOptions) -> int:
             ),
             end="",
         )  # fmt: skip
+        return 0
+    if _HEADER in known[options.name]:
+        from ..simulate.external_control.library import HEADER
+
+        print(known[options.name].replace(_HEADER, HEADER.read_text(encoding="utf-8")), end="")
         return 0
     text = _JOINTS.sub(rf"\g<1>{n}", known[options.name])
     print(_PORT.sub(str(options.port), _HOST.sub(options.host, text)), end="")

@@ -216,7 +216,7 @@ class ControlledRobot(RobotControl):
         model.update(angles, np.zeros(n))
         mass = model.mass() - np.diag(model.motor_inertia)
         declared = self.declared
-        if isinstance(declared, ControllerDeclaration):
+        if isinstance(declared, ControllerDeclaration) and declared.may_be_asked:
             controller = declared.make(make_model(self.robot), self._timestep)
             sensed, target, torques = Sensed(n), Target(n), np.zeros((2, n))
             target.angles[:] = target.posture[:] = angles

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from ..base.declaration import file_fields
 from ..base.dotted_keys import lacking, no_table, parts_of, with_value
 from ..base.errors import (
     CsvError,
@@ -27,6 +28,7 @@ from ..data.record.csv_files import read_csv
 from ..robots.declared.robot import SerialRobot
 from ..robots.declared.scene import Scene
 from ..robots.declared.scene_file import read_scene_file, scene_from_tables
+from .control.make_controller import controller_kinds
 from .runs.monitor import Monitor
 from .runs.run_recording import read_run
 from .scenario import Run, Scenario, build_entry
@@ -96,6 +98,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
     problems += _set_all(own, of_own, scene, file)
     scene.description = str(own.get("description", scene.description))
     problems += _read_motions(own, scene, file.parent)
+    _place_files(own, file.parent)
     run = own.get("run", {})
     for key, expected in (("run", "a table [run]"), ("description", "a text")):
         if not isinstance(own.get(key, {} if key == "run" else ""), dict if key == "run" else str):
@@ -208,6 +211,21 @@ def _read_motions(own: dict[str, Any], scene: Scene, beside: Path) -> list[Probl
             robot.joint_angles = found["angles"][0]
         own["targets"] = {**own["targets"], name: found}
     return problems
+
+
+def _place_files(own: dict[str, Any], beside: Path) -> None:
+    """Lets names of files, and the folders of programs, in tables of controllers begin here."""
+    tables, kinds = own.get("controllers"), controller_kinds()
+    for name, table in tables.items() if isinstance(tables, dict) else ():
+        kind = kinds.get(str(table.get("kind"))) if isinstance(table, dict) else None
+        if kind is None:
+            continue
+        placed = {
+            key: beside / table.get(key, "")
+            for key in file_fields(kind)
+            if isinstance(table.get(key, ""), str) and (key in table or key == "folder")
+        }
+        own["controllers"] = {**own["controllers"], name: {**table, **placed}}
 
 
 def _other_scene(

@@ -248,6 +248,11 @@ class Simulation:
         self._measured = rows[:, blocks[0]].reshape(len(rows), len(MEASURED), -1)
         self._estimated = rows[:, blocks[1]]
         self._write_free(0)
+        self._logged = {
+            robot.robot.name: [columns[event_of(robot.robot.name, key)] for key in keys]
+            for robot in self.controlled
+            if (keys := getattr(robot.declared, "logged", ()))
+        }
         acting = (self._schedule, self.drag_force, self.live)
         self._before = [each.before for each in acting if each is not None]
         self._after = [self._schedule.after] if self._schedule.carries else []
@@ -311,6 +316,8 @@ class Simulation:
         for name, plan in plans.items():
             if plan.flange is not None:
                 events[event_of(name, "target_pose")] = "1M"
+            logged = getattr(self.scenario.controller_of(name), "logged", ())
+            events |= {event_of(name, key): "1F" for key in logged}
         targets = tuple(name for name, plan in plans.items() if plan.joints is not None)
         joints = {name: robot.n for name, robot in self.robots.items()}
         return RunLayout(joints, targets, events)
@@ -378,7 +385,20 @@ class Simulation:
             SimulationError: it cannot go on, and the log ends with the step before; or a joint has
                 run away, and the log ends there.
         """
-        self._batch.advance(min(to_step, self.steps))
+        try:
+            self._batch.advance(min(to_step, self.steps))
+        except BaseException:
+            self.close()
+            raise
+        if self.is_done:
+            self.close()
+
+    def close(self) -> None:
+        """Ends what controllers have started, programs say; it cannot be advanced any more."""
+        for robot in self.controlled:
+            close = getattr(robot.controller.controller, "close", None)
+            if close is not None:
+                close()
 
     def prepare(self, k: int) -> None:
         """Applies controllers and events for the step after row k of the log."""
@@ -402,6 +422,8 @@ class Simulation:
             self._write_contacts(k, self._contacts.update(self.plant.model, self.plant.data))
         for act in self._after:
             act(k)
+        if self._logged:
+            self._write_logged(k)
         if k % self._observed_every == 0:
             self._observe(k)
         self.step = k
@@ -473,6 +495,15 @@ class Simulation:
             pose = self.plant.qpos[free]
             T = frame(rotation_from_quat(pose[3:]), pose[:3])
             self.rows[k, self.layout.columns[event]] = T.ravel()
+
+    def _write_logged(self, k: int) -> None:
+        """Writes what controllers have to log into row k."""
+        for robot in self.controlled:
+            places = self._logged.get(robot.robot.name, [])
+            numbers = getattr(robot.controller.controller, "logged", ())  # of another one, live
+            if len(places) == len(numbers):
+                for columns, value in zip(places, numbers, strict=True):
+                    self.rows[k, columns] = value
 
     def _write_contacts(self, k: int, forces: Array) -> None:
         columns = self.layout.columns

@@ -287,6 +287,10 @@ class ControllerDeclaration(Declaration, ABC):
         torque_rate_limits: (n,), Nm/s or N/s; None for none.
         needs_target: whether it holds a pose, so that a robot without a target stays where it is.
         needs_pose: whether it follows the flange's pose, and not only joint angles.
+        may_be_asked: whether it may be asked for torques of states that are not those of a run, as
+            is done to find its gains.
+        logged: names of numbers of its own that the log keeps; what it makes has them as `logged`,
+            an array.
         title: what a user reads who chooses among controllers; its `kind` when empty.
         short: another name for it on the command line; none when empty.
         order: among those that can be chosen, lowest first; sero-mj's own have 10 to 90.
@@ -294,6 +298,8 @@ class ControllerDeclaration(Declaration, ABC):
 
     needs_target: ClassVar[bool] = True
     needs_pose: ClassVar[bool] = False
+    may_be_asked: ClassVar[bool] = True
+    logged: ClassVar[tuple[str, ...]] = ()
     title: ClassVar[str] = ""
     short: ClassVar[str] = ""
     order: ClassVar[int] = 100

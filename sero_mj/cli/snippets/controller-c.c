@@ -1,0 +1,15 @@
+/* A controller for sero-mj as a shared library:
+ *
+ *     cc -O2 -shared -fPIC controller.c -o controller.so
+ *     sero-mj simulate controller.toml          (sero-mj snippet controller-c --scene prints it)
+ */
+#include "sero_mj_controller.h"
+
+/* Joint impedance: a spring and a damper about the target, on top of gravity. */
+void control(struct sero_mj_robot *robot) {
+  const double stiffness = 800.0, damping = 40.0; /* Nm/rad, Nm s/rad */
+  for (int i = 0; i < robot->n; i++)
+    robot->torques_out[i] = stiffness * (robot->target_angles[i] - robot->angles[i]) +
+                            damping * (robot->target_velocities[i] - robot->velocities[i]) +
+                            robot->gravity[i];
+}

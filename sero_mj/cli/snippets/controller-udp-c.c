@@ -1,0 +1,47 @@
+/* A controller for sero-mj as a program of its own, over UDP:
+ *
+ *     cc -O2 controller.c -o controller
+ *     sero-mj simulate controller.toml          (sero-mj snippet controller-udp-c --scene prints it)
+ */
+#include <arpa/inet.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <sys/socket.h>
+
+#define JOINTS 7
+
+struct state { /* little-endian, as x86 and ARM are */
+  uint32_t step, flags; /* counted from 1; flags is 1 in the first */
+  double time;          /* s */
+  double angles[JOINTS], velocities[JOINTS], torques[JOINTS]; /* measured; rad, rad/s, Nm */
+  double target_angles[JOINTS], target_velocities[JOINTS], gravity[JOINTS];
+};
+struct answer {
+  uint32_t step, unused; /* the step that is answered */
+  double torques[JOINTS];
+};
+
+int main(int argc, char **argv) {
+  int from = socket(AF_INET, SOCK_DGRAM, 0);
+  struct sockaddr_in address = {0}, robot;
+  struct state state;
+  struct answer answer = {0};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  address.sin_port = htons(argc > 1 ? atoi(argv[1]) : 32010);
+  if (bind(from, (struct sockaddr *)&address, sizeof address)) return perror("bind"), 1;
+  for (;;) {
+    socklen_t length = sizeof robot;
+    ssize_t size = recvfrom(from, &state, sizeof state, 0, (struct sockaddr *)&robot, &length);
+    if (size != sizeof state) {
+      fprintf(stderr, "found %zd bytes; expected %zu\n", size, sizeof state);
+      continue;
+    }
+    answer.step = state.step;
+    for (int i = 0; i < JOINTS; i++) /* joint impedance: a spring and a damper about the target */
+      answer.torques[i] = 800.0 * (state.target_angles[i] - state.angles[i]) +
+                          40.0 * (state.target_velocities[i] - state.velocities[i]) + state.gravity[i];
+    sendto(from, &answer, sizeof answer, 0, (struct sockaddr *)&robot, length);
+  }
+}

@@ -1,0 +1,220 @@
+"""What a simulated robot sends to a program at every step, and what it takes from its answer.
+
+Both are packets in the language of structures (STRUCTURE.md), kept in memory and filled by views:
+encoding one anew would take longer than the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import Problem, StructureError
+from ...base.frames import Array
+from ...data.receive.structure import Structure
+from ..control.controller import Sensed, Target
+from ..control.robot_model import RobotModel
+
+FIRST = 1  # flag of the first state of a run
+# What a state can have besides `step` and `flags`: numbers of n joints, and where they come from.
+_OF_JOINTS: Mapping[str, Callable[[Sensed, Target], Array]] = {
+    "angles": lambda sensed, _: sensed.angles,
+    "velocities": lambda sensed, _: sensed.velocities,
+    "torques": lambda sensed, _: sensed.torques,
+    "motor_angles": lambda sensed, _: sensed.motor_angles,
+    "motor_velocities": lambda sensed, _: sensed.motor_velocities,
+    "target_angles": lambda _, target: target.angles,
+    "target_velocities": lambda _, target: target.velocities,
+    "target_accelerations": lambda _, target: target.accelerations,
+}
+_OTHERS = {"step": 1, "flags": 1, "time": 1, "gravity": 0, "target_pose": 16}  # 0: n numbers
+# What a command can have.
+_ANSWERED = ("step", "torques", "joint_angles", "stiffness", "damping", "feed_forward")
+
+
+def default_state(n: int) -> str:
+    """The structure of a state where none is declared."""
+    joints = ("angles", "velocities", "torques", "target_angles", "target_velocities", "gravity")
+    return f"< step:1I flags:1I time:1d {' '.join(f'{name}:{n}d' for name in joints)}"
+
+
+def default_answer(n: int) -> str:
+    """The structure of a command where none is declared."""
+    return f"< step:1I 4x torques:{n}d"
+
+
+def structure_of(key: str, text: str, sizes: Mapping[str, int]) -> Structure:
+    """Reads a structure, and checks its events.
+
+    Args:
+        key: of the field, for messages.
+        text: as declared.
+        sizes: how many numbers each possible event has.
+
+    Raises:
+        DeclarationError: it cannot be read, or has other events or sizes.
+    """
+    try:
+        structure = Structure(text)
+    except StructureError as error:
+        raise Problem(key, str(error)).error() from None
+    for name, shape in structure.events.items():
+        if name not in sizes:
+            raise Problem(key, "no value", found=name, available=sizes).error()
+        count = int(np.prod(shape))
+        if count != sizes[name]:
+            problem = Problem(key, f"{name} has", found=count, of="numbers", expected=sizes[name])
+            raise problem.error()
+    return structure
+
+
+class State:
+    """The packet with a robot's state.
+
+    Args:
+        text: its structure; empty for `default_state`.
+        model: of the robot, for itself.
+
+    Attributes:
+        structure: as declared.
+        packet: the bytes of the packet, always the same ones.
+
+    Raises:
+        DeclarationError: the structure has what no robot has.
+    """
+
+    def __init__(self, text: str, model: RobotModel) -> None:
+        n = model.n
+        sizes = {name: count or n for name, count in _OTHERS.items()}
+        sizes |= dict.fromkeys(_OF_JOINTS, n)
+        self.structure = structure_of("state", text or default_state(n), sizes)
+        self.packet = bytearray(self.structure.size)
+        self._model = model
+        self._views = {name: _view(self.packet, self.structure, name)
+                       for name in self.structure.events}  # fmt: skip
+        for item in self.structure.fields:  # constants of the structure
+            if item.constant is not None:
+                np.frombuffer(self.packet, item.dtype, item.numbers, item.offset)[:] = item.constant
+        self._bound: tuple[Sensed, Target] | None = None
+        self._pairs: list[tuple[Array, Array]] = []
+        self._word = self._views.get("step")
+        self._flags, self._time = self._views.get("flags"), self._views.get("time")
+        self._gravity, self._pose = self._views.get("gravity"), self._views.get("target_pose")
+
+    def fill(self, step: int, sensed: Sensed, target: Target) -> None:
+        """Writes the state of a step.
+
+        Args:
+            step: counted from 1.
+            sensed: what the sensors say.
+            target: what is asked for.
+        """
+        if self._bound is None or self._bound[0] is not sensed or self._bound[1] is not target:
+            self._bound = sensed, target
+            self._pairs = [
+                (view, _OF_JOINTS[name](sensed, target))
+                for name, view in self._views.items()
+                if name in _OF_JOINTS
+            ]
+        for view, values in self._pairs:
+            view[:] = values
+        if self._word is not None:
+            self._word[0] = step
+        if self._flags is not None:
+            self._flags[0] = FIRST if step == 1 else 0
+        if self._time is not None:
+            self._time[0] = sensed.time
+        if self._pose is not None:
+            self._pose[:] = target.pose.T.ravel()  # column by column, as structures have it
+        if self._gravity is not None:
+            self._model.update(sensed.motor_angles, sensed.motor_velocities)
+            self._gravity[:] = self._model.gravity()
+
+
+class Answer:
+    """The packet with a program's command, and the torques that it asks for.
+
+    Either it has `torques`, or `joint_angles` for springs and dampers of the simulated robot:
+    tau = K (q_d - q) - D dq + g(q) + tau_0, with K = `stiffness`, D = `damping` and
+    tau_0 = `feed_forward`, each as commanded or else as declared.
+
+    Args:
+        text: its structure; empty for `default_answer`.
+        model: of the robot, for itself.
+        stiffness: (n,), Nm/rad, where commands have none.
+        damping: (n,), Nm s/rad, likewise.
+
+    Attributes:
+        structure: as declared.
+        packet: the bytes that answers are written into.
+
+    Raises:
+        DeclarationError: the structure has neither, or both, or something else.
+    """
+
+    def __init__(
+        self, text: str, model: RobotModel, stiffness: Array | None, damping: Array | None
+    ) -> None:
+        n = model.n
+        sizes = {name: 1 if name == "step" else n for name in _ANSWERED}
+        self.structure = structure_of("answer", text or default_answer(n), sizes)
+        events = self.structure.events
+        if ("torques" in events) == ("joint_angles" in events):
+            found = " ".join(events) or "neither"
+            problem = Problem("answer", found=found, expected="torques, or joint_angles")
+            raise problem.error()
+        springs = [name for name in ("stiffness", "damping") if name in events]
+        if "torques" in events and springs:
+            problem = Problem("answer", f"{springs[0]} is there", expected="joint_angles with it")
+            raise problem.error()
+        declared = {"stiffness": stiffness, "damping": damping}
+        if "joint_angles" in events:
+            for name, value in declared.items():
+                if value is None and name not in events:
+                    expected = f"numbers, or {name} in command"
+                    raise Problem(name, "is required", expected=expected).error()
+        self.packet = bytearray(self.structure.size)
+        views = {name: _view(self.packet, self.structure, name) for name in events}
+        self._step, self._torques = views.get("step"), views.get("torques")
+        self._angles, self._more = views.get("joint_angles"), views.get("feed_forward")
+        self._stiffness: Any = views.get("stiffness", stiffness)
+        self._damping: Any = views.get("damping", damping)
+        self._numbers = [view for name, view in views.items() if name != "step"]
+        self._model = model
+
+    @property
+    def has_step(self) -> bool:
+        """Whether it says which state it answers."""
+        return self._step is not None
+
+    @property
+    def step(self) -> int:
+        """Which state it answers."""
+        return 0 if self._step is None else int(self._step[0])
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all of its numbers are."""
+        return all(np.isfinite(view).all() for view in self._numbers)
+
+    def write(self, sensed: Sensed, out: Array) -> None:
+        """Writes the torques that it asks for now, (n,)."""
+        if self._torques is not None:
+            out[:] = self._torques
+        else:
+            assert self._angles is not None
+            np.subtract(self._angles, sensed.motor_angles, out)
+            np.multiply(out, self._stiffness, out)
+            out -= self._damping * sensed.motor_velocities
+            self._model.update(sensed.motor_angles, sensed.motor_velocities)
+            out += self._model.gravity()
+        if self._more is not None:
+            out += self._more
+
+
+def _view(packet: bytearray, structure: Structure, event: str) -> Any:
+    """The numbers of an event in a packet, to be read and written."""
+    item = structure.field(event)
+    return np.frombuffer(packet, item.dtype, item.numbers, item.offset)

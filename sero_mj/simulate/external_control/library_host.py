@@ -1,0 +1,87 @@
+"""Loads a library and calls its function; also the process of a library of its own.
+
+As a process it has nothing of sero-mj but this file, so that it starts at once.
+"""
+
+import ctypes
+from typing import Any
+
+# Numbers of n joints that a library gets and writes, in the order of the structure.
+ARRAYS = (
+    "angles",
+    "velocities",
+    "torques",
+    "target_angles",
+    "target_velocities",
+    "target_accelerations",
+    "gravity",
+    "torques_out",
+)
+HEAD = 8  # bytes before the arrays in shared memory: the time
+
+
+class RobotStruct(ctypes.Structure):
+    """`struct sero_mj_robot` of sero_mj_controller.h."""
+
+    _fields_ = [
+        ("n", ctypes.c_int),
+        ("is_first", ctypes.c_int),
+        ("time", ctypes.c_double),
+        ("timestep", ctypes.c_double),
+        *((name, ctypes.c_void_p) for name in ARRAYS),
+    ]
+
+
+def load(file: str, name: str) -> Any:
+    """A function of a library, to be called with the address of a structure.
+
+    Raises:
+        OSError: it cannot be loaded.
+        AttributeError: it has no such function.
+    """
+    function = getattr(ctypes.CDLL(file), name)
+    function.restype = None
+    function.argtypes = [ctypes.c_void_p]
+    return function
+
+
+def main(file: str, name: str, path: str, *numbers: str) -> None:
+    """Calls the function once for each byte that comes, until no more do.
+
+    Args:
+        file: the library.
+        name: of the function.
+        path: of the file in memory that both processes have.
+        *numbers: the ends of pipes to read and to write, the number of joints, the time step, and
+            whether there is gravity.
+    """
+    import faulthandler
+    import mmap
+    import os
+
+    faulthandler.enable()
+    read_end, write_end, n = map(int, numbers[:3])
+    timestep, has_gravity = float(numbers[3]), numbers[4] == "1"
+    function = load(file, name)
+    handle = os.open(path, os.O_RDWR)
+    memory = mmap.mmap(handle, 0)
+    os.close(handle)
+    begin = ctypes.addressof(ctypes.c_char.from_buffer(memory))
+    time = ctypes.c_double.from_buffer(memory)
+    robot = RobotStruct(n=n, is_first=1, timestep=timestep)
+    for k, array in enumerate(ARRAYS):
+        setattr(robot, array, begin + HEAD + 8 * n * k)
+    if not has_gravity:
+        robot.gravity = None
+    address = ctypes.addressof(robot)
+    while os.read(read_end, 1):
+        robot.time = time.value
+        function(address)
+        robot.is_first = 0
+        os.write(write_end, b"1")
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(*sys.argv[1:])

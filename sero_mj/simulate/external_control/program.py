@@ -1,0 +1,114 @@
+"""`Program`: a program of the user's, which is started with a run and ends with it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import tempfile
+import time
+import weakref
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO
+
+from ...base.errors import Problem
+
+PORT = "{port}"  # in a command: what is put there
+_LINES, _BYTES = 5, 4000  # of its output, in errors
+_GRACE = 2.0  # s between the request to end and the end
+_IS_POSIX = os.name == "posix"
+
+
+class Program:
+    """A running program, in a session of its own: with it end those that it has started.
+
+    What it prints goes to a file, which cannot fill up as a pipe would.
+
+    Args:
+        command: its name or path, and its arguments.
+        folder: where it runs.
+
+    Attributes:
+        name: as given.
+        output: the file with what it has printed.
+
+    Raises:
+        DeclarationError: it cannot be started.
+    """
+
+    def __init__(self, command: Sequence[str], folder: Path) -> None:
+        self.name = command[0]
+        handle, path = tempfile.mkstemp(prefix="sero-mj-program-", suffix=".log")
+        self.output = Path(path)
+        with os.fdopen(handle, "wb") as output:
+            self._process = _started(command, folder, output)
+        self._end = weakref.finalize(self, _end, self._process, self.output)
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether it has ended by itself."""
+        return self._process.poll() is not None
+
+    def why(self) -> str:
+        """How it has ended, and its last lines."""
+        code = self._process.poll()
+        if code is None:
+            how = "goes on"
+        elif code < 0:
+            how = f"was ended by {signal.Signals(-code).name}"
+        else:
+            how = f"has ended with exit status {code}"
+        lines = self.output.read_bytes()[-_BYTES:].decode(errors="replace").strip().splitlines()
+        said = " | ".join(lines[-_LINES:])
+        return f"{self.name} {how}" + (f"; its last lines: {said}" if said else "")
+
+    def end(self) -> None:
+        """Ends it; harmless when it has ended."""
+        self._end()
+
+
+def free_port() -> int:
+    """A UDP port of this machine that nobody has."""
+    with socket.socket(type=socket.SOCK_DGRAM) as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+def _started(command: Sequence[str], folder: Path, output: IO[bytes]) -> subprocess.Popen[bytes]:
+    name = command[0]
+    beside = folder / name
+    found = str(beside.absolute()) if os.sep in name and beside.is_file() else name
+    try:
+        return subprocess.Popen(
+            [found, *command[1:]],
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=_IS_POSIX,
+        )
+    except OSError as error:
+        raise Problem("command", f"{name} cannot be started: {error.strerror}").error() from None
+
+
+def _end(process: subprocess.Popen[bytes], output: Path) -> None:
+    """Ends a program with all that it has started, and removes its output."""
+    _signal(process, signal.SIGTERM)
+    deadline = time.monotonic() + _GRACE
+    while process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.005)
+    _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))  # also those it left behind
+    process.wait()
+    output.unlink(missing_ok=True)
+
+
+def _signal(process: subprocess.Popen[bytes], number: int) -> None:
+    try:
+        if _IS_POSIX:
+            os.killpg(process.pid, number)
+        elif process.poll() is None:
+            process.send_signal(number)
+    except (ProcessLookupError, PermissionError):
+        pass

@@ -1,0 +1,450 @@
+"""Controllers that are libraries and programs: equal logs, and whatever such programs do wrong."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from polling import until
+from test_cli import run
+
+from sero_mj.base.errors import DeclarationError, SimulationError
+from sero_mj.cli.snippet import snippets
+from sero_mj.simulate.control.controller import Sensed, Target
+from sero_mj.simulate.external_control.library import HEADER
+from sero_mj.simulate.scenario_file import read_scenario
+from sero_mj.simulate.simulation import Simulation
+
+SCENARIO = """
+[robots.lwr]
+model = "lwr"
+joint_angles = [0, 0.6, 0, -1.2, 0, 1.2, 0]
+[controllers.lwr]
+{controller}
+[targets.lwr]
+kind = "sine"
+amplitude_deg = 5
+frequency = 0.5
+[run]
+duration = {duration}
+"""
+LIBRARY = 'kind = "library"\nfile = "law.so"'
+PROGRAM = 'kind = "udp"\ncommand = ["{python}", "peer.py", "{{port}}", "{mode}"]'
+LAW = """
+#include "sero_mj_controller.h"
+void control(struct sero_mj_robot *r) {
+  for (int i = 0; i < r->n; i++)
+    r->torques_out[i] = 800.0 * (r->target_angles[i] - r->angles[i]) +
+      40.0 * (r->target_velocities[i] - r->velocities[i]) + r->gravity[i];
+}
+void crash(struct sero_mj_robot *r) { if (r->time > 0.05) *(volatile int *)0 = 1; control(r); }
+void hang(struct sero_mj_robot *r) { if (r->time > 0.05) for (;;); control(r); }
+static void all(struct sero_mj_robot *r, double x) {
+  for (int i = 0; i < r->n; i++) r->torques_out[i] = x;
+}
+void first(struct sero_mj_robot *r) { all(r, r->is_first); }
+void without(struct sero_mj_robot *r) { all(r, !r->gravity); }
+"""
+# A program that is right, but for what its mode says; the law is that of the library.
+PEER = """
+import os, socket, subprocess, sys, time
+import numpy as np
+n, mode = 7, sys.argv[2]
+names = ("angles", "velocities", "torques", "target_angles", "target_velocities", "gravity")
+head = [("step", "<u4"), ("flags", "<u4"), ("time", "<f8")]
+state = np.dtype(head + [(name, "<f8", n) for name in names])
+answer = np.dtype([("step", "<u4"), ("unused", "<u4"), ("torques", "<f8", n)])
+peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+if mode == "late start":
+    time.sleep(0.3)
+peer.bind(("127.0.0.1", int(sys.argv[1])))
+if mode == "forks":
+    child = subprocess.Popen(["sleep", "1000"])
+    open("child", "w").write(str(child.pid))
+open("pid", "w").write(str(os.getpid()))
+while True:
+    packet, robot = peer.recvfrom(4096)
+    said = np.frombuffer(packet, state)[0]
+    k, back = int(said["step"]), np.zeros(1, answer)
+    back["step"] = k
+    back["torques"] = (800.0 * (said["target_angles"] - said["angles"])
+        + 40.0 * (said["target_velocities"] - said["velocities"]) + said["gravity"])
+    if mode == "never":
+        continue
+    if k >= 50:
+        if mode == "dies":
+            print("a line before", "the joint is too hot", sep=chr(10), flush=True)
+            sys.exit(3)
+        if mode == "crashes":
+            os.abort()
+        if mode in ("silent", "silent for a while") and (mode == "silent" or k < 60):
+            continue
+        if mode == "nan":
+            back["torques"][0, 2] = np.nan
+        if mode == "wrong size":
+            peer.sendto(b"short", robot)
+            peer.sendto(bytes(500), robot)
+        if mode == "other steps":
+            for other in (k - 3, k + 5):
+                back["step"] = other
+                peer.sendto(back, robot)
+            back["step"] = k
+        if mode == "twice":
+            peer.sendto(back, robot)
+        if mode == "megabytes":
+            print("x" * 100_000, flush=True)
+    peer.sendto(back, robot)
+"""
+
+
+class Law:
+    """The same law in Python."""
+
+    def __init__(self, model: Any) -> None:
+        self.model = model
+
+    def torques(self, sensed: Sensed, target: Target, out: np.ndarray) -> None:
+        self.model.update(sensed.motor_angles, sensed.motor_velocities)
+        out[:] = (
+            800.0 * (target.angles - sensed.angles)
+            + 40.0 * (target.velocities - sensed.velocities)
+            + self.model.gravity()
+        )
+
+
+def compiled(folder: Path, text: str, name: str = "law.so") -> None:
+    if shutil.which("cc") is None:
+        pytest.skip("needs a C compiler")
+    (folder / "law.c").write_text(text)
+    shared = ["-O2", "-shared", "-fPIC", "-ffp-contract=off", "-I", str(HEADER.parent)]
+    subprocess.run(["cc", *shared, "law.c", "-o", name], cwd=folder, check=True)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    found = tmp_path_factory.mktemp("external")
+    compiled(found, LAW)
+    (found / "peer.py").write_text(PEER)
+    return found
+
+
+def simulation(folder: Path, controller: str, duration: float = 0.1, **settings: Any) -> Simulation:
+    file = folder / "scenario.toml"
+    file.write_text(SCENARIO.format(controller=controller, duration=duration))
+    over = {f"controllers.lwr.{key}": value for key, value in settings.items()}
+    return Simulation(read_scenario(file, over))
+
+
+def program(mode: str) -> str:
+    return PROGRAM.format(python=sys.executable, mode=mode)
+
+
+def signals(simulated: Simulation) -> dict[str, np.ndarray]:
+    for _ in simulated.run():
+        pass
+    own = ("lwr_command_age", "lwr_step_lateness")
+    return {key: value for key, value in simulated.log.signals.items() if key not in own}
+
+
+def test_logs_of_a_law_are_equal_in_python_as_a_library_and_as_a_program(folder: Path) -> None:
+    by_library = signals(simulation(folder, LIBRARY))
+    for other in (
+        simulation(folder, LIBRARY, isolated=True),
+        simulation(folder, program("right")),
+        simulation(folder, program("right")),
+    ):
+        found = signals(other)
+        assert found.keys() == by_library.keys()
+        for key, values in found.items():
+            assert np.array_equal(values, by_library[key]), key
+    declared = simulation(folder, LIBRARY)
+    robot = declared.controlled[0]
+    declared.scenario.controllers["lwr"] = Law(declared.robot_model(robot.robot))
+    in_python = signals(Simulation(declared.scenario))
+    for key, values in in_python.items():
+        assert values == pytest.approx(by_library[key], abs=1e-9), key
+
+
+def test_a_library_knows_its_first_step_and_whether_there_is_gravity(folder: Path) -> None:
+    first = signals(simulation(folder, LIBRARY, duration=0.01, function="first"))
+    assert first["lwr_commanded_torques"][1].tolist() == [1.0] * 7
+    assert first["lwr_commanded_torques"][2].tolist() == [0.0] * 7
+    for isolated in (False, True):
+        settings = {"function": "without", "gravity": False, "isolated": isolated}
+        found = signals(simulation(folder, LIBRARY, duration=0.01, **settings))
+        assert found["lwr_commanded_torques"][1].tolist() == [1.0] * 7
+
+
+@pytest.mark.parametrize(
+    ("function", "said"),
+    [
+        ("crash", r"law.so: crash has ended its process: SIGSEGV"),
+        ("hang", "hang does not come back"),
+    ],
+)
+def test_a_library_in_a_process_of_its_own_may_fail(folder: Path, function: str, said: str) -> None:
+    settings = {"function": function, "isolated": True, "patience": 0.5}
+    with pytest.raises(SimulationError, match=rf"lwr at 0.051\d* s: .*{said}"):
+        signals(simulation(folder, LIBRARY, **settings))
+
+
+def test_a_library_that_crashes_here_is_named(folder: Path) -> None:
+    simulation(folder, LIBRARY)  # writes the file
+    command = [
+        "-m",
+        "sero_mj",
+        "simulate",
+        "scenario.toml",
+        "--set",
+        "controllers.lwr.function=crash",
+    ]
+    done = subprocess.run(
+        [sys.executable, *command], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == -signal.SIGSEGV
+    assert f"library {folder / 'law.so'}" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("settings", "key", "said"),
+    [
+        ({"file": "none.so"}, "file", "no file"),
+        ({"file": "peer.py"}, "file", "cannot be loaded"),
+        ({"function": "contrl"}, "function", "has no function contrl"),
+        ({"function": "contrl", "isolated": True}, "function", "has no function contrl"),
+    ],
+)
+def test_libraries_that_cannot_be_loaded_are_told(
+    folder: Path, settings: dict[str, Any], key: str, said: str
+) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        simulation(folder, LIBRARY, **settings)
+    (problem,) = caught.value.problems
+    assert problem.key == f"controllers.lwr.{key}"
+    assert said in problem.message
+
+
+@pytest.mark.parametrize(
+    ("mode", "said"),
+    [
+        ("never", r"no answer of .*python.* to step 1 within 0.3 s"),
+        ("silent", r"no answer of .* to step 50 within 0.2 s"),
+        ("dies", r"exit status 3; its last lines: a line before \| the joint is too hot"),
+        ("crashes", "was ended by SIGABRT"),
+    ],
+)
+def test_programs_that_do_not_answer_end_the_run(folder: Path, mode: str, said: str) -> None:
+    settings = {"first_patience": 0.3 if mode == "never" else 10.0, "patience": 0.2}
+    with pytest.raises(SimulationError, match=said):
+        signals(simulation(folder, program(mode), **settings))
+
+
+@pytest.mark.parametrize("mode", ["late start", "wrong size", "other steps", "twice", "megabytes"])
+def test_what_else_programs_do_is_survived(
+    folder: Path, mode: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    expected = signals(simulation(folder, LIBRARY))
+    found = signals(simulation(folder, program(mode)))
+    for key, values in found.items():
+        assert np.array_equal(values, expected[key]), key
+    told = [record.message for record in caplog.records if "were not applied" in record.message]
+    assert bool(told) == (mode in ("wrong size", "other steps", "twice"))
+
+
+def test_a_command_that_is_no_number_is_not_applied(folder: Path) -> None:
+    with pytest.raises(SimulationError, match="to step 50"):
+        signals(simulation(folder, program("nan"), patience=0.1))
+
+
+@pytest.mark.parametrize("on_silence", ["hold", "gravity_compensation"])
+def test_a_run_may_go_on_without_answers(
+    folder: Path, on_silence: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = {"on_silence": on_silence, "patience": 0.05}
+    simulated = simulation(folder, program("silent for a while"), **settings)
+    found = signals(simulated)["lwr_commanded_torques"]
+    if on_silence == "hold":
+        assert (found[50:60] == found[49]).all()
+    else:
+        model = simulated.robot_model(simulated.controlled[0].robot)
+        angles = simulated.log.signals["lwr_joint_angles"][54]
+        model.update(angles, np.zeros(7))
+        assert found[55] == pytest.approx(model.gravity(), abs=1e-9)
+    assert (found[60] != found[59]).any()
+    ages = simulated.log.signals["lwr_command_age"].ravel()
+    assert ages[[49, 50, 59, 60]] == pytest.approx([0.0, 0.001, 0.010, 0.0])
+    said = [record.message for record in caplog.records]
+    assert any(f"to step 50 within 0.05 s; {on_silence}" in text for text in said)
+    assert any("answers again at 0.059 s" in text for text in said)
+
+
+def is_running(pid: int) -> bool:
+    try:
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+
+
+def test_a_program_and_what_it_has_started_end_with_the_run(folder: Path) -> None:
+    signals(simulation(folder, program("forks")))
+    for name in ("pid", "child"):
+        pid = int((folder / name).read_text())
+        assert until(lambda pid=pid: not is_running(pid)), name
+
+
+def test_a_run_that_is_given_up_ends_its_program(folder: Path) -> None:
+    simulated = simulation(folder, program("right"))
+    simulated.advance(10)
+    pid = int((folder / "pid").read_text())
+    assert is_running(pid)
+    del simulated
+    assert until(lambda: not is_running(pid))
+
+
+def test_ctrl_c_ends_all_while_a_program_is_awaited(folder: Path) -> None:
+    (folder / "pid").unlink(missing_ok=True)
+    simulation(folder, program("never"), first_patience=60.0)
+    command = [
+        "-m",
+        "sero_mj",
+        "simulate",
+        "scenario.toml",
+        "--set",
+        "controllers.lwr.first_patience=60",
+    ]
+    process = subprocess.Popen([sys.executable, *command], cwd=folder)
+    try:
+        assert until((folder / "pid").exists, 20.0)
+        pid = int((folder / "pid").read_text())
+        os.kill(process.pid, signal.SIGINT)
+        process.wait(5)
+        assert until(lambda: not is_running(pid))
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_in_real_time_commands_come_within_their_step(folder: Path) -> None:
+    simulated = simulation(folder, program("right"), duration=0.5, clock="real_time")
+    for _ in simulated.run():
+        pass
+    ages = simulated.log.signals["lwr_command_age"].ravel()[1:]
+    assert (ages < 0.0005).mean() > 0.5  # on a machine that is busy with other tests
+    assert (simulated.log.signals["lwr_step_lateness"] >= 0.0).all()
+
+
+def test_angles_may_be_commanded_to_springs_of_the_robot(folder: Path) -> None:
+    law = PEER[PEER.index('    back["torques"] = (') : PEER.index('    if mode == "never"')]
+    (folder / "angles.py").write_text(
+        PEER.replace('("torques", "<f8", n)])\npeer', '("joint_angles", "<f8", n)])\npeer')
+        .replace(law, '    back["joint_angles"] = said["target_angles"]\n')
+    )  # fmt: skip
+    controller = (
+        f'kind = "udp"\ncommand = ["{sys.executable}", "angles.py", "{{port}}", "right"]\n'
+        'answer = "< step:1I 4x joint_angles:7d"\nstiffness = 800\ndamping = 40'
+    )
+    simulated = simulation(folder, controller)
+    found = signals(simulated)
+    model = simulated.robot_model(simulated.controlled[0].robot)
+    for k in (1, 50):
+        angles, velocities = found["lwr_joint_angles"][k - 1], found["lwr_joint_velocities"][k - 1]
+        model.update(angles, velocities)
+        wanted = 800 * (found["lwr_target_angles"][k - 1] - angles) - 40 * velocities
+        assert found["lwr_commanded_torques"][k] == pytest.approx(wanted + model.gravity())
+
+
+@pytest.mark.parametrize(
+    ("controller", "key", "said"),
+    [
+        ('kind = "udp"', "port", "is required"),
+        ('kind = "udp"\nport = 9\nstate = "1I"', "state", "values0"),
+        ('kind = "udp"\nport = 9\nstate = "angels:7F"', "state", "did you mean 'angles'"),
+        ('kind = "udp"\nport = 9\nstate = "angles:6F"', "state", "6 numbers; expected 7"),
+        (
+            'kind = "udp"\nport = 9\nanswer = "step:1I"',
+            "answer",
+            "expected torques, or joint_angles",
+        ),
+        ('kind = "udp"\nport = 9\nanswer = "joint_angles:7F"', "stiffness", "is required"),
+        ('kind = "udp"\nport = 9\nanswer = "torques:7F damping:7F"', "answer", "damping is there"),
+        ('kind = "udp"\nport = 9\nclock = "lock"', "clock", "lockstep"),
+    ],
+)
+def test_wrong_declarations_name_their_key(
+    tmp_path: Path, controller: str, key: str, said: str
+) -> None:
+    with pytest.raises(DeclarationError) as caught:
+        simulation(tmp_path, controller)
+    assert [problem.key for problem in caught.value.problems] == [f"controllers.lwr.{key}"]
+    assert said in caught.value.problems[0].message
+
+
+def test_a_program_that_is_not_there_is_told(folder: Path) -> None:
+    with pytest.raises(DeclarationError, match=r"command: \./none cannot be started: No such file"):
+        signals(simulation(folder, 'kind = "udp"\ncommand = ["./none", "{port}"]'))
+
+
+def build_c(folder: Path) -> None:
+    flags = ["-O2", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
+    subprocess.run(["cc", *flags, "controller.c", "-o", "controller.so"], cwd=folder, check=True)
+
+
+def build_cpp(folder: Path) -> None:
+    flags = ["-O2", "-std=c++17", "-Wall", "-Werror", "-shared", "-fPIC"]
+    subprocess.run(["c++", *flags, "controller.cpp", "-o", "controller.so"], cwd=folder, check=True)
+
+
+def build_rust(folder: Path) -> None:
+    if shutil.which("rustc") is None:
+        pytest.skip("needs the compiler rustc")
+    flags = ["-O", "-D", "warnings", "--crate-type", "cdylib"]
+    subprocess.run(
+        ["rustc", *flags, "controller.rs", "-o", "controller.so"], cwd=folder, check=True
+    )
+
+
+def build_program(folder: Path) -> None:
+    flags = ["-O2", "-Wall", "-Wextra", "-Werror"]
+    subprocess.run(["cc", *flags, "controller.c", "-o", "controller"], cwd=folder, check=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "ending", "build"),
+    [
+        ("controller-c", "c", build_c),
+        ("controller-cpp", "cpp", build_cpp),
+        ("controller-rust", "rs", build_rust),
+        ("controller-udp-c", "c", build_program),
+        ("controller-udp-python", "py", lambda folder: None),
+    ],
+)
+def test_controllers_that_snippets_print_follow_their_target(
+    name: str, ending: str, build: Callable[[Path], None], tmp_path: Path, capsys: Any
+) -> None:
+    assert name in snippets()
+    status, text, _ = run(capsys, "snippet", name)
+    assert status == 0
+    (tmp_path / f"controller.{ending}").write_text(text)
+    status, scenario, _ = run(capsys, "snippet", name, "--scene")
+    (tmp_path / "controller.toml").write_text(scenario.replace('"python3"', f'"{sys.executable}"'))
+    build(tmp_path)
+    status, out, _ = run(capsys, "simulate", str(tmp_path / "controller.toml"))
+    assert status == 0, out
+
+
+def test_a_controller_with_a_wrong_sign_fails_what_is_expected(tmp_path: Path, capsys: Any) -> None:
+    _, text, _ = run(capsys, "snippet", "controller-c")
+    (tmp_path / "controller.c").write_text(text.replace("stiffness = 800.0", "stiffness = -80.0"))
+    _, scenario, _ = run(capsys, "snippet", "controller-c", "--scene")
+    (tmp_path / "controller.toml").write_text(scenario)
+    build_c(tmp_path)
+    status, out, error = run(capsys, "simulate", str(tmp_path / "controller.toml"))
+    assert status == 1, out + error
