@@ -110,8 +110,10 @@ class Shell:
         self.environment = {key: each for key, each in os.environ.items() if key not in UNSET}
         command = folder / ".venv" / "bin" / "sero-mj"
         command.parent.mkdir(parents=True)
-        command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m sero_mj "$@"\n')
-        command.chmod(0o755)
+        for name, module in (("sero-mj", " -m sero_mj"), ("python", "")):
+            script = command.with_name(name)
+            script.write_text(f'#!/bin/sh\nexec "{sys.executable}"{module} "$@"\n')
+            script.chmod(0o755)
 
     def run(self, *arguments: str) -> None:
         done = subprocess.run(

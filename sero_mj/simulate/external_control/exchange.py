@@ -29,6 +29,7 @@ _OF_JOINTS: Mapping[str, Callable[[Sensed, Target], Array]] = {
     "target_velocities": lambda _, target: target.velocities,
     "target_accelerations": lambda _, target: target.accelerations,
 }
+VALUES = (*_OF_JOINTS, "gravity")
 _OTHERS = {"step": 1, "flags": 1, "time": 1, "gravity": 0, "target_pose": 16}  # 0: n numbers
 # What a command can have.
 _ANSWERED = ("step", "torques", "joint_angles", "stiffness", "damping", "feed_forward")

@@ -1,0 +1,252 @@
+"""Controllers as Functional Mock-up Units: of FMI 2 and 3 from C, and one that pythonfmu makes."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sero_mj.base.errors import DeclarationError, SimulationError
+from sero_mj.simulate.scenario_file import read_scenario
+from sero_mj.simulate.simulation import Simulation
+
+fmpy = pytest.importorskip("fmpy")
+
+N = 7
+GROUPS = ("angles", "velocities", "target_angles", "gravity")
+SOURCES = Path(__file__).with_name("fmu")
+SCENARIO = """
+[robots.lwr]
+model = "lwr"
+joint_angles = [0, 0.6, 0, -1.2, 0, 1.2, 0]
+[controllers.lwr]
+kind = "fmu"
+file = "{name}"
+[targets.lwr]
+kind = "sine"
+amplitude_deg = 5
+frequency = 0.5
+[run]
+duration = 0.1
+"""
+PYTHON = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+
+class Impedance(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        for group in ("angles", "velocities", "target_angles", "gravity", "torques"):
+            causality = Fmi2Causality.output if group == "torques" else Fmi2Causality.input
+            for i in range(1, 8):
+                name = f"{group}_{i}"
+                setattr(self, name, 0.0)
+                self.register_variable(Real(name, causality=causality))
+
+    def do_step(self, time, step):
+        for i in range(1, 8):
+            angle, speed, wanted, gravity = (
+                getattr(self, f"{group}_{i}")
+                for group in ("angles", "velocities", "target_angles", "gravity"))
+            setattr(self, f"torques_{i}", 800.0 * (wanted - angle) - 40.0 * speed + gravity)
+        return True
+"""
+
+
+class Law:
+    """The same law in Python."""
+
+    def __init__(self, model: Any) -> None:
+        self.model = model
+
+    def torques(self, sensed: Any, target: Any, out: np.ndarray) -> None:
+        self.model.update(sensed.motor_angles, sensed.motor_velocities)
+        out[:] = 800.0 * (target.angles - sensed.angles) - 40.0 * sensed.velocities
+        out += self.model.gravity()
+
+
+def variables_2(names: list[str]) -> str:
+    """Elements of vectors, as most tools of FMI 2 name them."""
+    rows = [
+        f'<ScalarVariable name="{name}" valueReference="{k}" causality="parameter" '
+        f'variability="tunable" initial="exact"><Real start="{start}"/></ScalarVariable>'
+        for k, (name, start) in enumerate((("stiffness", 800.0), ("damping", 40.0)))
+    ]
+    inputs = [f"{name}[{i}]" for name in names for i in range(1, N + 1)]
+    for k, name in enumerate(inputs):
+        rows.append(
+            f'<ScalarVariable name="{name}" valueReference="{10 + k}" causality="input" '
+            'variability="continuous"><Real start="0"/></ScalarVariable>'
+        )
+    first = len(rows) + 1
+    for k in range(N):
+        rows.append(
+            f'<ScalarVariable name="torques[{k + 1}]" valueReference="{100 + k}" '
+            'causality="output" variability="continuous"><Real/></ScalarVariable>'
+        )
+    unknowns = "".join(f'<Unknown index="{first + k}"/>' for k in range(N))
+    return (
+        f"<ModelVariables>{''.join(rows)}</ModelVariables><ModelStructure><Outputs>{unknowns}"
+        f"</Outputs><InitialUnknowns>{unknowns}</InitialUnknowns></ModelStructure>"
+    )
+
+
+def variables_3(names: list[str]) -> str:
+    """Vectors, which FMI 3 has."""
+    rows = [
+        '<Float64 name="time" valueReference="999" causality="independent"/>',
+        '<Float64 name="stiffness" valueReference="0" causality="parameter" '
+        'variability="tunable" start="800"/>',
+        '<Float64 name="damping" valueReference="1" causality="parameter" variability="tunable" '
+        'start="40"/>',
+    ]
+    zeros = " ".join(["0"] * N)
+    for k, name in enumerate(names):
+        rows.append(
+            f'<Float64 name="{name}" valueReference="{10 + N * k}" causality="input" '
+            f'start="{zeros}"><Dimension start="{N}"/></Float64>'
+        )
+    rows.append(
+        '<Float64 name="torques" valueReference="100" causality="output">'
+        f'<Dimension start="{N}"/></Float64>'
+    )
+    return (
+        f"<ModelVariables>{''.join(rows)}</ModelVariables><ModelStructure>"
+        '<Output valueReference="100"/><InitialUnknown valueReference="100"/></ModelStructure>'
+    )
+
+
+def write_fmu(folder: Path, version: int, names: list[str] | None = None, name: str = "") -> str:
+    """Compiles a unit; returns its name."""
+    if shutil.which("cc") is None:
+        pytest.skip("needs a C compiler")
+    library, headers = folder / f"impedance{version}.so", Path(fmpy.__file__).parent / "c-code"
+    sources = [SOURCES / "fmu.c", *([SOURCES / "stubs.c"] if version == 3 else [])]
+    flags = ["-O2", "-ffp-contract=off", "-shared", "-fPIC", f"-I{headers}", f"-DFMI={version}"]
+    if not library.exists():
+        subprocess.run(["cc", *flags, "-o", library, *sources], check=True)
+    token = "guid" if version == 2 else "instantiationToken"
+    text = (
+        f'<?xml version="1.0" encoding="UTF-8"?><fmiModelDescription fmiVersion="{version}.0" '
+        f'modelName="impedance" {token}="{{sero-1}}"><CoSimulation modelIdentifier="impedance" '
+        'canHandleVariableCommunicationStepSize="true"/>'
+        + (variables_2 if version == 2 else variables_3)(names or [*GROUPS])
+        + "</fmiModelDescription>"
+    )
+    name = name or f"impedance{version}.fmu"
+    place = "linux64" if version == 2 else "x86_64-linux"
+    with zipfile.ZipFile(folder / name, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("modelDescription.xml", text)
+        archive.write(library, f"binaries/{place}/impedance.so")
+    return name
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("fmu")
+
+
+def simulation(folder: Path, name: str, **settings: Any) -> Simulation:
+    file = folder / "scenario.toml"
+    file.write_text(SCENARIO.format(name=name))
+    over = {f"controllers.lwr.{key}": value for key, value in settings.items()}
+    return Simulation(read_scenario(file, over))
+
+
+def signals(simulated: Simulation) -> dict[str, np.ndarray]:
+    for _ in simulated.run():
+        pass
+    return dict(simulated.log.signals)
+
+
+@pytest.fixture(scope="module")
+def in_python(folder: Path) -> dict[str, np.ndarray]:
+    declared = simulation(folder, write_fmu(folder, 2))
+    robot = declared.controlled[0]
+    declared.scenario.controllers["lwr"] = Law(declared.robot_model(robot.robot))
+    return signals(Simulation(declared.scenario))
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_logs_are_those_of_the_law_in_python(
+    folder: Path, version: int, in_python: dict[str, np.ndarray]
+) -> None:
+    found = signals(simulation(folder, write_fmu(folder, version)))
+    for key, values in found.items():
+        assert values == pytest.approx(in_python[key], abs=1e-9), key
+
+
+def test_a_unit_that_another_tool_has_made_is_run(
+    folder: Path, in_python: dict[str, np.ndarray]
+) -> None:
+    pytest.importorskip("pythonfmu")
+    (folder / "impedance.py").write_text(PYTHON)
+    command = [
+        sys.executable,
+        "-m",
+        "pythonfmu",
+        "build",
+        "-f",
+        "impedance.py",
+        "--no-external-tool",
+    ]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    found = signals(simulation(folder, "Impedance.fmu"))
+    for key, values in found.items():
+        assert values == pytest.approx(in_python[key], abs=1e-9), key
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_inputs_may_be_mapped_and_parameters_set(folder: Path, version: int) -> None:
+    names = ["q", "velocities", "target_angles", "gravity"]
+    name = write_fmu(folder, version, names, f"mapped{version}.fmu")
+    inputs = {"q": "angles"}
+    if version == 2:
+        inputs = {f"q[{i}]": f"angles[{i}]" for i in range(1, N + 1)}
+    stiff = signals(simulation(folder, name, inputs=inputs))["lwr_commanded_torques"]
+    soft = signals(simulation(folder, name, inputs=inputs, parameters={"stiffness": 400.0}))
+    assert not np.allclose(stiff, soft["lwr_commanded_torques"])
+
+
+@pytest.mark.parametrize(
+    ("names", "settings", "key", "said"),
+    [
+        (["q", *GROUPS[1:]], {}, "inputs", "found 'q'"),
+        (None, {"inputs": {"angels": "angles"}}, "inputs.angels", "did you mean 'angles'"),
+        (None, {"output": "tau"}, "output", "the outputs torques"),
+        (
+            None,
+            {"parameters": {"stifness": 1.0}},
+            "parameters.stifness",
+            "did you mean 'stiffness'",
+        ),
+        (None, {"file": "none.fmu"}, "file", "no file"),
+        (None, {"file": "scenario.toml"}, "file", "is no FMU"),
+    ],
+)
+def test_units_that_do_not_fit_are_told(
+    folder: Path, names: list[str] | None, settings: dict[str, Any], key: str, said: str
+) -> None:
+    name = write_fmu(folder, 3, names, "wrong.fmu")
+    with pytest.raises(DeclarationError) as caught:
+        simulation(folder, name, **settings)
+    (problem,) = caught.value.problems
+    assert problem.key == f"controllers.lwr.{key}"
+    assert said in problem.message
+
+
+@pytest.mark.parametrize(
+    ("failing", "said"),
+    [("FMU_FAIL", "cannot be initialised"), ("FMU_STEP_FAIL", "fmi2DoStep")],
+)
+def test_units_that_fail_end_the_run(
+    folder: Path, failing: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(failing, "1")  # asked by the unit
+    with pytest.raises(SimulationError, match=f"impedance2.fmu.*{said}"):
+        signals(simulation(folder, write_fmu(folder, 2)))
