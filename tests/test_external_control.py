@@ -322,8 +322,9 @@ def test_ctrl_c_ends_all_while_a_program_is_awaited(folder: Path) -> None:
     ]
     process = subprocess.Popen([sys.executable, *command], cwd=folder)
     try:
-        assert until((folder / "pid").exists, 20.0)
-        pid = int((folder / "pid").read_text())
+        file = folder / "pid"
+        assert until(lambda: file.exists() and file.read_text(), 20.0)
+        pid = int(file.read_text())
         os.kill(process.pid, signal.SIGINT)
         process.wait(5)
         assert until(lambda: not is_running(pid))

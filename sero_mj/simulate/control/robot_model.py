@@ -341,6 +341,11 @@ class RobotModel:
         """T_world_flange, (4, 4), m; a new array."""
         return frame(self.flange_rotation, self.flange_position)
 
+    def base(self) -> Array:
+        """T_world_base, (4, 4), m: of the body before the first joint; a new array."""
+        body = int(self._model.body_parentid[self._model.jnt_bodyid[0]])
+        return frame(self._data.xmat[body].reshape(3, 3), self._data.xpos[body])
+
     def _move(self) -> None:
         if not self._is_moving:
             self._moving_cinert[...], self._moving_cdof[...] = self._cinert, self._cdof
