@@ -177,6 +177,30 @@ class Reader:
                 yield sample.data, int(publisher).to_bytes(8, "little")
 
 
+class Writer:
+    """A writer of a topic: raw messages.
+
+    Args:
+        writer: of Cyclone DDS.
+        kind: its type, that `raw_type` has made.
+    """
+
+    def __init__(self, writer: Any, kind: Any) -> None:
+        self.writer, self._raw = writer, b""
+        self._sample = kind.__new__(kind)
+        self._sample.serialize = lambda **_: self._raw
+
+    def write(self, message: bytes) -> None:
+        """Publishes a message, in CDR; raises SourceError where it is none of this type."""
+        from cyclonedds.core import DDSException
+
+        self._raw = message
+        try:
+            self.writer.write(self._sample)
+        except DDSException as error:
+            raise SourceError("ros2", f"a message cannot be published: {error}") from error
+
+
 class Participant:
     """A participant of a domain, with readers and a thread that waits for them.
 
@@ -239,6 +263,29 @@ class Participant:
         self._waits.attach(condition)
         self._kept += [made, reader, condition]
         return Reader(reader)
+
+    def writer(self, topic: str, kind: str) -> Writer:
+        """Returns a writer of a topic, whose readers get the newest message.
+
+        Args:
+            topic: with a `/` before it.
+            kind: type of its messages, as ROS has it.
+        """
+        _, qos = _cyclone("")
+        from cyclonedds.pub import DataWriter
+        from cyclonedds.topic import Topic
+        from cyclonedds.util import duration
+
+        policy, raw = qos.Policy, raw_type(kind)
+        policies = [
+            policy.Reliability.Reliable(duration(seconds=1)),
+            policy.Durability.Volatile,
+            policy.History.KeepLast(1),
+        ]
+        made = Topic(self._participant, f"rt{topic}", raw)
+        writer = DataWriter(self._participant, made, qos=qos.Qos(*policies))
+        self._kept += [made, writer]
+        return Writer(writer, raw)
 
     def published(self) -> list[Publication]:
         """Everything that others publish in the domain."""

@@ -11,7 +11,7 @@ import time as clock
 import weakref
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -271,7 +271,31 @@ class Link:
         return SimulationError(time, self._robot, what)
 
 
-class UdpProgram(Reachable):
+class Answering(Reachable):
+    """Base of those that answer each state with a command.
+
+    Attributes:
+        on_silence: `stop`: the run ends; `hold`: the last command goes on;
+            `gravity_compensation`: gravity alone, until there are answers again.
+    """
+
+    logged: ClassVar[tuple[str, ...]] = ("command_age", "step_lateness")
+
+    on_silence: Literal["stop", "hold", "gravity_compensation"] = "stop"
+
+
+class Filled(Protocol):
+    """What is sent, written anew for each step; see `State`."""
+
+    @property
+    def packet(self) -> bytes | bytearray:
+        """The bytes of it."""
+
+    def fill(self, step: int, sensed: Sensed, target: Target) -> None:
+        """Writes the state of a step."""
+
+
+class UdpProgram(Answering):
     """A program of the user's, over UDP.
 
     Attributes:
@@ -283,11 +307,8 @@ class UdpProgram(Reachable):
             joint_angles with stiffness, damping; feed_forward. Default: step:1I 4x torques:nd.
         stiffness: Nm/rad per joint, where answers with joint_angles have none.
         damping: Nm s/rad per joint, likewise.
-        on_silence: `stop`: the run ends; `hold`: the last command goes on;
-            `gravity_compensation`: gravity alone, until there are answers again.
     """
 
-    logged: ClassVar[tuple[str, ...]] = ("command_age", "step_lateness")
     title: ClassVar[str] = "program over UDP"
     order: ClassVar[int] = 70
 
@@ -296,7 +317,6 @@ class UdpProgram(Reachable):
     answer: str = ""
     stiffness: MaybePerJoint = None
     damping: MaybePerJoint = None
-    on_silence: Literal["stop", "hold", "gravity_compensation"] = "stop"
 
     def make(self, model: RobotModel, timestep: float) -> ProgramController:
         """The controller; the program is started with its first step."""
@@ -316,6 +336,7 @@ class ProgramController:
         answer: what comes back.
         model: of the robot, for itself.
         timestep: s between two steps.
+        link: by which they go; a socket when None.
 
     Attributes:
         logged: (2,), s: the age of the command in use, and how late this step began.
@@ -325,15 +346,16 @@ class ProgramController:
 
     def __init__(
         self,
-        declared: UdpProgram,
-        state: State,
+        declared: Answering,
+        state: Filled,
         answer: Answer,
         model: RobotModel,
         timestep: float,
+        link: Link | None = None,
     ) -> None:
         self._declared, self._state, self._answer = declared, state, answer
         self._model, self._timestep = model, timestep
-        self._link = Link(declared, model.name, answer.structure.size)
+        self._link = link or Link(declared, model.name, answer.structure.size)
         self.logged: Array = np.zeros(2)
         self.wrong = self.silent = self._step = 0
 

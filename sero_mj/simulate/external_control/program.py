@@ -9,7 +9,7 @@ import subprocess
 import tempfile
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -29,6 +29,7 @@ class Program:
     Args:
         command: its name or path, and its arguments.
         folder: where it runs.
+        environment: what is set over that of this process.
 
     Attributes:
         name: as given.
@@ -38,12 +39,14 @@ class Program:
         DeclarationError: it cannot be started.
     """
 
-    def __init__(self, command: Sequence[str], folder: Path) -> None:
+    def __init__(
+        self, command: Sequence[str], folder: Path, environment: Mapping[str, str] | None = None
+    ) -> None:
         self.name = command[0]
         handle, path = tempfile.mkstemp(prefix="sero-mj-program-", suffix=".log")
         self.output = Path(path)
         with os.fdopen(handle, "wb") as output:
-            self._process = _started(command, folder, output)
+            self._process = _started(command, folder, output, environment or {})
         self._end = weakref.finalize(self, _end, self._process, self.output)
 
     @property
@@ -76,7 +79,9 @@ def free_port() -> int:
         return int(found.getsockname()[1])
 
 
-def _started(command: Sequence[str], folder: Path, output: IO[bytes]) -> subprocess.Popen[bytes]:
+def _started(
+    command: Sequence[str], folder: Path, output: IO[bytes], environment: Mapping[str, str]
+) -> subprocess.Popen[bytes]:
     name = command[0]
     beside = folder / name
     found = str(beside.absolute()) if os.sep in name and beside.is_file() else name
@@ -84,6 +89,7 @@ def _started(command: Sequence[str], folder: Path, output: IO[bytes]) -> subproc
         return subprocess.Popen(
             [found, *command[1:]],
             cwd=folder,
+            env={**os.environ, **environment},
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
