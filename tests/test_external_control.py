@@ -20,6 +20,7 @@ from sero_mj.base.errors import DeclarationError, SimulationError
 from sero_mj.cli.snippet import snippets
 from sero_mj.simulate.control.controller import Sensed, Target
 from sero_mj.simulate.external_control.library import HEADER
+from sero_mj.simulate.runs.run_source import RunSource
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 
@@ -279,6 +280,10 @@ def test_a_run_may_go_on_without_answers(
         model.update(angles, np.zeros(7))
         assert found[55] == pytest.approx(model.gravity(), abs=1e-9)
     assert (found[60] != found[59]).any()
+    shown = RunSource(run=simulated)
+    (said,) = shown.link_faults(*shown.link_state({"lwr_command_age": np.array([0.25])}))
+    assert said == "no command for 0.25 s"
+    assert not shown.link_faults(*shown.link_state({"lwr_command_age": np.array([0.0])}))
     ages = simulated.log.signals["lwr_command_age"].ravel()
     assert ages[[49, 50, 59, 60]] == pytest.approx([0.0, 0.001, 0.010, 0.0])
     said = [record.message for record in caplog.records]

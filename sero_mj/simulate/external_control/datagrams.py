@@ -98,7 +98,8 @@ class Link:
     def name(self) -> str:
         """Of the program, for messages."""
         declared = self._declared
-        return declared.command[0] if declared.command else f"{declared.host}:{declared.port}"
+        words = [Path(part).name for part in declared.command if PORT not in part]
+        return " ".join(words[:2]) or f"{declared.host}:{declared.port}"
 
     @property
     def is_open(self) -> bool:

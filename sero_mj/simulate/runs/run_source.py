@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
@@ -14,6 +15,8 @@ from ...base.frames import Array
 from ...data.receive.source import Source
 from ...data.receive.structure import Structure
 from .monitor import Finding
+
+_AGE, _OLD = "_command_age", 0.02  # s, of a command that is told
 
 
 class Run(Protocol):
@@ -151,6 +154,15 @@ class RunSource(Source):
     def about(self) -> str:
         """Kind and what it is, for people."""
         return f"{self.run.about}, {self.end:g} s"
+
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """Age of the oldest command of a program that holds a robot, s, and 0; -1 without one."""
+        ages = [float(values[event][0]) for event in self.events if event.endswith(_AGE)]
+        return (max(ages), 0.0) if ages else (-1.0, -1.0)
+
+    def link_faults(self, state: float, quality: float) -> list[str]:
+        """Which commands do not come."""
+        return [f"no command for {state:.2f} s"] if state > _OLD else []
 
     @property
     def is_live(self) -> bool:
