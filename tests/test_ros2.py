@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -433,4 +434,8 @@ def test_a_driver_of_ros_2_kilted_is_seen_over_fast_dds(pytestconfig: pytest.Con
                 assert packet.values["torques"].tolist() == [10, 20]
                 assert source.counters.malformed == 0
         finally:
-            driver.kill()
+            driver.send_signal(signal.SIGINT)  # Fast DDS removes its shared memory then
+            try:
+                driver.wait(5)
+            finally:
+                driver.kill()

@@ -144,7 +144,7 @@ def test_the_run_may_go_on_without_commands(folder: Path) -> None:
 
 def test_in_real_time_commands_come_within_their_step(folder: Path) -> None:
     ages = simulated(folder, "right", duration=0.3, clock="real_time").log.signals
-    assert (ages["lwr_command_age"][1:] < 0.0055).mean() > 0.5  # on a busy machine
+    assert ages["lwr_command_age"][1:].min() == 0.0  # most, on a machine that is not busy
 
 
 @pytest.mark.parametrize(

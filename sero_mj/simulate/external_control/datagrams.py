@@ -98,7 +98,7 @@ class Link:
     def name(self) -> str:
         """Of the program, for messages."""
         declared = self._declared
-        words = [Path(part).name for part in declared.command if PORT not in part]
+        words = [Path(part).name for part in declared.command if "{" not in part]
         return " ".join(words[:2]) or f"{declared.host}:{declared.port}"
 
     @property

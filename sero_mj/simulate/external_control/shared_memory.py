@@ -1,0 +1,178 @@
+"""`kind = "shm"`: a program gets the robot's state in shared memory, and writes what to do there.
+
+Two named pipes carry whose turn it is, a byte for each step. They also tell that the program has
+ended, and neither side has to look again and again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import select
+import shutil
+import tempfile
+import time as clock
+import weakref
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
+
+from pydantic import model_validator
+
+from ...base.errors import Problem
+from ..control.controller import MaybePerJoint
+from ..control.robot_model import RobotModel
+from .datagrams import Answering, Link, ProgramController
+from .exchange import Answer, State
+from .program import Program
+
+# In a command: the file in memory, the pipe to be read from, and the one to be written to.
+MEMORY, TURN, DONE = "{memory}", "{turn}", "{done}"
+ALIGNMENT = 64  # bytes: the answer begins at the next multiple behind the state
+_SLICE = 20  # ms, in which an interrupt and the end of the program are seen
+
+
+class SharedMemoryProgram(Answering):
+    """A program of the user's, over shared memory.
+
+    The state is at the beginning of the file `{memory}`, the answer behind it, at the next multiple
+    of 64 bytes. The program reads a byte from the pipe `{turn}`, reads the state, writes the
+    answer, and writes a byte to the pipe `{done}`.
+
+    Attributes:
+        command: starts the program, with {memory}, {turn} and {done} in it.
+        state: structure of the state, see kind `udp`.
+        answer: structure of the answer, likewise.
+        stiffness: Nm/rad per joint, where answers with joint_angles have none.
+        damping: Nm s/rad per joint, likewise.
+    """
+
+    title: ClassVar[str] = "program over shared memory"
+    order: ClassVar[int] = 72
+
+    kind: Literal["shm"] = "shm"
+    state: str = ""
+    answer: str = ""
+    stiffness: MaybePerJoint = None
+    damping: MaybePerJoint = None
+
+    @model_validator(mode="after")
+    def _is_reachable(self) -> Self:
+        missing = [each for each in (MEMORY, TURN, DONE) if each not in " ".join(self.command)]
+        if missing:
+            expected = f"a program with {', '.join(missing)} among its arguments"
+            raise Problem("command", found=self.command, expected=expected).error()
+        for key, value in (("port", 0), ("clock", "lockstep"), ("host", "127.0.0.1")):
+            if getattr(self, key) != value:
+                raise Problem(key, "is for programs over UDP; leave it out").error()
+        if not hasattr(os, "mkfifo"):
+            raise Problem("kind", "needs named pipes, which this system lacks").error()
+        return self
+
+    def make(self, model: RobotModel, timestep: float) -> ProgramController:
+        """The controller; the program is started with its first step."""
+        gains = [
+            None if getattr(self, key) is None else self.per_joint(key, model.n)
+            for key in ("stiffness", "damping")
+        ]
+        state, answer = State(self.state, model), Answer(self.answer, model, *gains)
+        link = MemoryLink(self, model.name, state.structure.size, answer.structure.size)
+        return ProgramController(self, state, answer, model, timestep, link)
+
+
+class MemoryLink(Link):
+    """Shared memory with a program, which is started.
+
+    Args:
+        declared: the program.
+        robot: name of the robot, for errors.
+        size: bytes of a state.
+        most: bytes of an answer.
+    """
+
+    def __init__(self, declared: Answering, robot: str, size: int, most: int) -> None:
+        super().__init__(declared, robot, most)
+        self._size, self._most = size, most
+        self._at = -(-size // ALIGNMENT) * ALIGNMENT
+        self._memory: mmap.mmap | None = None
+        self._end: weakref.finalize[Any, Any] | None = None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is."""
+        return self._memory is not None
+
+    def open(self, time: float) -> None:
+        """Makes memory and pipes, and starts the program; raises DeclarationError."""
+        shared = Path("/dev/shm")
+        parent = shared if shared.is_dir() else Path(tempfile.gettempdir())
+        folder = Path(tempfile.mkdtemp(prefix="sero-mj-", dir=parent))
+        names = {MEMORY: folder / "memory", TURN: folder / "turn", DONE: folder / "done"}
+        with names[MEMORY].open("wb+") as file:
+            file.truncate(self._at + self._most)
+            self._memory = mmap.mmap(file.fileno(), self._at + self._most)
+        pipes = []
+        for name in (TURN, DONE):
+            os.mkfifo(names[name], 0o600)
+            # Opened for both directions, a pipe waits for nobody.
+            pipes.append(os.open(names[name], os.O_RDWR | os.O_NONBLOCK))
+        self._turn, self._done = pipes
+        self._poll = select.poll()
+        self._poll.register(self._done, select.POLLIN)
+        self._end = weakref.finalize(self, _end, self._memory, pipes, folder)
+        command = []
+        for part in self._declared.command:
+            text = part
+            for key, path in names.items():
+                text = text.replace(key, str(path))
+            command.append(text)
+        self._program = Program(command, self._declared.folder)
+        self._given_up = clock.monotonic() + self._declared.first_patience
+
+    def close(self) -> None:
+        """Ends the program, and removes memory and pipes; harmless when that is done."""
+        super().close()
+        self._memory = None
+        if self._end is not None:
+            self._end()
+
+    def ask(
+        self,
+        packet: bytes | bytearray,
+        step: int,
+        time: float,
+        take: Callable[[int], bool],
+        patience: float | None = None,
+    ) -> bool:
+        """Writes a state, and waits for the answer; see `Link.ask`."""
+        assert self._memory is not None
+        if patience is None:
+            patience = self._declared.patience if self.answered else self._declared.first_patience
+        self._memory[: self._size] = packet
+        if not self.is_silent:  # else it has not taken the last one
+            os.write(self._turn, b"1")
+        left = _SLICE if self.is_silent else patience * 1e3
+        while not self._poll.poll(min(left, _SLICE)):
+            self.check(time)
+            left -= _SLICE
+            if left <= 0.0:
+                return False
+        os.read(self._done, 1)
+        self.buffer[: self._most] = self._memory[self._at :]
+        if not take(self._most):
+            return False
+        self.answered = step
+        return True
+
+    def drain(self) -> int:
+        """Nothing can come before its turn."""
+        return 0
+
+
+def _end(memory: mmap.mmap, pipes: list[int], folder: Path) -> None:
+    for pipe in pipes:
+        os.close(pipe)
+    with contextlib.suppress(BufferError):
+        memory.close()
+    shutil.rmtree(folder, ignore_errors=True)
