@@ -52,6 +52,7 @@ _OF_FLAGS = {
 MOST_SPEED = np.deg2rad([110.0, 110.0, 128.0, 128.0, 204.0, 184.0, 184.0])
 _SOFTEST, _STIFFEST = 0.01, 2000.0  # Nm/rad, of joints; N/m and Nm/rad at the flange
 _RATIOS = 0.1, 1.0
+_DESIGNED_EVERY = 0.1  # s between two designs of the damping matrix
 _REFRESHED = 10  # packets between two computations of the averages over 100
 _ERROR = 1
 _REVERSED = [0, 1, 2, 5, 4, 3]  # FRI has moments about z, y, x
@@ -145,6 +146,8 @@ class FriRobot:
         self._stiffness = declared.per_joint("stiffness", JOINTS)
         self._damping = declared.per_joint("damping", JOINTS)
         self._damper: Array = np.zeros((JOINTS, JOINTS))
+        self._designed, self._design_due = (b"", b""), 0  # for which gains, and until which step
+        self._quality = _UNACCEPTABLE
         self._own = Target(JOINTS)
         self._cartesian = CartesianImpedance()
         self._holder: Any = None  # the control of positions, or of the flange
@@ -167,7 +170,7 @@ class FriRobot:
             self._begin(sensed)
         if (self._step - 1) % self._steps == 0:
             self._exchange(sensed)
-        self.logged[:2] = self.state, self._statistics.quality
+        self.logged[:2] = self.state, self._quality
         self._act(sensed, out)
 
     def close(self) -> None:
@@ -238,6 +241,7 @@ class FriRobot:
 
     def _change_state(self, time: float) -> None:
         quality, begins = self._statistics.quality, self._declared.commands_from
+        self._quality = quality
         if self.state == COMMANDED and quality == _UNACCEPTABLE:
             self._to_monitor(f"quality {QUALITIES[quality]}", time)
         elif (
@@ -276,7 +280,7 @@ class FriRobot:
         self._now = sensed.time
         views["send_counter"][0] = self._counter & 0xFFFF
         views["timestamp"][0] = sensed.time
-        views["state"][0], views["quality"][0] = self.state, self._statistics.quality
+        views["state"][0], views["quality"][0] = self.state, self._quality
         if self._counter % _REFRESHED == 0:
             for name, value in self._statistics.values().items():
                 views[name][0] = value
