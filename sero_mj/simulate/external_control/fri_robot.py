@@ -374,9 +374,11 @@ class FriRobot:
             self._own.torques[:] = 0.0
             self._holder.torques(sensed, self._own, out)
             return
-        model = self._model
-        if (self._step - 1) % self._steps == 0:
+        model, gains = self._model, (self._stiffness.tobytes(), self._damping.tobytes())
+        if gains != self._designed or self._step >= self._design_due:
             self._damper[:] = design_damping(model.mass(), np.diag(self._stiffness), self._damping)
+            self._designed = gains
+            self._design_due = self._step + round(_DESIGNED_EVERY / self._timestep)
         np.subtract(wanted, sensed.motor_angles, out)
         out *= self._stiffness
         out -= self._damper @ sensed.motor_velocities
