@@ -253,6 +253,37 @@ def link_cap(radius: float, face: float, axis: np.ndarray, origin=(0.0, 0.0, 0.0
     }
 
 
+def tool_flange(face: float, holes: Sequence[float], radius: float = 0.033) -> Parts:
+    """Return a flange of ISO 9409-1-50 in its joint's frame: steel plate, dark bolt holes.
+
+    Args:
+        face: mounting face along z, metres.
+        holes: their angles round z, rad, on the circle of 50 mm.
+        radius: of the plate, metres.
+    """
+    plate = [
+        (radius - 0.0010, face - 0.0090),
+        (radius, face - 0.0080),
+        (radius, face - 0.0008),
+        (radius - 0.0008, face),
+        (0.0168, face),
+        (0.0160, face - 0.0008),
+        (0.0150, face - 0.0040),
+    ]
+    # Dark discs 0.1 mm proud: a hole at this scale is a dark spot.
+    spot = [(0.0030, face - 0.0010), (0.0028, face + 0.0001)]
+    places = [(0.025 * np.cos(angle), 0.025 * np.sin(angle), 0.0) for angle in holes]
+    return {
+        "steel": [revolve(plate, sides=24)],
+        "grey": [revolve(spot, Z, place, 8) for place in places],
+    }
+
+
+def recolour(parts: Parts, colours: Mapping[str, str]) -> dict[str, list[trimesh.Trimesh]]:
+    """Return a table of parts under other names of colours."""
+    return merge(*({colours.get(name, name): items} for name, items in parts.items()))
+
+
 def merge(*tables: Parts) -> dict[str, list[trimesh.Trimesh]]:
     """Join tables of parts by colour."""
     out: dict[str, list[trimesh.Trimesh]] = {}

@@ -9,9 +9,7 @@ Denavit-Hartenberg frame.  Colours (rgba): white .93 .93 .92 1, grey .27 .265 .2
 1 .40 .04 1, steel .72 .73 .75 1.  The arm is built from two kinds of part:
 
 * bodies of revolution: base, seam rings, joint caps, wrist ball and flange;
-* five *shells*.  Each is a round tube at its roll seam that leans sideways into half a drum at
-  its pitch joint.  The two shells of a pitch joint meet in a flat disc across the pitch axis, so
-  that both can pass each other up to +-120 degrees.
+* five shells, see ``models/shells.py``.
 
 Run ``python models/lwr/make_meshes.py``; the output is the same byte for byte on every run.
 """
@@ -19,8 +17,6 @@ Run ``python models/lwr/make_meshes.py``; the output is the same byte for byte o
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -32,104 +28,15 @@ from bodies import (
     Y,
     Z,
     cap,
-    close,
     fillet,
-    mix,
-    ramp,
     revolve,
     seam_ring,
-    solid,
-    strip,
+    tool_flange,
     write_links,
 )
+from shells import DISC_GAP, Shell, shell_mesh, wrist_ball
 
 OUT = Path(__file__).resolve().parent / "meshes"
-
-HALF_SIDES = 13  # facets of half a shell's circumference; odd, so a flat flank has two edges
-DRUM_STEPS = 12  # facets of the half turn round a pitch axis
-# Stations of a shoulder's bend, 0 to 1, close together where it curves most.
-BEND = np.array([0.02, 0.20, 0.32, 0.50, 0.66, 0.78, 0.89, 1.0])
-# Which outline points the drum keeps: its small inner edge needs only three of six.
-DRUM_POINTS = np.array([0, 1, 1, 4, 4, 6, 6, *range(7, HALF_SIDES + 1)])
-
-SEAM_GAP = 0.0015  # m, from a shell's rim to the middle of its roll seam
-DISC_GAP = 0.0020  # m, from a drum's face to the middle of its pitch disc
-BEVEL = 0.0010  # m, at a shell's rim; MuJoCo gives a sharp rim one smeared normal without it
-DISC_EDGE = 0.0040  # m, edge radius of a drum at the pitch disc
-
-
-@dataclass(frozen=True)
-class Shell:
-    """Dimensions of one shell in metres; ``w`` runs from the pitch axis to the roll seam."""
-
-    length: float  # pitch axis to roll seam
-    tube: float  # tube radius at the seam
-    drum: float  # drum radius at the pitch axis
-    inner: float  # disc face, measured along the pitch axis towards the shell's own side
-    outer: float  # cap face, likewise
-    rim: float  # edge radius at the cap face
-    shoulder: tuple[float, float]  # w where the far side of the tube swells out
-    lean: tuple[float, float]  # w where the near side leans back to the tube
-    dome: float  # height of the domed shoulder over its edges
-
-
-def shell_section(shell: Shell, w: float) -> np.ndarray:
-    """Return half the outline of a shell at ``w`` (metres) as (u, v) points, inner to outer.
-
-    Two elliptic corners joined by flats: small corners give the drum, full ones the round tube.
-    """
-    swell, lean = ramp(w, *shell.shoulder), ramp(w, *shell.lean)
-    soft = ramp(w, 0.35 * shell.drum, shell.shoulder[1])
-    a = mix(shell.drum, shell.tube, ramp(w, 0.0, shell.shoulder[1]))
-    v0 = mix(shell.inner, -shell.tube, swell)
-    v1 = mix(shell.outer, shell.tube, lean)
-    middle = 0.5 * (v0 + v1)
-    theta = np.arange(HALF_SIDES + 1) * np.pi / HALF_SIDES
-    inside = theta < 0.5 * np.pi
-    small = np.where(inside, DISC_EDGE, shell.rim)
-    reach = np.where(inside, middle - v0, v1 - middle)
-    fu = mix(small, a, soft)
-    fv = mix(small, reach, soft)
-    edge = np.where(inside, v0 + fv, v1 - fv)
-    u = a - fu + fu * np.sin(theta)
-    u[[0, -1]] = 0.0
-    return np.column_stack([u, edge - fv * np.cos(theta)])
-
-
-def shell_mesh(shell: Shell, side: np.ndarray, seam: np.ndarray) -> trimesh.Trimesh:
-    """Sweep a shell's outline from its drum to its roll seam (metres).
-
-    ``side`` is the unit vector along the pitch axis to the shell's own side, ``seam`` the unit
-    vector from the pitch axis to the roll seam.
-    """
-    start, stop = shell.shoulder
-    seam_edge = shell.length - SEAM_GAP
-    tube = []
-    for w in [0.0, 0.5 * start, *(start + (stop - start) * BEND), seam_edge - BEVEL]:
-        half = shell_section(shell, w)
-        u, v = half.T
-        # The shoulder's middle may rise into the wedge that the other shell never sweeps.
-        depth = np.clip(-v / shell.tube, 0.0, 1.0) * (1.0 - (u / u.max()) ** 2)
-        lift = shell.dome * depth * (1.0 - ramp(w, stop, shell.length))
-        half = np.column_stack([half, w - lift])
-        tube.append(np.vstack([half, half[-2:0:-1] * (-1.0, 1.0, 1.0)]))
-    bevel = 1.0 - BEVEL / shell.tube
-    tube.append(tube[-1] * (bevel, bevel, 0.0) + (0.0, 0.0, seam_edge))
-    tube.append(np.tile([0.0, 0.0, seam_edge], (2 * HALF_SIDES, 1)))
-
-    u, v = shell_section(shell, 0.0)[DRUM_POINTS].T
-    turns = np.linspace(0.0, np.pi, DRUM_STEPS + 1)[1:-1]
-    drum = [np.column_stack([u * np.cos(t), v, -u * np.sin(t)]) for t in turns]
-
-    rows = np.arange(len(tube) * 2 * HALF_SIDES).reshape(len(tube), -1)
-    faces = [strip(close(a), close(b)) for a, b in pairwise(rows)]
-    # The drum's half turn leads from the first ring's right half to its left half.
-    right, left = rows[0, : HALF_SIDES + 1], close(rows[0])[HALF_SIDES:][::-1]
-    rows = rows.size + np.arange(len(drum) * (HALF_SIDES + 1)).reshape(len(drum), -1)
-    faces += [strip(b, a) for a, b in pairwise([right, *rows, left])]
-    axes = np.column_stack([np.cross(side, seam), side, seam])
-    return solid(np.vstack(tube + drum) @ axes.T, np.vstack(faces))
-
 
 # The shoulders begin where the other shell, turned by 120 degrees, just clears them.
 BENDS = ((0.082, 0.152), (0.045, 0.150), 0.032)
@@ -183,40 +90,14 @@ def links() -> dict[str, dict[str, list[trimesh.Trimesh]]]:
 
 def wrist() -> dict[str, list[trimesh.Trimesh]]:
     """Return link 6 in its frame (metres): ball cut flat towards link 5, neck along y6, cap."""
-    turn = np.linspace(np.arccos(BALL_CUT / BALL), np.arccos(BALL_FACE / BALL), 10)
-    arc = BALL * np.column_stack([np.sin(turn), np.cos(turn)])
-    rim = arc[0, 0]
-    arc[0] += (-0.0004, 0.0010)
-    body = revolve(np.vstack([[(rim - 0.0012, BALL_CUT)], arc]), Z, sides=26)
-    neck = [(NECK - 0.001, 0.039), (NECK, 0.040), (NECK, 0.0548), (NECK - 0.0007, 0.0555)]
-    parts = cap(arc[-1, 0] - 0.004, BALL_FACE, Z)
-    parts["white"] = [body, revolve(neck, Y)]
-    parts["grey"] += [
-        seam_ring(rim - RING_INSET, BALL_CUT - 0.001),
-        seam_ring(NECK - RING_INSET, 0.057, Y),
-    ]
-    return parts
+    return wrist_ball(BALL, BALL_CUT, BALL_FACE, NECK, 0.057, Y)
 
 
 def flange() -> dict[str, list[trimesh.Trimesh]]:
     """Return link 7 in its frame (metres): collar and tool flange with pilot bore and bolts."""
     rim = [(NECK - 0.0008, 0.0585), (NECK, 0.0593), (NECK, 0.0715, 0.003), (0.03, 0.0715)]
-    plate = [
-        (0.0320, 0.069),
-        (0.0330, 0.070),
-        (0.0330, 0.0772),
-        (0.0322, 0.078),
-        (0.0168, 0.078),
-        (0.0160, 0.0772),
-        (0.0150, 0.0740),
-    ]
-    holes = []
-    for i in range(7):  # seven of eight: the eighth place is the dowel's, as on ISO 9409 flanges
-        a = i * np.pi / 4.0
-        at = (0.0250 * np.cos(a), 0.0250 * np.sin(a), 0.0)
-        # Dark discs 0.1 mm proud: a hole at this scale is a dark spot.
-        holes.append(revolve([(0.0030, 0.0770), (0.0028, 0.0781)], Z, at, 8))
-    return {"white": [revolve(fillet(rim, 2))], "steel": [revolve(plate, sides=24)], "grey": holes}
+    # Seven of eight: the eighth place is the dowel's, as on ISO 9409 flanges.
+    return {"white": [revolve(fillet(rim, 2))], **tool_flange(0.078, np.arange(7) * np.pi / 4.0)}
 
 
 if __name__ == "__main__":

@@ -1,0 +1,140 @@
+"""Shells of arms whose joints roll and pitch by turns, for the scripts that write their meshes.
+
+A shell is a round tube at its roll seam that leans sideways into half a drum at its pitch joint.
+The two shells of a pitch joint meet in a flat disc across the pitch axis, so that both can pass
+each other up to +-120 degrees, or fold where their tubes stand aside of that axis.
+
+The shapes are this project's own design; no manufacturer's data is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import trimesh
+from bodies import RING_INSET, Z, cap, close, mix, ramp, revolve, seam_ring, solid, strip
+
+HALF_SIDES = 13  # facets of half a shell's circumference; odd, so a flat flank has two edges
+DRUM_STEPS = 12  # facets of the half turn round a pitch axis
+# Stations of a shoulder's bend, 0 to 1, close together where it curves most.
+BEND = np.array([0.02, 0.20, 0.32, 0.50, 0.66, 0.78, 0.89, 1.0])
+# Which outline points the drum keeps: its small inner edge needs only three of six.
+DRUM_POINTS = np.array([0, 1, 1, 4, 4, 6, 6, *range(7, HALF_SIDES + 1)])
+
+SEAM_GAP = 0.0015  # m, from a shell's rim to the middle of its roll seam
+DISC_GAP = 0.0020  # m, from a drum's face to the middle of its pitch disc
+BEVEL = 0.0010  # m, at a shell's rim; MuJoCo gives a sharp rim one smeared normal without it
+DISC_EDGE = 0.0040  # m, edge radius of a drum at the pitch disc
+
+
+@dataclass(frozen=True)
+class Shell:
+    """Dimensions of one shell in metres; ``w`` runs from the pitch axis to the roll seam."""
+
+    length: float  # pitch axis to roll seam
+    tube: float  # tube radius at the seam
+    drum: float  # drum radius at the pitch axis
+    inner: float  # disc face, measured along the pitch axis towards the shell's own side
+    outer: float  # cap face, likewise
+    rim: float  # edge radius at the cap face
+    shoulder: tuple[float, float]  # w where the far side of the tube swells out
+    lean: tuple[float, float]  # w where the near side leans back to the tube
+    dome: float  # height of the domed shoulder over its edges
+    offset: float = 0.0  # of the roll seam from the pitch axis, along side x seam
+
+
+def shell_section(shell: Shell, w: float) -> np.ndarray:
+    """Return half the outline of a shell at ``w`` (metres) as (u, v) points, inner to outer.
+
+    Two elliptic corners joined by flats: small corners give the drum, full ones the round tube.
+    """
+    swell, lean = ramp(w, *shell.shoulder), ramp(w, *shell.lean)
+    soft = ramp(w, 0.35 * shell.drum, shell.shoulder[1])
+    a = mix(shell.drum, shell.tube, ramp(w, 0.0, shell.shoulder[1]))
+    v0 = mix(shell.inner, -shell.tube, swell)
+    v1 = mix(shell.outer, shell.tube, lean)
+    middle = 0.5 * (v0 + v1)
+    theta = np.arange(HALF_SIDES + 1) * np.pi / HALF_SIDES
+    inside = theta < 0.5 * np.pi
+    small = np.where(inside, DISC_EDGE, shell.rim)
+    reach = np.where(inside, middle - v0, v1 - middle)
+    fu = mix(small, a, soft)
+    fv = mix(small, reach, soft)
+    edge = np.where(inside, v0 + fv, v1 - fv)
+    u = a - fu + fu * np.sin(theta)
+    u[[0, -1]] = 0.0
+    return np.column_stack([u, edge - fv * np.cos(theta)])
+
+
+def shell_mesh(shell: Shell, side: np.ndarray, seam: np.ndarray) -> trimesh.Trimesh:
+    """Sweep a shell's outline from its drum to its roll seam (metres).
+
+    ``side`` is the unit vector along the pitch axis to the shell's own side, ``seam`` the unit
+    vector from the pitch axis to the roll seam.
+    """
+    start, stop = shell.shoulder
+    seam_edge = shell.length - SEAM_GAP
+    tube, aside = [], []
+    for w in [0.0, 0.5 * start, *(start + (stop - start) * BEND), seam_edge - BEVEL]:
+        half = shell_section(shell, w)
+        u, v = half.T
+        # The shoulder's middle may rise into the wedge that the other shell never sweeps.
+        depth = np.clip(-v / shell.tube, 0.0, 1.0) * (1.0 - (u / u.max()) ** 2)
+        lift = shell.dome * depth * (1.0 - ramp(w, stop, shell.length))
+        half = np.column_stack([half, w - lift])
+        tube.append(np.vstack([half, half[-2:0:-1] * (-1.0, 1.0, 1.0)]))
+        aside.append(shell.offset * ramp(w, 0.0, stop))
+    bevel = 1.0 - BEVEL / shell.tube
+    tube.append(tube[-1] * (bevel, bevel, 0.0) + (0.0, 0.0, seam_edge))
+    tube.append(np.tile([0.0, 0.0, seam_edge], (2 * HALF_SIDES, 1)))
+    aside += [shell.offset] * 2
+    shifts = np.outer(aside, (1.0, 0.0, 0.0))
+    tube = [ring + shift for ring, shift in zip(tube, shifts, strict=True)]
+
+    u, v = shell_section(shell, 0.0)[DRUM_POINTS].T
+    turns = np.linspace(0.0, np.pi, DRUM_STEPS + 1)[1:-1]
+    drum = [np.column_stack([u * np.cos(t), v, -u * np.sin(t)]) for t in turns]
+
+    rows = np.arange(len(tube) * 2 * HALF_SIDES).reshape(len(tube), -1)
+    faces = [strip(close(a), close(b)) for a, b in pairwise(rows)]
+    # The drum's half turn leads from the first ring's right half to its left half.
+    right, left = rows[0, : HALF_SIDES + 1], close(rows[0])[HALF_SIDES:][::-1]
+    rows = rows.size + np.arange(len(drum) * (HALF_SIDES + 1)).reshape(len(drum), -1)
+    faces += [strip(b, a) for a, b in pairwise([right, *rows, left])]
+    axes = np.column_stack([np.cross(side, seam), side, seam])
+    return solid(np.vstack(tube + drum) @ axes.T, np.vstack(faces))
+
+
+def wrist_ball(
+    radius: float, cut: float, face: float, neck: float, seam: float, axis: np.ndarray
+) -> dict[str, list[trimesh.Trimesh]]:
+    """Return the ball of a wrist in its frame: cut flat towards its carrier, neck, cap.
+
+    Args:
+        radius: of the ball, metres.
+        cut: place of its flat along z, metres; below zero.
+        face: place of the flat under its cap, likewise.
+        neck: radius of the neck, metres.
+        seam: from the middle to the neck's seam, metres.
+        axis: unit vector along the neck.
+    """
+    turn = np.linspace(np.arccos(cut / radius), np.arccos(face / radius), 10)
+    arc = radius * np.column_stack([np.sin(turn), np.cos(turn)])
+    rim = arc[0, 0]
+    arc[0] += (-0.0004, 0.0010)
+    body = revolve(np.vstack([[(rim - 0.0012, cut)], arc]), Z, sides=26)
+    stub = [
+        (neck - 0.0010, seam - 0.0180),
+        (neck, seam - 0.0170),
+        (neck, seam - 0.0022),
+        (neck - 0.0007, seam - 0.0015),
+    ]
+    parts = cap(arc[-1, 0] - 0.004, face, Z)
+    parts["white"] = [body, revolve(stub, axis)]
+    parts["grey"] += [
+        seam_ring(rim - RING_INSET, cut - 0.001),
+        seam_ring(neck - RING_INSET, seam, axis),
+    ]
+    return parts
