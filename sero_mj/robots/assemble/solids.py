@@ -47,6 +47,21 @@ def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array
     return centre - half, centre + half
 
 
+def lowest_height(model: mujoco.MjModel, data: mujoco.MjData, geoms: Ints) -> float:
+    """Returns the height of the lowest point of geoms, m; of meshes by their vertices.
+
+    Boxes stand in for other kinds: about a tilted mesh they may reach far below it.
+    """
+    heights = geom_boxes(model, data)[0][:, 2]
+    for geom in geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_MESH]:
+        mesh = int(model.geom_dataid[geom])
+        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        upwards = data.geom_xmat[geom, 6:]  # in the geom's frame
+        rise = model.mesh_vert[start : start + count] @ upwards
+        heights[geom] = data.geom_xpos[geom, 2] + rise.min()
+    return float(heights[geoms].min())
+
+
 class Solids:
     """The shown geoms and skins of a model, in one pose.
 

@@ -31,7 +31,7 @@ from .mjcf_dynamics import set_contact_defaults, set_inertia, weighed_model
 from .mjcf_elements import Hull, mesh_assets
 from .parts import DoublePart, DrawnDouble, RobotPart, make_tables
 from .robot_dynamics import RobotDynamics, about_masses, robot_dynamics
-from .solids import geom_boxes
+from .solids import lowest_height
 from .world_view import SET_BY_PROGRAM, SET_BY_SOURCE, WorldView
 
 log = logging.getLogger(__name__)
@@ -281,8 +281,8 @@ class World(WorldView):
 
     def _lower_floor(self) -> None:
         """Moves the floor to the lowest point of the declared scene, if that is lower."""
-        data, seen = self._at_home(), self.geoms_in_view()
-        low = float(geom_boxes(self.model, data)[0][seen, 2].min()) if seen.any() else 0.0
+        data, seen = self._at_home(), np.flatnonzero(self.geoms_in_view())
+        low = lowest_height(self.model, data, seen) if len(seen) else 0.0
         floor = self.model.geom("floor").id
         height = min(low, 0.0)
         self.model.geom_pos[floor, 2] = self._spec.geom("floor").pos[2] = height
