@@ -206,7 +206,7 @@ def test_the_left_palm_is_the_right_one_in_a_mirror(model):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("trimesh") is None, reason="needs trimesh")
-@pytest.mark.parametrize("name", sampled(["lwr", *BY_HAND, "biped", "iiwa14"], 2))
+@pytest.mark.parametrize("name", sampled(["lwr", *BY_HAND, "biped", "fr3", "iiwa14"], 2))
 def test_mesh_script_reproduces_the_committed_files_byte_for_byte(name, tmp_path):
     shutil.copytree(MODELS, tmp_path / "models", ignore=shutil.ignore_patterns("*.stl"))
     folder = tmp_path / "models" / name

@@ -10,6 +10,7 @@ import pytest
 from newton_euler import inverse_dynamics
 from poses import chain, move, rot
 
+from sero_mj.load import load_scene
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
@@ -17,6 +18,7 @@ from sero_mj.robots.declared.scene import Scene
 
 HALF_PI, QUARTER = math.pi / 2, math.pi / 4
 NAMES = ["puma560", "panda", "scara", "stanford", "ur5e", "ur10e", "fr3", "iiwa14"]
+SHAPED = ["fr3", "iiwa14"]  # with meshes
 QN = np.array([0, math.pi / 4, -math.pi, 0, math.pi / 4, 0])  # the Puma's nominal pose
 
 
@@ -237,3 +239,24 @@ def test_panda_holds_itself_as_its_masses_say():
     np.testing.assert_allclose(data.qfrc_bias, gradient, atol=1e-6)
     assert (np.abs(gradient) < robot.torque_limits).all()
     assert dynamics.masses[1:].sum() == pytest.approx(16.062132)
+
+
+@pytest.mark.parametrize("name", SHAPED)
+def test_meshes_stand_on_the_floor_and_end_at_the_flange(name):
+    world = World(load_scene(name), dynamic=True)
+    model, data = world.model, world.make_data()
+    mujoco.mj_forward(model, data)
+    assert not data.ncon  # in the shipped pose
+    assert model.geom("floor").pos[2] == pytest.approx(0, abs=1e-6)
+    part = world.robots[name]
+    flange = world.fwd_kin_base_to_flange(data, name)
+    along = []
+    for geom in np.flatnonzero(
+        (model.geom_bodyid == part.bodies[-1]) & (model.geom_dataid >= 0) & (model.geom_group < 3)
+    ):
+        mesh = model.geom_dataid[geom]
+        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        rotation = data.geom_xmat[geom].reshape(3, 3)
+        points = model.mesh_vert[start : start + count] @ rotation.T + data.geom_xpos[geom]
+        along.append((points - flange[:3, 3]) @ flange[:3, 2])
+    assert np.concatenate(along).max() == pytest.approx(0, abs=2e-4)
