@@ -207,12 +207,19 @@ def _end(rows: np.ndarray, k: int, edge: float) -> np.ndarray:
     return np.array(out)
 
 
-def drum(radius: float, half: float, axis=Z, origin=(0.0, 0.0, 0.0), edge: float = 0.004):
+def drum(
+    radius: float,
+    half: float,
+    axis=Z,
+    origin=(0.0, 0.0, 0.0),
+    edge: float = 0.004,
+    sides: int = ROUND_SIDES,
+) -> trimesh.Trimesh:
     """Return a round body with rounded edges, ``half`` to both sides along ``axis``, metres."""
     edge = min(edge, 0.9 * half, 0.9 * radius)
     flank = [(radius, half, edge), (0.0, half)]
     profile = [(0.0, -half), (radius, -half, edge), *flank]
-    return revolve(fillet(profile, 3), axis, origin)
+    return revolve(fillet(profile, 3), axis, origin, sides)
 
 
 def limb(start, stop, radii: tuple[float, float], power: float = 2.0) -> trimesh.Trimesh:

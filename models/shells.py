@@ -16,13 +16,8 @@ import numpy as np
 import trimesh
 from bodies import RING_INSET, Z, cap, close, mix, ramp, revolve, seam_ring, solid, strip
 
-HALF_SIDES = 13  # facets of half a shell's circumference; odd, so a flat flank has two edges
-DRUM_STEPS = 12  # facets of the half turn round a pitch axis
 # Stations of a shoulder's bend, 0 to 1, close together where it curves most.
 BEND = np.array([0.02, 0.20, 0.32, 0.50, 0.66, 0.78, 0.89, 1.0])
-# Which outline points the drum keeps: its small inner edge needs only three of six.
-DRUM_POINTS = np.array([0, 1, 1, 4, 4, 6, 6, *range(7, HALF_SIDES + 1)])
-
 SEAM_GAP = 0.0015  # m, from a shell's rim to the middle of its roll seam
 DISC_GAP = 0.0020  # m, from a drum's face to the middle of its pitch disc
 BEVEL = 0.0010  # m, at a shell's rim; MuJoCo gives a sharp rim one smeared normal without it
@@ -31,7 +26,11 @@ DISC_EDGE = 0.0040  # m, edge radius of a drum at the pitch disc
 
 @dataclass(frozen=True)
 class Shell:
-    """Dimensions of one shell in metres; ``w`` runs from the pitch axis to the roll seam."""
+    """Dimensions of one shell in metres; ``w`` runs from the pitch axis to the roll seam.
+
+    ``sides`` are facets of half its circumference, 6 k + 1: odd, so that a flat flank has two
+    edges.  ``turns`` are facets of the half turn round the pitch axis.
+    """
 
     length: float  # pitch axis to roll seam
     tube: float  # tube radius at the seam
@@ -43,6 +42,8 @@ class Shell:
     lean: tuple[float, float]  # w where the near side leans back to the tube
     dome: float  # height of the domed shoulder over its edges
     offset: float = 0.0  # of the roll seam from the pitch axis, along side x seam
+    sides: int = 13
+    turns: int = 12
 
 
 def shell_section(shell: Shell, w: float) -> np.ndarray:
@@ -56,7 +57,7 @@ def shell_section(shell: Shell, w: float) -> np.ndarray:
     v0 = mix(shell.inner, -shell.tube, swell)
     v1 = mix(shell.outer, shell.tube, lean)
     middle = 0.5 * (v0 + v1)
-    theta = np.arange(HALF_SIDES + 1) * np.pi / HALF_SIDES
+    theta = np.arange(shell.sides + 1) * np.pi / shell.sides
     inside = theta < 0.5 * np.pi
     small = np.where(inside, DISC_EDGE, shell.rim)
     reach = np.where(inside, middle - v0, v1 - middle)
@@ -75,9 +76,12 @@ def shell_mesh(shell: Shell, side: np.ndarray, seam: np.ndarray) -> trimesh.Trim
     vector from the pitch axis to the roll seam.
     """
     start, stop = shell.shoulder
+    sides, third = shell.sides, shell.sides // 6
     seam_edge = shell.length - SEAM_GAP
     tube, aside = [], []
-    for w in [0.0, 0.5 * start, *(start + (stop - start) * BEND), seam_edge - BEVEL]:
+    # Flanks that lean from the pitch axis on curve from there on.
+    low = start * np.linspace(0.0, 1.0, 8 if shell.offset else 2, endpoint=False)
+    for w in [*low, *(start + (stop - start) * BEND), seam_edge - BEVEL]:
         half = shell_section(shell, w)
         u, v = half.T
         # The shoulder's middle may rise into the wedge that the other shell never sweeps.
@@ -88,20 +92,23 @@ def shell_mesh(shell: Shell, side: np.ndarray, seam: np.ndarray) -> trimesh.Trim
         aside.append(shell.offset * ramp(w, 0.0, stop))
     bevel = 1.0 - BEVEL / shell.tube
     tube.append(tube[-1] * (bevel, bevel, 0.0) + (0.0, 0.0, seam_edge))
-    tube.append(np.tile([0.0, 0.0, seam_edge], (2 * HALF_SIDES, 1)))
+    tube.append(np.tile([0.0, 0.0, seam_edge], (2 * sides, 1)))
     aside += [shell.offset] * 2
     shifts = np.outer(aside, (1.0, 0.0, 0.0))
     tube = [ring + shift for ring, shift in zip(tube, shifts, strict=True)]
 
-    u, v = shell_section(shell, 0.0)[DRUM_POINTS].T
-    turns = np.linspace(0.0, np.pi, DRUM_STEPS + 1)[1:-1]
+    # Of its small inner edge the drum keeps only three points.
+    inner = np.repeat([1, 2 * third, 3 * third], third)
+    kept = np.array([0, *inner, *range(3 * third + 1, sides + 1)])
+    u, v = shell_section(shell, 0.0)[kept].T
+    turns = np.linspace(0.0, np.pi, shell.turns + 1)[1:-1]
     drum = [np.column_stack([u * np.cos(t), v, -u * np.sin(t)]) for t in turns]
 
-    rows = np.arange(len(tube) * 2 * HALF_SIDES).reshape(len(tube), -1)
+    rows = np.arange(len(tube) * 2 * sides).reshape(len(tube), -1)
     faces = [strip(close(a), close(b)) for a, b in pairwise(rows)]
     # The drum's half turn leads from the first ring's right half to its left half.
-    right, left = rows[0, : HALF_SIDES + 1], close(rows[0])[HALF_SIDES:][::-1]
-    rows = rows.size + np.arange(len(drum) * (HALF_SIDES + 1)).reshape(len(drum), -1)
+    right, left = rows[0, : sides + 1], close(rows[0])[sides:][::-1]
+    rows = rows.size + np.arange(len(drum) * (sides + 1)).reshape(len(drum), -1)
     faces += [strip(b, a) for a, b in pairwise([right, *rows, left])]
     axes = np.column_stack([np.cross(side, seam), side, seam])
     return solid(np.vstack(tube + drum) @ axes.T, np.vstack(faces))

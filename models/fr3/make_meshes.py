@@ -47,13 +47,18 @@ WRIST = 0.088  # m, from axis 6 to axis 7
 SEAM_1 = 0.140  # m, height above the floor
 SEAM_5 = 0.262  # m, below axis 6
 
-SHOULDER_1 = Shell(0.193, TUBE, 0.062, DISC_GAP, 0.098, 0.026, (0.076, 0.146), (0.040, 0.150), 0.03)
-SHOULDER_2 = Shell(0.194, TUBE, 0.062, DISC_GAP, 0.098, 0.026, (0.076, 0.146), (0.040, 0.150), 0.03)
+FINE = {"sides": 19, "turns": 18}
+SHOULDER_1 = Shell(
+    0.193, TUBE, 0.062, DISC_GAP, 0.098, 0.026, (0.076, 0.146), (0.040, 0.150), 0.03, **FINE
+)
+SHOULDER_2 = Shell(
+    0.194, TUBE, 0.062, DISC_GAP, 0.098, 0.026, (0.076, 0.146), (0.040, 0.150), 0.03, **FINE
+)
 ELBOW_3 = Shell(
-    0.122, TUBE, 0.060, DISC_GAP, 0.092, 0.024, (0.066, 0.116), (0.020, 0.112), 0.012, ELBOW
+    0.122, TUBE, 0.060, DISC_GAP, 0.092, 0.024, (0.066, 0.116), (0.020, 0.112), 0.012, ELBOW, **FINE
 )
 ELBOW_4 = Shell(
-    0.122, TUBE, 0.060, DISC_GAP, 0.092, 0.024, (0.066, 0.116), (0.020, 0.112), 0.012, ELBOW
+    0.122, TUBE, 0.060, DISC_GAP, 0.092, 0.024, (0.066, 0.116), (0.020, 0.112), 0.012, ELBOW, **FINE
 )
 
 DISC_6 = 0.050  # m, from axis 7 to the disc of joint 6, along its axis
@@ -85,9 +90,9 @@ def base() -> Parts:
     foot = [(0.0, 0.110, 0.098, 2.6, -0.036, 0.0), (0.009, 0.110, 0.098, 2.6, -0.036, 0.0)]
     plugs = [drum(0.012, 0.005, X, (-0.139, y, 0.030), 0.002) for y in (-0.022, 0.022)]
     return {
-        "white": [loft(body, edges=(0.003, BEVEL), steps=3, sides=32)],
+        "white": [loft(body, edges=(0.003, BEVEL), steps=3, sides=40)],
         "grey": [
-            loft(foot, edges=(0.0015, 0.0015), sides=32),
+            loft(foot, edges=(0.0015, 0.0015), sides=40),
             seam_ring(TUBE - RING_INSET, SEAM_1),
             *plugs,
         ],
@@ -130,8 +135,8 @@ def forearm() -> Parts:
     inner = DISC_6 + DISC_GAP
     middle, half = 0.5 * (inner + COVER_6), 0.5 * (COVER_6 - inner)
     return merge(
-        {"white": [loft(stations, edges=(BEVEL, 0.01), steps=3, sides=30)]},
-        {"white": [drum(DRUM_6, half, Y, (0.0, middle, 0.0), 0.010)]},
+        {"white": [loft(stations, edges=(BEVEL, 0.01), steps=4, sides=36)]},
+        {"white": [drum(DRUM_6, half, Y, (0.0, middle, 0.0), 0.010, 36)]},
         cover(DRUM_6 - 0.016, COVER_6, Y),
     )
 
@@ -149,9 +154,9 @@ def wrist() -> Parts:
     return merge(
         {
             "white": [
-                drum(DRUM_6, 0.5 * (high - low), Z, (0.0, 0.0, 0.5 * (high + low)), 0.012),
-                loft(bridge, (Y, Z, X), edges=(0.01, 0.01), steps=3, sides=28),
-                drum(DRUM_7, half, Y, (WRIST, middle, 0.0), 0.010),
+                drum(DRUM_6, 0.5 * (high - low), Z, (0.0, 0.0, 0.5 * (high + low)), 0.012, 36),
+                loft(bridge, (Y, Z, X), edges=(0.01, 0.01), steps=3, sides=36),
+                drum(DRUM_7, half, Y, (WRIST, middle, 0.0), 0.010, 36),
             ],
             "grey": [seam_ring(DRUM_6 - RING_INSET - 0.004, -DISC_6)],
         },
@@ -174,7 +179,7 @@ def flange() -> Parts:
     return {
         **parts,
         "white": [
-            revolve(fillet(rim, 3), sides=28),
+            revolve(fillet(rim, 3), sides=36),
             loft(nose, (np.cross(Z, side), Z, side), 0.0812 * Z, edges=(0.004, 0.006)),
         ],
         "grey": [*parts["grey"], seam_ring(DRUM_7 - RING_INSET, SEAM_7)],

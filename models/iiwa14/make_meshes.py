@@ -39,13 +39,18 @@ from shells import DISC_GAP, Shell, shell_mesh, wrist_ball
 
 OUT = Path(__file__).resolve().parent / "meshes"
 
+FINE = {"sides": 19, "turns": 18}
 # The shoulders begin where the other shell, turned by 120 degrees, just clears them.
 BENDS = ((0.096, 0.166), (0.052, 0.160), 0.036)
-SHOULDER_1 = Shell(0.2025, 0.078, 0.083, DISC_GAP, 0.092, 0.036, *BENDS)
-SHOULDER_2 = Shell(0.2045, 0.075, 0.083, DISC_GAP, 0.092, 0.036, *BENDS)
-ELBOW_3 = Shell(0.2155, 0.075, 0.078, DISC_GAP, 0.086, 0.034, *BENDS)
-ELBOW_4 = Shell(0.1845, 0.069, 0.078, DISC_GAP, 0.086, 0.034, (0.092, 0.156), (0.050, 0.150), 0.034)
-WRIST_5 = Shell(0.2155, 0.069, 0.056, 0.044, 0.083, 0.020, (0.046, 0.156), (0.034, 0.166), 0.024)
+SHOULDER_1 = Shell(0.2025, 0.078, 0.083, DISC_GAP, 0.092, 0.036, *BENDS, **FINE)
+SHOULDER_2 = Shell(0.2045, 0.075, 0.083, DISC_GAP, 0.092, 0.036, *BENDS, **FINE)
+ELBOW_3 = Shell(0.2155, 0.075, 0.078, DISC_GAP, 0.086, 0.034, *BENDS, **FINE)
+ELBOW_4 = Shell(
+    0.1845, 0.069, 0.078, DISC_GAP, 0.086, 0.034, (0.092, 0.156), (0.050, 0.150), 0.034, **FINE
+)
+WRIST_5 = Shell(
+    0.2155, 0.069, 0.056, 0.044, 0.083, 0.020, (0.046, 0.156), (0.034, 0.166), 0.024, **FINE
+)
 
 BALL = 0.068  # m, radius of link 6
 BALL_CUT = -0.042  # m, its flat towards link 5, along z6
