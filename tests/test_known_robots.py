@@ -18,7 +18,7 @@ from sero_mj.robots.declared.scene import Scene
 
 HALF_PI, QUARTER = math.pi / 2, math.pi / 4
 NAMES = ["puma560", "panda", "scara", "stanford", "ur5e", "ur10e", "fr3", "iiwa14"]
-SHAPED = ["fr3", "iiwa14", "ur5e", "ur10e"]  # with meshes
+SHAPED = ["panda", "fr3", "iiwa14", "ur5e", "ur10e"]  # with meshes
 QN = np.array([0, math.pi / 4, -math.pi, 0, math.pi / 4, 0])  # the Puma's nominal pose
 
 

@@ -12,7 +12,7 @@ import pytest
 from conftest import ROOT
 from test_cli import run
 
-from sero_mj import Mirror, SerialRobot, World, load_scene
+from sero_mj import Mirror, Scene, SerialRobot, World, load_scene
 from sero_mj.base.declaration import Declaration
 from sero_mj.base.plugins import SOURCES, plugins
 from sero_mj.cli.listing import scenario_tables, scene_tables
@@ -124,13 +124,16 @@ def test_a_new_robot_is_right_and_moves_from_packets(
     assert 0.3 < reach < 3.0
 
 
+@pytest.mark.parametrize("like", ["lwr", "panda"])  # the latter has meshes of another robot
 def test_a_copy_is_the_robot_it_is_like(
-    capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    like: str, capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(capsys, "new", "ours", "--like", "lwr")[0] == 0
-    ours, lwr = SerialRobot.from_model("ours/robot.toml"), SerialRobot.from_model("lwr")
-    np.testing.assert_array_equal(ours.dh_params, lwr.dh_params)
+    assert run(capsys, "new", "ours", "--like", like)[0] == 0
+    ours, original = SerialRobot.from_model("ours/robot.toml"), SerialRobot.from_model(like)
+    np.testing.assert_array_equal(ours.dh_params, original.dh_params)
+    made, there = (World(Scene(robots=[robot])).model for robot in (ours, original))
+    np.testing.assert_array_equal(made.mesh_vert, there.mesh_vert)
     assert Path("ours/meshes").is_dir() and Path(ours.directory).is_relative_to(tmp_path)
     again = run(capsys, "new", "theirs", "--like", "ours")
     assert again[0] == 0

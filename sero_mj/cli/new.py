@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+import tomllib
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -162,13 +164,18 @@ def scene_text(name: str, n: int, more: str = "", joints: str = "") -> str:
 
 
 def _copy(model: Path, to: Path) -> None:
-    """Copies a robot's file and all that is in folders beside it."""
+    """Copies a robot's file, all that is in folders beside it, and the meshes of another robot."""
     to.parent.mkdir()
     for each in model.parent.iterdir():
         if each.is_dir() and not each.name.startswith(("_", ".")):
             shutil.copytree(each, to.parent / each.name)
     lines = model.read_text(encoding="utf-8").splitlines(keepends=True)
     kept = [line for line in lines if not line.startswith("#:schema")]
+    shared = tomllib.loads("".join(kept)).get("directory", "")
+    if ".." in Path(shared).parts:
+        own = Path(shared).name
+        shutil.copytree(model.parent / shared, to.parent / own)
+        kept = [line.replace(json.dumps(shared), json.dumps(own)) for line in kept]
     to.write_text("".join(["#:schema ./robot.schema.json\n", *kept]), encoding="utf-8")
 
 
