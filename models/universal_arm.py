@@ -29,7 +29,7 @@ from bodies import (
     tool_flange,
 )
 
-SIDES = 36  # facets of housings
+SIDES = 48  # facets of housings
 GAP = 0.0012  # m, from a housing's rim to the middle of its seam
 BEVEL = 0.0015  # m, at a rim; MuJoCo gives a sharp rim one smeared normal without it
 COLLAR = 0.022  # m, from a housing's flank to the end of the neck that holds a tube
