@@ -358,6 +358,24 @@ def test_whatever_robot_a_network_has_is_shown(
 
 
 @pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("no XML", "the robot_description is no URDF: it begins with 'no XML'"),
+        ("<robot name='x'><link", "described.urdf"),
+        ("<robot name='x'/>", "has no <link>"),
+    ],
+)
+def test_descriptions_that_are_none_are_told(
+    peer: Peer, text: str, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    peer.say(write="/wrong/robot_description", kind="String", message={"data": text})
+    peer.say(write="/wrong/joint_states", kind="JointState", message={"name": ["a"]})
+    address = f"ros2://:{DOMAIN}/wrong"
+    status, _, error = run(capsys, "render", address, "--output", "never.png")
+    assert (status, said in error) == (2, True), error
+
+
+@pytest.mark.parametrize(
     ("address", "said"),
     [
         ("ros2://:999", "domain 999; expected 0 to 232"),

@@ -10,12 +10,13 @@ from typing import Any
 from xml.etree import ElementTree
 
 from ...base import paths
-from ...base.errors import UsageError
+from ...base.errors import UsageError, shown
 from ..ros.network import SCHEME, Address, Found, find_robot
 from .bag_topics import joint_routes
 
 _PATIENCE = 5.0  # s for a network to tell of its robot
 _SOURCE = "ros"
+_SHOWN = 40  # characters of what is no description
 
 
 def scene_of_network(text: str) -> Path:
@@ -38,8 +39,15 @@ def scene_of_network(text: str) -> Path:
 
 def _robot(address: Address, found: Found) -> str:
     """The model of a robot that was found, or its description."""
-    if address.robot or found.urdf:
-        return address.robot or found.urdf
+    if address.robot:
+        return address.robot
+    if found.urdf:
+        if not _is_xml(found.urdf):
+            begin = shown(found.urdf[:_SHOWN])
+            url = f"{SCHEME}{address.host}?robot=NAME"
+            hint = f"{url} says which robot it is"
+            raise UsageError(f"the robot_description is no URDF: it begins with {begin}; {hint}")
+        return found.urdf
     if len(found.robots) == 1:
         return found.robots[0]
     url = f"{SCHEME}{address.host}?robot=NAME"
@@ -58,7 +66,7 @@ def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path
         source: the table of what moves it; None for nothing.
     """
     folder, model = paths.make_temporary_folder(), robot
-    if robot.lstrip("\ufeff \t\r\n").startswith("<"):
+    if _is_xml(robot):
         name = _name_in(robot)
         model = f"{name}.urdf"
         (folder / model).write_text(robot, encoding="utf-8")
@@ -76,6 +84,10 @@ def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path
     return file
 
 
+def _is_xml(text: str) -> bool:
+    return text.lstrip("\ufeff \t\r\n").startswith("<")
+
+
 def _toml(name: str, table: Mapping[str, Any]) -> str:
     """A table of numbers and texts in TOML, which writes these as JSON does."""
     head = f"[{name}]\n" if name else ""
@@ -90,4 +102,4 @@ def _name_in(urdf: str) -> str:
         name = ElementTree.fromstring(urdf).get("name", "")
     except ElementTree.ParseError:  # which opening it reports
         name = ""
-    return re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", name) if name else "robot"
+    return re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", name) if name else "described"
