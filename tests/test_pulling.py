@@ -214,6 +214,11 @@ def test_the_pointer_pulls_in_the_plane_of_the_picture_through_the_point() -> No
     assert (target - point) @ forward == pytest.approx(0.0, abs=1e-12)
 
 
+def test_where_nothing_can_be_pulled_no_action_is_taken_from_other_tools() -> None:
+    with Mirror(load_scene("lwr")) as mirror:
+        assert Pulling(Shown(mirror, clock=Clock(mirror))).actions() == {}
+
+
 @pytest.mark.gl
 def test_what_is_under_the_pointer_is_grabbed_and_what_cannot_be_says_why() -> None:
     with (

@@ -48,7 +48,7 @@ class Pulling(Tool):
 
     def actions(self) -> Mapping[str, Action]:
         """See `Tool`."""
-        return {"keep": self._keep}
+        return {} if self._source is None else {"keep": self._keep}
 
     def grab(self, at: Pixel) -> Grab | None:
         """Grabs the link at a pixel of the picture, or says why it cannot be pulled."""
