@@ -149,6 +149,16 @@ def test_what_cannot_be_fetched_is_told(tmp_path: Path) -> None:
     assert "Traceback" not in said
 
 
+def test_a_file_of_the_name_of_a_description_fetches_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    file = tmp_path / "panda_description.urdf"
+    file.write_text(URDF.format(name="panda_description", joint="joint1"))
+    monkeypatch.setitem(sys.modules, "robot_descriptions.panda_description", None)  # no import
+    scene = load_scene(str(file))
+    assert scene.argument == str(file)
+
+
 def test_names_are_listed_and_suggested(tmp_path: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if key not in UNSET}
     status, said = run_command(["list", "--known"], tmp_path, environment)

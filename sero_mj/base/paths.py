@@ -404,7 +404,9 @@ def read_file(path: Path | str, most: int) -> bytes:
 def argument_of(file: Path) -> str:
     """Returns a file's argument for commands: its name if shipped, else its relative path."""
     name = model_name(file) if file.name == ROBOT_FILE else file.stem
-    for find in (find_scene, find_scenario, find_model, find_group_model):
+    # Other names are not looked for: that might fetch a robot of this name (`robot_places`).
+    is_near = shipped_file(name) is not None or os.path.exists(name)
+    for find in (find_scene, find_scenario, find_model, find_group_model) if is_near else ():
         try:
             if find(name).samefile(file):
                 return name
