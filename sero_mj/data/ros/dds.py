@@ -26,6 +26,7 @@ LOCALHOST, SUBNET = "localhost", "subnet"
 MOST_DOMAIN = 232
 _AT_ONCE = 256  # messages that are taken together
 _MOST_PUBLISHERS = 10_000
+_ASKS_EVERY = 2  # s between questions who is there
 _LOOKS = 1.0  # s between looks at the publishers, as long as nothing comes
 _BASE_TYPES = {"bool": "bool", "octet": "uint8", "byte": "uint8", "char": "uint8"}
 
@@ -394,7 +395,10 @@ def _configuration(host: str) -> str:
         "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation>"
         f"</Compatibility><General><AllowMulticast>{multicast}</AllowMulticast></General>"
         f"<Discovery>{peers}<ParticipantIndex>auto</ParticipantIndex>"
-        "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex></Discovery></Domain></CycloneDDS>"
+        "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
+        # Fast DDS tells of itself by multicast alone: who comes late, or again, is asked for.
+        f"<SPDPInterval>{_ASKS_EVERY}s</SPDPInterval>"
+        "<InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay></Discovery></Domain></CycloneDDS>"
     )
     return ",".join(filter(None, (own, os.environ.get("CYCLONEDDS_URI"))))
 
