@@ -352,6 +352,9 @@ def test_whatever_robot_a_network_has_is_shown(
         states = topics["/found/joint_states"]
         assert (states["kind"], states["joints"]) == ("sensor_msgs/msg/JointState", [*ARM])
         assert 10 < states["rate"] < 100
+        address = f"ros2://:{DOMAIN}/found"
+        status, out, _ = run(capsys, "status", address, "--duration", "1", "--json")
+        assert status == 0 and json.loads(out)[0]["good"] > 10
     finally:
         stop.set()
         publisher.join()

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 # Subparsers have no public type.
 Commands = Any
 T = TypeVar("T", bound=Options)
+NETWORK = "ros2://"  # begins the address of a robot that a network describes
 
 
 class OneLineParser(argparse.ArgumentParser):
@@ -207,9 +208,13 @@ def _value(text: str) -> Any:
 
 
 def read_scene(name: str, settings: Sequence[str] = (), *, by_hand: bool = False) -> Scene:
-    """Loads a scene by name or file, see `load_scene`, and applies its `--set` options."""
+    """Loads a scene by name, file or network, see `load_scene`, and applies `--set` options."""
     from ..load import load_scene
 
+    if name.startswith(NETWORK):
+        from ..data.drive.described_scene import scene_of_network
+
+        name = str(scene_of_network(name))
     given = overrides(settings)
     with named_settings(given):
         return load_scene(name, given, by_hand=by_hand)

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 from ..base import paths
 from ..base.errors import SeroError, UsageError
 from ..viewer.session.recent_views import RecentView, recent_views
-from ._arguments import read_scene, replay_instead
+from ._arguments import NETWORK, read_scene, replay_instead
 from .shared_options import is_recording
 
 if TYPE_CHECKING:
     from ..data.record.bag import Bag
-
-NETWORK = "ros2://"
 
 
 class _ShowsScene(Protocol):

@@ -256,7 +256,8 @@ class _Heard:
         topics = sorted({each.topic for each in self._participant.published()})
         if topics:
             listed = ", ".join(topics[:_MANY])
-            return f"has no robot_description and no joint states; its topics: {listed}"
+            place = f" in {self._before}" if self._before else ""
+            return f"has no robot_description and no joint states{place}; its topics: {listed}"
         why = f"has no publisher, within {seconds:g} s"
         if self._address.host == LOCALHOST:
             why += f"; {SCHEME}subnet looks on the network, {SCHEME}192.168.0.3 at one machine"
