@@ -45,7 +45,7 @@ time = "time"
 [routes]
 "{robot}.joint_angles" = "udp.angles"
 "{robot}.torques" = "udp.torques"
-"{robot}.commanded_torques" = "udp.commanded"
+"{robot}.commanded_torques" = "udp.commanded{more}"
 """
 _SCENARIO = """\
 # Runs the controller of `sero-mj snippet {name}`: it follows a sine, and does not overshoot.
@@ -78,6 +78,9 @@ _CONTROLLERS = {
     "controller-udp-python": 'kind = "udp"\ncommand = ["python3", "controller.py", "{port}"]',
 }
 _HEADER = '#include "sero_mj_controller.h"\n'
+_MORE = {  # what is added to commanded torques; those of Franka are without gravity
+    name: " + {robot}.gravity_torques" for name in ("franka-cpp", "franka-python")
+}
 _ROBOTS = {"franka-cpp": "fr3", "franka-python": "fr3", "lcm": "iiwa14", "ur": "ur5e"}
 _HOST, _PORT = re.compile(r"127\.0\.0\.1"), re.compile(r"\b32000\b")
 _JOINTS = re.compile(r"(JOINTS\b[^\d\n]{1,9})\d+")
@@ -127,9 +130,10 @@ def run(options: SnippetOptions) -> int:
         print(_SCENARIO.format(controller=controller, **names), end="")
         return 0
     if options.scene:
+        more = _MORE.get(options.name, "").format(robot=robot.name)
         print(
             _SCENE.format(
-                name=options.name, robot=robot.name, model=model, n=n,
+                name=options.name, robot=robot.name, model=model, n=n, more=more,
                 host=options.host, port=options.port,
             ),
             end="",

@@ -1,5 +1,6 @@
 """In your control loop: `send(state)`, with the state that pylibfranka has read."""
 
+import contextlib
 import itertools
 import socket
 import struct
@@ -17,7 +18,8 @@ def send(state):
     """Sends a state of the robot: q in rad, tau_J and tau_J_d in Nm."""
     values = (*state.q, *state.tau_J, *state.tau_J_d)
     packet = struct.pack(f"<Id{3 * JOINTS}d", next(_counts), time.time(), *values)
-    _socket.sendto(packet, (HOST, PORT))
+    with contextlib.suppress(OSError):  # where there is no way to HOST
+        _socket.sendto(packet, (HOST, PORT))
 
 
 if __name__ == "__main__":  # shows a robot that nothing else is connected to
