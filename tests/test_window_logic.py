@@ -15,12 +15,12 @@ from scripted_widgets import ScriptedWidgets
 from shown import Shown
 from source_slots import set_source
 
-from sero_mj import Mirror, Scene, SerialRobot, World
+from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver, World
 from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
 from sero_mj.simulate.tools.bookmarks import Bookmarks
 from sero_mj.viewer.panels.help import build_help
-from sero_mj.viewer.panels.status_line import build_status_line
+from sero_mj.viewer.panels.status_line import SourcesPanel, build_status_line
 from sero_mj.viewer.panels.time_line import build_time_line
 from sero_mj.viewer.session.capture import due_frames, unused_name
 from sero_mj.viewer.session.clock import SPEEDS, Clock, Tick, time_text
@@ -425,6 +425,15 @@ def test_the_status_line_leaves_out_what_does_not_fit(width: float, shown: list[
     ui = ScriptedWidgets(size=(width, 1.0))
     build_status_line(ui, pieces, "H help")
     assert ui.texts() == shown
+
+
+def test_a_counter_that_is_no_number_tells_its_words() -> None:
+    source = UdpReceiver(name="udp", structure="7F")
+    source.counters.last_fault = "found 9 bytes"
+    ui = ScriptedWidgets()
+    with Mirror(load_scene("lwr")) as mirror:
+        SourcesPanel().build(ui, Clock(mirror), [source], is_open=True)
+    assert {"received: 0", "last fault: found 9 bytes"} <= {text.strip() for text in ui.texts()}
 
 
 @pytest.mark.parametrize(

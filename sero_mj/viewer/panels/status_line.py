@@ -75,7 +75,7 @@ class SourcesPanel:
             ui.text(f"  {found['trouble']}", "bad")
         if source.is_live and ui.tree(f"counters of {source.name}"):
             for what, count, meaning in describe(found):
-                ui.text(f"{what}: {count}")
+                ui.text(f"{what}: {count or meaning}")
                 if meaning:
                     ui.tip(meaning)
             ui.end_tree()
