@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import raises_with
+from conftest import free_udp_port, raises_with
 from shown import Shown
 from window_tools import MISSING, Driven, screen
 
+from sero_mj import Scene, SerialRobot, UdpReceiver
 from sero_mj.base.errors import DeclarationError, UsageError
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.load import load_scene
@@ -214,9 +215,13 @@ def test_the_pointer_pulls_in_the_plane_of_the_picture_through_the_point() -> No
     assert (target - point) @ forward == pytest.approx(0.0, abs=1e-12)
 
 
-def test_where_nothing_can_be_pulled_no_action_is_taken_from_other_tools() -> None:
-    with Mirror(load_scene("lwr")) as mirror:
-        assert Pulling(Shown(mirror, clock=Clock(mirror))).actions() == {}
+@pytest.mark.parametrize("is_live", [False, True])
+def test_what_is_live_is_kept_by_another_tool(is_live: bool) -> None:
+    robot = SerialRobot.from_model("lwr", name="lwr")
+    sources = {"udp": UdpReceiver(structure="7F", udpport=free_udp_port())}
+    scene = Scene(robots=[robot], sources=sources, routes={"lwr.joint_angles": "udp.values0"})
+    with Mirror(scene if is_live else Scene(robots=[robot])) as mirror:
+        assert ("keep" in Pulling(Shown(mirror, clock=Clock(mirror))).actions()) != is_live
 
 
 @pytest.mark.gl

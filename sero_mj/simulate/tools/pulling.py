@@ -47,8 +47,9 @@ class Pulling(Tool):
         self._exports = BackgroundExports()
 
     def actions(self) -> Mapping[str, Action]:
-        """See `Tool`."""
-        return {} if self._source is None else {"keep": self._keep}
+        """See `Tool`: what is live, `RollingRecorder` keeps."""
+        is_live = any(source.is_live for source in self._mirror.sources.values())
+        return {} if is_live else {"keep": self._keep}
 
     def grab(self, at: Pixel) -> Grab | None:
         """Grabs the link at a pixel of the picture, or says why it cannot be pulled."""
