@@ -14,7 +14,14 @@ from sero_mj.data.drive.place import Placer
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.scene import Camera, Scene, View
-from sero_mj.viewer.camera import bounding_sphere, find_camera, needed_aspect, stand_back
+from sero_mj.viewer.camera import (
+    Framing,
+    Navigator,
+    bounding_sphere,
+    find_camera,
+    needed_aspect,
+    stand_back,
+)
 from sero_mj.viewer.decor.font import DEFAULT_FONT, FONT_HEIGHTS, Font, line_height
 from sero_mj.viewer.decor.geom_buffer import ARROW_SIZE_OF_LENGTH
 from sero_mj.viewer.decor.panels import PADDING
@@ -209,6 +216,64 @@ def test_the_default_view_holds_the_whole_robot(lwr) -> None:
     assert 0.5 < radius < 0.8
     assert np.ptp(pixels[:, 1]) > 300  # and is no speck in it
     assert centre[2] == pytest.approx(0.59, abs=0.05)
+
+
+FOLDED = np.deg2rad([0, 100, 0, 118, 0, 0, 0])
+
+
+def in_picture(world: World, camera: mujoco.MjvCamera, data: mujoco.MjData) -> bool:
+    """Whether the middles of all geoms of the robot are in a square picture."""
+    scene = mujoco.MjvScene(world.model, 10)
+    mujoco.mjv_updateCamera(world.model, data, camera, scene)
+    view = PictureView.of_scene(scene, 600, 600)
+    return bool(view.sees(*view.project(data.geom_xpos[world.geoms_in_view()])).all())
+
+
+def test_a_robot_that_data_move_out_of_the_picture_is_brought_back_into_it() -> None:
+    world = world_of(joint_angles=FOLDED)
+    navigator, data = Navigator(world), world.make_data()
+    navigator.advance(data)
+    declared = navigator.camera.distance
+    assert in_picture(world, navigator.camera, data)
+    data.qpos[:] = 0.0  # upright: its first packet
+    mujoco.mj_kinematics(world.model, data)
+    assert not in_picture(world, navigator.camera, data)
+    navigator.advance(data)
+    assert in_picture(world, navigator.camera, data)
+    assert navigator.camera.distance > declared
+    with HeadlessRenderer(world, 60, 60) as renderer:
+        renderer.render(data)
+        assert in_picture(world, renderer.camera, data)
+    assert navigator.choose(0) == "initial view"
+    navigator.advance(data)
+    assert in_picture(world, navigator.camera, data)
+
+
+def test_a_camera_stays_where_the_robot_is_in_its_picture() -> None:
+    world = world_of(joint_angles=np.zeros(7))
+    navigator, data = Navigator(world), world.make_data()
+    before = navigator.camera.distance, *navigator.camera.lookat
+    data.qpos[:] = FOLDED
+    mujoco.mj_kinematics(world.model, data)
+    navigator.advance(data)
+    assert (navigator.camera.distance, *navigator.camera.lookat) == before
+
+
+def test_a_camera_that_was_placed_or_moved_stays() -> None:
+    world = world_of(joint_angles=FOLDED)
+    data = world.make_data()
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(world.model, data)
+    wanted = "30,-20,0.5"
+    placed = find_camera(world, wanted)
+    Framing(world, placed, wanted).fit(placed, data)
+    assert placed.distance == 0.5
+    navigator = Navigator(world)
+    navigator.advance(world.make_data())
+    navigator.zoom(3)
+    moved = navigator.camera.distance
+    navigator.advance(data)
+    assert navigator.camera.distance == moved
 
 
 def test_sizes_out_of_range_are_refused(world) -> None:

@@ -71,18 +71,88 @@ def bounding_sphere(world: WorldView) -> tuple[Array, float]:
 
     Objects that a route attaches to a robot's flange count at the flange.
     """
-    model, data = world.model, world.make_data()
+    return _sphere(*_boxes(world, _declared(world)))
+
+
+def _declared(world: WorldView) -> mujoco.MjData:
+    data = world.make_data()
     if world.scene.routes:
         # Invalid routes are reported elsewhere, when they are wired.
         with contextlib.suppress(DeclarationError):
             Placer(world).place(data)
+    return data
+
+
+def _boxes(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
+    """Lowest and highest corners of boxes about what stands in the picture, (k, 3) each, m."""
     solid = world.geoms_in_view()
     solid &= data.geom_xpos[:, 2] > OUT_OF_SIGHT[2] / 2  # doubles without a pose are far away
-    if not solid.any():
+    lows, highs = geom_boxes(world.model, data)
+    return lows[solid], highs[solid]
+
+
+def _sphere(lows: Array, highs: Array) -> tuple[Array, float]:
+    if not len(lows):
         return np.zeros(3), 1.0
-    lows, highs = geom_boxes(model, data)
-    low, high = lows[solid].min(axis=0), highs[solid].max(axis=0)
+    low, high = lows.min(axis=0), highs.max(axis=0)
     return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+
+
+class Framing:
+    """Moves a camera back where data show robots outside of the picture of their declared pose.
+
+    A robot that is mirrored stands anywhere. It acts when a coordinate first leaves its declared
+    value, so that a picture does not move with a robot that is in it; and only until the camera is
+    moved, on one that neither the scene nor the user has placed.
+
+    Args:
+        world: the compiled scene.
+        camera: as returned by `find_camera`.
+        wanted: as it was called with.
+    """
+
+    def __init__(
+        self, world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None
+    ) -> None:
+        view = world.scene.view
+        is_placed = wanted is not None or view.distance is not None or view.look_at is not None
+        self._world = world
+        self._placed = _pose(camera)
+        self._acts = not is_placed and camera.type == _FREE
+        if self._acts:
+            self._declared = _declared(world)
+            self._moved = np.zeros(world.model.nq, bool)
+
+    def fit(self, camera: mujoco.MjvCamera, data: mujoco.MjData) -> None:
+        """Moves the camera where a state needs it.
+
+        Args:
+            camera: changed in place.
+            data: the state, with frames up to date.
+        """
+        if not self._acts:
+            return
+        moved = data.qpos != self._declared.qpos
+        if not (moved & ~self._moved).any():
+            return
+        self._moved |= moved
+        if _pose(camera) != self._placed:
+            self._acts = False
+            return
+        lows, highs = _boxes(self._world, data)
+        half_fovy = np.deg2rad(self._world.model.vis.global_.fovy) / 2
+        seen = camera.distance * np.sin(half_fovy)  # m, radius of the sphere in the picture
+        farthest = np.abs((lows + highs) / 2 - camera.lookat) + (highs - lows) / 2
+        if not (np.linalg.norm(farthest, axis=1) > seen).any():
+            return
+        declared = _boxes(self._world, self._declared)
+        centre, radius = _sphere(np.vstack((lows, declared[0])), np.vstack((highs, declared[1])))
+        camera.lookat, camera.distance = centre, _MARGIN * radius / np.sin(half_fovy)
+        self._placed = _pose(camera)
+
+
+def _pose(camera: mujoco.MjvCamera) -> tuple[float, ...]:
+    return (camera.type, camera.distance, camera.azimuth, camera.elevation, *camera.lookat)
 
 
 def list_cameras(world: WorldView) -> list[str]:
@@ -124,6 +194,7 @@ class Navigator:
         self.following: str | None = None
         self._world = world
         self._start = wanted
+        self._framing = Framing(world, self.camera, wanted)
         self._last = np.zeros(3)  # last position of the followed frame
 
     def orbit(self, right: float, down: float) -> None:
@@ -182,6 +253,7 @@ class Navigator:
         names = list_cameras(self._world)
         if number == 0:
             self.camera = find_camera(self._world, self._start)
+            self._framing = Framing(self._world, self.camera, self._start)
             self.following = None
             return "initial view"
         if number > len(names):
@@ -203,7 +275,14 @@ class Navigator:
         return f"follows {frame}"
 
     def advance(self, data: mujoco.MjData) -> None:
-        """Moves with the followed frame, by its displacement since the last call."""
+        """Moves with the followed frame, by its displacement since the last call.
+
+        As long as nobody has moved the camera, it moves back where robots are out of the picture.
+
+        Args:
+            data: the state, with frames up to date.
+        """
+        self._framing.fit(self.camera, data)
         if self.following is None or self.camera.type != _FREE:
             return
         now = self._world.frame(data, self.following)[:3, 3]

@@ -22,7 +22,7 @@ from ...data.drive.mirror import Mirror, restore
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
 from ..added_surroundings import added_surroundings
-from ..camera import bounding_sphere, find_camera, needed_aspect, stand_back
+from ..camera import Framing, bounding_sphere, find_camera, needed_aspect, stand_back
 from ..decor.font import line_height
 from ..decor.picture_view import PictureView
 from ..mujoco_private import context_of
@@ -146,6 +146,7 @@ class HeadlessRenderer(Painter):
         check_size("picture", width * self._scale, height * self._scale)
         self.world = world
         self.camera = find_camera(world, camera)
+        self._framing = Framing(world, self.camera, camera)
         self._needed = needed_aspect(world, self.camera)
         self.size = (width, height)
         self._stereo, self._eye_distance = stereo, eye_distance
@@ -219,6 +220,7 @@ class HeadlessRenderer(Painter):
 
     def _look(self, data: mujoco.MjData) -> PictureView:
         renderer = self._renderer
+        self._framing.fit(self.camera, data)
         self.decor.fill(data, self.camera, renderer.scene)
         stand_back(renderer.scene, self.camera, *self._half, self._needed)
         if self._surroundings is not None:

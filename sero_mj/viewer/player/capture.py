@@ -21,7 +21,7 @@ from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 from ...robots.declared.scene import Scene
-from ..camera import find_camera, needed_aspect
+from ..camera import Framing, find_camera, needed_aspect
 from ..decor.billboards import Line, joint_formats
 from ..decor.draw import Decor
 from ..decor.feature import Frame
@@ -397,11 +397,14 @@ def capture(
     with Mirror(scene) as mirror:
         world = mirror.world
         count = _frame_count(mirror, seconds, begin, fps)
-        capturer = FrameCapturer(world, find_camera(world, camera))
+        first = find_camera(world, camera)
+        framing, capturer = Framing(world, first, camera), FrameCapturer(world, first)
         data, frames = world.make_data(), list[CapturedFrame]()
         silent = mirror.wait(wait)
         for state in sampled_states(mirror, count, fps, begin):
             restore(world, data, state)
+            if not frames:
+                framing.fit(first, data)
             frames.append(capturer.take(data))
             if on_progress is not None:
                 on_progress(len(frames), count)
