@@ -28,6 +28,7 @@ from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.source import LedJoint, make_source
 from sero_mj.data.record.replay import Replay
 from sero_mj.data.ros.dds import Ros2
+from sero_mj.data.ros.network import Address
 from sero_mj.load import load_scene
 from sero_mj.viewer.session.status_line import source_text
 
@@ -384,6 +385,7 @@ def test_descriptions_that_are_none_are_told(
         ("ros2://:999", "domain 999; expected 0 to 232"),
         ("ros2://:x", "expected ros2://HOST:DOMAIN/NAMESPACE"),
         ("ros2://?robto=fr3", "no field 'robto'; did you mean 'robot'?"),
+        ("ros2://?torque_constants=a", "torque_constants: found 'a'; expected numbers, Nm/A"),
         ("ros2://:230", "ROS 2 domain 230 of localhost has no publisher, within 5 s"),
     ],
 )
@@ -392,6 +394,14 @@ def test_addresses_of_nothing_are_told(
 ) -> None:
     status, _, error = run(capsys, "render", address, "--output", "never.png")
     assert (status, said in error) == (2, True), error
+
+
+def test_an_address_says_how_joints_are_named_and_what_an_ampere_is() -> None:
+    address = "ros2://:3/arm?joints=a,b&effort_unit=A&torque_constants=11.5,9"
+    fields = Address.parse(address).source
+    source = Ros2(name="it", **{key: fields[key] for key in fields.keys() - {"kind"}})
+    assert (source.joints, source.torque_constants) == (["a", "b"], [11.5, 9.0])
+    assert (source.domain, source.namespace, source.effort_unit) == (3, "arm", "A")
 
 
 def test_a_list_of_nothing_says_where_else_to_look(capsys: pytest.CaptureFixture[str]) -> None:

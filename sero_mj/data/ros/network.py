@@ -21,6 +21,7 @@ from .messages import JOINT_STATE, TEXT, MalformedMessage
 SCHEME = "ros2://"
 _DESCRIPTION = "/robot_description"
 _MOST_DESCRIPTION = 64 << 20  # bytes
+_LISTS = ("joints", "frames", "torque_constants")  # fields of a source with several values
 _BETWEEN = 0.05  # s between looks at the publishers
 _MANY = 20  # topics in a message
 # Of these no rate is measured, since it would take the network to do so.
@@ -36,14 +37,14 @@ class Address:
         domain: see `Ros2.domain`.
         namespace: of its topics; empty for none.
         robot: the model that shows it; empty for what its description says.
-        fields: of the source by name, `joint_states` say.
+        fields: of the source by name, `joint_states` say; those with several values have commas.
     """
 
     host: str = LOCALHOST
     domain: int | None = None
     namespace: str = ""
     robot: str = ""
-    fields: dict[str, str] = field(default_factory=dict)
+    fields: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def parse(cls, text: str) -> Address:
@@ -59,14 +60,21 @@ class Address:
             problem = Problem("", f"{text}: domain", found=domain, expected=f"0 to {MOST_DOMAIN}")
             raise UsageError(problem)
         robot = query.pop("robot", "")
-        known = [
-            key for key in Ros2.model_fields if isinstance(Ros2.model_fields[key].default, str)
-        ]
-        for key in query:
-            if key not in known:
-                available = ["robot", *known]
+        known = [key for key, each in Ros2.model_fields.items() if isinstance(each.default, str)]
+        fields: dict[str, Any] = {}
+        for key, value in query.items():
+            if key not in (*known, *_LISTS):
+                available = ["robot", *known, *_LISTS]
                 raise UsageError(Problem("", f"{text}: no field", found=key, available=available))
-        return cls(host, domain, unquote(parts.path).strip("/"), robot, query)
+            fields[key] = value.split(",") if key in _LISTS else value
+        if "torque_constants" in fields:
+            try:
+                fields["torque_constants"] = [float(each) for each in fields["torque_constants"]]
+            except ValueError:
+                found, expected = query["torque_constants"], "numbers, Nm/A"
+                problem = Problem(f"{text}: torque_constants", found=found, expected=expected)
+                raise UsageError(problem) from None
+        return cls(host, domain, unquote(parts.path).strip("/"), robot, fields)
 
     @property
     def source(self) -> dict[str, Any]:
@@ -117,27 +125,30 @@ def list_topics(host: str, domain: int | None, seconds: float) -> list[Topic]:
     participant = Participant(host, domain, "ros2")
     try:
         times: dict[str, list[float]] = defaultdict(list)
-        newest: dict[str, bytes] = {}
+        joints: dict[str, dict[str, None]] = defaultdict(dict)  # names in the order of their coming
         readers: dict[str, Reader] = {}
+        kinds: dict[str, str] = {}
         end = clock.monotonic() + seconds
         while (now := clock.monotonic()) < end:
             for each in participant.published():
                 if each.topic not in readers and _is_light(each.kind):
                     readers[each.topic] = participant.reader(each.topic, each.kind)
+                    kinds[each.topic] = each.kind
             participant.wait(min(_BETWEEN, end - now))
             for name, reader in readers.items():
                 for raw, _ in reader.take():
                     times[name].append(clock.monotonic())
-                    newest[name] = raw
+                    if kinds[name] == JOINT_STATE:
+                        with suppress(MalformedMessage):
+                            message = messages.decode(raw, JOINT_STATE)
+                            joints[name].update(dict.fromkeys(message.name))
         found: dict[str, Topic] = {}
         for each in participant.published():
             topic = found.setdefault(each.topic, Topic(each.topic, each.kind, 0))
             topic.publishers += 1
         for name, topic in found.items():
             topic.rate = _rate(times[name]) if name in readers else None
-            if topic.kind == JOINT_STATE and name in newest:
-                with suppress(MalformedMessage):
-                    topic.joints = list(messages.decode(newest[name], JOINT_STATE).name)
+            topic.joints = list(joints[name])
         return [found[name] for name in sorted(found)]
     finally:
         participant.close()
