@@ -422,7 +422,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             mirror.advance()
             assert corner_lines(mirror) == [
                 "fci: 1 of 3 packets not applied",
-                "  2365 bytes that are no state",
+                "  a state that cannot be used, 2365 bytes",
                 "fci: robot stopped by its user",
             ]
     scene.sources["fci"] = Replay(name="fci", file=recording)

@@ -306,7 +306,7 @@ def test_a_state_that_is_not_good_is_in_the_corner(
         mirror.advance()
         assert corner_lines(mirror)[:2] == [
             "fri: 1 of 2 packets not applied",
-            "  5 bytes that are no FRI message",
+            "  a FRI message that cannot be used, 5 bytes",
         ]
 
 

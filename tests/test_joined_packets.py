@@ -100,7 +100,6 @@ def test_joints_without_names_are_taken_in_order_and_others_are_not() -> None:
     ("names", "said"),
     [
         (("left_shoulder", "left_elbow"), "'left_'"),
-        (("elbow", "finger"), "no values of shoulder"),
         (("elbow", "finger"), "has no finger"),
         (("a", "b"), "have none of shoulder, elbow"),
     ],
@@ -109,6 +108,21 @@ def test_names_that_differ_are_told(names: tuple[str, ...], said: str) -> None:
     heard = Heard()
     heard.tell(joint_state(names, (1, 2)))
     assert any(said in text for text in heard.said), heard.said
+
+
+def test_joints_that_no_message_has_are_told_once_others_could_have_them() -> None:
+    def said_by(messages: list[tuple[float, tuple[str, ...]]]) -> list[str]:
+        said: list[str] = []
+        joined = JoinedPackets([LedJoint(name) for name in ARM], {}, tell=said.append)
+        for when, names in messages:
+            joined.take(JOINT_STATES, joint_state(names, np.ones(len(names))), when)
+        return said
+
+    beginning = [(100.0, ("elbow",)), (101.9, ("elbow",))]
+    missing = "no values of shoulder in 2 s; they stay as declared until messages have them"
+    assert said_by(beginning) == []
+    assert said_by([*beginning, (102.1, ("elbow",)), (105.0, ("elbow",))]) == [missing]
+    assert said_by([*beginning, (101.95, ("shoulder",)), (105.0, ("elbow",))]) == []
 
 
 def test_names_may_change_and_their_order() -> None:

@@ -432,7 +432,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
             mirror.advance()
             assert corner_lines(mirror) == [
                 "ur: 1 of 3 packets not applied",
-                f"  {len(good) - 4} bytes that are no data package",
+                f"  a data package that cannot be used, {len(good) - 4} bytes",
                 "ur: robot idle, safety: protective stop",
             ]
     scene.sources["ur"] = Replay(name="ur", file=recording)

@@ -31,7 +31,8 @@ def report(source: Source) -> dict[str, Any]:
     """Counters, rate and age of a source, by name.
 
     Returns:
-        every counter by its name, and `source`, `about`, `receiving`, `rate` (packets/s), `age` (s
+        every counter by its name, and `source`, `about`, `message` (what its packets are; empty for
+        plain structures), `receiving`, `rate` (packets/s), `age` (s
         since the last good packet, None before the first), `jitter` and `delay` (s, None where
         the packets have no time stamp), `clock` (s by which the sender's clock is behind ours, with
         the time that the fastest packet took; None where its stamps are not of a clock), `good`,
@@ -45,6 +46,7 @@ def report(source: Source) -> dict[str, Any]:
     return {
         "source": source.name,
         "about": source.about,
+        "message": source.layout.message,
         "receiving": source.receiving,
         "good": source.receive_trigger,
         "rate": timing.rate if source.receiving else 0.0,
@@ -91,6 +93,8 @@ def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
         rows.append(("clock", "", f"the sender's is {what}, if the fastest packet took no time"))
     rows.append(("received", str(found["received"]), f"{found['good']} of them applied"))
     meanings = dict(MEANINGS)
+    if found["message"]:
+        meanings["wrong_size"] = f"no {found['message']} that can be used"
     if found["wrong_size"] or found["wrong_constant"]:
         meanings["lost"] += ", or that of a packet below could not be read"
     rows += [(name, str(found[name]), why) for name, why in meanings.items() if found[name]]

@@ -21,6 +21,7 @@ from .messages import MalformedMessage
 JOINT_STATES, FORCES, COMMANDS, FRAMES = "joint states", "wrench", "commands", "transforms"
 JOINT_EVENTS = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 _MANY = 8  # names in a message
+_PATIENCE = 2.0  # s in which every publisher of joints should have sent a message
 _FAR_TOO_MUCH = 3.0  # times the largest torque
 _UNIT_TOLERANCE = 1e-2  # of a quaternion's length
 
@@ -84,6 +85,8 @@ class JoinedPackets:
         orders = {JOINT_STATES: count, FORCES: has_forces, FRAMES: frames}
         self.leads = next((topic for topic, is_wanted in orders.items() if is_wanted), JOINT_STATES)
         self._first = count  # the first joint that any message had so far
+        self._awaited = set(self._wanted)  # joints without values so far
+        self._told_at = np.inf  # time, s, at which they are told
         self._found: list[str] | None = None  # names in the last message
         self._mine = self._theirs = np.arange(0)
         self._has_doubts = False  # whether efforts are torques
@@ -109,6 +112,7 @@ class JoinedPackets:
         makes = topic == self.leads
         if topic == JOINT_STATES:
             makes = self._take_joints(values, message)
+            self._tell_awaited(arrival)
         elif topic == COMMANDS:
             self._take_commands(values, message)
         elif topic == FORCES:
@@ -149,6 +153,7 @@ class JoinedPackets:
             torques = values[self._places["torques"]]
             torques[self._mine] *= self._factors[self._mine]
             self._check_torques(torques)
+        self._awaited.difference_update(self._wanted[joint] for joint in self._mine)
         self._first = min(self._first, int(self._mine[0]))
         return int(self._mine[0]) == self._first
 
@@ -178,19 +183,26 @@ class JoinedPackets:
         if prefix:
             self._tell(f"joints are named with {prefix!r} before the robot's names")
         others = [name for k, name in enumerate(names) if k not in self._theirs]
-        missing = [name for k, name in enumerate(self._wanted) if k not in self._mine]
         if not pairs:
             self._tell(
                 f"messages of the joints {_listed(names)} have none of {_listed(self._wanted)}; "
                 "joints = [...] says how they are named"
             )
-        elif missing:
-            self._tell(
-                f"no values of {_listed(missing)} in messages of {_listed(names)}; they stay as "
-                "declared until other messages have them"
-            )
-        if pairs and others:
+        elif others:
             self._tell(f"the robot has no {_listed(others)}: not used")
+
+    def _tell_awaited(self, arrival: float) -> None:
+        """Tells, once, of joints that no message has had, where others have been there for long."""
+        if not self._awaited or len(self._awaited) == len(self._wanted):
+            return
+        self._told_at = min(self._told_at, arrival + _PATIENCE)
+        if arrival >= self._told_at:
+            missing = [name for name in self._wanted if name in self._awaited]
+            self._tell(
+                f"no values of {_listed(missing)} in {_PATIENCE:g} s; they stay as declared until "
+                "messages have them"
+            )
+            self._awaited.clear()
 
     def _check_torques(self, torques: Array) -> None:
         """Tells, once, of torques that the robot's joints cannot have."""

@@ -38,8 +38,9 @@ def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
     if state.malformed and state.fault_age < SHOWN_FOR:
         lines.append(f"{name}: {state.malformed:.0f} of {state.received:.0f} packets not applied")
         if state.wrong_size:
-            wrong = f" that are no {message}" if message else f", expected {state.size:.0f}"
-            lines.append(f"  {state.last_size:.0f} bytes{wrong}")
+            bytes_ = f"{state.last_size:.0f} bytes"
+            unusable = f"a {message} that cannot be used, {bytes_}"
+            lines.append(f"  {unusable if message else f'{bytes_}, expected {state.size:.0f}'}")
         if state.not_frames:
             lines.append("  a matrix that is not a frame")
         if state.wrong_constant:
