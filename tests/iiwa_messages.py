@@ -38,7 +38,11 @@ MESSAGES = {
         ("jointPosition", 1, "JointValues"), ("clientCommandMode", 10, "int32"),
         ("overlayType", 11, "int32"), ("trackingPerformance", 12, "double"),
     ],
-    "CommandData": [("jointPosition", 1, "JointValues"), ("jointTorque", 3, "JointValues")],
+    "CommandData": [
+        ("jointPosition", 1, "JointValues"),
+        ("cartesianWrenchFeedForward", 2, "CartesianVector"),
+        ("jointTorque", 3, "JointValues"),
+    ],
     "Monitoring": [
         ("header", 1, "Header"), ("robotInfo", 2, "RobotInfo"), ("monitorData", 3, "MonitorData"),
         ("connectionInfo", 4, "ConnectionInfo"), ("ipoData", 5, "IpoData"),
@@ -115,3 +119,19 @@ def framed(message: bytes) -> bytes:
 def read_command(packet: bytes) -> Any:
     """What a client has sent."""
     return _CLASSES["Command"].FromString(packet)
+
+
+def read_monitoring(packet: bytes) -> Any:
+    """What a controller has sent."""
+    return _CLASSES["Monitoring"].FromString(packet)
+
+
+def command(counter: int, reflected: int, **data: Any) -> bytes:
+    """A client's message."""
+    header = {
+        "messageIdentifier": 0x34001,
+        "sequenceCounter": counter,
+        "reflectedSequenceCounter": reflected,
+    }
+    text: bytes = _CLASSES["Command"](header=header, commandData=data).SerializeToString()
+    return text

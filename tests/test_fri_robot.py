@@ -13,7 +13,9 @@ from sero_mj import SerialRobot
 from sero_mj.base.errors import DeclarationError, SimulationError
 from sero_mj.data.receive.fri import FriLayout
 from sero_mj.simulate.control.robot_model import RobotModel
-from sero_mj.simulate.external_control.fri_robot import FriClient, FriRobot
+from sero_mj.simulate.external_control.fri_client import FriClient
+from sero_mj.simulate.external_control.fri_robot import FriRobot
+from sero_mj.simulate.external_control.lwr_fri import LwrFri
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 
@@ -181,7 +183,8 @@ def test_a_client_that_is_silent_for_a_while_loses_the_command(
 
 def test_lost_answers_cost_quality(folder: Path) -> None:
     simulation = simulated(folder, "lossy", duration=0.3, patience=0.02)
-    assert simulation.log.signals["lwr_fri_quality"].max() == 1  # bad: 70 % are answered
+    assert simulation.log.signals["lwr_fri_quality"].max() <= 1  # bad: at most 70 % are answered
+    assert states(simulation).max() == 1
 
 
 def test_what_is_no_command_is_counted(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -204,8 +207,8 @@ def test_without_a_client_the_run_ends(folder: Path) -> None:
 def test_measurements_are_those_that_our_receiver_takes(folder: Path) -> None:
     simulation = simulated(folder, "ramp", duration=0.3)
     robot = simulation.controlled[0].controller.controller
-    assert isinstance(robot, FriRobot)
-    values = FriLayout().decode(bytes(robot._packet))
+    assert isinstance(robot, LwrFri)
+    values = FriLayout().decode(bytes(robot._measured))
     assert values["joint_angles"] == pytest.approx(angles(simulation)[-2], abs=1e-5)
     model = simulation.robot_model(simulation.controlled[0].robot)
     model.update(values["joint_angles"], np.zeros(7))

@@ -63,6 +63,7 @@ OPTIONAL = frozenset(
 _MISSING = (math.nan,) * JOINTS
 # Tag and 8 bytes of each number; a list may also be packed, which has one tag and a length.
 _UNPACKED = {count: struct.Struct("<" + "xd" * count) for count in (6, JOINTS)}
+_TAGGED = struct.Struct("<" + "Bd" * JOINTS)
 _DOUBLE = struct.Struct("<d")
 
 Fields = dict[int, list[int | bytes]]  # number of a field to all of its values
@@ -108,11 +109,11 @@ def _varint(message: bytes, at: int) -> tuple[int, int]:
     raise ValueError(f"the number that ends at byte {at} is cut off or too long")
 
 
-def _numbers(fields: Fields, number: int, count: int = JOINTS) -> tuple[float, ...]:
+def read_numbers(fields: Fields, number: int, count: int = JOINTS) -> tuple[float, ...]:
     """The numbers of a list within a message; NaN if it is not there."""
     if number not in fields:
         return (math.nan,) * count
-    text = _bytes(fields, number)
+    text = read_message(fields, number)
     unpacked = _UNPACKED[count]
     if len(text) == unpacked.size and text[::9] == b"\x09" * count:
         return unpacked.unpack(text)
@@ -122,7 +123,7 @@ def _numbers(fields: Fields, number: int, count: int = JOINTS) -> tuple[float, .
     raise ValueError(f"found {len(found)} numbers in field {number}; expected {count}")
 
 
-def _bytes(fields: Fields, number: int) -> bytes:
+def read_message(fields: Fields, number: int) -> bytes:
     """The last value of a field, a message; empty if it is not there."""
     value = fields.get(number, [b""])[-1]
     if isinstance(value, int):
@@ -130,7 +131,7 @@ def _bytes(fields: Fields, number: int) -> bytes:
     return value
 
 
-def _whole(fields: Fields, number: int, low: int = UNKNOWN, high: int = 127) -> int:
+def read_whole(fields: Fields, number: int, low: int = UNKNOWN, high: int = 127) -> int:
     """The last value of a field, a whole number; `UNKNOWN` if it is not there."""
     value = fields.get(number, [UNKNOWN])[-1]
     if not isinstance(value, int):
@@ -173,39 +174,47 @@ def pack(packet: bytes, version: str) -> bytes:
     if is_framed and version == "iiwa-1":
         raise ValueError("it is framed as in FRI 2.7; choose version = 'iiwa-2'")
     fields = read_fields(message)
-    header, link = read_fields(_bytes(fields, 1)), read_fields(_bytes(fields, 4))
-    robot, ipo = read_fields(_bytes(fields, 2)), read_fields(_bytes(fields, 5))
-    monitor = read_fields(_bytes(fields, 3))
+    header, link = read_fields(read_message(fields, 1)), read_fields(read_message(fields, 4))
+    robot, ipo = read_fields(read_message(fields, 2)), read_fields(read_message(fields, 5))
+    monitor = read_fields(read_message(fields, 3))
     if 1 not in header or 2 not in header:
         raise ValueError("it has no header")
-    joints = _whole(robot, 1)
+    joints = read_whole(robot, 1)
     if joints not in (UNKNOWN, JOINTS):
         raise ValueError(f"found {joints} joints; expected {JOINTS}")
-    time = read_fields(_bytes(monitor, 15))
+    time = read_fields(read_message(monitor, 15))
     timestamp = math.nan
     if 1 in time:
-        timestamp = _whole(time, 1, 0, 2**32 - 1) + 1e-9 * _whole({2: [0], **time}, 2, 0, 10**9)
-    period = _whole(link, 3, high=10**6)
+        timestamp = read_whole(time, 1, 0, 2**32 - 1) + 1e-9 * read_whole(
+            {2: [0], **time}, 2, 0, 10**9
+        )
+    period = read_whole(link, 3, high=10**6)
     drives = [value if isinstance(value, int) else -1 for value in robot.get(5, [])][:JOINTS]
     if robot.get(5) and isinstance(robot[5][0], bytes):  # packed
         drives = [*robot[5][0]][:JOINTS]
     packed = struct.pack(
         _PACKING,
-        *(_whole({3: [0], **header}, number, 0, 2**32 - 1) for number in (1, 2, 3)),
+        *(read_whole({3: [0], **header}, number, 0, 2**32 - 1) for number in (1, 2, 3)),
         timestamp,
         math.nan if period == UNKNOWN else period / 1e3,
-        _whole(link, 4, high=2**31 - 1),
-        *(_whole(link, 1), _whole(link, 2)),
-        *(_whole(robot, 7), _whole(robot, 2), _whole(robot, 6), _whole(ipo, 10), _whole(ipo, 11)),
+        read_whole(link, 4, high=2**31 - 1),
+        *(read_whole(link, 1), read_whole(link, 2)),
+        *(
+            read_whole(robot, 7),
+            read_whole(robot, 2),
+            read_whole(robot, 6),
+            read_whole(ipo, 10),
+            read_whole(ipo, 11),
+        ),
         *(max(-1, min(drive, 127)) for drive in drives),
         *[UNKNOWN] * (JOINTS - len(drives)),
         _double(ipo, 12),
-        *(x for number in (1, 2, 4, 5) for x in _numbers(monitor, number)),
-        *_numbers(ipo, 1),
+        *(x for number in (1, 2, 4, 5) for x in read_numbers(monitor, number)),
+        *read_numbers(ipo, 1),
     )
     if version == "iiwa-1":
-        return packed + struct.pack("<7d", *_numbers(monitor, 3))
-    *force, about_z, about_y, about_x = _numbers(monitor, 6, 6)
+        return packed + struct.pack("<7d", *read_numbers(monitor, 3))
+    *force, about_z, about_y, about_x = read_numbers(monitor, 6, 6)
     return packed + struct.pack("<6d", *force, about_x, about_y, about_z)
 
 
@@ -306,9 +315,12 @@ class Monitor:
         try:
             message, is_framed = unframed(packet)
             fields = read_fields(message)
-            header, link = read_fields(_bytes(fields, 1)), read_fields(_bytes(fields, 4))
-            sent, state = _whole(header, 2, 0, 2**32 - 1), _whole(link, 1)
-            every = _whole(link, 4, high=2**31 - 1)
+            header, link = (
+                read_fields(read_message(fields, 1)),
+                read_fields(read_message(fields, 4)),
+            )
+            sent, state = read_whole(header, 2, 0, 2**32 - 1), read_whole(link, 1)
+            every = read_whole(link, 4, high=2**31 - 1)
         except ValueError:
             return None
         if header.get(1) != [MONITORING_ID] or state not in _MONITORING:
@@ -318,9 +330,7 @@ class Monitor:
             return None
         self._unanswered = 0
         reply = no_command(counter & 0xFFFFFFFF, sent)
-        if not is_framed:
-            return reply
-        return struct.pack("<I", len(reply)) + reply + struct.pack("<I", zlib.crc32(reply))
+        return framed(reply) if is_framed else reply
 
 
 def no_command(counter: int, reflected: int) -> bytes:
@@ -330,11 +340,33 @@ def no_command(counter: int, reflected: int) -> bytes:
         counter: of the messages sent before, uint32.
         reflected: `send_counter` of the message that is answered.
     """
-    header = b"".join(
-        bytes((number << 3,)) + _encoded(value)
-        for number, value in ((1, COMMAND_ID), (2, counter), (3, reflected))
-    )
-    return bytes((1 << 3 | 2, len(header))) + header
+    return inner(1, whole(1, COMMAND_ID), whole(2, counter), whole(3, reflected))
+
+
+def framed(message: bytes) -> bytes:
+    """A message with its length before and its checksum behind it, as FRI 2.7 has it."""
+    return struct.pack("<I", len(message)) + message + struct.pack("<I", zlib.crc32(message))
+
+
+def whole(number: int, value: int) -> bytes:
+    """A field with a whole number."""
+    return bytes((number << 3,)) + _encoded(value)
+
+
+def double(number: int, value: float) -> bytes:
+    """A field with a float64."""
+    return bytes((number << 3 | 1,)) + _DOUBLE.pack(value)
+
+
+def inner(number: int, *fields: bytes) -> bytes:
+    """A field with a message of fields."""
+    message = b"".join(fields)
+    return bytes((number << 3 | 2,)) + _encoded(len(message)) + message
+
+
+def per_joint(number: int, values: Array) -> bytes:
+    """A field with a message of one list, that of all joints, (7,)."""
+    return inner(number, _TAGGED.pack(*(x for value in values.tolist() for x in (9, value))))
 
 
 @lru_cache(maxsize=1024)

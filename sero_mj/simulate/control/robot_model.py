@@ -55,6 +55,8 @@ class RobotModel:
         n: number of joints.
         name: the robot's name.
         joint_names: of every joint, without the robot's name before it.
+        position_limits: (n, 2), lower and upper, rad or m; infinite where none are known.
+        velocity_limits: (n,), rad/s or m/s, likewise.
         motor_inertia: (n,), kg m2 or kg, as reflected to the joint; on the diagonal of M.
         flange_position: (3,), m, in the world; always that of the last `update`.
         flange_rotation: (3, 3), R_world_flange, likewise.
@@ -85,6 +87,8 @@ class RobotModel:
             raise ValueError(f"found joints {ids}; expected those of one robot, base to flange")
         self.n, self.name = n, name
         self.joint_names = [model.joint(joint).name.rpartition("/")[2] for joint in ids]
+        self.position_limits: Array = np.tile([-np.inf, np.inf], (n, 1))
+        self.velocity_limits: Array = np.full(n, np.inf)
         self._model = skeleton(model, ids, site, body)
         self._data = mujoco.MjData(self._model)
         # mj_rne reads velocities from cvel and cdof_dot. They stay zero in `_data`, so there it
@@ -196,7 +200,12 @@ class RobotModel:
             world = world_without_meshes(robot)
         part = world.robots[robot.name]
         joints = [int(world.model.dof_jntid[dof]) for dof in part.dofs]
-        return cls(world.model, joints, body=part.flange_body, name=robot.name)
+        made = cls(world.model, joints, body=part.flange_body, name=robot.name)
+        if robot.position_limits is not None:
+            made.position_limits = robot.position_limits
+        if robot.velocity_limits is not None:
+            made.velocity_limits = robot.velocity_limits
+        return made
 
     def update(self, angles: Array, velocities: Array) -> None:
         """Moves the model.
