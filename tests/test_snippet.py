@@ -225,10 +225,20 @@ def test_a_robot_gives_the_number_of_joints_and_a_mistyped_name_is_told(tmp_path
     status, text = run_command(
         ["snippet", "c", "--robot", "hit_finger", "--host", "10.1.2.3"], tmp_path, os.environ
     )
-    assert status == 0 and '#define HOST "10.1.2.3"' in text
-    assert "#define JOINTS 3\n" in text  # the last of four is coupled
+    assert status == 0 and '#define SERO_HOST "10.1.2.3"' in text
+    assert "#define SERO_JOINTS 3\n" in text  # the last of four is coupled
     status, said = run_command(["snippet", "frank-cpp"], tmp_path, os.environ)
     assert status == 2 and said == "sero-mj: no snippet 'frank-cpp'; did you mean 'franka-cpp'?\n"
+
+
+@pytest.mark.parametrize("standard", ["c11", "c17", "gnu99", "gnu11"])
+def test_c_compiles_in_any_standard_and_beside_macros_of_a_user(
+    standard: str, tmp_path: Path
+) -> None:
+    text = "\n".join(f"#define {name} (mine)" for name in ("JOINTS", "HOST", "PORT"))
+    text += f"\n{snippets()['c']}\nint main(void) {{ sero_send(0, 0, 0); return 0; }}\n"
+    options = [f"-std={standard}", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-nonnull"]
+    compiled(tmp_path, "sender.c", text, "gcc", *options)
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,15 @@
 #include <sys/socket.h>
 #include <time.h>
 
-#define JOINTS 7
-#define HOST "127.0.0.1" /* where sero-mj runs */
-#define PORT 32000
+#define SERO_JOINTS 7
+#define SERO_HOST "127.0.0.1" /* where sero-mj runs */
+#define SERO_PORT 32000
 
 #pragma pack(push, 1)
 struct sero_packet {
   uint32_t count; /* little-endian, as all that follows; x86 and ARM are */
-  double time, angles[JOINTS], torques[JOINTS], commanded[JOINTS]; /* s, rad, Nm, Nm */
+  double time, angles[SERO_JOINTS]; /* s, rad */
+  double torques[SERO_JOINTS], commanded[SERO_JOINTS]; /* Nm */
 };
 #pragma pack(pop)
 
@@ -24,10 +25,14 @@ static void sero_send(const double *angles, const double *torques, const double 
   if (socket_ < 0) {
     socket_ = socket(AF_INET, SOCK_DGRAM, 0);
     to.sin_family = AF_INET;
-    to.sin_port = htons(PORT);
-    inet_pton(AF_INET, HOST, &to.sin_addr);
+    to.sin_port = htons(SERO_PORT);
+    inet_pton(AF_INET, SERO_HOST, &to.sin_addr);
   }
+#ifdef TIME_UTC /* C11 */
+  timespec_get(&now, TIME_UTC);
+#else
   clock_gettime(CLOCK_REALTIME, &now);
+#endif
   packet.count++;
   packet.time = now.tv_sec + 1e-9 * now.tv_nsec;
   memcpy(packet.angles, angles, sizeof packet.angles);
