@@ -239,3 +239,24 @@ def test_recordings_of_runs_have_the_states_of_joints_for_ros(tmp_path: Path, ca
             ("torques", message.effort),
         ):
             assert numbers == pytest.approx(log.signals[f"lwr_{event}"][k])
+
+
+def test_a_bag_of_another_robot_says_so_when_it_is_checked(tmp_path: Path, capsys: Any) -> None:
+    write_bag(tmp_path / "xarm", {"/xarm/joint_states": states(names=list("abcdefg"))})
+    file = tmp_path / "scene.toml"
+    file.write_text(
+        """
+[robots.arm]
+model = "fr3"
+[sources.xarm]
+kind = "replay"
+file = "xarm"
+[routes]
+"arm.joint_angles" = "xarm.joint_angles"
+""",
+        encoding="utf-8",
+    )
+    status, said, _ = run(capsys, "check", str(file))
+    assert status == 0 and f"none of whose {COUNT} packets can be used" in " ".join(said.split())
+    status, _, told = run(capsys, "render", str(file), "-o", str(tmp_path / "seen.png"))
+    assert status == 2 and "no message has the joints that are wanted" in told

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from mcap.reader import make_reader
 
@@ -84,6 +84,8 @@ class Bag(PacketFile):
         RecordingError: it cannot be read, has no joint states, or a package is missing.
     """
 
+    _why_unreadable: ClassVar[str] = "no message has the joints that are wanted"
+
     def __init__(
         self,
         path: Path,
@@ -118,7 +120,7 @@ class Bag(PacketFile):
         self._states = list(dict.fromkeys(states))
         self._topics = self._found(topics) if topics else self._named_by_topic()
         self.sources = {name: self._declared(name) for name in self._topics}
-        ends = [source.last for source in self.sources.values() if source.count]
+        ends = [each.last for each in self.sources.values() if not math.isnan(each.last)]
         self.duration = max(ends, default=0.0)
 
     def _found(self, topics: Mapping[str, RosSource]) -> dict[str, RosSource]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import accumulate
 from pathlib import Path
-from typing import Self
+from typing import ClassVar, Self
 
 from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
@@ -88,6 +88,8 @@ class PacketFile(ABC):
     lost: dict[str, int]
     faults: list[str]
 
+    _why_unreadable: ClassVar[str] = "its index is wrong"  # where no fault says it
+
     def choose_source(self, name: str = "", default: str = "") -> str:
         """Returns the name of one of its sources.
 
@@ -156,7 +158,7 @@ class PacketFile(ABC):
         """Raises RecordingError if none of a source's packets is readable."""
         source = self.sources[name]
         if source.is_unreadable:
-            why, *others = self.faults or ["its index is wrong"]
+            why, *others = self.faults or [self._why_unreadable]
             more = f" (and {len(others)} more of the kind)" if others else ""
             reason = f"none of the {source.count} packets of '{name}' can be read: {why}{more}"
             raise RecordingError(self.path, reason)
@@ -234,7 +236,7 @@ class Recording(PacketFile):
             self.sources[source.name] = RecordedSource(
                 **vars(source), count=counts.get(channel, 0), first=first, last=last
             )
-        ends = [source.last for source in self.sources.values() if source.count]
+        ends = [each.last for each in self.sources.values() if not math.isnan(each.last)]
         self.duration = max(ends, default=0.0)
 
     def _declarations(self, index: FileIndex) -> dict[int, SourceDeclaration]:

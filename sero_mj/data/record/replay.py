@@ -195,6 +195,8 @@ class Replay(Source):
     @property
     def about(self) -> str:
         """Kind and address, as shown to the user."""
+        if self.recorded.is_unreadable:
+            return f"replay of {self.file}, none of whose {self.recorded.count} packets can be used"
         return f"replay of {self.file}, {self.duration:.1f} s"
 
     @property
@@ -395,7 +397,8 @@ def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
 
 def _first_of(recording: PacketFile) -> float:
     """Arrival of the first packet of any source, s since the recording began."""
-    return min((s.first for s in recording.sources.values() if s.count), default=0.0)
+    firsts = [each.first for each in recording.sources.values()]
+    return min((first for first in firsts if not np.isnan(first)), default=0.0)
 
 
 def check_start(start: float, recording: PacketFile) -> None:
