@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
@@ -49,7 +51,8 @@ def view_of_file(path: Path, shown: str | None) -> RecentView:
     why: list[SeroError] = []
     for scene in _scenes_of(path, shown):
         try:
-            replay_instead(read_scene(scene), path, None)
+            with _quiet():
+                replay_instead(read_scene(scene), path, None)
         except SeroError as error:
             if paths.is_temporary(scene):
                 text = str(error).replace(f"{Path(scene).parent}/", "")
@@ -82,6 +85,18 @@ def with_scene(options: T) -> T:
     recording = Path(options.scene)
     shown = {"scene": view_of_file(recording, None).scene, "replay": recording}
     return options.model_copy(update=shown)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Logs no warnings, within the context, of what is read once more when it is shown."""
+    log = logging.getLogger("sero_mj")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:

@@ -85,8 +85,11 @@ def _first_angles(scene: Scene, source: str) -> Array:
         source: that leads it.
     """
     (robot,) = scene.robots.values()
-    with suppress(SeroError), wired_source(scene, source, scene.sources[source]) as replay:
-        packet = replay.latest()
+    with suppress(SeroError):
+        replay = wired_source(scene, source, scene.sources[source])
+        replay.debug_level = 0  # what is wrong is told where it is played
+        with replay:
+            packet = replay.latest()
         angles = None if packet is None else packet.values.get("joint_angles")
         if angles is not None and len(angles) == robot.coupled.k:
             return robot.coupled.positions(angles)

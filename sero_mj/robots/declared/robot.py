@@ -355,7 +355,7 @@ def build_robot(
     described = read_robot_file(model, packages, arguments)
     below = dict(described.tables)
     for warning in described.warnings:
-        log.warning("%s: %s", model, warning)
+        log.warning("%s", paths.without_temporary(f"{model}: {warning}"))
     if isinstance(below.setdefault("directory", ""), str):
         below["directory"] = str(model.parent / below["directory"])
     set_directory(below.get("children"), model.parent)

@@ -67,7 +67,7 @@ def read_scene_file(
     if imported is None:
         return scene_from_tables(path, read_toml(path), overrides)
     for warning in imported.warnings:
-        log.warning("%s: %s", path, warning)
+        log.warning("%s", paths.without_temporary(f"{path}: {warning}"))
     return scene_from_tables(path, imported.tables, overrides, lines=imported.lines or None)
 
 

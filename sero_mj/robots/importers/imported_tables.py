@@ -32,7 +32,7 @@ class ImportedTables:
     warnings: list[str] = field(default_factory=list)
 
 
-def first_of(names: Sequence[str]) -> str:
+def first_of(names: Sequence[str], most: int = _MAX_NAMED) -> str:
     """Names separated by commas; of many only the first, and the number of the others."""
-    more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
-    return ", ".join(names[:_MAX_NAMED]) + more
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

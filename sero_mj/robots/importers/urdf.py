@@ -41,6 +41,7 @@ from .xml_file import Element, XmlError, parse_loose_xml, parse_xml
 
 _MAX_BYTES = 50_000_000
 _MAX_JOINTS = 128  # movable ones
+_MOST_FILES = 3  # that are missing, in one sentence
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
            "capsule": "radius, length"}  # fmt: skip
@@ -153,7 +154,7 @@ class UrdfFile:
         self._problems: list[Problem] = []
         self._warnings: list[str] = []
         self._is_xacro, self._has_lines = False, True
-        self._lost: dict[str, list[str]] = {}  # missing mesh files, and their links
+        self._lost: dict[str, None] = {}  # missing mesh files
         self._found: dict[str, Path | None] = {}  # the file of each name
         self._last_found: dict[str, Path] = {}  # the folder of a package
         self._unread: dict[Path, str] = {}
@@ -174,7 +175,7 @@ class UrdfFile:
             found = f"{len(moving)} joints that move"
             self._problem(root, "robot", f"found {found}; expected at most {_MAX_JOINTS}")
         self._stop()
-        self._tell_about_meshes()
+        self._tell_about_meshes(links)
         given = (root.get("name") or "").strip()
         self.tree = TreeTables(given, links, joints, base, convention)
         name = plain_name(given or path.stem, set())
@@ -441,8 +442,7 @@ class UrdfFile:
             self._found[name] = self._search(name)
         file = self._found[name]
         if file is None:
-            line = f", line {mesh.sourceline}" if self._has_lines else ""
-            self._lost.setdefault(name, []).append(f"<{tag}> of '{link}'{line}")
+            self._lost[name] = None
             return None
         if file not in self._colored and file not in self._unread:
             try:
@@ -469,7 +469,7 @@ class UrdfFile:
                 self._last_found[package] = file.parents[len(inside.parts) - 1]
         return file
 
-    def _tell_about_meshes(self) -> None:
+    def _tell_about_meshes(self, links: list[Link]) -> None:
         if self._lost:
             wanted = {package for name in self._lost if (package := package_of(name)) is not None}
             unknown = [
@@ -477,12 +477,13 @@ class UrdfFile:
                 for package in sorted(wanted)
                 if not any(f.is_dir() for f in package_folders(package, self.path, self._packages))
             ]
-            named = [f"{name} ({'; '.join(who)})" for name, who in self._lost.items()]
             how = "".join(f"; --package {package}=DIR says where it is" for package in unknown)
-            count = len(named)
+            if not any(link.visuals for link in links) and any(link.collisions for link in links):
+                how = f"; collision shapes are shown instead{how}"
+            count = len(self._lost)
             self._warnings.append(
                 f"{count} mesh file{'s are' if count > 1 else ' is'} not found and not shown{how}: "
-                f"{first_of(named)}"
+                f"{first_of(list(self._lost), _MOST_FILES)}"
             )
         self._warnings += [f"{reason}; it is not shown" for reason in self._unread.values()]
 
