@@ -166,10 +166,13 @@ file = "{bag}"
         assert mirror.data.qpos == pytest.approx(angles(100), abs=0.02)
 
 
-def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path) -> None:
+def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path, capsys: Any) -> None:
     bag = write_bag(tmp_path / "two", {"/a/joint_states": states(), "/b/joint_states": states()})
-    with pytest.raises(DeclarationError, match="has several sources: a_joint_states, b_joint_st"):
+    several = "has several sources: a_joint_states, b_joint_states; choose with "
+    with pytest.raises(DeclarationError, match=f'{several}source = "NAME"'):
         Replay(file=bag)
+    status, _, told = run(capsys, "export-csv", str(bag), str(tmp_path / "out.csv"))
+    assert status == 2 and f"{several}--source" in told
     assert Replay(file=bag, source="b_joint_states").recorded.count == COUNT
     assert Replay(file=bag, topics={"joint_states": "/a/joint_states"}).recorded.name == "replay"
     with pytest.raises(DeclarationError, match=r"topics: .* has none of these"):

@@ -90,12 +90,13 @@ class PacketFile(ABC):
 
     _why_unreadable: ClassVar[str] = "its index is wrong"  # where no fault says it
 
-    def choose_source(self, name: str = "", default: str = "") -> str:
+    def choose_source(self, name: str = "", default: str = "", by: str = "") -> str:
         """Returns the name of one of its sources.
 
         Args:
             name: which; empty for `default`, or the only one.
             default: used if there is a source of this name and no other is requested.
+            by: what the user chooses one with, an option say; for the error.
 
         Raises:
             UsageError: there is no such source, or there are several.
@@ -107,8 +108,10 @@ class PacketFile(ABC):
         if name:
             where = f"in {self.path}"
             raise UsageError(Problem("", "no source", found=name, of=where, available=names))
-        found = f"has several sources: {', '.join(names)}; choose one" if names else "has no source"
-        raise UsageError(f"{self.path} {found}")
+        if not names:
+            raise UsageError(f"{self.path} has no source")
+        how = f"choose with {by}" if by else "choose one"
+        raise UsageError(f"{self.path} has several sources: {', '.join(names)}; {how}")
 
     @abstractmethod
     def packets(

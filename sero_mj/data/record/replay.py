@@ -109,7 +109,7 @@ class Replay(Source):
         topics, name = info.data["topics"], str(info.data.get("name"))
         wanted = {source or name: Ros2(**topics)} if topics else None
         with open_recording(info.data["file"], wanted) as recording:
-            chosen = recording.choose_source(source, name)
+            chosen = recording.choose_source(source, name, 'source = "NAME"')
         try:
             _receiver_of(recording.path, recording.sources[chosen], chosen)
         except RecordingError as error:
