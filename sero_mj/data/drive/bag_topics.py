@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from copy import copy
 from pathlib import Path
@@ -9,9 +10,11 @@ from typing import Any
 
 from ...base.errors import SeroError
 from ...base.frames import Array
+from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 from ..record.bag import Bag, open_recording
 from ..record.replay import Replay
+from ..ros.joined_packets import prefix_before
 from ..ros.ros_source import RosSource
 from .wiring import wired_source
 
@@ -46,27 +49,31 @@ def replay_of(scene: Scene, name: str, file: Path) -> dict[str, Any]:
     return table
 
 
-def with_bag(scene: Scene, file: Path) -> Scene:
+def with_bag(scene: Scene, file: Path, source: str | None = None) -> Scene:
     """A scene without sources that has a single robot, with that robot led by a recording of ROS.
 
-    Other scenes, and those of other recordings, are returned as they are.
+    Of several sources that one leads it whose joints are the robot's. Other scenes, and those of
+    other recordings, are returned as they are, and so is one where it is not known which leads it.
 
     Args:
         scene: is not changed.
         file: the recording.
+        source: of the recording, that leads the robot.
 
     Raises:
         RecordingError: it cannot be read.
     """
     if scene.sources or len(scene.robots) != 1:
         return scene
+    name, robot = next(iter(scene.robots.items()))
     with open_recording(file) as recording:
         if not isinstance(recording, Bag):
             return scene
-        names = list(recording.sources)
-    if len(names) != 1:
+        joints = {each: of.declared["joints"] for each, of in recording.sources.items()}
+    if source is None:
+        source = _source_of(robot, joints)
+    if source not in joints:
         return scene
-    (name, robot), (source,) = next(iter(scene.robots.items())), names
     led = copy(scene)
     led.sources = {source: {"kind": "replay", "file": str(file), "source": source}}
     led.routes = {**joint_routes(name, source), **scene.routes}
@@ -75,6 +82,26 @@ def with_bag(scene: Scene, file: Path) -> Scene:
         shown["show_arrows"] = True
     led.robots = {name: robot.model_copy(update=shown)}
     return led
+
+
+def _source_of(robot: SerialRobot, joints: Mapping[str, Sequence[str]]) -> str | None:
+    """The source whose joints are those of a robot, by their names; None where it is not clear.
+
+    Args:
+        robot: that is to be led.
+        joints: of each source, as its messages name them.
+    """
+    if len(joints) == 1:
+        return next(iter(joints))
+    wanted = [robot.names[k] for k in robot.coupled.independent]
+    best: dict[tuple[bool, bool], list[str]] = {}
+    for source, names in joints.items():
+        prefix = prefix_before(wanted, names)
+        others = set(names).difference(prefix + name for name in wanted)
+        if len(names) - len(others) == len(wanted):  # the robot's own names count more, and no more
+            best.setdefault((bool(prefix), bool(others)), []).append(source)
+    found = best[min(best)] if best else []
+    return found[0] if len(found) == 1 else None
 
 
 def _first_angles(scene: Scene, source: str) -> Array:
