@@ -12,7 +12,7 @@ import pytest
 from ros_tools import OLD_STORE, STORE, joint_state, read_joint_states, write_bag
 from test_cli import run
 
-from sero_mj.base.errors import DeclarationError, RecordingError
+from sero_mj.base.errors import DeclarationError, RecordingError, UsageError
 from sero_mj.cli._arguments import replay_instead
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.receive.source import LedJoint
@@ -263,3 +263,67 @@ file = "xarm"
     assert status == 0 and f"none of whose {COUNT} packets can be used" in " ".join(said.split())
     status, _, told = run(capsys, "render", str(file), "-o", str(tmp_path / "seen.png"))
     assert status == 2 and "no message has the joints that are wanted" in told
+
+
+ARM = [f"joint{i}" for i in range(1, 7)]
+
+
+def described(path: Path, more: dict[str, Any] | None = None) -> Path:
+    """A bag of an arm of its own whose meshes nobody has."""
+    link = (
+        '<link name="l{i}"><visual><geometry><mesh filename="package://arm/l{i}.stl"/></geometry>'
+        '</visual><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+    )
+    joint = (
+        '<joint name="joint{i}" type="revolute"><origin xyz="0 0 0.2"/><parent link="l{k}"/>'
+        '<child link="l{i}"/><axis xyz="0 1 0"/>'
+        '<limit lower="-3" upper="3" effort="10" velocity="1"/></joint>'
+    )
+    parts = [link.format(i=i) for i in range(7)] + [joint.format(i=i, k=i - 1) for i in range(1, 7)]
+    text = STORE.types["std_msgs/msg/String"](f"<robot name='arm'>{''.join(parts)}</robot>")
+    own = [(k * STEP, joint_state(ARM, angles(k)[:6], (), angles(k)[:6])) for k in range(COUNT)]
+    topics = {"/joint_states": own, "/robot_description": [(0, text)], **(more or {})}
+    return write_bag(path, topics)
+
+
+def test_commands_for_runs_find_the_robot_of_a_bag(tmp_path: Path, capsys: Any) -> None:
+    own = described(tmp_path / "own")
+    assert run(capsys, "plot", str(own), "-o", str(tmp_path / "own.pdf"))[0] == 0
+    path = write_bag(tmp_path / "shipped", {"/joint_states": states()})
+    status, said, told = run(capsys, "compare", str(path), str(path))
+    assert status == 0 and "fr3_joint7" in said and not told
+    other = write_bag(tmp_path / "other", {"/joint_states": states(names=list("abcdefg"))})
+    status, _, told = run(capsys, "plot", str(other), "-o", str(tmp_path / "other.pdf"))
+    assert status == 2 and "no shipped one has its joints" in told and "--scene SCENE" in told
+
+
+def test_a_robot_is_led_by_the_topic_with_its_joints(tmp_path: Path, capsys: Any) -> None:
+    # Joints of the FR3 are called as those of the arm are, behind a prefix.
+    both = described(tmp_path / "both", {"/fr3/joint_states": states()})
+    for name, source in (("fr3", "fr3_joint_states"), ("ur5e", None)):
+        scene = load_scene(name)
+        if source is None:
+            with pytest.raises(UsageError, match=r"several sources: .*, by source or topics$"):
+                replay_instead(scene, both, None)
+        else:
+            replay_instead(scene, both, None)
+            assert list(scene.sources) == [source]
+    log = read_run(both, scene=load_scene("fr3"))
+    assert log.signals["fr3_joint_angles"][9] == pytest.approx(angles(9))
+    with pytest.raises(UsageError, match="joint_states, fr3_joint_states; choose with --source"):
+        read_run(both, scene=load_scene("ur5e"))
+    assert run(capsys, "plot", str(both), "-o", str(tmp_path / "both.pdf"))[0] == 0
+
+
+def test_meshes_that_a_described_robot_lacks_are_told_once(
+    tmp_path: Path, capsys: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = described(tmp_path / "own")
+    picture = ["-o", str(tmp_path / "own.png"), "--size", "80x60"]
+    assert run(capsys, "render", str(path), *picture)[0] == 0
+    (told,) = [each.getMessage() for each in caplog.records if "mesh" in each.getMessage()]
+    assert told == (
+        "arm.urdf: 7 mesh files are not found and not shown; collision shapes are shown instead; "
+        "--package arm=DIR says where it is: package://arm/l0.stl, package://arm/l1.stl, "
+        "package://arm/l2.stl and 4 more"
+    )

@@ -134,7 +134,8 @@ def test_which_source_has_to_be_clear(tmp_path: Path) -> None:
     path = tmp_path / "two.mcap"
     begin(path, "arm", "hand").close()
     with raises_with(
-        UsageError, reason=f"{tmp_path}/two.mcap has several sources: arm, hand; choose with --recorded"
+        UsageError,
+        reason=f"{tmp_path}/two.mcap has several sources: arm, hand; choose with --recorded",
     ):
         RecordedPackets(path)
     with raises_with(

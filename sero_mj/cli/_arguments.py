@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 
 import numpy as np
 
-from ..base.errors import DeclarationError, Problem, RecordingError, UsageError
+from ..base import paths
+from ..base.errors import DeclarationError, Problem, RecordingError, SeroError, UsageError
 from ..base.options import Options
 from .options import add_options, read_options
 
@@ -262,7 +263,7 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
     from ..data.drive.bag_topics import replay_of, topics_of, with_bag
-    from ..data.record.bag import open_recording
+    from ..data.record.bag import Bag, open_recording
     from ..simulate.runs.run_log import routes_from_recording
 
     led = with_bag(scene, file)
@@ -270,10 +271,16 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
     with open_recording(file, topics_of(scene)) as recording:
         recorded = {name: list(source.events) for name, source in recording.sources.items()}
         check_span(recording, start)
+        is_of_ros = isinstance(recording, Bag)
     both = [name for name in scene.sources if name in recorded]
     if not both:
         found = ", ".join(recorded) or "no source"
         expected = ", ".join(scene.sources) or "none: it has no sources"
+        if is_of_ros and len(recorded) > 1 and not scene.sources:
+            raise UsageError(
+                f"--replay {file} has several sources: {found}; it is not clear which moves scene "
+                f"'{scene.name}'; a source of kind = 'replay' in it chooses, by source or topics"
+            )
         raise UsageError(f"--replay {file} has {found}; scene '{scene.name}' expects {expected}")
     for name in both:
         scene.sources[name] = replay_of(scene, name, file)
@@ -310,12 +317,25 @@ def print_table(table: Table) -> None:
 
 def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> RunLog:
     """Reads a recording or a table, for a command with `--scene` for recordings without one."""
+    from ..data.drive.described_scene import scenes_of_bag
+    from ..data.record.bag import Bag, open_recording
     from ..simulate.runs.run_recording import read_run, read_run_table
 
     if path.suffix.lower() == ".csv":
         if scene is None:
             raise UsageError(f"{path} does not say what its robots are: give --scene SCENE")
         return read_run_table(path, scene, source)
+    if scene is None:
+        with open_recording(path) as recording:
+            found = list(scenes_of_bag(recording)) if isinstance(recording, Bag) else []
+        why: list[SeroError] = []
+        for name in found:
+            try:
+                return read_run(path, source, scene=read_scene(name))
+            except SeroError as error:
+                why.append(error)
+        if why:
+            raise UsageError(paths.without_temporary(str(why[0])))
     try:
         return read_run(path, source, scene=scene)
     except RecordingError as error:

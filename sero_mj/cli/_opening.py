@@ -6,16 +6,13 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 from ..base import paths
 from ..base.errors import SeroError, UsageError
 from ..viewer.session.recent_views import RecentView, recent_views
 from ._arguments import NETWORK, read_scene, replay_instead
 from .shared_options import is_recording
-
-if TYPE_CHECKING:
-    from ..data.record.bag import Bag
 
 
 class _ShowsScene(Protocol):
@@ -100,6 +97,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
+    from ..data.drive.described_scene import scenes_of_bag
     from ..data.record.bag import Bag, open_recording
     from ..data.record.scene_files import write_scene
 
@@ -107,7 +105,7 @@ def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
         yield shown
     with open_recording(path) as recording:
         if isinstance(recording, Bag):
-            yield from _scenes_of_bag(recording)
+            yield from scenes_of_bag(recording)
             return
         name = recording.about.get("scene", "")
     if not name:
@@ -123,18 +121,6 @@ def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
         own = write_scene(recording, name, paths.make_temporary_folder())
     if own is not None:
         yield str(own)
-
-
-def _scenes_of_bag(bag: Bag) -> Iterator[str]:
-    """Scenes of the robots that a recording of ROS may be of: described in it, or shipped."""
-    from ..data.drive.described_scene import described_scene
-    from ..data.record.bag import DESCRIPTION
-    from ..data.ros.network import robots_with
-
-    if DESCRIPTION in bag.attachments:
-        yield str(described_scene(bag.read_attachment(DESCRIPTION).decode("utf-8")))
-    for source in bag.sources.values():
-        yield from robots_with(source.declared["joints"])
 
 
 def is_temporary(view: RecentView) -> bool:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 from ...base import paths
 from ...base.errors import UsageError, shown
-from ..ros.network import SCHEME, Address, Found, find_robot
+from ..record.bag import DESCRIPTION, Bag
+from ..ros.network import SCHEME, Address, Found, find_robot, robots_with
 from .bag_topics import joint_routes
 
 _PATIENCE = 5.0  # s for a network to tell of its robot
@@ -82,6 +83,21 @@ def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path
     file = folder / f"{name}.toml"
     file.write_text("\n".join(_toml(*each) for each in tables.items()), encoding="utf-8")
     return file
+
+
+def scenes_of_bag(bag: Bag) -> Iterator[str]:
+    """Scenes of the robots that a recording of ROS may be of: described in it, or shipped.
+
+    Args:
+        bag: is read only while it is asked for the next one.
+
+    Returns:
+        names or files, the likeliest first.
+    """
+    if DESCRIPTION in bag.attachments:
+        yield str(described_scene(bag.read_attachment(DESCRIPTION).decode("utf-8")))
+    for source in bag.sources.values():
+        yield from robots_with(source.declared["joints"])
 
 
 def _is_xml(text: str) -> bool:

@@ -26,7 +26,7 @@ from ...base.toml_file import parse_toml
 from ...data.drive.bag_topics import topics_of, with_bag
 from ...data.drive.wiring import wired_source
 from ...data.receive.source import Source
-from ...data.record.bag import open_recording
+from ...data.record.bag import Bag, open_recording
 from ...data.record.csv_files import column_names, read_csv
 from ...data.record.recording import PacketFile
 from ...data.record.scene_files import table_names
@@ -69,10 +69,12 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
     path = Path(path)
     topics = None
     if scene is not None:
-        scene = with_bag(scene, path)
+        scene = with_bag(scene, path, source)
         topics = topics_of(scene)
     with open_recording(path, topics) as recording:
         names = _chosen(recording, source)
+        if isinstance(recording, Bag) and scene is not None and not scene.sources:
+            names = [recording.choose_source(source or "", by="--source")]
         runs = [name for name in names if _robots_of(recording.sources[name].events)]
         if len(runs) > 1:
             found = ", ".join(runs)
@@ -82,8 +84,10 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         declared = _recorded(recording) if scene is None else _declared_in(scene)
         robots = declared.robots
         if not robots:
-            found = ", ".join(recording.attachments) or "no files"
-            reason = f"has no robot in it: found {found}; expected a scene, give one"
+            found = f"found {', '.join(recording.attachments) or 'no files'}"
+            if isinstance(recording, Bag):
+                found = "it describes none, and no shipped one has its joints"
+            reason = f"has no robot in it: {found}; expected a scene, give one"
             raise RecordingError(path, reason)
         receivers = {name: receiver_of(recording, name) for name in names}
         return _mirrored(
