@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import pty
 import subprocess
 import sys
+import termios
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -162,10 +165,34 @@ def test_a_file_of_the_name_of_a_description_fetches_nothing(
 def test_names_are_listed_and_suggested(tmp_path: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if key not in UNSET}
     status, said = run_command(["list", "--known"], tmp_path, environment)
-    assert status == 0 and "ur5e_description" in said and "MuJoCo Menagerie: no checkout" in said
+    assert status == 0 and "MuJoCo Menagerie: no checkout" in said
+    lines = said.splitlines()
+    assert "  ur5e_description" in lines  # one a line where this is no terminal
+    names = lines[lines.index("robot_descriptions") + 1 :]
+    assert len(names) > 100 and names == sorted(names)
     for name in ("talos_descriptio", "talos", "Talos"):
         with raises_with(UnknownName, hint="; did you mean 'talos_description'?"):
             load_scene(name)
+
+
+def test_names_are_in_columns_as_wide_as_the_terminal(tmp_path: Path) -> None:
+    ours, theirs = pty.openpty()
+    termios.tcsetwinsize(theirs, (40, 100))
+    command = [sys.executable, "-m", "sero_mj", "list", "--known"]
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=theirs, cwd=tmp_path
+    ) as process:
+        os.close(theirs)
+        said = b""
+        with contextlib.suppress(OSError):  # which is its end
+            while more := os.read(ours, 65536):
+                said += more
+    os.close(ours)
+    lines = said.decode().splitlines()
+    assert process.returncode == 0
+    assert 60 < max(map(len, lines)) <= 100
+    first, second = lines[lines.index("robot_descriptions") + 1 :][:2]
+    assert first.split()[0] < second.split()[0] < first.split()[1]
 
 
 @pytest.mark.parametrize(

@@ -69,9 +69,20 @@ add_to = command("list", run, ListOptions, "See also: sero-mj check SCENE")
 
 
 def _print_known() -> None:
+    from rich.columns import Columns
+    from rich.console import Console
+    from rich.padding import Padding
+
+    console = Console(highlight=False)
     for place in paths.robot_places():
-        names = place.names()
-        print(f"{place.title}: {', '.join(names) or place.none}")
+        names = sorted(place.names())
+        print(place.title if names else f"{place.title}: {place.none}", flush=True)
+        if console.is_terminal:
+            columns = Columns(names, padding=(0, 2), column_first=True)
+            console.print(Padding(columns, (0, 0, 0, 2)))
+        else:
+            for name in names:
+                print(f"  {name}")
 
 
 def _print_environments() -> None:
