@@ -23,6 +23,7 @@ ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
 _TELLS_NOTHING = ("robot", "model", "scene", "main")
 # In third-party folders: the scene with a floor, and subfolders that may contain models.
 _SCENE_FILE, _INNER = "scene.xml", ("mjcf", "urdf", "robots")
+BAG_ENDINGS = (".mcap", ".db3")  # of the files of ROS 2's recordings
 _MODELS = ("a URDF file", "an MJCF file")
 _PACKAGE = Path(__file__).resolve().parents[1]
 _KINDS = (
@@ -362,6 +363,27 @@ def without_temporary(text: str) -> str:
         return text
     folder = re.escape(str(Path(_temporary().name).resolve()))
     return re.sub(rf"{folder}[/\\][^/\\\s]+[/\\]", "", text)
+
+
+def bag_file_in(folder: Path | str, besides: str = "") -> Path | None:
+    """The file of a recording of ROS 2 in a folder that has nothing else; None for none.
+
+    Such is a folder whose recorder was killed: metadata.yaml is written at the end.
+
+    Args:
+        folder: that may be one.
+        besides: name of a file that may be there as well.
+    """
+    try:
+        files = [each for each in Path(folder).iterdir() if each.name != besides]
+        files = [each for each in files if not each.name.startswith(".")]
+    except OSError:
+        return None
+    found = [each for each in files if each.suffix.lower() in BAG_ENDINGS]
+    # What SQLite writes beside its file is called as that is.
+    if len(found) != 1 or not all(each.name.startswith(found[0].name) for each in files):
+        return None
+    return found[0]
 
 
 def open_file(path: Path | str, most: int | None = None) -> BinaryIO:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, model_validator
 
+from ..base import paths
 from ..base.declaration import expecting
 from ..base.options import Duration, Option, Options, Time, ending, positional
 from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
@@ -30,8 +31,10 @@ Flag = Annotated[str | None, Option("NAME")]
 
 def is_recording(path: Path | str) -> bool:
     """Whether a file or folder is a recording, ours or of ROS, by its name."""
-    return str(path).lower().endswith((".mcap", ".bag", ".db3")) or (
-        Path(path, "metadata.yaml").is_file()
+    if str(path).lower().endswith((".mcap", ".bag", ".db3")):
+        return True
+    return bool(str(path)) and (
+        Path(path, "metadata.yaml").is_file() or paths.bag_file_in(path) is not None
     )
 
 

@@ -28,7 +28,7 @@ from ...base.errors import Problem
 
 MAX_CHUNK_BYTES = 64 << 20  # decompressed; writers make chunks of 1 to 4 MiB
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time
-_RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
+RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
 _CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # bytes of a chunk's fields, except text and data
 # Exceptions of the mcap library and the decompressors for damaged data.
 BROKEN = (
@@ -42,7 +42,7 @@ BROKEN = (
 )
 _ATTACHMENT_HEAD = 4096  # bytes that always include an attachment's name
 _CRC_BYTES = 4 + MAGIC_SIZE  # at the end of a file: the summary's check sum, and the magic number
-_NOT_CLOSED = "its process was killed, the disk was full, or it is still being written"
+NOT_CLOSED = "its process was killed, the disk was full, or it is still being written"
 
 
 @dataclass(frozen=True)
@@ -115,8 +115,8 @@ def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
     size = file.seek(0, os.SEEK_END)
     if not 0 <= offset <= offset + length <= size:
         raise ValueError(f"{length} bytes at byte {offset} are beyond the end of the file")
-    file.seek(offset + _RECORD_HEAD.size)
-    return io.BytesIO(file.read(max(length - _RECORD_HEAD.size, 0)))
+    file.seek(offset + RECORD_HEAD.size)
+    return io.BytesIO(file.read(max(length - RECORD_HEAD.size, 0)))
 
 
 def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
@@ -125,8 +125,8 @@ def _from_summary(file: BinaryIO, size: int) -> FileIndex | None:
     if size < MAGIC_SIZE + ending:
         return None
     file.seek(size - ending)
-    opcode, length, start = struct.unpack("<BQQ", file.read(_RECORD_HEAD.size + 8))
-    if (opcode, length) != (Opcode.FOOTER, FOOTER_SIZE - _RECORD_HEAD.size) or not start:
+    opcode, length, start = struct.unpack("<BQQ", file.read(RECORD_HEAD.size + 8))
+    if (opcode, length) != (Opcode.FOOTER, FOOTER_SIZE - RECORD_HEAD.size) or not start:
         return None
     if not MAGIC_SIZE <= start <= size - ending:
         raise ValueError("it is not where the end of the file says")
@@ -169,7 +169,7 @@ def _walk_through(file: BinaryIO, size: int) -> FileIndex:
     chunks: list[tuple[tuple[int, int, int, int], dict[int, int]]] = []
     position, is_whole = MAGIC_SIZE, False
     try:
-        for opcode, offset, length in _records(file, size):
+        for opcode, offset, length in walk_records(file, size):
             if opcode == Opcode.CHUNK:
                 first, last = struct.unpack("<QQ", file.read(16))
                 chunks.append(((offset, length, first, last), {}))
@@ -191,23 +191,33 @@ def _walk_through(file: BinaryIO, size: int) -> FileIndex:
             index.uncounted.append(chunk)
         for channel, count in counts.items():
             index.counts[channel] = index.counts.get(channel, 0) + count
-    if is_whole:
-        index.faults.append(f"was not closed ({_NOT_CLOSED}), so it has no index")
-    else:
-        index.faults.append(
-            f"is cut off or damaged at byte {position} ({_NOT_CLOSED}): "
-            f"{size - position} bytes are left out"
-        )
+    index.faults.append(fault_of_end(position, size, is_whole=is_whole))
     return index
 
 
-def _records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
+def fault_of_end(position: int, size: int, *, is_whole: bool) -> str:
+    """What is wrong with a file without an index.
+
+    Args:
+        position: where its last whole record ends, bytes.
+        size: of the file, bytes.
+        is_whole: whether that is where its data end.
+    """
+    if is_whole:
+        return f"was not closed ({NOT_CLOSED}), so it has no index"
+    return (
+        f"is cut off or damaged at byte {position} ({NOT_CLOSED}): "
+        f"{size - position} bytes are left out"
+    )
+
+
+def walk_records(file: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
     """Yields opcode, offset and length of each record up to the end of the data."""
     position, opcode = MAGIC_SIZE, 0
     while opcode != Opcode.DATA_END:
         file.seek(position)
-        opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
-        end = position + _RECORD_HEAD.size + length
+        opcode, length = RECORD_HEAD.unpack(file.read(RECORD_HEAD.size))
+        end = position + RECORD_HEAD.size + length
         if opcode == 0 or end > size:
             return
         yield opcode, position, end - position
@@ -251,26 +261,45 @@ def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
     Raises:
         BROKEN: one of these, if the chunk is damaged or implausibly large.
     """
+    _, data = unpack_chunk(record)
+    found = []
+    for opcode, begin, end in records_in(data):
+        if opcode == Opcode.MESSAGE:
+            _, _, number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(data, begin)
+            if number == channel:
+                found.append((log_time, data[begin + _MESSAGE_HEAD.size : end]))
+    return found
+
+
+def unpack_chunk(record: bytes) -> tuple[Chunk, bytes]:
+    """Returns a chunk and its contents, decompressed.
+
+    Args:
+        record: the chunk's record, without its head.
+
+    Raises:
+        BROKEN: one of these, if the chunk is damaged or implausibly large.
+    """
     chunk = Chunk.read(ReadDataStream(io.BytesIO(record)))
     if len(chunk.data) + _CHUNK_FIELDS + len(chunk.compression) != len(record):
         raise ValueError("it ends early")
     data = _decompressed(chunk)
     if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError("its check sum differs")
-    found = []
+    return chunk, data
+
+
+def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yields opcode, begin and end of each record in a chunk's contents; raises one of BROKEN."""
     position, size = 0, len(data)
     while position < size:
-        opcode, length = _RECORD_HEAD.unpack_from(data, position)
-        end = position + _RECORD_HEAD.size + length
+        opcode, length = RECORD_HEAD.unpack_from(data, position)
+        end = position + RECORD_HEAD.size + length
         if opcode == 0 or end > size:
             what = "found opcode 0" if opcode == 0 else f"{length} bytes do not fit"
             raise ValueError(f"record at byte {position} of it: {what}")
-        if opcode == Opcode.MESSAGE:
-            _, _, number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(data, position)
-            if number == channel:
-                found.append((log_time, data[position + _MESSAGE_HEAD.size : end]))
+        yield opcode, position, end
         position = end
-    return found
 
 
 def _decompressed(chunk: Chunk) -> bytes:

@@ -7,25 +7,33 @@ The messages of several topics become the packets of one source, as when they ar
 from __future__ import annotations
 
 import math
+import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
 from mcap.reader import make_reader
+from mcap.writer import MCAP0_MAGIC
 
 from ...base.errors import Problem, RecordingError, UnknownName
-from ...base.paths import open_file
+from ...base.paths import BAG_ENDINGS, bag_file_in, open_file
 from ..ros.dds import Ros2
 from ..ros.joined_packets import FRAMES, JoinedPackets
 from ..ros.messages import JOINT_STATE, TEXT, MalformedMessage, type_store
 from ..ros.ros_source import MOST_KEPT, TYPES, RosSource
-from .recording import OfAnotherProgram, PacketFile, RecordedSource, Recording
+from ._mcap_reader import BROKEN, NOT_CLOSED
+from ._mended_mcap import MendedMcap
+from .recording import PacketFile, RecordedSource, Recording
 
 DESCRIPTION = "robot.urdf"  # an attachment: what the topic robot_description says
 _ENDINGS = (".bag", ".db3")
 _METADATA = "metadata.yaml"  # in the folder of a rosbag2
+_FILES = ", ".join(f"NAME{ending}" for ending in BAG_ENDINGS)
+_SQLITE, _SQLITE_HEAD = b"SQLite format 3\0", 100  # bytes
+_ROS1 = b"#ROSBAG V2.0"
 _BEFORE = 0.5  # s before a time in which what was true at that time is looked for
 _LONGER = 8.0  # times as long, as long as nothing is found
 _NEXT = 1e-9  # s, the resolution of times
@@ -53,20 +61,61 @@ def open_recording(
         RecordingError: it cannot be read, or is neither.
     """
     path = Path(path)
+    if path.is_dir() and not is_bag(path):
+        found = bag_file_in(path)
+        if found is None:
+            reason = f"is a folder without {_METADATA}; open one of its files, {_FILES}"
+            raise RecordingError(path, reason)
+        path = found
     if is_bag(path):
         return Bag(path, topics, tell)
     try:
         return Recording(path)
-    except OfAnotherProgram:
+    except RecordingError:  # also where what tells of its messages is in a chunk, or missing
         if _profile(path) == "ros2":
             return Bag(path, topics, tell)
         raise
 
 
 def _profile(path: Path) -> str:
-    """What an MCAP file says that its messages are."""
-    with open_file(path) as file:
+    """What an MCAP file says that its messages are; empty where it cannot be read."""
+    with suppress(OSError, *BROKEN), open_file(path) as file:
         return make_reader(file).get_header().profile
+    return ""
+
+
+def _lacks_its_end(file: Path) -> bool:
+    """Whether a file is the begin of an MCAP file."""
+    if file.suffix.lower() != ".mcap":
+        return False
+    with open_file(file) as opened:
+        magic = opened.read(len(MCAP0_MAGIC))
+        opened.seek(-min(file.stat().st_size, len(MCAP0_MAGIC)), os.SEEK_END)
+        return magic == MCAP0_MAGIC != opened.read()
+
+
+def _why_unreadable(path: Path, error: Exception) -> str:
+    """Why a recording cannot be read, by the error of rosbags."""
+    said = f"cannot be read: {error or type(error).__name__}"
+    with suppress(OSError):
+        file = (bag_file_in(path, besides=_METADATA) if path.is_dir() else path) or path
+        with open_file(file) as opened:
+            begin = opened.read(_SQLITE_HEAD)
+        size = file.stat().st_size
+        if not begin:
+            return f"{file.name} is empty ({NOT_CLOSED})"
+        if file.suffix.lower() == ".db3" and begin.startswith(_SQLITE):
+            page, pages = int.from_bytes(begin[16:18]), int.from_bytes(begin[28:32])
+            whole = (page if page > 1 else 1 << 16) * pages
+            hint = "what is left may be saved with .recover of sqlite3"
+            if size < whole:
+                missing = f"{whole - size} of {whole} bytes are missing"
+                return f"is cut off ({NOT_CLOSED}): {missing}; {hint}"
+            return f"{said}; {hint}" if "malformed" in said else said
+        if begin.startswith(_ROS1) and "damaged" in said:
+            hint = "rosbag reindex, of ROS 1, may save what is left"
+            return f"is cut off or damaged ({NOT_CLOSED}), so its index cannot be read; {hint}"
+    return said
 
 
 class Bag(PacketFile):
@@ -101,16 +150,31 @@ class Bag(PacketFile):
             raise RecordingError(path, f"{reason}pip install 'sero-mj[ros2]'") from error
         self._reader: Any = None
         try:
-            self._reader = AnyReader([path], default_typestore=type_store())
-            self._reader.open()
+            self._open(AnyReader)
             self._read_all_but_messages(topics)
         except RecordingError:
             self.close()
             raise
         except Exception as error:  # rosbags, its parsers and its decompressors raise many kinds
             self.close()
-            reason = f"cannot be read: {error or type(error).__name__}"
-            raise RecordingError(path, reason) from error
+            raise RecordingError(path, _why_unreadable(path, error)) from error
+
+    def _open(self, reader: Any) -> None:
+        """Opens it, or what is whole of it; raises RecordingError and whatever rosbags raises."""
+        file = bag_file_in(self.path, besides=_METADATA) if self.path.is_dir() else self.path
+        try:
+            self._reader = reader([self.path], default_typestore=type_store())
+            self._reader.open()
+        except Exception:
+            if file is None or not _lacks_its_end(file):
+                raise
+            mended = MendedMcap(file)
+            self.faults += mended.faults
+            if not mended.has_topics:
+                reason = f"{mended.faults[-1]}; nothing before that can be read"
+                raise RecordingError(self.path, reason) from None
+            self._reader = reader([mended], default_typestore=type_store())
+            self._reader.open()
 
     def _read_all_but_messages(self, topics: Mapping[str, RosSource] | None) -> None:
         reader = self._reader

@@ -63,10 +63,6 @@ class RecordedSource(SourceDeclaration):
         return self.count > 0 and math.isnan(self.first)
 
 
-class OfAnotherProgram(RecordingError):
-    """An MCAP file that is not a recording of sero-mj."""
-
-
 class PacketFile(ABC):
     """A file with the packets of sources. Times are s since it begins.
 
@@ -187,7 +183,6 @@ class Recording(PacketFile):
         path: the file.
 
     Raises:
-        OfAnotherProgram: it is an MCAP file, but no recording.
         RecordingError: it cannot be read, or is not a recording.
     """
 
@@ -260,7 +255,7 @@ class Recording(PacketFile):
             raise RecordingError(self.path, Problem("", why, expected=_EXPECTED))
         topics = ", ".join(sorted(channel.topic for channel in index.channels.values())[:10])
         reason = f"is an MCAP file of another program: found the topics {topics}"
-        raise OfAnotherProgram(self.path, Problem("", reason, expected=_EXPECTED))
+        raise RecordingError(self.path, Problem("", reason, expected=_EXPECTED))
 
     def _read_clock(self, index: FileIndex) -> RecordingClock:
         metadata = index.metadata.get(CLOCK)
