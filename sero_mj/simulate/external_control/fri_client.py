@@ -51,8 +51,8 @@ class FriClient(FriSession):
     def make(self, model: RobotModel, timestep: float) -> FriRobot:
         """The controller; the program is started with its first step."""
         if model.n != JOINTS:
-            found = f"FRI is for {JOINTS} joints"
-            raise Problem("kind", found, found=model.n, expected="a robot with as many").error()
+            reason = f"FRI is for {JOINTS} joints; {model.name} has {model.n}"
+            raise Problem("kind", reason).error()
         cycle = self.cycle or timestep
         steps = round(cycle / timestep)
         if steps < 1 or abs(steps * timestep - cycle) > 1e-9:
