@@ -174,7 +174,7 @@ class Answer:
         if "joint_angles" in events:
             for name, value in declared.items():
                 if value is None and name not in events:
-                    expected = f"numbers, or {name} in command"
+                    expected = f"numbers, or {name} in answer"
                     raise Problem(name, "is required", expected=expected).error()
         self.packet = bytearray(self.structure.size)
         views = {name: _view(self.packet, self.structure, name) for name in events}

@@ -75,7 +75,10 @@ def _function_of(file: Path, name: str) -> Any:
     except OSError as error:
         raise Problem("file", f"{file} cannot be loaded: {error}").error() from None
     except AttributeError:
-        header = f"void {name}(struct sero_mj_robot *), see sero-mj snippet controller-c"
+        header = (
+            f'void {name}(struct sero_mj_robot *), in C++ extern "C", in Rust #[no_mangle]; '
+            "see sero-mj snippet controller-c"
+        )
         problem = Problem("function", f"{file} has no function {name}", expected=header)
         raise problem.error() from None
 
@@ -184,7 +187,10 @@ class IsolatedLibrary:
         while not self._poll.poll(_SLICE):
             waited += _SLICE / 1e3
             if waited > self._declared.patience:
-                what = f"{self._declared.file}: {self._declared.function} does not come back"
+                what = (
+                    f"{self._declared.file}: {self._declared.function} does not come back "
+                    f"within {self._declared.patience:g} s"
+                )
                 self.close()
                 raise SimulationError(sensed.time, self._model.name, what)
         if os.read(self._from, 1) != b"1":
