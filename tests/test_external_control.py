@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -223,7 +224,7 @@ def test_a_library_knows_its_first_step_and_whether_there_is_gravity(folder: Pat
     ("function", "said"),
     [
         ("crash", r"law.so: crash has ended its process: SIGSEGV"),
-        ("hang", "hang does not come back"),
+        ("hang", "hang does not come back within 0.5 s"),
     ],
 )
 def test_a_library_in_a_process_of_its_own_may_fail(folder: Path, function: str, said: str) -> None:
@@ -254,7 +255,7 @@ def test_a_library_that_crashes_here_is_named(folder: Path) -> None:
     [
         ({"file": "none.so"}, "file", "no file"),
         ({"file": "peer.py"}, "file", "cannot be loaded"),
-        ({"function": "contrl"}, "function", "has no function contrl"),
+        ({"function": "contrl"}, "function", 'in C++ extern "C", in Rust #[no_mangle]'),
         ({"function": "contrl", "isolated": True}, "function", "has no function contrl"),
     ],
 )
@@ -295,9 +296,35 @@ def test_what_else_programs_do_is_survived(
     assert bool(told) == (mode in ("wrong size", "other steps", "twice"))
 
 
-def test_a_command_that_is_no_number_is_not_applied(folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("mode", "why"),
+    [
+        ("wrong size", r"\(found \w+ bytes; expected 64\)"),
+        ("other steps", r"\(to another step than \d+\)"),
+    ],
+)
+def test_why_an_answer_was_not_applied_is_told(
+    folder: Path, mode: str, why: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    signals(simulation(folder, program(mode)))
+    assert re.search(rf"\d+ answers were not applied {why}, 0 steps had none", caplog.text)
+
+
+def test_a_command_that_is_no_number_is_not_applied(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with pytest.raises(SimulationError, match="to step 50"):
         signals(simulation(folder, program("nan"), patience=0.1))
+    assert "1 answers were not applied (to step 50: not finite), 1 steps had none" in caplog.text
+
+
+def test_numbers_may_be_among_a_programs_words(folder: Path) -> None:
+    """So that a sweep can vary its gains."""
+    words = ["cat", "{port}", 0.5, 3]
+    declared = simulation(folder, program("right"), command=words).scenario.controllers["lwr"]
+    assert declared.command == ["cat", "{port}", "0.5", "3"]
+    with pytest.raises(DeclarationError, match="expected string"):
+        simulation(folder, program("right"), command=["cat", "{port}", False])
 
 
 @pytest.mark.parametrize("on_silence", ["hold", "gravity_compensation"])

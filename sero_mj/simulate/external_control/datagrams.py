@@ -11,10 +11,10 @@ import time as clock
 import weakref
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Protocol, Self
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
@@ -31,6 +31,15 @@ _SLICE = 0.02  # s, in which an interrupt and the end of the program are seen
 _RECEIVE_BUFFER = 1 << 20  # bytes, so that a flood of strays does not push the answer out
 
 
+def _as_word(value: Any) -> Any:
+    """A number as a program gets it, so that one can be varied."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return repr(value) if is_number else value
+
+
+Word = Annotated[str, BeforeValidator(_as_word)]
+
+
 class Reachable(ControllerDeclaration):
     """Base of controllers that are programs reached by UDP.
 
@@ -38,7 +47,7 @@ class Reachable(ControllerDeclaration):
         host: address of the program.
         port: its port; 0 with `command`: a free one.
         command: starts the program, ["./controller", "--port", "{port}"] say, and it ends with the
-            run; none where it runs already.
+            run; none where it runs already. Numbers may be in it, as in a shell.
         folder: where it is started; relative to the scenario's folder, which is the default.
         clock: `lockstep`: the simulation waits for the answer to each state; `real_time`: a state
             is sent at its time, and the newest answer until the next one is due holds, as on a
@@ -51,7 +60,7 @@ class Reachable(ControllerDeclaration):
 
     host: str = "127.0.0.1"
     port: int = Field(0, ge=0, le=65535)
-    command: list[str] = []
+    command: list[Word] = []
     folder: Path = Path()
     clock: Literal["lockstep", "real_time"] = "lockstep"
     patience: float = Field(1.0, gt=0, le=3600)
@@ -359,6 +368,7 @@ class ProgramController:
         self._link = link or Link(declared, model.name, answer.structure.size)
         self.logged: Array = np.zeros(2)
         self.wrong = self.silent = self._step = 0
+        self._why_wrong = ""  # the last answer that was not applied
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,).
@@ -389,8 +399,8 @@ class ProgramController:
         self._link.close()
         if self.wrong or self.silent:
             log.warning(
-                "%s: %d answers were not applied, %d steps had none",
-                self._link.name, self.wrong, self.silent,
+                "%s: %d answers were not applied%s, %d steps had none",
+                self._link.name, self.wrong, self._why_wrong, self.silent,
             )  # fmt: skip
         self.wrong = self.silent = 0
 
@@ -417,11 +427,18 @@ class ProgramController:
         answer = self._answer
         if size != answer.structure.size:
             self.wrong += 1
+            # The buffer holds one byte more than an answer has.
+            found = f"{size}" if size <= answer.structure.size else "more"
+            self._why_wrong = f" (found {found} bytes; expected {answer.structure.size})"
             return False
         before = bytes(answer.packet)
         answer.packet[:] = self._link.buffer[:size]
         is_good = (not answer.has_step or answer.step == step) and answer.is_finite
         if not is_good:
+            if not answer.is_finite:
+                self._why_wrong = f" (to step {step}: not finite)"
+            else:
+                self._why_wrong = f" (to another step than {step})"
             answer.packet[:] = before
             self.wrong += 1
         return is_good
@@ -431,6 +448,7 @@ class ProgramController:
         step = self._step_in_buffer(size)
         if step <= self._link.answered:
             self.wrong += 1
+            self._why_wrong = self._why_wrong or " (none newer than the last)"
         elif self._take_answer(size, step):
             self._link.answered = step
 

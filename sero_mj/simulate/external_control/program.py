@@ -32,7 +32,7 @@ class Program:
         environment: what is set over that of this process.
 
     Attributes:
-        name: as given.
+        name: of its file.
         output: the file with what it has printed.
 
     Raises:
@@ -42,7 +42,7 @@ class Program:
     def __init__(
         self, command: Sequence[str], folder: Path, environment: Mapping[str, str] | None = None
     ) -> None:
-        self.name = command[0]
+        self.name = Path(command[0]).name
         handle, path = tempfile.mkstemp(prefix="sero-mj-program-", suffix=".log")
         self.output = Path(path)
         with os.fdopen(handle, "wb") as output:
