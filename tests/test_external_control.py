@@ -54,6 +54,7 @@ static void all(struct sero_mj_robot *r, double x) {
 }
 void first(struct sero_mj_robot *r) { all(r, r->is_first); }
 void without(struct sero_mj_robot *r) { all(r, !r->gravity); }
+void eight(struct sero_mj_robot *r) { r->torques_out[7] = 0.0; control(r); }
 """
 # A program that is right, but for what its mode says; the law is that of the library.
 PEER = """
@@ -231,6 +232,13 @@ def test_a_library_in_a_process_of_its_own_may_fail(folder: Path, function: str,
     settings = {"function": function, "isolated": True, "patience": 0.5}
     with pytest.raises(SimulationError, match=rf"lwr at 0.051\d* s: .*{said}"):
         signals(simulation(folder, LIBRARY, **settings))
+
+
+@pytest.mark.parametrize("isolated", [False, True])
+def test_a_library_for_more_joints_is_told(folder: Path, isolated: bool) -> None:
+    said = r"law.so: eight writes torques of more joints than there are; expected 7$"
+    with pytest.raises(SimulationError, match=said):
+        signals(simulation(folder, LIBRARY, function="eight", isolated=isolated))
 
 
 def test_a_library_that_crashes_here_is_named(folder: Path) -> None:
@@ -464,7 +472,7 @@ def test_angles_may_be_commanded_to_springs_of_the_robot(folder: Path) -> None:
             "answer",
             "expected torques, or joint_angles",
         ),
-        ('kind = "udp"\nport = 9\nanswer = "joint_angles:7F"', "stiffness", "is required"),
+        ('kind = "udp"\nport = 9\nanswer = "joint_angles:7F"', "stiffness", "stiffness in answer"),
         ('kind = "udp"\nport = 9\nanswer = "torques:7F damping:7F"', "answer", "damping is there"),
         ('kind = "udp"\nport = 9\nclock = "lock"', "clock", "lockstep"),
         ('kind = "shm"\ncommand = ["./a", "{memory}", "{turn}"]', "command", "{done}"),

@@ -28,6 +28,7 @@ from . import library_host
 from .library_host import ARRAYS, RobotStruct
 
 HEADER = Path(__file__).with_name("sero_mj_controller.h")
+_GUARD = b"\xa5" * 64  # behind the torques, where a library for more joints writes
 _SLICE = 20  # ms, in which an interrupt and the end of the process are seen
 
 
@@ -83,6 +84,11 @@ def _function_of(file: Path, name: str) -> Any:
         raise problem.error() from None
 
 
+def _writes_too_much(name: str, model: RobotModel, time: float) -> SimulationError:
+    what = f"{name} writes torques of more joints than there are; expected {model.n}"
+    return SimulationError(time, model.name, what)
+
+
 class LibraryController:
     """Calls a function of a library in every step.
 
@@ -98,6 +104,9 @@ class LibraryController:
         self._struct = RobotStruct(n=model.n, is_first=1, timestep=timestep)
         self._bound: tuple[Any, ...] = ()
         self._gravity: Array = np.zeros(model.n)
+        self._memory = bytearray(8 * model.n) + bytearray(_GUARD)
+        self._written: Array = np.frombuffer(self._memory, np.float64, model.n)
+        self._name = f"{declared.file}: {declared.function}"
         address = ctypes.c_void_p(ctypes.addressof(self._struct))
         # A crash ends this process. The interpreter then prints the file and line of each call that
         # is under way, so that this one bears the name of the library.
@@ -111,22 +120,30 @@ class LibraryController:
         self._call = scope["control"]
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,)."""
+        """Writes the torques of this step, (n,).
+
+        Raises:
+            SimulationError: the library has written those of more joints.
+        """
         struct = self._struct
-        bound = (sensed, target, out)
-        if len(self._bound) != 3 or any(
+        bound = (sensed, target)
+        if len(self._bound) != 2 or any(
             a is not b for a, b in zip(bound, self._bound, strict=True)
         ):
-            self._bind(sensed, target, out)
+            self._bind(sensed, target)
             self._bound = bound
         if self._has_gravity:
             self._model.update(sensed.motor_angles, sensed.motor_velocities)
             self._gravity[:] = self._model.gravity()
         struct.time = sensed.time
+        self._written[:] = out
         self._call()
         struct.is_first = 0
+        if not self._memory.endswith(_GUARD):
+            raise _writes_too_much(self._name, self._model, sensed.time)
+        out[:] = self._written
 
-    def _bind(self, sensed: Sensed, target: Target, out: Array) -> None:
+    def _bind(self, sensed: Sensed, target: Target) -> None:
         """Points at what is measured, asked for and to be written."""
         arrays = {
             "angles": sensed.angles,
@@ -136,7 +153,7 @@ class LibraryController:
             "target_velocities": target.velocities,
             "target_accelerations": target.accelerations,
             "gravity": self._gravity if self._has_gravity else None,
-            "torques_out": out,
+            "torques_out": self._written,
         }
         for name, array in arrays.items():
             setattr(self._struct, name, None if array is None else array.ctypes.data)
@@ -167,7 +184,8 @@ class IsolatedLibrary:
         """Writes the torques of this step, (n,).
 
         Raises:
-            SimulationError: the library has crashed, or does not come back.
+            SimulationError: the library has crashed, does not come back, or has written torques of
+                more joints.
         """
         if self._process is None:
             self._begin()
@@ -195,6 +213,10 @@ class IsolatedLibrary:
                 raise SimulationError(sensed.time, self._model.name, what)
         if os.read(self._from, 1) != b"1":
             raise self._ended(sensed)
+        if self._memory[-len(_GUARD) :] != _GUARD:
+            self.close()
+            name = f"{self._declared.file}: {self._declared.function}"
+            raise _writes_too_much(name, self._model, sensed.time)
         out[:] = values[7]
 
     def close(self) -> None:
@@ -208,11 +230,14 @@ class IsolatedLibrary:
         folder = shared if shared.is_dir() else Path(tempfile.gettempdir())
         handle, path = tempfile.mkstemp(prefix="sero-mj-library-", dir=folder)
         size = library_host.HEAD + 8 * len(ARRAYS) * n
-        os.ftruncate(handle, size)
-        memory = mmap.mmap(handle, size)
+        os.ftruncate(handle, size + len(_GUARD))
+        self._memory = memory = mmap.mmap(handle, size + len(_GUARD))
+        memory[size:] = _GUARD
         os.close(handle)
         self._time = np.frombuffer(memory, np.float64, 1)
-        self._values = np.frombuffer(memory, np.float64, offset=library_host.HEAD).reshape(-1, n)
+        self._values = np.frombuffer(
+            memory, np.float64, len(ARRAYS) * n, library_host.HEAD
+        ).reshape(-1, n)
         theirs_in, self._to = os.pipe()
         self._from, theirs_out = os.pipe()
         errors = tempfile.TemporaryFile()  # noqa: SIM115  # open as long as the process
