@@ -292,6 +292,15 @@ def test_programs_that_do_not_answer_end_the_run(folder: Path, mode: str, said: 
         signals(simulation(folder, program(mode), **settings))
 
 
+def test_a_shown_run_whose_program_dies_says_so(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    shown = RunSource(run=simulation(folder, program("dies")))
+    shown.advance_to(0.1)
+    assert "the run has ended: lwr at 0.0" in caplog.text
+    assert "has ended with exit status 3" in str(shown.error)
+
+
 @pytest.mark.parametrize("mode", ["late start", "wrong size", "other steps", "twice", "megabytes"])
 def test_what_else_programs_do_is_survived(
     folder: Path, mode: str, caplog: pytest.LogCaptureFixture

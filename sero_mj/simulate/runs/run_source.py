@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +16,8 @@ from ...base.frames import Array
 from ...data.receive.source import Source
 from ...data.receive.structure import Structure
 from .monitor import Finding
+
+log = logging.getLogger(__name__)
 
 _AGE, _OLD = "_command_age", 0.02  # s, of a command that is told
 
@@ -200,7 +203,7 @@ class RunSource(Source):
                 run.advance(row)
             except SimulationError as error:
                 self._error = error
-                self._warn(str(error))
+                log.warning("source '%s': the run has ended: %s", self.name, error)
         row = min(row, run.step)
         if row < self._shown:  # the clock went back: it is a new film, say
             self.reset()
