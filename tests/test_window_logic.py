@@ -97,7 +97,7 @@ def test_a_simulation_may_take_as_long_as_the_drawing_of_slow_frames() -> None:
         nonlocal now
         now += 0.1
 
-    run = SimpleNamespace(end=60.0, step=0.001, newest=None, advance_to=simulate)
+    run = SimpleNamespace(end=60.0, step=0.001, newest=None, error=None, advance_to=simulate)
     mirror: Any = SimpleNamespace(is_live=False, sources={"run": run}, advance=lambda time: None)
     pieces, before = [], 0.0
     with pytest.MonkeyPatch.context() as patch:

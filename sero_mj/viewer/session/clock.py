@@ -109,6 +109,14 @@ class Clock:
             self.begin = max(source.begin for source in self._growing)
             self.end = max(source.newest or 0.0 for source in self._growing)
 
+    def _stop_at_failure(self) -> None:
+        """Ends the time line where a simulation could not go on."""
+        failed = [s.now() for s in self._mirror.sources.values() if s.error and not s.is_live]
+        if failed:
+            self._growing = []
+            self.end = max(failed)
+            self.time = min(self.time, self.end)
+
     @property
     def can_go_back(self) -> bool:
         """Whether the past can be shown."""
@@ -132,6 +140,7 @@ class Clock:
             self.time, before = self.end, self.end - self.speed * passed  # not due to its speed
         changed = self._show()
         self._move_line()
+        self._stop_at_failure()
         passed = max(passed, 1e-6)
         self.real_speed += _SMOOTHING * ((self.time - before) / passed - self.real_speed)
         return changed
