@@ -19,11 +19,14 @@ from test_cli import run
 
 from sero_mj.base.errors import DeclarationError, SimulationError
 from sero_mj.cli.snippet import snippets
+from sero_mj.data.drive.mirror import Mirror
 from sero_mj.simulate.control.controller import Sensed, Target
 from sero_mj.simulate.external_control.library import HEADER
 from sero_mj.simulate.runs.run_source import RunSource
 from sero_mj.simulate.scenario_file import read_scenario
+from sero_mj.simulate.simulated_scene import simulated_scene
 from sero_mj.simulate.simulation import Simulation
+from sero_mj.viewer.session.clock import Clock
 
 SCENARIO = """
 [robots.lwr]
@@ -301,6 +304,17 @@ def test_a_shown_run_whose_program_dies_says_so(
     assert "has ended with exit status 3" in str(shown.error)
 
 
+def test_the_time_line_ends_where_a_program_has_died(folder: Path) -> None:
+    simulated = simulation(folder, program("dies"))
+    with Mirror(simulated_scene(simulated)) as mirror:
+        clock = Clock(mirror)
+        for _ in range(4):
+            clock.advance(0.05)
+        assert clock.is_at_end
+        assert clock.time == clock.end == pytest.approx(simulated.step * 1e-3)
+        assert 0.0 < clock.time < 0.1
+
+
 @pytest.mark.parametrize("mode", ["late start", "wrong size", "other steps", "twice", "megabytes"])
 def test_what_else_programs_do_is_survived(
     folder: Path, mode: str, caplog: pytest.LogCaptureFixture
@@ -453,7 +467,7 @@ def test_angles_may_be_commanded_to_springs_of_the_robot(folder: Path) -> None:
     law = PEER[PEER.index('    back["torques"] = (') : PEER.index('    if mode == "never"')]
     (folder / "angles.py").write_text(
         PEER.replace('("torques", "<f8", n)])\npeer', '("joint_angles", "<f8", n)])\npeer')
-        .replace(law, '    back["joint_angles"] = said["target_angles"]\n')
+        .replace(law, '    back["joint_angles"] = said["angles"] + 0.01 * said["time"]\n')
     )  # fmt: skip
     controller = (
         f'kind = "udp"\ncommand = ["{sys.executable}", "angles.py", "{{port}}", "right"]\n'
@@ -465,7 +479,9 @@ def test_angles_may_be_commanded_to_springs_of_the_robot(folder: Path) -> None:
     for k in (1, 50):
         angles, velocities = found["lwr_joint_angles"][k - 1], found["lwr_joint_velocities"][k - 1]
         model.update(angles, velocities)
-        wanted = 800 * (found["lwr_target_angles"][k - 1] - angles) - 40 * velocities
+        commanded = angles + 0.01 * found["time"][k - 1]
+        assert found["lwr_target_angles"][k] == pytest.approx(commanded)
+        wanted = 800 * (commanded - angles) - 40 * velocities
         assert found["lwr_commanded_torques"][k] == pytest.approx(wanted + model.gravity())
 
 

@@ -497,13 +497,17 @@ class Simulation:
             self.rows[k, self.layout.columns[event]] = T.ravel()
 
     def _write_logged(self, k: int) -> None:
-        """Writes what controllers have to log into row k."""
+        """Writes what controllers have to log into row k, and targets that programs have set."""
         for robot in self.controlled:
-            places = self._logged.get(robot.robot.name, [])
-            numbers = getattr(robot.controller.controller, "logged", ())  # of another one, live
+            name, controller = robot.robot.name, robot.controller.controller
+            places = self._logged.get(name, [])
+            numbers = getattr(controller, "logged", ())  # of another one, live
             if len(places) == len(numbers):
                 for columns, value in zip(places, numbers, strict=True):
                     self.rows[k, columns] = value
+            wanted = getattr(controller, "commanded_angles", None)
+            if wanted is not None and name in self.layout.targets:
+                self.rows[k, self.layout.columns[event_of(name, "target_angles")]] = wanted
 
     def _write_contacts(self, k: int, forces: Array) -> None:
         columns = self.layout.columns

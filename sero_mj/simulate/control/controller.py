@@ -290,7 +290,8 @@ class ControllerDeclaration(Declaration, ABC):
         may_be_asked: whether it may be asked for torques of states that are not those of a run, as
             is done to find its gains.
         logged: names of numbers of its own that the log keeps; what it makes has them as `logged`,
-            an array.
+            an array. Where that has `commanded_angles` as well, (n,) or None, the log keeps these
+            as the robot's target.
         title: what a user reads who chooses among controllers; its `kind` when empty.
         short: another name for it on the command line; none when empty.
         order: among those that can be chosen, lowest first; sero-mj's own have 10 to 90.

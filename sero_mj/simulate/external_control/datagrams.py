@@ -394,6 +394,11 @@ class ProgramController:
         else:
             self._answer.write(sensed, out)
 
+    @property
+    def commanded_angles(self) -> Array | None:
+        """What the program's springs draw to, (n,), rad or m; None where it commands torques."""
+        return self._answer.angles
+
     def close(self) -> None:
         """Ends the program, and tells what was wrong; harmless when it has ended."""
         self._link.close()

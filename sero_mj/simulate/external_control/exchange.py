@@ -186,6 +186,11 @@ class Answer:
         self._model = model
 
     @property
+    def angles(self) -> Array | None:
+        """The angles that it asks for, (n,), rad or m; None where it asks for torques."""
+        return self._angles
+
+    @property
     def has_step(self) -> bool:
         """Whether it says which state it answers."""
         return self._step is not None

@@ -118,6 +118,12 @@ class FriRobot(ABC):
             log.warning("%s: %d packets were no commands", self._link.name, self.wrong)
         self.wrong = 0
 
+    @property
+    def commanded_angles(self) -> Array | None:
+        """What the robot's springs draw to, (n,), rad; None under Cartesian control."""
+        is_cartesian = self._declared.control == "cartesian_impedance"
+        return None if is_cartesian else self._base + self._offset
+
     # ---- what the versions of FRI do differently
 
     @abstractmethod
