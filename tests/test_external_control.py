@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time as clock
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -461,6 +462,29 @@ def test_in_real_time_commands_come_within_their_step(folder: Path) -> None:
     ages = simulated.log.signals["lwr_command_age"].ravel()[1:]
     assert ages.min() == 0.0 and ages.max() < 0.4  # on a machine that is busy with other tests
     assert (simulated.log.signals["lwr_step_lateness"] >= 0.0).all()
+
+
+def test_in_real_time_the_end_of_a_program_is_seen_at_once(folder: Path) -> None:
+    with pytest.raises(SimulationError, match="exit status 3") as caught:
+        signals(simulation(folder, program("dies"), duration=0.5, clock="real_time"))
+    assert caught.value.time < 0.4  # of a patience of 1 s, on a machine that is busy
+
+
+def test_in_real_time_a_command_that_is_old_at_the_end_is_told(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    signals(simulation(folder, program("silent"), duration=0.2, clock="real_time"))
+    assert any("no command for 0.1" in record.message for record in caplog.records)
+
+
+def test_in_real_time_a_viewer_gets_steps_answered_too(folder: Path) -> None:
+    simulated = simulation(folder, program("right"), duration=0.5, clock="real_time")
+    shown = RunSource(run=simulated)
+    for time in np.arange(0.0, 0.51, 0.05):  # all steps of a picture at once
+        clock.sleep(0.05)
+        shown.advance_to(time)
+    ages = simulated.log.signals["lwr_command_age"].ravel()[1:]
+    assert (ages < 0.005).mean() > 0.8  # on a machine that is busy with other tests
 
 
 def test_angles_may_be_commanded_to_springs_of_the_robot(folder: Path) -> None:

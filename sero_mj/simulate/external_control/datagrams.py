@@ -28,6 +28,7 @@ log = logging.getLogger(__name__)
 
 _DONT_WAIT = getattr(socket, "MSG_DONTWAIT", 0)
 _SLICE = 0.02  # s, in which an interrupt and the end of the program are seen
+_OLD = 0.02  # s, age of a command that is told
 _RECEIVE_BUFFER = 1 << 20  # bytes, so that a flood of strays does not push the answer out
 
 
@@ -102,6 +103,7 @@ class Link:
         self._socket: socket.socket | None = None
         # On the clock's time: when a run in real time began, and until when to wait at first.
         self._began = self._given_up = 0.0
+        self._late = 0.0  # s, how much this step is
 
     @property
     def name(self) -> str:
@@ -235,6 +237,7 @@ class Link:
         due = self._began + time
         while (left := due - clock.monotonic()) > 0.0:
             clock.sleep(left)
+        self._late = -left
         return -left
 
     def receive(self, take: Callable[[int], object]) -> None:
@@ -250,10 +253,18 @@ class Link:
     def receive_until(self, time: float, step: int, take: Callable[[int], object]) -> None:
         """Likewise until it is a time, s since the start, or a step has been answered."""
         assert self._socket is not None
-        due = self._began + time
+        due = self._due(time, step)
         while self.answered != step and (left := due - clock.monotonic()) > 0.0:
             select.select([self._socket], [], [], left)
             self.receive(take)
+
+    def _due(self, time: float, step: int) -> float:
+        """Until when a step may be answered, on the clock's time.
+
+        Where steps are late, all those of a picture of a viewer say, a program that has answered
+        the step before has as long as for those in time.
+        """
+        return self._began + time + (self._late if self.answered == step - 1 else 0.0)
 
     def wait_for_first(
         self, packet: bytes | bytearray, time: float, take: Callable[[int], object]
@@ -407,7 +418,10 @@ class ProgramController:
                 "%s: %d answers were not applied%s, %d steps had none",
                 self._link.name, self.wrong, self._why_wrong, self.silent,
             )  # fmt: skip
+        if self.logged[0] > _OLD:
+            log.warning("%s: no command for %.3f s at the end", self._link.name, self.logged[0])
         self.wrong = self.silent = 0
+        self.logged[0] = 0.0
 
     def _is_fresh(self, time: float) -> bool:
         """Sends the state, and takes its answer; whether there is one that is not too old."""
@@ -421,6 +435,8 @@ class ProgramController:
         if not link.answered:
             link.wait_for_first(packet, time, self._follow)
         link.receive_until(time + self._timestep, self._step, self._follow)
+        if link.answered != self._step:
+            link.check(time)
         age = (self._step - link.answered) * self._timestep
         return bool(link.answered) and age <= self._declared.patience
 
@@ -452,8 +468,9 @@ class ProgramController:
         """Takes what is in the buffer if it answers a newer step than the last one did."""
         step = self._step_in_buffer(size)
         if step <= self._link.answered:
-            self.wrong += 1
-            self._why_wrong = self._why_wrong or " (none newer than the last)"
+            if step != 1:  # the first state is sent until it is answered
+                self.wrong += 1
+                self._why_wrong = self._why_wrong or " (none newer than the last)"
         elif self._take_answer(size, step):
             self._link.answered = step
 

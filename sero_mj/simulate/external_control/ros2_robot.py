@@ -232,7 +232,7 @@ class RosLink(Link):
     def receive_until(self, time: float, step: int, take: Callable[[int], object]) -> None:
         """Likewise until it is a time, s since the start, or a step has been answered."""
         assert self._participant is not None
-        due = self._began + time
+        due = self._due(time, step)
         while self.answered != step and (left := due - clock.monotonic()) > 0.0:
             self._participant.wait(left)
             self.receive(take)
