@@ -22,6 +22,7 @@ from sero_mj.base.errors import DeclarationError, SimulationError
 from sero_mj.cli.snippet import snippets
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.simulate.control.controller import Sensed, Target
+from sero_mj.simulate.external_control.exchange import modulus_of
 from sero_mj.simulate.external_control.library import HEADER
 from sero_mj.simulate.runs.run_source import RunSource
 from sero_mj.simulate.scenario_file import read_scenario
@@ -453,6 +454,33 @@ def test_ctrl_c_ends_all_while_a_program_is_awaited(folder: Path) -> None:
     finally:
         process.kill()
         process.wait()
+
+
+@pytest.mark.parametrize(
+    ("clock", "kind"), [("lockstep", "B"), ("lockstep", "b"), ("real_time", "B")]
+)
+def test_a_small_counter_begins_at_0_again(folder: Path, clock: str, kind: str) -> None:
+    (folder / "counts.py").write_text(
+        "import socket, sys\n"
+        "peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)\n"
+        "peer.bind(('127.0.0.1', int(sys.argv[1])))\n"
+        "while True:\n"
+        "    packet, robot = peer.recvfrom(4096)\n"
+        "    peer.sendto(packet, robot)  # gravity\n"
+    )
+    settings = {"state": f"gravity:7d step:1{kind}", "answer": f"torques:7d step:1{kind}"}
+    controller = program("").replace("peer.py", "counts.py")
+    simulated = simulation(folder, controller, duration=0.6, clock=clock, **settings)
+    signals(simulated)
+    ages = simulated.log.signals["lwr_command_age"].ravel()[1:]
+    assert ages.max() == 0.0 if clock == "lockstep" else (ages < 0.005).mean() > 0.8
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"), [("<u2", 1 << 16), ("<f4", 1 << 24), ("<f8", 1 << 53)]
+)
+def test_counters_begin_again_where_numbers_end(kind: str, expected: int) -> None:
+    assert modulus_of(np.zeros(1, kind)) == expected
 
 
 def test_in_real_time_commands_come_within_their_step(folder: Path) -> None:

@@ -308,6 +308,8 @@ class Answering(Reachable):
 class Filled(Protocol):
     """What is sent, written anew for each step; see `State`."""
 
+    modulus: int
+
     @property
     def packet(self) -> bytes | bytearray:
         """The bytes of it."""
@@ -375,6 +377,7 @@ class ProgramController:
         link: Link | None = None,
     ) -> None:
         self._declared, self._state, self._answer = declared, state, answer
+        self._modulus = min(state.modulus, answer.modulus)  # small counters begin at 0 again
         self._model, self._timestep = model, timestep
         self._link = link or Link(declared, model.name, answer.structure.size)
         self.logged: Array = np.zeros(2)
@@ -454,7 +457,9 @@ class ProgramController:
             return False
         before = bytes(answer.packet)
         answer.packet[:] = self._link.buffer[:size]
-        is_good = (not answer.has_step or answer.step == step) and answer.is_finite
+        is_good = answer.is_finite and (
+            not answer.has_step or (step - answer.step) % self._modulus == 0
+        )
         if not is_good:
             if not answer.is_finite:
                 self._why_wrong = f" (to step {step}: not finite)"
@@ -480,8 +485,9 @@ class ProgramController:
         if size != answer.structure.size or not answer.has_step:
             return self._step
         item = answer.structure.field("step")
-        step = int(np.frombuffer(self._link.buffer, item.dtype, 1, item.offset)[0])
-        return step if step <= self._step else 0
+        step = float(np.frombuffer(self._link.buffer, item.dtype, 1, item.offset)[0])
+        behind = (self._step - step) % self._modulus
+        return self._step - int(behind) if np.isfinite(behind) else 0
 
     def _bear_silence(self, time: float) -> None:
         """Does what is declared for when there is no answer."""

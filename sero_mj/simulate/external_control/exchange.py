@@ -71,6 +71,16 @@ def structure_of(key: str, text: str, sizes: Mapping[str, int]) -> Structure:
     return structure
 
 
+def modulus_of(counter: Any) -> int:
+    """At which number a counter, (1,), begins at 0 again; None never does."""
+    if counter is None:
+        return 1 << 64
+    kind: np.dtype[Any] = counter.dtype
+    if kind.kind == "f":
+        return 2 << int(np.finfo(kind).nmant)  # from there on not every number is exact
+    return 1 + int(np.iinfo(kind).max)
+
+
 class State:
     """The packet with a robot's state.
 
@@ -81,6 +91,7 @@ class State:
     Attributes:
         structure: as declared.
         packet: the bytes of the packet, always the same ones.
+        modulus: see `modulus_of`.
 
     Raises:
         DeclarationError: the structure has what no robot has.
@@ -101,6 +112,7 @@ class State:
         self._bound: tuple[Sensed, Target] | None = None
         self._pairs: list[tuple[Array, Array]] = []
         self._word = self._views.get("step")
+        self.modulus = modulus_of(self._word)
         self._flags, self._time = self._views.get("flags"), self._views.get("time")
         self._gravity, self._pose = self._views.get("gravity"), self._views.get("target_pose")
 
@@ -122,7 +134,7 @@ class State:
         for view, values in self._pairs:
             view[:] = values
         if self._word is not None:
-            self._word[0] = step
+            self._word[0] = step % self.modulus
         if self._flags is not None:
             self._flags[0] = FIRST if step == 1 else 0
         if self._time is not None:
@@ -150,6 +162,7 @@ class Answer:
     Attributes:
         structure: as declared.
         packet: the bytes that answers are written into.
+        modulus: see `modulus_of`.
 
     Raises:
         DeclarationError: the structure has neither, or both, or something else.
@@ -179,6 +192,7 @@ class Answer:
         self.packet = bytearray(self.structure.size)
         views = {name: _view(self.packet, self.structure, name) for name in events}
         self._step, self._torques = views.get("step"), views.get("torques")
+        self.modulus = modulus_of(self._step)
         self._angles, self._more = views.get("joint_angles"), views.get("feed_forward")
         self._stiffness: Any = views.get("stiffness", stiffness)
         self._damping: Any = views.get("damping", damping)
@@ -196,9 +210,9 @@ class Answer:
         return self._step is not None
 
     @property
-    def step(self) -> int:
-        """Which state it answers."""
-        return 0 if self._step is None else int(self._step[0])
+    def step(self) -> float:
+        """Which state it answers, as a counter that begins at 0 again."""
+        return 0.0 if self._step is None else float(self._step[0])
 
     @property
     def is_finite(self) -> bool:

@@ -24,7 +24,7 @@ from ...data.ros.messages import MalformedMessage
 from ..control.controller import MaybePerJoint, Sensed, Target
 from ..control.robot_model import RobotModel
 from .datagrams import Answering, Link, ProgramController
-from .exchange import Answer
+from .exchange import Answer, modulus_of
 from .program import Program
 
 _SHAPES = ("angles", "velocities", "torques")
@@ -105,7 +105,10 @@ class JointStatePacket:
 
     Attributes:
         packet: the message, in CDR.
+        modulus: of a counter, which it has not.
     """
+
+    modulus = modulus_of(None)
 
     def __init__(self, names: list[str]) -> None:
         shapes = dict.fromkeys(_SHAPES, (len(names),))
