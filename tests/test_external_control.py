@@ -329,6 +329,17 @@ def test_what_else_programs_do_is_survived(
     assert bool(told) == (mode in ("wrong size", "other steps", "twice"))
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="its libraries are ELF files")
+def test_a_library_for_another_machine_is_told(folder: Path) -> None:
+    library = bytearray((folder / "law.so").read_bytes())
+    is_arm = library[18] == 183
+    library[18] = 62 if is_arm else 183
+    (folder / "other.so").write_bytes(library)
+    said = f"is a library for {'x86-64' if is_arm else 'aarch64'}; expected one for"
+    with pytest.raises(DeclarationError, match=said):
+        simulation(folder, LIBRARY, file="other.so")
+
+
 @pytest.mark.parametrize(
     ("mode", "why"),
     [

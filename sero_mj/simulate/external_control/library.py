@@ -29,6 +29,8 @@ from .library_host import ARRAYS, RobotStruct
 
 HEADER = Path(__file__).with_name("sero_mj_controller.h")
 _GUARD = b"\xa5" * 64  # behind the torques, where a library for more joints writes
+# Of ELF files.
+_MACHINES = {3: "x86", 8: "mips", 40: "arm", 62: "x86-64", 183: "aarch64", 243: "riscv"}
 _SLICE = 20  # ms, in which an interrupt and the end of the process are seen
 
 
@@ -74,6 +76,10 @@ def _function_of(file: Path, name: str) -> Any:
     try:
         return library_host.load(str(file.absolute()), name)
     except OSError as error:
+        found, own = _machine(file), _machine(Path(sys.executable))
+        if found and own and found != own:  # of which the system says that there is no such file
+            problem = Problem("file", f"{file} is a library for {found}", expected=f"one for {own}")
+            raise problem.error() from None
         raise Problem("file", f"{file} cannot be loaded: {error}").error() from None
     except AttributeError:
         header = (
@@ -87,6 +93,17 @@ def _function_of(file: Path, name: str) -> Any:
 def _writes_too_much(name: str, model: RobotModel, time: float) -> SimulationError:
     what = f"{name} writes torques of more joints than there are; expected {model.n}"
     return SimulationError(time, model.name, what)
+
+
+def _machine(file: Path) -> str:
+    """For which machine an ELF file is; empty where it is none."""
+    with file.open("rb") as opened:
+        head = opened.read(20)
+    if len(head) < 20 or head[:4] != b"\x7fELF":
+        return ""
+    order: Literal["little", "big"] = "little" if head[5] == 1 else "big"
+    number = int.from_bytes(head[18:20], order)
+    return _MACHINES.get(number, f"machine {number}")
 
 
 class LibraryController:
