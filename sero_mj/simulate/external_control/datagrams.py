@@ -28,6 +28,7 @@ log = logging.getLogger(__name__)
 
 _DONT_WAIT = getattr(socket, "MSG_DONTWAIT", 0)
 _SLICE = 0.02  # s, in which an interrupt and the end of the program are seen
+_BEHIND = 10  # steps, by which a program that keeps up may be
 _OLD = 0.02  # s, age of a command that is told
 _RECEIVE_BUFFER = 1 << 20  # bytes, so that a flood of strays does not push the answer out
 
@@ -261,10 +262,11 @@ class Link:
     def _due(self, time: float, step: int) -> float:
         """Until when a step may be answered, on the clock's time.
 
-        Where steps are late, all those of a picture of a viewer say, a program that has answered
-        the step before has as long as for those in time.
+        Where steps are late, all those of a picture of a viewer say, a program that keeps up has as
+        long as for those in time.
         """
-        return self._began + time + (self._late if self.answered == step - 1 else 0.0)
+        keeps_up = step - self.answered <= _BEHIND
+        return self._began + time + (self._late if keeps_up else 0.0)
 
     def wait_for_first(
         self, packet: bytes | bytearray, time: float, take: Callable[[int], object]
