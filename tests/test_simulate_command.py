@@ -260,7 +260,8 @@ def test_what_came_before_an_error_is_kept(
     scenario.write_text(MINE.replace("-40.0", "-1e9"))
     out = tmp_path / "run.mcap"
     assert simulate(scenario, "--record", out, "--csv", tmp_path / "run.csv") == 1
-    error = capsys.readouterr().err
+    said, error = capsys.readouterr()
+    assert "  so far  torques: " in said and "held" not in said
     assert re.search(r"sero-mj: lwr/\w\d at 0\.2\d+ s: found .* rad/s, more than 3 times", error)
     with Recording(out) as recording:
         count = recording.sources[SOURCE].count

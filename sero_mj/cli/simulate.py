@@ -139,7 +139,8 @@ def run(options: SimulateOptions) -> int:
     if options.as_json:
         print_json(_as_json(simulation, seconds, error, outcomes, findings))
     else:
-        _print(simulation, seconds, outcomes, findings, quiet=options.quiet)
+        held = "held" if error is None else "so far"
+        _print(simulation, seconds, outcomes, findings, held, quiet=options.quiet)
     if error is not None:
         print(f"sero-mj: {error}", file=sys.stderr)
     if not is_whole:
@@ -206,7 +207,13 @@ def _render(simulation: Simulation, options: SimulateOptions, output: Path) -> N
 
 
 def _print(
-    simulation: Simulation, seconds: float, outcomes: list[Any], findings: list[Any], *, quiet: bool
+    simulation: Simulation,
+    seconds: float,
+    outcomes: list[Any],
+    findings: list[Any],
+    held: str,
+    *,
+    quiet: bool,
 ) -> None:
     if not quiet:
         from ..study.summary import as_table, summarise
@@ -223,7 +230,7 @@ def _print(
             print(f"  found   ... {len(findings) - 20} more")
     for outcome in outcomes:
         if not (quiet and outcome.holds):
-            print(f"  {'held' if outcome.holds else 'FAILED':7} {outcome.name}: {outcome.text}")
+            print(f"  {held if outcome.holds else 'FAILED':7} {outcome.name}: {outcome.text}")
 
 
 def _as_json(
