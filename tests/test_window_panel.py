@@ -39,6 +39,12 @@ def screenshot(window: Driven) -> np.ndarray:
     return np.asarray(Image.open(made))
 
 
+def test_faults_begin_beside_the_button_of_the_panel(window: Driven) -> None:
+    window.settle()
+    beside = window.ask("w._chrome.covered") + 0.5 * window.ask("w.decor.view.font.height")
+    assert beside >= window.ask("places['panel'][2]")
+
+
 def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Driven) -> None:
     window.tool("mousemove", SIZE[0] - 5, 5)
     window.settle()

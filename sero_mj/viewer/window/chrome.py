@@ -22,7 +22,7 @@ from .places import Places, Rect, arrange
 _HINT = "H help"
 # Below the picture's upper edge, in lines of the window's text.
 _MESSAGE_TOP, _ONGOING_TOP, _HANDLE_TOP = 2.5, 0.5, 0.8
-_BESIDE_HANDLE = 1.2  # that numbers leave to it at the left edge, likewise
+_BESIDE_HANDLE = 2.0  # that numbers and notes leave to it at the left edge, likewise
 _PANEL = 21.5  # width, of the text's height
 _TALLEST = 0.97  # of the window's height
 _FLAGS = imgui.WindowFlags_
