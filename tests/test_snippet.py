@@ -235,10 +235,21 @@ def test_a_robot_gives_the_number_of_joints_and_a_mistyped_name_is_told(tmp_path
 def test_c_compiles_in_any_standard_and_beside_macros_of_a_user(
     standard: str, tmp_path: Path
 ) -> None:
-    text = "\n".join(f"#define {name} (mine)" for name in ("JOINTS", "HOST", "PORT"))
-    text += f"\n{snippets()['c']}\nint main(void) {{ sero_send(0, 0, 0); return 0; }}\n"
+    mine = "\n".join(f"#define {name} (mine)" for name in ("JOINTS", "HOST", "PORT"))
     options = [f"-std={standard}", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-Wno-nonnull"]
-    compiled(tmp_path, "sender.c", text, "gcc", *options)
+    for call in ("", "sero_send(0, 0, 0); "):  # a file may include it and not call it
+        text = f"{mine}\n{snippets()['c']}\nint main(void) {{ {call}return 0; }}\n"
+        compiled(tmp_path, "sender.c", text, "gcc", *options)
+
+
+def test_controllers_in_c_compile_in_strict_c_without_names_of_a_user(tmp_path: Path) -> None:
+    options = ["-std=c11", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+    for name, more in (("controller-c", ["-shared", "-fPIC"]), ("controller-udp-c", [])):
+        status, text = run_command(["snippet", name], tmp_path, os.environ)
+        assert status == 0
+        compiled(tmp_path, "controller.c", text, "gcc", *options, *more)
+        named = re.findall(r"^(?:#define|struct) (\w+)", text, re.MULTILINE)
+        assert named and all(each.lower().startswith("sero_") for each in named)
 
 
 @pytest.mark.parametrize(

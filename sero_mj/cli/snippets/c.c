@@ -17,7 +17,7 @@ struct sero_packet {
 };
 #pragma pack(pop)
 
-static void sero_send(const double *angles, const double *torques, const double *commanded) {
+static inline void sero_send(const double *angles, const double *torques, const double *commanded) {
   static int socket_ = -1;
   static struct sockaddr_in to;
   static struct sero_packet packet;

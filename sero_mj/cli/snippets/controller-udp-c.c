@@ -9,24 +9,24 @@
 #include <stdlib.h>
 #include <sys/socket.h>
 
-#define JOINTS 7
+#define SERO_JOINTS 7
 
-struct state { /* little-endian, as x86 and ARM are */
+struct sero_state { /* little-endian, as x86 and ARM are */
   uint32_t step, flags; /* counted from 1; flags is 1 in the first */
   double time;          /* s */
-  double angles[JOINTS], velocities[JOINTS], torques[JOINTS]; /* measured; rad, rad/s, Nm */
-  double target_angles[JOINTS], target_velocities[JOINTS], gravity[JOINTS];
+  double angles[SERO_JOINTS], velocities[SERO_JOINTS], torques[SERO_JOINTS]; /* measured; rad, rad/s, Nm */
+  double target_angles[SERO_JOINTS], target_velocities[SERO_JOINTS], gravity[SERO_JOINTS];
 };
-struct answer {
+struct sero_answer {
   uint32_t step, unused; /* the step that is answered */
-  double torques[JOINTS];
+  double torques[SERO_JOINTS];
 };
 
 int main(int argc, char **argv) {
   int from = socket(AF_INET, SOCK_DGRAM, 0);
   struct sockaddr_in address = {0}, robot;
-  struct state state;
-  struct answer answer = {0};
+  struct sero_state state;
+  struct sero_answer answer = {0};
   address.sin_family = AF_INET;
   address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
   address.sin_port = htons(argc > 1 ? atoi(argv[1]) : 32010);
@@ -39,7 +39,7 @@ int main(int argc, char **argv) {
       continue;
     }
     answer.step = state.step;
-    for (int i = 0; i < JOINTS; i++) /* joint impedance: a spring and a damper about the target */
+    for (int i = 0; i < SERO_JOINTS; i++) /* joint impedance: a spring and a damper about the target */
       answer.torques[i] = 800.0 * (state.target_angles[i] - state.angles[i]) +
                           40.0 * (state.target_velocities[i] - state.velocities[i]) + state.gravity[i];
     sendto(from, &answer, sizeof answer, 0, (struct sockaddr *)&robot, length);
