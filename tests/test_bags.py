@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -278,8 +280,67 @@ def test_a_folder_without_metadata_is_its_only_file(tmp_path: Path, capsys: Any)
         picture = ["-o", str(tmp_path / f"{kind}.png"), "--size", "80x60"]
         assert run(capsys, "render", str(bag), *picture)[0] == 0
     (bag / "other.mcap").touch()
+    status, _, told = run(capsys, "render", str(bag), *picture)
+    several = (
+        f"{bag}: is a folder without metadata.yaml; open one of its files, db3.db3, other.mcap"
+    )
+    assert status == 2 and f"{several}; or `ros2 bag reindex -s sqlite3 {bag}` writes it" in told
+    (bag / "robot.toml").touch()
     with pytest.raises(RecordingError, match=r"without metadata.yaml; open one of its files, NAME"):
         open_recording(bag)
+
+
+def test_messages_in_the_log_of_a_database_are_read_as_well(tmp_path: Path, capsys: Any) -> None:
+    folder = write_bag(tmp_path / "drive", {"/joint_states": states()[:100]}, "db3")
+    (file,) = folder.glob("*.db3")
+    # As a recorder that is killed: closing a database would take the log into it.
+    code = f"""
+import os, sqlite3
+written = sqlite3.connect({str(file)!r})
+written.execute("PRAGMA journal_mode = WAL")
+written.execute("INSERT INTO messages SELECT id + 1000, topic_id, timestamp + 1000000000, data "
+                "FROM messages")
+written.commit()
+os._exit(0)
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+    before = {each.name: each.read_bytes() for each in folder.iterdir()}
+    assert before[f"{file.name}-wal"]
+    for path in (file, folder):
+        with open_recording(path) as recording:
+            assert recording.sources["joint_states"].count == 200
+            assert recording.duration == pytest.approx(1.99)
+            (told,) = recording.faults
+        assert "drive.db3-wal is read as well; it has 200 messages, of 2.0 s" in told
+    _, out, _ = run(capsys, "export-csv", str(folder), str(tmp_path / "drive.csv"))
+    assert f"note: {folder}: {told}" in out and "200 rows" in out
+    assert {each.name: each.read_bytes() for each in folder.iterdir()} == before
+
+
+def test_what_a_cut_bag_has_is_told_by_commands_for_runs(
+    tmp_path: Path, capsys: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "cut.mcap"
+    data = write_chunks(tmp_path / "whole.mcap", CompressionType.ZSTD, chunked=True)
+    path.write_bytes(data[: len(data) // 2])
+    with open_recording(path) as recording:
+        count = recording.sources["joint_states"].count
+    assert run(capsys, "plot", str(path), "-o", str(tmp_path / "cut.pdf"))[0] == 0
+    (told,) = [each.getMessage() for each in caplog.records]
+    assert told.startswith(f"{path}: is cut off or damaged at byte ")
+    assert told.endswith(f"; it has {count} messages, of {(count - 1) * STEP / 1e9:.1f} s")
+
+
+def test_a_bag_of_ros_1_that_was_not_closed_says_what_writes_its_index(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "drive.bag", {"/joint_states": states(OLD_STORE)}, "bag")
+    data = bytearray(bag.read_bytes())
+    index = data.index(b"index_pos=") + len(b"index_pos=")
+    data[index : index + 8] = bytes(8)
+    for name in ("drive.bag", "drive.bag.active"):
+        path = tmp_path / name
+        path.write_bytes(data)
+        with pytest.raises(RecordingError, match=f"so it has no index; `rosbag reindex {path}`"):
+            open_recording(path)
 
 
 @pytest.mark.parametrize("cut", [0.0, 0.01, 0.5, 0.97])

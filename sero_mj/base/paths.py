@@ -365,8 +365,8 @@ def without_temporary(text: str) -> str:
     return re.sub(rf"{folder}[/\\][^/\\\s]+[/\\]", "", text)
 
 
-def bag_file_in(folder: Path | str, besides: str = "") -> Path | None:
-    """The file of a recording of ROS 2 in a folder that has nothing else; None for none.
+def bag_files_in(folder: Path | str, besides: str = "") -> list[Path]:
+    """The files of a recording of ROS 2 in a folder that has nothing else; none if it has.
 
     Such is a folder whose recorder was killed: metadata.yaml is written at the end.
 
@@ -376,14 +376,19 @@ def bag_file_in(folder: Path | str, besides: str = "") -> Path | None:
     """
     try:
         files = [each for each in Path(folder).iterdir() if each.name != besides]
-        files = [each for each in files if not each.name.startswith(".")]
+        files = sorted(each for each in files if not each.name.startswith("."))
     except OSError:
-        return None
+        return []
     found = [each for each in files if each.suffix.lower() in BAG_ENDINGS]
     # What SQLite writes beside its file is called as that is.
-    if len(found) != 1 or not all(each.name.startswith(found[0].name) for each in files):
-        return None
-    return found[0]
+    names = tuple(each.name for each in found)
+    return found if all(each.name.startswith(names) for each in files) else []
+
+
+def bag_file_in(folder: Path | str, besides: str = "") -> Path | None:
+    """The only one of `bag_files_in`; None where there are several, or none."""
+    found = bag_files_in(folder, besides)
+    return found[0] if len(found) == 1 else None
 
 
 def open_file(path: Path | str, most: int | None = None) -> BinaryIO:

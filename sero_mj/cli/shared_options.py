@@ -31,10 +31,10 @@ Flag = Annotated[str | None, Option("NAME")]
 
 def is_recording(path: Path | str) -> bool:
     """Whether a file or folder is a recording, ours or of ROS, by its name."""
-    if str(path).lower().endswith((".mcap", ".bag", ".db3")):
+    if str(path).lower().endswith((".mcap", ".bag", ".bag.active", ".db3")):
         return True
     return bool(str(path)) and (
-        Path(path, "metadata.yaml").is_file() or paths.bag_file_in(path) is not None
+        Path(path, "metadata.yaml").is_file() or bool(paths.bag_files_in(path))
     )
 
 

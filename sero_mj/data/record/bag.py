@@ -19,17 +19,18 @@ from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC
 
 from ...base.errors import Problem, RecordingError, UnknownName
-from ...base.paths import BAG_ENDINGS, bag_file_in, open_file
+from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
 from ..ros.dds import Ros2
 from ..ros.joined_packets import FRAMES, JoinedPackets
 from ..ros.messages import JOINT_STATE, TEXT, MalformedMessage, type_store
 from ..ros.ros_source import MOST_KEPT, TYPES, RosSource
 from ._mcap_reader import BROKEN, NOT_CLOSED
 from ._mended_mcap import MendedMcap
+from ._mended_sqlite import log_of, with_log
 from .recording import PacketFile, RecordedSource, Recording
 
 DESCRIPTION = "robot.urdf"  # an attachment: what the topic robot_description says
-_ENDINGS = (".bag", ".db3")
+_ENDINGS = (".bag", ".active", ".db3")  # a bag of ROS 1 is .bag.active until it is closed
 _METADATA = "metadata.yaml"  # in the folder of a rosbag2
 _FILES = ", ".join(f"NAME{ending}" for ending in BAG_ENDINGS)
 _SQLITE, _SQLITE_HEAD = b"SQLite format 3\0", 100  # bytes
@@ -64,8 +65,7 @@ def open_recording(
     if path.is_dir() and not is_bag(path):
         found = bag_file_in(path)
         if found is None:
-            reason = f"is a folder without {_METADATA}; open one of its files, {_FILES}"
-            raise RecordingError(path, reason)
+            raise RecordingError(path, _without_metadata(path))
         path = found
     if is_bag(path):
         return Bag(path, topics, tell)
@@ -75,6 +75,17 @@ def open_recording(
         if _profile(path) == "ros2":
             return Bag(path, topics, tell)
         raise
+
+
+def _without_metadata(folder: Path) -> str:
+    """What is wrong with a folder where nothing says how its files belong together."""
+    files = bag_files_in(folder)
+    names = ", ".join(each.name for each in files[:_MANY]) or _FILES
+    reason = f"is a folder without {_METADATA}; open one of its files, {names}"
+    if not files:
+        return reason
+    storage = "mcap" if files[0].suffix.lower() == ".mcap" else "sqlite3"
+    return f"{reason}; or `ros2 bag reindex -s {storage} {folder}` writes it"
 
 
 def _profile(path: Path) -> str:
@@ -112,6 +123,10 @@ def _why_unreadable(path: Path, error: Exception) -> str:
                 missing = f"{whole - size} of {whole} bytes are missing"
                 return f"is cut off ({NOT_CLOSED}): {missing}; {hint}"
             return f"{said}; {hint}" if "malformed" in said else said
+        is_open = file.suffix.lower() == ".active" or "not indexed" in said
+        if begin.startswith(_ROS1) and is_open:
+            hint = f"`rosbag reindex {file}`, of ROS 1, writes it"
+            return f"was not closed ({NOT_CLOSED}), so it has no index; {hint}"
         if begin.startswith(_ROS1) and "damaged" in said:
             hint = "rosbag reindex, of ROS 1, may save what is left"
             return f"is cut off or damaged ({NOT_CLOSED}), so its index cannot be read; {hint}"
@@ -162,6 +177,13 @@ class Bag(PacketFile):
     def _open(self, reader: Any) -> None:
         """Opens it, or what is whole of it; raises RecordingError and whatever rosbags raises."""
         file = bag_file_in(self.path, besides=_METADATA) if self.path.is_dir() else self.path
+        if file is not None and (log := log_of(file)) is not None:
+            self._reader = reader([with_log(file, log)], default_typestore=type_store())
+            self._reader.open()
+            self._tell_cut(
+                f"was not closed ({NOT_CLOSED}), so what is in {log.name} is read as well"
+            )
+            return
         try:
             self._reader = reader([self.path], default_typestore=type_store())
             self._reader.open()
@@ -169,12 +191,21 @@ class Bag(PacketFile):
             if file is None or not _lacks_its_end(file):
                 raise
             mended = MendedMcap(file)
-            self.faults += mended.faults
+            *others, cut = mended.faults
             if not mended.has_topics:
-                reason = f"{mended.faults[-1]}; nothing before that can be read"
+                reason = f"{cut}; nothing before that can be read"
                 raise RecordingError(self.path, reason) from None
             self._reader = reader([mended], default_typestore=type_store())
             self._reader.open()
+            self.faults += others
+            self._tell_cut(cut)
+
+    def _tell_cut(self, fault: str) -> None:
+        """Adds what is wrong with its end to the faults, with what there is of it."""
+        count = self._reader.message_count
+        seconds = max(self._reader.duration, 0) * 1e-9 if count else 0.0
+        messages = f"{count} message{'' if count == 1 else 's'}"
+        self.faults.append(f"{fault}; it has {messages}, of {seconds:.1f} s")
 
     def _read_all_but_messages(self, topics: Mapping[str, RosSource] | None) -> None:
         reader = self._reader

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,6 +32,7 @@ from ...data.record.bag import Bag, open_recording
 from ...data.record.csv_files import column_names, read_csv
 from ...data.record.recording import PacketFile
 from ...data.record.scene_files import table_names
+from ...data.ros.ros_source import RosSource
 from ...robots.declared.group_model import Expanded, expand_groups
 from ...robots.declared.robot import SerialRobot, build_robot
 from ...robots.declared.scene import MOST_ENTRIES, Scene
@@ -37,6 +40,8 @@ from ...robots.importers.robot_file import read_robot_file
 from ._recorded_signals import Series, follow_routes, read_events, receiver_of, series_of
 from .run_csv import columns_of_events, run_of_columns
 from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
+
+log = logging.getLogger(__name__)
 
 _MODEL_FILES = (paths.ROBOT_FILE, paths.GROUP_FILE)
 # What a group's file says of its members' models; in a recording all models are beside each other.
@@ -71,10 +76,10 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
     if scene is not None:
         scene = with_bag(scene, path, source)
         topics = topics_of(scene)
-    with open_recording(path, topics) as recording:
+    with _opened(path, topics) as recording:
         names = _chosen(recording, source)
         if isinstance(recording, Bag) and scene is not None and not scene.sources:
-            names = [recording.choose_source(source or "", by="--source")]
+            names = [recording.choose_source(source or "", by="--source NAME")]
         runs = [name for name in names if _robots_of(recording.sources[name].events)]
         if len(runs) > 1:
             found = ", ".join(runs)
@@ -93,6 +98,15 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         return _mirrored(
             path, receivers, lambda name: read_events(recording, receivers[name], name), declared
         )
+
+
+@contextmanager
+def _opened(path: Path, topics: Mapping[str, RosSource] | None) -> Iterator[PacketFile]:
+    """Opens a recording, and logs at last what is wrong with it: it may be cut."""
+    with open_recording(path, topics) as recording:
+        yield recording
+        for fault in recording.faults:
+            log.warning("%s: %s", path, fault)
 
 
 def read_run_table(path: Path | str, scene: Scene, source: str | None = None) -> RunLog:
