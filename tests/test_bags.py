@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import subprocess
 import sys
@@ -179,11 +180,25 @@ file = "{bag}"
 
 def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path, capsys: Any) -> None:
     bag = write_bag(tmp_path / "two", {"/a/joint_states": states(), "/b/joint_states": states()})
-    several = "has several sources: a_joint_states, b_joint_states; choose with "
-    with pytest.raises(DeclarationError, match=f'{several}source = "NAME"'):
+    several = "has several sources: " + "; ".join(
+        f"{name}_joint_states (topic /{name}/joint_states, 400 messages, joints fr3_joint3, "
+        "fr3_joint1, fr3_joint7 and 4 more)"
+        for name in "ab"
+    )
+    chosen = f'{several}; choose with source = "a_joint_states", say'
+    with pytest.raises(DeclarationError, match=re.escape(chosen)):
         Replay(file=bag)
     status, _, told = run(capsys, "export-csv", str(bag), str(tmp_path / "out.csv"))
-    assert status == 2 and f"{several}--source" in told
+    assert status == 2 and f"{several}; choose with --source a_joint_states, say" in told
+    picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
+    status, _, told = run(capsys, "render", "fr3", "--replay", str(bag), *picture)
+    assert status == 2 and several in told and "choose with --source a_joint_states, say" in told
+    command = ["render", str(bag), *picture, "--source"]
+    status, _, told = run(capsys, *command, "b_joint_stats")
+    assert status == 2 and "; did you mean 'b_joint_states'?" in told
+    assert run(capsys, *command, "b_joint_states")[0] == 0
+    with pytest.raises(UsageError, match="scene 'lwr_udp' has sources of its own, udp, which are"):
+        replay_instead(load_scene("lwr_udp"), bag, None, "b_joint_states")
     assert Replay(file=bag, source="b_joint_states").recorded.count == COUNT
     assert Replay(file=bag, topics={"joint_states": "/a/joint_states"}).recorded.name == "replay"
     with pytest.raises(DeclarationError, match=r"topics: .* has none of these"):
@@ -454,14 +469,14 @@ def test_a_robot_is_led_by_the_topic_with_its_joints(tmp_path: Path, capsys: Any
     for name, source in (("fr3", "fr3_joint_states"), ("ur5e", None)):
         scene = load_scene(name)
         if source is None:
-            with pytest.raises(UsageError, match=r"several sources: .*, by source or topics$"):
+            with pytest.raises(UsageError, match=r"several sources: .* --source joint_states, say"):
                 replay_instead(scene, both, None)
         else:
             replay_instead(scene, both, None)
             assert list(scene.sources) == [source]
     log = read_run(both, scene=load_scene("fr3"))
     assert log.signals["fr3_joint_angles"][9] == pytest.approx(angles(9))
-    with pytest.raises(UsageError, match="joint_states, fr3_joint_states; choose with --source"):
+    with pytest.raises(UsageError, match="choose with --source "):
         read_run(both, scene=load_scene("ur5e"))
     assert run(capsys, "plot", str(both), "-o", str(tmp_path / "both.pdf"))[0] == 0
 

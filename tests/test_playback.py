@@ -135,7 +135,8 @@ def test_which_source_has_to_be_clear(tmp_path: Path) -> None:
     begin(path, "arm", "hand").close()
     with raises_with(
         UsageError,
-        reason=f"{tmp_path}/two.mcap has several sources: arm, hand; choose with --recorded",
+        reason=f"{tmp_path}/two.mcap has several sources: arm, hand; "
+        "choose with --recorded arm, say",
     ):
         RecordedPackets(path)
     with raises_with(

@@ -414,7 +414,8 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
     path.write_text(DEGREES + DEGREES[DEGREES.index("[sources") : DEGREES.index("[routes")].replace(
         "udp", "other").replace("other\"", "udp\"").replace("32000", "32001"))  # fmt: skip
     with raises_with(
-        UsageError, reason=f"{tmp_path}/robot.csv may be of udp, other; choose with --source"
+        UsageError,
+        reason=f"{tmp_path}/robot.csv may be of udp, other; choose with --source udp, say",
     ):
         read_run_table(table, load_scene(str(path)))
     assert read_run_table(table, load_scene(str(path)), "udp").robots.keys() == {"lwr"}

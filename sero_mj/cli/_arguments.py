@@ -250,13 +250,16 @@ def _as_set(problem: Problem, given: Mapping[str, Any], option: str) -> Problem:
     return problem
 
 
-def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
+def replay_instead(
+    scene: Scene, file: Path, start: float | None, source: str | None = None
+) -> None:
     """Replaces every source of a scene that is in the recording by its replay.
 
     Args:
         scene: is changed.
         file: the recording.
         start: where to begin, s since the recording began; at its first packet when None.
+        source: of a recording of ROS, that moves the robot of a scene without sources.
 
     Raises:
         RecordingError: it cannot be read.
@@ -266,20 +269,23 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
     from ..data.record.bag import Bag, open_recording
     from ..simulate.runs.run_log import routes_from_recording
 
-    led = with_bag(scene, file)
+    if source is not None:
+        _check_source(scene, file, source)
+    led = with_bag(scene, file, source)
     scene.robots, scene.sources, scene.routes = led.robots, led.sources, led.routes
     with open_recording(file, topics_of(scene)) as recording:
         recorded = {name: list(source.events) for name, source in recording.sources.items()}
         check_span(recording, start)
-        is_of_ros = isinstance(recording, Bag)
+        is_of_ros, there = isinstance(recording, Bag), recording.about_sources()
     both = [name for name in scene.sources if name in recorded]
     if not both:
         found = ", ".join(recorded) or "no source"
         expected = ", ".join(scene.sources) or "none: it has no sources"
         if is_of_ros and len(recorded) > 1 and not scene.sources:
             raise UsageError(
-                f"--replay {file} has several sources: {found}; it is not clear which moves scene "
-                f"'{scene.name}'; a source of kind = 'replay' in it chooses, by source or topics"
+                f"--replay {file} has several sources: {there}; it is not clear which moves scene "
+                f"'{scene.name}'; choose with --source {next(iter(recorded))}, say, or by "
+                "source or topics of a source of kind = 'replay' in the scene"
             )
         raise UsageError(f"--replay {file} has {found}; scene '{scene.name}' expects {expected}")
     for name in both:
@@ -287,6 +293,20 @@ def replay_instead(scene: Scene, file: Path, start: float | None) -> None:
         scene.routes = routes_from_recording(scene.routes, name, recorded[name])
         if start is not None:
             scene.sources[name]["start"] = start
+
+
+def _check_source(scene: Scene, file: Path, source: str) -> None:
+    """Raises UsageError where `--source` is none of a recording, or not for a scene."""
+    from ..data.record.bag import open_recording
+
+    if scene.sources:
+        own = ", ".join(scene.sources)
+        raise UsageError(
+            f"--source {source}: scene '{scene.name}' has sources of its own, {own}, which are "
+            "replayed by their names; leave it out"
+        )
+    with open_recording(file) as recording:
+        recording.choose_source(source)
 
 
 def print_json(found: Any) -> None:

@@ -20,6 +20,7 @@ class _ShowsScene(Protocol):
 
     scene: Any
     replay: Path | None
+    source: str | None
 
     def model_copy(self, *, update: Any = None) -> Self: ...
 
@@ -27,7 +28,7 @@ class _ShowsScene(Protocol):
 T = TypeVar("T", bound=_ShowsScene)
 
 
-def view_of_file(path: Path, shown: str | None) -> RecentView:
+def view_of_file(path: Path, shown: str | None, source: str | None = None) -> RecentView:
     """Returns the view that shows a file.
 
     A recording is shown by the scene that is shown already, if it mirrors the recorded sources;
@@ -37,6 +38,7 @@ def view_of_file(path: Path, shown: str | None) -> RecentView:
     Args:
         path: of a robot, a scene, a scenario or a recording.
         shown: name or file of the scene that is shown; None for none.
+        source: of the recording, that moves the robot.
 
     Raises:
         SeroError: there is no such file, or nothing shows the recording.
@@ -49,7 +51,7 @@ def view_of_file(path: Path, shown: str | None) -> RecentView:
     for scene in _scenes_of(path, shown):
         try:
             with _quiet():
-                replay_instead(read_scene(scene), path, None)
+                replay_instead(read_scene(scene), path, None, source)
         except SeroError as error:
             if paths.is_temporary(scene):
                 text = str(error).replace(f"{Path(scene).parent}/", "")
@@ -80,7 +82,8 @@ def with_scene(options: T) -> T:
     if options.replay is not None:
         raise UsageError(f"--replay: {options.scene} is a recording already")
     recording = Path(options.scene)
-    shown = {"scene": view_of_file(recording, None).scene, "replay": recording}
+    view = view_of_file(recording, None, options.source)
+    shown = {"scene": view.scene, "replay": recording}
     return options.model_copy(update=shown)
 
 

@@ -147,7 +147,7 @@ def _scene_of_photo(options: CalibrateOptions) -> Scene:
         angles = f"{name}.joint_angles={[*options.joint_angles]}"
         scene = read_scene(options.robot, [*options.settings, angles])
     if options.replay is not None:
-        replay_instead(scene, options.replay, options.start)
+        replay_instead(scene, options.replay, options.start, options.source)
     return scene
 
 

@@ -49,7 +49,7 @@ def run(options: ExportCsvOptions) -> int:
     if not options.overwrite:
         check_new([options.output], "choose another name, or --overwrite")
     with open_recording(options.recording) as recording:
-        name = recording.choose_source(options.source or "", by="--source")
+        name = recording.choose_source(options.source or "", by="--source NAME")
         check_span(recording, options.start, options.stop)
         source = Replay(file=options.recording, source=name)
         source.allow_nan(source.events)  # a table has a place for them

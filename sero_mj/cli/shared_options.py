@@ -111,16 +111,20 @@ class ReplayOptions(Options):
     Attributes:
         replay: play a recording instead of the live sources.
         start: where in the recording to begin, s (default: its first packet).
+        source: which source of a recording of ROS moves the robot, where it has several.
     """
 
     replay: Recording | None = None
     start: Time | None = None
+    source: Flag = None
 
     @model_validator(mode="after")
     def _check_start(self) -> Self:
         is_played = self.replay is not None or is_recording(vars(self).get("scene") or "")
         if self.start is not None and not is_played:
             raise ValueError("--start is for recordings; give --replay REC.mcap as well")
+        if self.source is not None and not is_played:
+            raise ValueError("--source is for recordings; give --replay REC.mcap as well")
         return self
 
 
@@ -144,7 +148,7 @@ class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
         if self.look is not None:
             scene.view.look = self.look
         if self.replay is not None:
-            replay_instead(scene, self.replay, self.start)
+            replay_instead(scene, self.replay, self.start, self.source)
         return scene
 
     def from_its_begin(self) -> Self:

@@ -20,6 +20,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from ...base.errors import Problem, RecordingError, UnknownName
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
+from ...robots.importers.imported_tables import first_of
 from ..ros.dds import Ros2
 from ..ros.joined_packets import FRAMES, JoinedPackets
 from ..ros.messages import JOINT_STATE, TEXT, MalformedMessage, type_store
@@ -39,6 +40,7 @@ _BEFORE = 0.5  # s before a time in which what was true at that time is looked f
 _LONGER = 8.0  # times as long, as long as nothing is found
 _NEXT = 1e-9  # s, the resolution of times
 _MANY = 10  # topics in a message
+_NAMED = 3  # joints of a topic in a message
 
 
 def is_bag(path: Path) -> bool:
@@ -297,6 +299,15 @@ class Bag(PacketFile):
             if newest or t - back < 0.0:
                 return newest[0] if newest else None
             back *= _LONGER
+
+    def about_sources(self) -> str:
+        """Its sources in words: topics, numbers of messages, joints."""
+        found = []
+        for name, source in self.sources.items():
+            topic = self._topics[name].topics[0][0]
+            joints = first_of(source.declared.get("joints") or ["unknown"], _NAMED)
+            found.append(f"{name} (topic {topic}, {source.count} messages, joints {joints})")
+        return "; ".join(found)
 
     @property
     def attachments(self) -> tuple[str, ...]:

@@ -92,7 +92,7 @@ class PacketFile(ABC):
         Args:
             name: which; empty for `default`, or the only one.
             default: used if there is a source of this name and no other is requested.
-            by: what the user chooses one with, an option say; for the error.
+            by: how the user chooses one called NAME, by an option say; for the error.
 
         Raises:
             UsageError: there is no such source, or there are several.
@@ -106,8 +106,12 @@ class PacketFile(ABC):
             raise UsageError(Problem("", "no source", found=name, of=where, available=names))
         if not names:
             raise UsageError(f"{self.path} has no source")
-        how = f"choose with {by}" if by else "choose one"
-        raise UsageError(f"{self.path} has several sources: {', '.join(names)}; {how}")
+        how = f"choose with {by.replace('NAME', names[0])}, say" if by else "choose one"
+        raise UsageError(f"{self.path} has several sources: {self.about_sources()}; {how}")
+
+    def about_sources(self) -> str:
+        """Its sources in words, for a user who has to choose one."""
+        return ", ".join(self.sources)
 
     @abstractmethod
     def packets(

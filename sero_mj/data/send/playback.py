@@ -88,7 +88,7 @@ class RecordedPackets(Playback):
     ) -> None:
         self.file, self._only_whole = file, only_whole
         with open_recording(file) as recording:
-            name = recording.choose_source(source, by="--recorded")
+            name = recording.choose_source(source, by="--recorded NAME")
             recording.check_readable(name)
         self._replay = Replay(file=file, source=name)
         recorded = self._replay.recorded

@@ -83,7 +83,9 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         runs = [name for name in names if _robots_of(recording.sources[name].events)]
         if len(runs) > 1:
             found = ", ".join(runs)
-            raise UsageError(f"{path} has several runs: {found}; choose with --source")
+            raise UsageError(
+                f"{path} has several runs: {found}; choose with --source {runs[0]}, say"
+            )
         if runs:
             return _simulated(recording, runs[0], scene)
         declared = _recorded(recording) if scene is None else _declared_in(scene)
@@ -137,7 +139,9 @@ def read_run_table(path: Path | str, scene: Scene, source: str | None = None) ->
     sent = {name: columns_of_events(columns, each.events) for name, each in wanted.items()}
     possible = {name: events for name, events in sent.items() if events}
     if len(possible) > 1:
-        raise UsageError(f"{path} may be of {', '.join(possible)}; choose with --source")
+        first, *_ = possible
+        found = ", ".join(possible)
+        raise UsageError(f"{path} may be of {found}; choose with --source {first}, say")
     if not possible:
         raise CsvError(path, _expected_columns(columns, scene.robots, wanted))
     ((name, events),) = possible.items()
