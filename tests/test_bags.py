@@ -454,7 +454,11 @@ def described(path: Path, more: dict[str, Any] | None = None) -> Path:
 
 def test_commands_for_runs_find_the_robot_of_a_bag(tmp_path: Path, capsys: Any) -> None:
     own = described(tmp_path / "own")
-    assert run(capsys, "plot", str(own), "-o", str(tmp_path / "own.pdf"))[0] == 0
+    plot = ["plot", str(own), "-o", str(tmp_path / "own.pdf")]
+    assert run(capsys, *plot)[0] == 0
+    assert run(capsys, *plot, "--robot", "arm")[0] == 0
+    status, _, told = run(capsys, *plot, "--robot", "fr4")
+    assert status == 2 and "no scene or robot 'fr4'; did you mean 'fr3'?" in told
     path = write_bag(tmp_path / "shipped", {"/joint_states": states()})
     status, said, told = run(capsys, "compare", str(path), str(path))
     assert status == 0 and "fr3_joint7" in said and not told
@@ -493,3 +497,20 @@ def test_meshes_that_a_described_robot_lacks_are_told_once(
         "--package arm=DIR says where it is: package://arm/l0.stl, package://arm/l1.stl, "
         "package://arm/l2.stl and 4 more"
     )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_check_and_status_take_a_bag_as_view_does(kind: str, tmp_path: Path, capsys: Any) -> None:
+    name = "drive.bag" if kind == "bag" else "drive"
+    store = OLD_STORE if kind == "bag" else STORE
+    path = write_bag(tmp_path / name, {"/joint_states": states(store)}, kind)
+    for scene in ([str(path)], ["fr3", "--replay", str(path)]):
+        status, out, _ = run(capsys, "check", *scene)
+        assert status == 0
+        assert f"joint_states:replayof{path},4.0s" in "".join(out.split())
+        assert "joint_states.torques -> fr3.torques" in out
+        status, out, _ = run(capsys, "status", *scene, "--duration", "0.3")
+        assert status == 0 and "received" in out
+    other = write_bag(tmp_path / "other", {"/joint_states": states(names=list("abcdefg"))})
+    status, _, told = run(capsys, "check", str(other))
+    assert status == 2 and "found no scene that shows it" in told and "--replay other" in told

@@ -335,8 +335,17 @@ def print_table(table: Table) -> None:
     console.print(table)
 
 
-def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> RunLog:
-    """Reads a recording or a table, for a command with `--scene` for recordings without one."""
+def read_recorded_run(
+    path: Path, source: str | None, scene: Scene | None, robots: Sequence[str] = ()
+) -> RunLog:
+    """Reads a recording or a table, for a command with `--scene` for recordings without one.
+
+    Args:
+        path: of the file.
+        source: of its sources; all that matter when None.
+        scene: its robots; when None, those in it, or those that a recording of ROS may be of.
+        robots: which of these are wanted, by their names; any when empty.
+    """
     from ..data.drive.described_scene import scenes_of_bag
     from ..data.record.bag import Bag, open_recording
     from ..simulate.runs.run_recording import read_run, read_run_table
@@ -348,10 +357,14 @@ def read_recorded_run(path: Path, source: str | None, scene: Scene | None) -> Ru
     if scene is None:
         with open_recording(path) as recording:
             found = list(scenes_of_bag(recording)) if isinstance(recording, Bag) else []
+            if isinstance(recording, Bag):
+                found += [name for name in robots if name not in found]
         why: list[SeroError] = []
         for name in found:
             try:
-                return read_run(path, source, scene=read_scene(name))
+                possible = read_scene(name)
+                if not robots or not possible.robots.keys().isdisjoint(robots):
+                    return read_run(path, source, scene=possible)
             except SeroError as error:
                 why.append(error)
         if why:

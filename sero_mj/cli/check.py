@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..base import paths
 from ..base.frames import rpy_from_rotation
-from ._arguments import command, read_scene
-from .shared_options import PackageOptions, SceneArgument
+from ._arguments import command, read_scene, replay_instead
+from .shared_options import PackageOptions, ReplayOptions, SceneArgument
 
 if TYPE_CHECKING:
     from ..data.receive.source import Source
@@ -19,12 +20,13 @@ if TYPE_CHECKING:
 _TIED = "\0"  # a space at which no line is broken
 _EPILOG = """\
 Reads and compiles the scene and opens nothing. Prints every problem at once, with file and line,
-and exits with 2; else prints what the scene holds.
+and exits with 2; else prints what the scene holds. A recording is checked in the scene that
+sero-mj view shows it by, or in that of SCENE --replay REC.
 """
 ORDER = 52  # in the help of `sero-mj`
 
 
-class CheckOptions(SceneArgument, PackageOptions):
+class CheckOptions(SceneArgument, PackageOptions, ReplayOptions):
     """Check a scene file and print its contents."""
 
 
@@ -35,11 +37,16 @@ def run(options: CheckOptions) -> int:
     from ..robots.declared.route_text import parts_of_origin
     from ..viewer.camera import list_cameras
     from ..viewer.decor.feature import make_features
+    from ._opening import with_scene
 
+    options = with_scene(options)
     scene = read_scene(options.scene)
+    if options.replay is not None:
+        replay_instead(scene, options.replay, options.start, options.source)
     world = World(scene)
     make_features(world)
-    print(f"{scene.name}: no errors" + (f" in {scene.file}" if scene.file else ""))
+    own = scene.file and not paths.is_temporary(scene.file)
+    print(f"{scene.name}: no errors" + (f" in {scene.file}" if own else ""))
     if scene.description:
         print(f"  about   {scene.description}")
     for name, part in world.robots.items():

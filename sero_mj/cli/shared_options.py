@@ -217,7 +217,9 @@ class RunOptions(Options):
             path: of the file.
             source: of its sources; all when None.
         """
-        return read_recorded_run(path, source, self._declared)
+        robots = vars(self).get("robot") or ()
+        names = robots.split(",") if isinstance(robots, str) else robots
+        return read_recorded_run(path, source, self._declared, names)
 
 
 class PartOptions(RunOptions):

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..base.errors import UsageError
 from ..base.options import Duration
-from ._arguments import command, print_json, read_scene, until_ended
-from .shared_options import JsonOptions, SceneArgument
+from ._arguments import command, print_json, read_scene, replay_instead, until_ended
+from .shared_options import JsonOptions, ReplayOptions, SceneArgument
 
 if TYPE_CHECKING:
     from ..data.receive.source import Source
@@ -20,6 +20,7 @@ examples:
   sero-mj status lwr_udp                    live, until Ctrl-C
   sero-mj status lwr_udp --duration 5       for 5 s, then the result
   sero-mj status lwr_udp --duration 5 --json
+  sero-mj status run.mcap --duration 5      what a recording has, as it is played
 
 Opens the scene's sources as a viewer would, so no viewer can listen to the same ports meanwhile.
 Recordings play meanwhile.
@@ -31,11 +32,11 @@ _GOOD = ("state", "controller", "clock", "received", "blanked")  # rows that tel
 ORDER = 28  # in the help of `sero-mj`
 
 
-class StatusOptions(SceneArgument, JsonOptions):
+class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
     """Show what the sources of a scene receive, by cause.
 
     Attributes:
-        scene: scene: a file, or a shipped name.
+        scene: scene or recording: a file, or a shipped name.
         duration: seconds to watch (default: until Ctrl-C).
         as_json: print JSON at the end, nothing else.
     """
@@ -47,8 +48,12 @@ def run(options: StatusOptions) -> int:
     """Watches; returns 0 when every source has received something good, else 1."""
     from ..data.drive.wiring import wire
     from ..data.receive.report import report
+    from ._opening import with_scene
 
+    options = with_scene(options)
     scene = read_scene(options.scene)
+    if options.replay is not None:
+        replay_instead(scene, options.replay, options.start, options.source)
     wiring = wire(scene).check(scene)
     sources = list(wiring.sources.values())
     if not sources:
