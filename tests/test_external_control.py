@@ -24,6 +24,7 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.simulate.control.controller import Sensed, Target
 from sero_mj.simulate.external_control.exchange import modulus_of
 from sero_mj.simulate.external_control.library import HEADER
+from sero_mj.simulate.external_control.program import held_port
 from sero_mj.simulate.runs.run_source import RunSource
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulated_scene import simulated_scene
@@ -432,6 +433,14 @@ def test_a_program_and_what_it_has_started_end_with_the_run(folder: Path) -> Non
     for name in ("pid", "child"):
         pid = int((folder / name).read_text())
         assert until(lambda pid=pid: not is_running(pid)), name
+
+
+def test_ports_of_programs_are_given_once() -> None:
+    held = [held_port() for _ in range(300)]
+    numbers = {each.getsockname()[1] for each in held}
+    for each in held:
+        each.close()
+    assert len(numbers) == 300 and max(numbers) < 32768  # from where on the system gives them
 
 
 def test_a_run_that_is_given_up_ends_its_program(folder: Path) -> None:

@@ -22,7 +22,7 @@ from ...robots.declared.robot import SerialRobot
 from ..control.controller import ControllerDeclaration, MaybePerJoint, Sensed, Target
 from ..control.robot_model import RobotModel
 from .exchange import Answer, State
-from .program import PORT, Program, free_port
+from .program import PORT, Program, held_port
 
 log = logging.getLogger(__name__)
 
@@ -102,6 +102,7 @@ class Link:
         self._declared, self._robot = declared, robot
         self._program: Program | None = None
         self._socket: socket.socket | None = None
+        self._held: socket.socket | None = None  # see `held_port`
         # On the clock's time: when a run in real time began, and until when to wait at first.
         self._began = self._given_up = 0.0
         self._late = 0.0  # s, how much this step is
@@ -129,7 +130,11 @@ class Link:
             SimulationError: there is no such address.
         """
         declared = self._declared
-        port = declared.port or free_port()
+        port = declared.port
+        if not port:
+            self._held = held_port()
+            weakref.finalize(self, self._held.close)
+            port = self._held.getsockname()[1]
         if declared.command:
             command = [part.replace(PORT, str(port)) for part in declared.command]
             self._program = Program(command, declared.folder)
@@ -164,6 +169,9 @@ class Link:
         if self._program is not None:
             self._program.end()
         self._program = None
+        if self._held is not None:
+            self._held.close()
+        self._held = None
 
     def ask(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import socket
 import subprocess
@@ -72,11 +73,23 @@ class Program:
         self._end()
 
 
-def free_port() -> int:
-    """A UDP port of this machine that nobody has."""
-    with socket.socket(type=socket.SOCK_DGRAM) as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
+def held_port() -> socket.socket:
+    """A TCP socket at the number of a UDP port that nobody has.
+
+    While it is open, no other run on this machine gives the number to its program, which may take
+    a while to bind it. The system hands out other numbers, from 32768 on.
+    """
+    while True:
+        held = socket.socket()
+        with socket.socket(type=socket.SOCK_DGRAM) as found:
+            address = "127.0.0.1", random.randrange(20000, 30000)
+            try:
+                held.bind(address)
+                found.bind(address)
+            except OSError:
+                held.close()
+            else:
+                return held
 
 
 def _started(
