@@ -52,13 +52,13 @@ BY_MEMORY = """
 #include <sys/mman.h>
 int by_memory(char **argv) {
   int file = open(argv[1], O_RDWR), turn = open(argv[2], O_RDONLY), done = open(argv[3], O_WRONLY);
-  size_t at = (sizeof(struct state) + 63) / 64 * 64;
-  char *memory = mmap(0, at + sizeof(struct answer), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
-  const struct state *state = (const struct state *)memory;
-  struct answer *answer = (struct answer *)(memory + at);
+  size_t at = (sizeof(struct sero_state) + 63) / 64 * 64;
+  char *memory = mmap(0, at + sizeof(struct sero_answer), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+  const struct sero_state *state = (const struct sero_state *)memory;
+  struct sero_answer *answer = (struct sero_answer *)(memory + at);
   for (char byte; read(turn, &byte, 1) == 1; write(done, &byte, 1)) {
     answer->step = state->step;
-    for (int i = 0; i < JOINTS; i++)
+    for (int i = 0; i < SERO_JOINTS; i++)
       answer->torques[i] = 800.0 * (state->target_angles[i] - state->angles[i]) +
         40.0 * (state->target_velocities[i] - state->velocities[i]) + state->gravity[i];
   }
