@@ -535,6 +535,20 @@ def test_in_real_time_a_viewer_gets_steps_answered_too(folder: Path) -> None:
     assert (ages < 0.005).mean() > 0.8  # on a machine that is busy with other tests
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="threads cannot be moved here")
+@pytest.mark.parametrize("same_core", [True, False])
+def test_in_lockstep_a_program_runs_on_the_core_of_the_simulation(
+    folder: Path, same_core: bool
+) -> None:
+    simulated = simulation(folder, program("right"), same_core=same_core)
+    simulated.advance(50)
+    process = simulated.controlled[0].controller.controller._link._program._process
+    cores = os.sched_getaffinity(process.pid)
+    simulated.close()
+    assert cores <= os.sched_getaffinity(0)
+    assert len(cores) == (1 if same_core else len(os.sched_getaffinity(0)))
+
+
 def test_angles_may_be_commanded_to_springs_of_the_robot(folder: Path) -> None:
     law = PEER[PEER.index('    back["torques"] = (') : PEER.index('    if mode == "never"')]
     (folder / "angles.py").write_text(

@@ -54,6 +54,9 @@ class Reachable(ControllerDeclaration):
         clock: `lockstep`: the simulation waits for the answer to each state; `real_time`: a state
             is sent at its time, and the newest answer until the next one is due holds, as on a
             robot.
+        same_core: in lockstep, whether the main thread of a program that was started runs on the
+            core of the simulation once it has answered, which then need not wake another one;
+            false for programs that start threads later to compute beside each other.
         patience: s to wait for an answer in lockstep; in real time, age at which a command is old.
         first_patience: s to wait for the first answer.
     """
@@ -65,6 +68,7 @@ class Reachable(ControllerDeclaration):
     command: list[Word] = []
     folder: Path = Path()
     clock: Literal["lockstep", "real_time"] = "lockstep"
+    same_core: bool = True
     patience: float = Field(1.0, gt=0, le=3600)
     first_patience: float = Field(10.0, gt=0, le=3600)
 
@@ -199,6 +203,7 @@ class Link:
         if self.is_silent:
             patience = _SLICE  # it is not waited for at every step again
         deadline = clock.monotonic() + patience
+        self._share_core()
         is_sent = self.send(packet)
         while True:
             try:
@@ -218,6 +223,10 @@ class Link:
             self.check(time)
             if clock.monotonic() > deadline:
                 return False
+
+    def _share_core(self) -> None:
+        if self._program is not None and self.answered and self._declared.same_core:
+            self._program.come_beside()
 
     def send(self, packet: bytes | bytearray) -> bool:
         """Sends a packet; whether somebody may have got it."""
@@ -390,6 +399,7 @@ class ProgramController:
         self._modulus = min(state.modulus, answer.modulus)  # small counters begin at 0 again
         self._model, self._timestep = model, timestep
         self._link = link or Link(declared, model.name, answer.structure.size)
+        self._link.buffer = answer.incoming
         self.logged: Array = np.zeros(2)
         self.wrong = self.silent = self._step = 0
         self._why_wrong = ""  # the last answer that was not applied
@@ -440,7 +450,8 @@ class ProgramController:
         """Sends the state, and takes its answer; whether there is one that is not too old."""
         link, packet = self._link, self._state.packet
         if self._declared.clock == "lockstep":
-            self.wrong += link.drain()
+            if not self._answer.has_step:  # what came before could be taken for the answer
+                self.wrong += link.drain()
             return link.ask(packet, self._step, time, self._take)
         self.logged[1] = link.wait_until(time)
         link.receive(self._follow)
@@ -465,19 +476,15 @@ class ProgramController:
             found = f"{size}" if size <= answer.structure.size else "more"
             self._why_wrong = f" (found {found} bytes; expected {answer.structure.size})"
             return False
-        before = bytes(answer.packet)
-        answer.packet[:] = self._link.buffer[:size]
-        is_good = answer.is_finite and (
-            not answer.has_step or (step - answer.step) % self._modulus == 0
-        )
-        if not is_good:
-            if not answer.is_finite:
-                self._why_wrong = f" (to step {step}: not finite)"
-            else:
-                self._why_wrong = f" (to another step than {step})"
-            answer.packet[:] = before
-            self.wrong += 1
-        return is_good
+        if answer.has_step and (step - answer.step) % self._modulus:
+            self._why_wrong = f" (to another step than {step})"
+        elif not answer.is_finite:
+            self._why_wrong = f" (to step {step}: not finite)"
+        else:
+            answer.use()
+            return True
+        self.wrong += 1
+        return False
 
     def _follow(self, size: int) -> None:
         """Takes what is in the buffer if it answers a newer step than the last one did."""
@@ -494,9 +501,7 @@ class ProgramController:
         answer = self._answer
         if size != answer.structure.size or not answer.has_step:
             return self._step
-        item = answer.structure.field("step")
-        step = float(np.frombuffer(self._link.buffer, item.dtype, 1, item.offset)[0])
-        behind = (self._step - step) % self._modulus
+        behind = (self._step - answer.step) % self._modulus
         return self._step - int(behind) if np.isfinite(behind) else 0
 
     def _bear_silence(self, time: float) -> None:

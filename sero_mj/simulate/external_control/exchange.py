@@ -161,7 +161,8 @@ class Answer:
 
     Attributes:
         structure: as declared.
-        packet: the bytes that answers are written into.
+        incoming: the bytes that answers are received into, one more than an answer has.
+        packet: the bytes of the answer in use.
         modulus: see `modulus_of`.
 
     Raises:
@@ -190,13 +191,15 @@ class Answer:
                     expected = f"numbers, or {name} in answer"
                     raise Problem(name, "is required", expected=expected).error()
         self.packet = bytearray(self.structure.size)
+        self.incoming = bytearray(self.structure.size + 1)
         views = {name: _view(self.packet, self.structure, name) for name in events}
-        self._step, self._torques = views.get("step"), views.get("torques")
+        came = {name: _view(self.incoming, self.structure, name) for name in events}
+        self._step, self._torques = came.pop("step", None), views.get("torques")
+        self._numbers = list(came.values())
         self.modulus = modulus_of(self._step)
         self._angles, self._more = views.get("joint_angles"), views.get("feed_forward")
         self._stiffness: Any = views.get("stiffness", stiffness)
         self._damping: Any = views.get("damping", damping)
-        self._numbers = [view for name, view in views.items() if name != "step"]
         self._model = model
 
     @property
@@ -211,13 +214,17 @@ class Answer:
 
     @property
     def step(self) -> float:
-        """Which state it answers, as a counter that begins at 0 again."""
+        """Which state the incoming one answers, as a counter that begins at 0 again."""
         return 0.0 if self._step is None else float(self._step[0])
 
     @property
     def is_finite(self) -> bool:
-        """Whether all of its numbers are."""
+        """Whether all numbers of the incoming one are."""
         return all(np.isfinite(view).all() for view in self._numbers)
+
+    def use(self) -> None:
+        """Puts the incoming one into use."""
+        self.packet[:] = self.incoming[:-1]
 
     def write(self, sensed: Sensed, out: Array) -> None:
         """Writes the torques that it asks for now, (n,)."""

@@ -26,6 +26,7 @@ from ..control.controller import ControllerDeclaration, Sensed, Target
 from ..control.robot_model import RobotModel
 from . import library_host
 from .library_host import ARRAYS, RobotStruct
+from .program import SharedCore
 
 HEADER = Path(__file__).with_name("sero_mj_controller.h")
 _GUARD = b"\xa5" * 64  # behind the torques, where a library for more joints writes
@@ -235,6 +236,7 @@ class IsolatedLibrary:
             name = f"{self._declared.file}: {self._declared.function}"
             raise _writes_too_much(name, self._model, sensed.time)
         out[:] = values[7]
+        self._core.come()  # not before it has begun threads, if it does
 
     def close(self) -> None:
         """Ends the process; harmless when it has ended."""
@@ -269,6 +271,7 @@ class IsolatedLibrary:
         os.close(theirs_in)
         os.close(theirs_out)  # else its end would not be seen
         self._errors = errors
+        self._core = SharedCore(process.pid)
         self._poll = select.poll()
         self._poll.register(self._from, select.POLLIN)
         self._end = weakref.finalize(self, _end, process, (self._to, self._from), errors, path)

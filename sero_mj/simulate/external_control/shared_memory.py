@@ -149,6 +149,7 @@ class MemoryLink(Link):
         assert self._memory is not None
         if patience is None:
             patience = self._declared.patience if self.answered else self._declared.first_patience
+        self._share_core()
         self._memory[: self._size] = packet
         if not self.is_silent:  # else it has not taken the last one
             os.write(self._turn, b"1")
