@@ -53,7 +53,8 @@ BY_MEMORY = """
 int by_memory(char **argv) {
   int file = open(argv[1], O_RDWR), turn = open(argv[2], O_RDONLY), done = open(argv[3], O_WRONLY);
   size_t at = (sizeof(struct sero_state) + 63) / 64 * 64;
-  char *memory = mmap(0, at + sizeof(struct sero_answer), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
+  size_t size = at + sizeof(struct sero_answer);
+  char *memory = mmap(0, size, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
   const struct sero_state *state = (const struct sero_state *)memory;
   struct sero_answer *answer = (struct sero_answer *)(memory + at);
   for (char byte; read(turn, &byte, 1) == 1; write(done, &byte, 1)) {
