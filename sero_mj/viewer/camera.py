@@ -282,7 +282,8 @@ class Navigator:
         Args:
             data: the state, with frames up to date.
         """
-        self._framing.fit(self.camera, data)
+        if self.following is None:
+            self._framing.fit(self.camera, data)
         if self.following is None or self.camera.type != _FREE:
             return
         now = self._world.frame(data, self.following)[:3, 3]
