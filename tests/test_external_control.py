@@ -18,11 +18,13 @@ import pytest
 from polling import until
 from test_cli import run
 
+from sero_mj import SerialRobot
 from sero_mj.base.errors import DeclarationError, SimulationError
 from sero_mj.cli.snippet import snippets
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.simulate.control.controller import Sensed, Target
-from sero_mj.simulate.external_control.exchange import modulus_of
+from sero_mj.simulate.control.robot_model import RobotModel
+from sero_mj.simulate.external_control.exchange import State, modulus_of
 from sero_mj.simulate.external_control.library import HEADER
 from sero_mj.simulate.external_control.program import held_port
 from sero_mj.simulate.runs.run_source import RunSource
@@ -599,8 +601,30 @@ def test_wrong_declarations_name_their_key(
     assert said in caught.value.problems[0].message
 
 
+def test_states_have_what_a_law_by_computed_torques_needs() -> None:
+    model = RobotModel.of(SerialRobot.from_model("lwr"))
+    state = State("< coriolis:7d mass_matrix:49d step:1I", model)
+    sensed, target = Sensed(7), Target(7)
+    sensed.angles[:], sensed.velocities[:] = np.linspace(0.1, 0.7, 7), np.linspace(-1, 1, 7)
+    state.fill(3, sensed, target)
+    values = state.structure.decode(bytes(state.packet))
+    other = RobotModel.of(SerialRobot.from_model("lwr"))
+    other.update(sensed.angles, sensed.velocities)
+    assert values["mass_matrix"].reshape(7, 7) == pytest.approx(other.mass())
+    assert values["coriolis"] == pytest.approx(other.coriolis())
+    assert abs(values["coriolis"]).max() > 0.01
+
+
+def test_where_nobody_listens_is_told(folder: Path) -> None:
+    controller = 'kind = "udp"\nport = 9\nfirst_patience = 0.2'
+    with pytest.raises(SimulationError, match=r"within 0\.2 s: nobody listens at 127\.0\.0\.1:9"):
+        signals(simulation(folder, controller))
+
+
 def test_a_program_that_is_not_there_is_told(folder: Path) -> None:
-    with pytest.raises(DeclarationError, match=r"command: \./none cannot be started: No such file"):
+    with pytest.raises(
+        DeclarationError, match=r"scenario\.toml:\d+: controllers\.lwr\.command: no file "
+    ):
         signals(simulation(folder, 'kind = "udp"\ncommand = ["./none", "{port}"]'))
 
 

@@ -22,7 +22,7 @@ from ...robots.declared.robot import SerialRobot
 from ..control.controller import ControllerDeclaration, MaybePerJoint, Sensed, Target
 from ..control.robot_model import RobotModel
 from .exchange import Answer, State
-from .program import PORT, Program, held_port
+from .program import PORT, Program, find_program, held_port
 
 log = logging.getLogger(__name__)
 
@@ -98,15 +98,19 @@ class Link:
         buffer: what came last.
         answered: number of the step whose answer was applied last; 0 for none.
         is_silent: whether an answer is missing.
+        why_silent: what is known of the cause, to be put behind a sentence; empty for nothing.
     """
 
     def __init__(self, declared: Reachable, robot: str, most: int) -> None:
         self.buffer = bytearray(most + 1)
-        self.answered, self.is_silent = 0, False
+        self.answered, self.is_silent, self.why_silent = 0, False, ""
         self._declared, self._robot = declared, robot
+        if declared.command:
+            find_program(declared.command, declared.folder)
         self._program: Program | None = None
         self._socket: socket.socket | None = None
         self._held: socket.socket | None = None  # see `held_port`
+        self._port = declared.port
         # On the clock's time: when a run in real time began, and until when to wait at first.
         self._began = self._given_up = 0.0
         self._late = 0.0  # s, how much this step is
@@ -134,21 +138,21 @@ class Link:
             SimulationError: there is no such address.
         """
         declared = self._declared
-        port = declared.port
-        if not port:
+        self._port = declared.port
+        if not self._port:
             self._held = held_port()
             weakref.finalize(self, self._held.close)
-            port = self._held.getsockname()[1]
+            self._port = self._held.getsockname()[1]
         if declared.command:
-            command = [part.replace(PORT, str(port)) for part in declared.command]
+            command = [part.replace(PORT, str(self._port)) for part in declared.command]
             self._program = Program(command, declared.folder)
         self._socket = opened = socket.socket(type=socket.SOCK_DGRAM)
         weakref.finalize(self, opened.close)
         try:
             opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            opened.connect((declared.host, port))
+            opened.connect((declared.host, self._port))
         except OSError as error:
-            what = f"{declared.host}:{port}: {error.strerror or error}"
+            what = f"{declared.host}:{self._port}: {error.strerror or error}"
             raise self.error(time, what) from error
         if declared.clock == "real_time":
             opened.setblocking(False)
@@ -210,12 +214,15 @@ class Link:
                 if not is_sent:
                     clock.sleep(_SLICE)
                     is_sent = self.send(packet)
-                if take(self._socket.recv_into(self.buffer)):
+                size = self._socket.recv_into(self.buffer)
+                self.why_silent = ""
+                if take(size):
                     self.answered = step
                     return True
             except (BlockingIOError, TimeoutError):
                 pass
             except ConnectionError:  # nobody listens there yet, so that it has not arrived
+                self._is_refused()
                 is_sent = bool(self.answered)
                 clock.sleep(_SLICE if is_sent else 0.0)
                 if not self.answered:
@@ -233,9 +240,15 @@ class Link:
         assert self._socket is not None
         try:
             self._socket.send(packet)
-        except (ConnectionError, BlockingIOError):
+        except ConnectionError:
+            self._is_refused()
+            return False
+        except BlockingIOError:
             return False
         return True
+
+    def _is_refused(self) -> None:
+        self.why_silent = f": nobody listens at {self._declared.host}:{self._port}"
 
     def drain(self) -> int:
         """Discards what came before; returns how many packets."""
@@ -266,6 +279,7 @@ class Link:
                 size = self._socket.recv_into(self.buffer, 0, _DONT_WAIT)
             except OSError:
                 return
+            self.why_silent = ""
             take(size)
 
     def receive_until(self, time: float, step: int, take: Callable[[int], object]) -> None:
@@ -342,8 +356,9 @@ class UdpProgram(Answering):
 
     Attributes:
         state: structure of the packet that it gets: any of step, flags (1 in the first), time,
-            angles, velocities, torques, motor_angles, motor_velocities, gravity, target_angles,
-            target_velocities, target_accelerations, target_pose. Default: step:1I flags:1I time:1d
+            angles, velocities, torques, motor_angles, motor_velocities, gravity, coriolis,
+            mass_matrix, target_angles, target_velocities, target_accelerations, target_pose.
+            Default: step:1I flags:1I time:1d
             angles velocities torques target_angles target_velocities gravity, each of n:d.
         answer: structure of its answer: step (of the state that it answers) and either torques, or
             joint_angles with stiffness, damping; feed_forward. Default: step:1I 4x torques:nd.
@@ -511,6 +526,7 @@ class ProgramController:
         link.check(time)
         patience = declared.patience if link.answered else declared.first_patience
         what = f"no answer of {link.name} to step {self._step} within {patience:g} s"
+        what += link.why_silent
         if declared.on_silence == "stop" or not (
             link.answered or declared.on_silence == "gravity_compensation"
         ):

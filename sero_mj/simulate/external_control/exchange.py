@@ -30,7 +30,13 @@ _OF_JOINTS: Mapping[str, Callable[[Sensed, Target], Array]] = {
     "target_accelerations": lambda _, target: target.accelerations,
 }
 VALUES = (*_OF_JOINTS, "gravity")
-_OTHERS = {"step": 1, "flags": 1, "time": 1, "gravity": 0, "target_pose": 16}  # 0: n numbers
+# What the robot's model tells of the motors' angles and velocities.
+_OF_MODEL: Mapping[str, Callable[[RobotModel], Array]] = {
+    "gravity": lambda model: model.gravity(),
+    "coriolis": lambda model: model.coriolis(),
+    "mass_matrix": lambda model: model.mass().ravel(),
+}
+_OTHERS = {"step": 1, "flags": 1, "time": 1, "target_pose": 16}
 # What a command can have.
 _ANSWERED = ("step", "torques", "joint_angles", "stiffness", "damping", "feed_forward")
 
@@ -99,8 +105,7 @@ class State:
 
     def __init__(self, text: str, model: RobotModel) -> None:
         n = model.n
-        sizes = {name: count or n for name, count in _OTHERS.items()}
-        sizes |= dict.fromkeys(_OF_JOINTS, n)
+        sizes = {**_OTHERS, **dict.fromkeys((*_OF_JOINTS, *_OF_MODEL), n), "mass_matrix": n * n}
         self.structure = structure_of("state", text or default_state(n), sizes)
         self.packet = bytearray(self.structure.size)
         self._model = model
@@ -114,7 +119,9 @@ class State:
         self._word = self._views.get("step")
         self.modulus = modulus_of(self._word)
         self._flags, self._time = self._views.get("flags"), self._views.get("time")
-        self._gravity, self._pose = self._views.get("gravity"), self._views.get("target_pose")
+        self._pose = self._views.get("target_pose")
+        self._modelled = [(view, _OF_MODEL[name]) for name, view in self._views.items()
+                          if name in _OF_MODEL]  # fmt: skip
 
     def fill(self, step: int, sensed: Sensed, target: Target) -> None:
         """Writes the state of a step.
@@ -141,9 +148,10 @@ class State:
             self._time[0] = sensed.time
         if self._pose is not None:
             self._pose[:] = target.pose.T.ravel()  # column by column, as structures have it
-        if self._gravity is not None:
+        if self._modelled:
             self._model.update(sensed.motor_angles, sensed.motor_velocities)
-            self._gravity[:] = self._model.gravity()
+            for view, of_model in self._modelled:
+                view[:] = of_model(self._model)
 
 
 class Answer:

@@ -36,7 +36,8 @@ class Fmu(ControllerDeclaration):
 
     Attributes:
         file: the unit, controller.fmu say; relative to the scenario's folder.
-        inputs: its inputs that are named otherwise, to what they get: angles, velocities, torques,
+        inputs: its inputs that are named otherwise, one by one or whole vectors (`q` for q_0, q_1
+            and so on), to what they get: angles, velocities, torques,
             motor_angles, motor_velocities, gravity, target_angles, target_velocities,
             target_accelerations, or an element of these, `angles[1]` for the first joint.
         output: the name of its outputs with torques.
@@ -99,11 +100,7 @@ class FmuController:
         variables = description.modelVariables
         inputs = [each for each in variables if each.causality == "input"]
         outputs = [each for each in variables if each.causality == "output"]
-        known = {each.name for each in inputs}
-        for name in declared.inputs:
-            if name not in known:
-                raise Problem(f"inputs.{name}", "no input", found=name, available=known).error()
-        meant = {each.name: declared.inputs.get(each.name, each.name) for each in inputs}
+        meant = _meant([each.name for each in inputs], declared.inputs)
         places = {name: _place(text, model.n, [*meant.values()]) for name, text in meant.items()}
         wrong = [name for name, place in places.items() if place is None]
         if wrong:
@@ -215,6 +212,27 @@ class _Place(NamedTuple):
 
     name: str
     joints: Any
+
+
+def _meant(names: Sequence[str], wanted: Mapping[str, str]) -> dict[str, str]:
+    """What each input is to be: as declared of it or of its vector, else what its name says.
+
+    Raises:
+        DeclarationError: of an input that is not there.
+    """
+    vectors = {name: found["name"] for name in names if (found := _ELEMENT.match(name))}
+    available = {*names, *vectors.values()}
+    for name in wanted:
+        if name not in available:
+            raise Problem(f"inputs.{name}", "no input", found=name, available=available).error()
+    meant = {}
+    for name in names:
+        vector = vectors.get(name, "")
+        default = name
+        if vector in wanted:  # `q_3` of `q = "angles"` is `angles_3`
+            default = wanted[vector] + name.removeprefix(vector)
+        meant[name] = wanted.get(name, default)
+    return meant
 
 
 def _place(text: str, n: int, names: Sequence[str]) -> _Place | None:

@@ -180,7 +180,7 @@ class FriRobot(ABC):
             elif not link.ask(packet, self._counter, time, self._take, declared.patience):
                 if link.is_given_up:
                     what = f"no client answers at {link.name} within {declared.first_patience:g} s"
-                    raise link.error(time, what)
+                    raise link.error(time, what + link.why_silent)
                 if link.answered:
                     link.is_silent = True
                     self._tell(f"no answer of {link.name} at {time:.3f} s")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import random
+import shutil
 import signal
 import socket
 import subprocess
@@ -126,12 +127,31 @@ def held_port() -> socket.socket:
                 return held
 
 
+def find_program(command: Sequence[str], folder: Path) -> str:
+    """The path of a program.
+
+    Args:
+        command: its name, or its path in the folder.
+        folder: where it is to run.
+
+    Raises:
+        DeclarationError: there is none, or it cannot be executed.
+    """
+    name = command[0]
+    beside = folder / name
+    found = shutil.which(str(beside.absolute()) if os.sep in name else name)
+    if found is None and os.sep in name and beside.is_file():
+        raise Problem("command", f"{beside} cannot be executed").error()
+    if found is None:
+        where = f"no file {beside}" if os.sep in name else f"no program {name} in the PATH"
+        raise Problem("command", where).error()
+    return found
+
+
 def _started(
     command: Sequence[str], folder: Path, output: IO[bytes], environment: Mapping[str, str]
 ) -> subprocess.Popen[bytes]:
-    name = command[0]
-    beside = folder / name
-    found = str(beside.absolute()) if os.sep in name and beside.is_file() else name
+    name, found = command[0], find_program(command, folder)
     try:
         return subprocess.Popen(
             [found, *command[1:]],

@@ -21,6 +21,7 @@ from ...data.record.joint_state_messages import JointStateMessages, JointStates
 from ...data.ros import messages
 from ...data.ros.dds import LOCALHOST, MOST_DOMAIN, Participant, domain_number
 from ...data.ros.messages import MalformedMessage
+from ...data.ros.ros_source import wrong_with
 from ..control.controller import MaybePerJoint, Sensed, Target
 from ..control.robot_model import RobotModel
 from .datagrams import Answering, Link, ProgramController
@@ -197,10 +198,17 @@ class RosLink(Link):
             self.check(time)
             now = clock.monotonic()
             if now > deadline:
+                self.why_silent = self._why_nothing_comes()
                 return False
             if not self.answered and now > again:
                 self.send(packet)
                 again = now + _REPEATED
+
+    def _why_nothing_comes(self) -> str:
+        assert self._participant is not None
+        published = [(each.topic, each.kind) for each in self._participant.published()]
+        wrong = wrong_with(self.name, messages.NUMBERS, published)
+        return f": {wrong}" if wrong else ""
 
     def _take_any(self, take: Callable[[int], object]) -> bool:
         """Passes on what has come, until something is taken."""
