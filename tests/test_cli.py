@@ -367,6 +367,7 @@ def test_doctor_tries_every_backend_and_says_what_to_install(
     assert "a frame of an LWR with egl, 1280x800: normal " in text
     assert ("slow for what is live" in text) != ("fast enough" in text)
     assert "sero-mj view: page can be opened" in text
+    assert ("chrt -f 50" in text) == found["fifo"] != ("rtprio" in text)
     where = "can be opened" if found["live"]["window"] is None else "not here: neither DISPLAY"
     assert f"sero-mj view: window {where}" in text
     if not all(backend["works"] for backend in found["backends"].values()):

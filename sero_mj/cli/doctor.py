@@ -62,6 +62,12 @@ for quality in ("normal", "draft"):
             frames += 1
         print(quality, (time.perf_counter() - start) / frames)
 """
+_FIRST = """\
+real time: chrt -f 50 sero-mj simulate ... comes before all other programs (SCHED_FIFO), and so does
+  chrt -f 50 my_controller"""
+_NOT_FIRST = """\
+real time: no program may come before all others (SCHED_FIFO), so that steps may be late; on Linux,
+  as root: echo "USER - rtprio 80" > /etc/security/limits.d/rtprio.conf, and log in again"""
 _SMOOTH = 0.04  # s, of a frame
 ORDER = 73  # in the help of `sero-mj`
 
@@ -81,8 +87,10 @@ def run(options: DoctorOptions) -> int:
     used = chosen if chosen in works else next(iter(works), None)
     speed = None if used is None else frame_times(used)
     if options.as_json:
-        found = {"versions": versions, "python": platform.python_version(), "backends": backends}
-        print(json.dumps({**found, "chosen": chosen, "live": live, "frame_times": speed}, indent=2))
+        found: dict[str, Any] = {"versions": versions, "backends": backends}
+        found["python"] = platform.python_version()
+        found |= {"chosen": chosen, "live": live, "frame_times": speed, "fifo": may_be_first()}
+        print(json.dumps(found, indent=2))
         return 0 if works else 1
     print(
         f"Python {platform.python_version()}, "
@@ -101,12 +109,20 @@ def run(options: DoctorOptions) -> int:
         print(_about_speed(used or "", speed))
     for name, problem in live.items():
         print(f"sero-mj view: {name} {f'not here: {problem}' if problem else 'can be opened'}")
+    print(_FIRST if may_be_first() else _NOT_FIRST)
     if not works:
         print("no backend works: pictures cannot be rendered on this machine")
     return 0 if works else 1
 
 
 add_to = command("doctor", run, DoctorOptions, _EPILOG)
+
+
+def may_be_first() -> bool:
+    """Whether a program of this user may have the scheduler's policy for real time, SCHED_FIFO."""
+    trial = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))"
+    done = subprocess.run([sys.executable, "-c", trial], check=False, capture_output=True)
+    return done.returncode == 0
 
 
 def _version(distribution: str) -> str | None:
