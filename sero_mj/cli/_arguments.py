@@ -266,22 +266,22 @@ def replay_instead(
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
     from ..data.drive.bag_topics import replay_of, topics_of, with_bag
-    from ..data.record.bag import Bag, open_recording
+    from ..data.record.bag import Bag, look_into
     from ..simulate.runs.run_log import routes_from_recording
 
     if source is not None:
         _check_source(scene, file, source)
     led = with_bag(scene, file, source)
     scene.robots, scene.sources, scene.routes = led.robots, led.sources, led.routes
-    with open_recording(file, topics_of(scene)) as recording:
-        recorded = {name: list(source.events) for name, source in recording.sources.items()}
-        check_span(recording, start)
-        is_of_ros, there = isinstance(recording, Bag), recording.about_sources()
+    recording = look_into(file, topics_of(scene))
+    recorded = {name: list(source.events) for name, source in recording.sources.items()}
+    check_span(recording, start)
     both = [name for name in scene.sources if name in recorded]
     if not both:
         found = ", ".join(recorded) or "no source"
         expected = ", ".join(scene.sources) or "none: it has no sources"
-        if is_of_ros and len(recorded) > 1 and not scene.sources:
+        if isinstance(recording, Bag) and len(recorded) > 1 and not scene.sources:
+            there = recording.about_sources()
             raise UsageError(
                 f"--replay {file} has several sources: {there}; it is not clear which moves scene "
                 f"'{scene.name}'; choose with --source {next(iter(recorded))}, say, or by "
@@ -297,7 +297,7 @@ def replay_instead(
 
 def _check_source(scene: Scene, file: Path, source: str) -> None:
     """Raises UsageError where `--source` is none of a recording, or not for a scene."""
-    from ..data.record.bag import open_recording
+    from ..data.record.bag import look_into
 
     if scene.sources:
         own = ", ".join(scene.sources)
@@ -305,8 +305,7 @@ def _check_source(scene: Scene, file: Path, source: str) -> None:
             f"--source {source}: scene '{scene.name}' has sources of its own, {own}, which are "
             "replayed by their names; leave it out"
         )
-    with open_recording(file) as recording:
-        recording.choose_source(source)
+    look_into(file).choose_source(source)
 
 
 def print_json(found: Any) -> None:

@@ -12,7 +12,7 @@ from ...base.errors import SeroError
 from ...base.frames import Array
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
-from ..record.bag import Bag, open_recording
+from ..record.bag import Bag, look_into
 from ..record.replay import Replay
 from ..ros.joined_packets import prefix_before
 from ..ros.ros_source import RosSource
@@ -43,9 +43,8 @@ def replay_of(scene: Scene, name: str, file: Path) -> dict[str, Any]:
     """
     table: dict[str, Any] = {"kind": "replay", "file": str(file), "source": name}
     source = topics_of(scene).get(name)
-    with open_recording(file) as recording:
-        if source is not None and isinstance(recording, Bag):
-            table["topics"] = source.model_dump(include=_FIELDS, exclude_unset=True)
+    if source is not None and isinstance(look_into(file), Bag):
+        table["topics"] = source.model_dump(include=_FIELDS, exclude_unset=True)
     return table
 
 
@@ -66,10 +65,10 @@ def with_bag(scene: Scene, file: Path, source: str | None = None) -> Scene:
     if scene.sources or len(scene.robots) != 1:
         return scene
     name, robot = next(iter(scene.robots.items()))
-    with open_recording(file) as recording:
-        if not isinstance(recording, Bag):
-            return scene
-        joints = {each: of.declared["joints"] for each, of in recording.sources.items()}
+    recording = look_into(file)
+    if not isinstance(recording, Bag):
+        return scene
+    joints = {each: of.declared["joints"] for each, of in recording.sources.items()}
     if source is None:
         source = _source_of(robot, joints)
     if source not in joints:

@@ -6,9 +6,10 @@ The messages of several topics become the packets of one source, as when they ar
 
 from __future__ import annotations
 
+import json
 import math
 import os
-from collections import deque
+from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -41,6 +42,8 @@ _LONGER = 8.0  # times as long, as long as nothing is found
 _NEXT = 1e-9  # s, the resolution of times
 _MANY = 10  # topics in a message
 _NAMED = 3  # joints of a topic in a message
+_REMEMBERED = 16  # recordings
+_looked_into: OrderedDict[tuple[Any, ...], PacketFile] = OrderedDict()
 
 
 def is_bag(path: Path) -> bool:
@@ -77,6 +80,40 @@ def open_recording(
         if _profile(path) == "ros2":
             return Bag(path, topics, tell)
         raise
+
+
+def look_into(path: Path, topics: Mapping[str, RosSource] | None = None) -> PacketFile:
+    """A recording that is closed again: what its sources are, when it begins and ends.
+
+    It is remembered until the file changes, because opening a scene asks for it many times.
+
+    Args:
+        path: as for `open_recording`.
+        topics: likewise.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    named = {name: source.decoding_fields() for name, source in (topics or {}).items()}
+    key = path.absolute(), _state_of(path), json.dumps(named)
+    found = _looked_into.get(key)
+    if found is None:
+        with open_recording(path, topics) as found:
+            _looked_into[key] = found
+        while len(_looked_into) > _REMEMBERED:
+            _looked_into.popitem(last=False)
+    return found
+
+
+def _state_of(path: Path) -> tuple[tuple[str, int, int], ...]:
+    """Names, sizes and times of what a recording consists of: files of a folder, or it and logs."""
+    logs = [path.with_name(f"{path.name}{ending}") for ending in ("", "-wal", "-journal")]
+    found = []
+    for file in sorted(path.iterdir()) if path.is_dir() else logs:
+        with suppress(OSError):
+            about = file.stat()
+            found.append((file.name, about.st_size, about.st_mtime_ns))
+    return tuple(found)
 
 
 def _without_metadata(folder: Path) -> str:

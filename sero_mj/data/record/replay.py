@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -26,7 +26,7 @@ from ..receive.source import LedJoint, Source, log
 from ..receive.structure import Structure
 from ..ros.dds import Ros2
 from ..ros.ros_source import RosSource
-from .bag import open_recording
+from .bag import look_into, open_recording
 from .recording import PacketFile, RecordedSource, Recording
 
 _BATCH = 4096  # packets
@@ -85,7 +85,7 @@ class Replay(Source):
     @classmethod
     def _file_is_a_recording(cls, file: Path) -> Path:
         try:
-            open_recording(file).close()
+            look_into(file)
         except RecordingError as error:
             raise ValueError(str(error)) from None
         return file
@@ -94,11 +94,11 @@ class Replay(Source):
     @classmethod
     def _are_of_ros(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         if topics and "file" in info.data:
-            with open_recording(info.data["file"], {"": Ros2(**topics)}) as recording:
-                if isinstance(recording, Recording):
-                    raise ValueError("are for recordings of ROS; leave them out")
-                if not recording.sources:
-                    raise ValueError(f"{recording.path} has none of these")
+            recording = look_into(info.data["file"], {"": Ros2(**topics)})
+            if isinstance(recording, Recording):
+                raise ValueError("are for recordings of ROS; leave them out")
+            if not recording.sources:
+                raise ValueError(f"{recording.path} has none of these")
         return topics
 
     @field_validator("source")
@@ -108,8 +108,8 @@ class Replay(Source):
             return source
         topics, name = info.data["topics"], str(info.data.get("name"))
         wanted = {source or name: Ros2(**topics)} if topics else None
-        with open_recording(info.data["file"], wanted) as recording:
-            chosen = recording.choose_source(source, name, 'source = "NAME"')
+        recording = look_into(info.data["file"], wanted)
+        chosen = recording.choose_source(source, name, 'source = "NAME"')
         try:
             _receiver_of(recording.path, recording.sources[chosen], chosen)
         except RecordingError as error:
@@ -120,8 +120,7 @@ class Replay(Source):
     @classmethod
     def _begins_in_the_recording(cls, start: float | None, info: ValidationInfo) -> float | None:
         if start is not None and "file" in info.data:
-            with open_recording(info.data["file"]) as recording:
-                check_start(start, recording)
+            check_start(start, look_into(info.data["file"]))
         return start
 
     @field_validator("stop")
@@ -132,18 +131,17 @@ class Replay(Source):
         if info.data["start"] is not None:
             begin, word = info.data["start"], "start"
         else:
-            with open_recording(info.data["file"]) as recording:
-                begin, word = _first_of(recording), "where its first packet came"
+            begin, word = _first_of(look_into(info.data["file"])), "where its first packet came"
         if not begin < stop < np.inf:
             raise Problem(found=stop, expected=f"more than {begin:g}, {word}, in s").error()
         return stop
 
     def led_to(self, joints: Sequence[LedJoint]) -> None:
         """Takes the joints that routes lead to, for recordings of ROS, whose messages name them."""
-        with self._opened() as recording:
-            if isinstance(recording, Recording) or not joints:
-                return
-            declared = {**recording.sources[self.source].declared}
+        recording = look_into(self.file, self._wanted)
+        if isinstance(recording, Recording) or not joints:
+            return
+        declared = {**recording.sources[self.source].declared}
         if "joints" not in self.topics:
             declared.pop("joints", None)
         self._of_ros = Ros2(**{**declared, **self.topics})
@@ -162,18 +160,17 @@ class Replay(Source):
             self._told_of.add(text)
             log.warning("source '%s': %s", self.name, text)
 
-    def _opened(self, tell: Callable[[str], None] = lambda _: None) -> PacketFile:
-        """The recording, opened; its user closes it."""
+    @property
+    def _wanted(self) -> Mapping[str, RosSource] | None:
+        """What is read of a recording of ROS."""
         if self._of_ros is None and self.topics:
             self._of_ros = Ros2(**self.topics)
-        wanted = None if self._of_ros is None else {self.source: self._of_ros}
-        return open_recording(self.file, wanted, tell)
+        return None if self._of_ros is None else {self.source: self._of_ros}
 
     @cached_property
     def recorded(self) -> RecordedSource:
         """The source as it was recorded."""
-        with self._opened() as recording:
-            return recording.sources[self.source]
+        return look_into(self.file, self._wanted).sources[self.source]
 
     @cached_property
     def original(self) -> Source:
@@ -208,8 +205,7 @@ class Replay(Source):
     def _begin(self) -> float:
         if self.start is not None:
             return self.start
-        with self._opened() as recording:
-            return _first_of(recording)
+        return _first_of(look_into(self.file, self._wanted))
 
     @property
     def _end(self) -> float:
@@ -252,7 +248,7 @@ class Replay(Source):
         """
         self.close()
         try:
-            self._recording = self._opened(self._tell)
+            self._recording = open_recording(self.file, self._wanted, self._tell)
             self._recording.check_readable(self.source)
         except RecordingError as error:
             self.close()
