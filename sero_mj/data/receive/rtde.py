@@ -26,10 +26,12 @@ from .structure import Structure
 
 PORT = 30004
 VERSION = 2  # of the protocol
-# Types of messages.
+# Types of messages; the last two are those of clients that command.
 _TYPES = b"VvOSUM"
 ASK_VERSION, ASK_CONTROLLER, SET_UP, START, DATA, TEXT = _TYPES
-_HEAD = struct.Struct(">HB")
+SET_UP_INPUTS, PAUSE = b"IP"
+HEAD = struct.Struct(">HB")  # size, and type
+NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"  # instead of the type of a variable
 _MOST_BYTES = 4096  # of a message; those of a controller have up to 600
 
 # Variable, its type, and its events.
@@ -177,10 +179,10 @@ class RtdeReceiver(ConnectingSource):
             if other == kind:
                 continue
             lacking.add(name)
-            if other == "NOT_FOUND":
+            if other == NOT_FOUND:
                 if name != MEASURED:  # which is told when it is known what stands in for it
                     self._tell(f"the controller has no {name}")
-            elif other == "IN_USE":
+            elif other == IN_USE:
                 self._tell(f"{name} is in use by another client")
             else:
                 self._tell(f"{name} is of type {other[:40]}; expected {kind}")
@@ -232,7 +234,7 @@ class _Connection(Connection):
             question: its payload.
             hear: called with texts that come before the answer.
         """
-        self.socket.sendall(_HEAD.pack(_HEAD.size + len(question), kind) + question)
+        self.socket.sendall(HEAD.pack(HEAD.size + len(question), kind) + question)
         deadline = clock.monotonic() + connecting.PATIENCE
         while True:
             while not self._messages:
@@ -259,14 +261,14 @@ class _Connection(Connection):
         """Reads what has come, and splits it into messages."""
         self.wait(deadline, else_what)
         received, at = self._received + self.read(), 0
-        while len(received) - at >= _HEAD.size:
-            size, kind = _HEAD.unpack_from(received, at)
-            if not _HEAD.size <= size <= _MOST_BYTES or kind not in _TYPES:
+        while len(received) - at >= HEAD.size:
+            size, kind = HEAD.unpack_from(received, at)
+            if not HEAD.size <= size <= _MOST_BYTES or kind not in _TYPES:
                 text = f"sends what is no message of RTDE: {size} bytes of type {kind}"
                 raise Nonsense(text, received[at:])
             if len(received) - at < size:
                 break
-            self._messages.append((kind, received[at + _HEAD.size : at + size]))
+            self._messages.append((kind, received[at + HEAD.size : at + size]))
             at += size
         self._received = received[at:]
 
