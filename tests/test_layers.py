@@ -92,9 +92,14 @@ def packages(modules: tuple[str, ...]) -> set[str]:
 
 def imports_of(module: str, modules: dict[str, str]) -> list[tuple[int, str]]:
     """Line and module of every import: ours as `.name` below `sero_mj`, others' by full name."""
-    is_package = module in packages(tuple(modules))
+    return resolved(module, modules[module], tuple(modules))
+
+
+@cache
+def resolved(module: str, source: str, modules: tuple[str, ...]) -> list[tuple[int, str]]:
+    is_package = module in packages(modules)
     found: list[tuple[int, str]] = []
-    for line, full in imported_names(module, modules[module], is_package=is_package):
+    for line, full in imported_names(module, source, is_package=is_package):
         name = full
         if full in ("sero_mj", "sero_mj.*"):
             name = "?"  # any public name may be taken from it
@@ -108,6 +113,7 @@ def imports_of(module: str, modules: dict[str, str]) -> list[tuple[int, str]]:
     return found
 
 
+@cache
 def folder_of(module: str) -> str:
     """Its place in the order: the innermost folder with one; a wing itself has the first."""
     parts = module.split(".")
