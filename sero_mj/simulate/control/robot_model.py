@@ -26,7 +26,7 @@ from mujoco import (
     mju_rotVecQuat,
 )
 
-from ...base.frames import Array, frame, inverse
+from ...base.frames import Array, frame, inverse, rotation_from_quat
 from ...robots.assemble.world import World, dynamics_of
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
@@ -122,6 +122,7 @@ class RobotModel:
         self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
         self._mounting: Mounting | None = None
+        self._base: Array | None = None  # T_world_base, where it is known and does not move
         self._loads: list[tuple[Array, Array, Array]] = []
         self._of_base: list[tuple[Array, Array, Array, Array]] = []
 
@@ -201,6 +202,7 @@ class RobotModel:
         part = world.robots[robot.name]
         joints = [int(world.model.dof_jntid[dof]) for dof in part.dofs]
         made = cls(world.model, joints, body=part.flange_body, name=robot.name)
+        made._base = robot.base_frame
         if robot.position_limits is not None:
             made.position_limits = robot.position_limits
         if robot.velocity_limits is not None:
@@ -351,7 +353,15 @@ class RobotModel:
         return frame(self.flange_rotation, self.flange_position)
 
     def base(self) -> Array:
-        """T_world_base, (4, 4), m: of the body before the first joint; a new array."""
+        """T_world_base, (4, 4), m; a new array.
+
+        Of a model that was not made of a declaration: that of the body before the first joint.
+        """
+        if self._mounting is not None:
+            turn = rotation_from_quat(self._mounting.quaternion)
+            return frame(turn, self._mounting.position)
+        if self._base is not None:  # the skeleton's base is one with the world
+            return self._base.copy()
         body = int(self._model.body_parentid[self._model.jnt_bodyid[0]])
         return frame(self._data.xmat[body].reshape(3, 3), self._data.xpos[body])
 

@@ -1,0 +1,174 @@
+"""What clients of a Franka arm's FCI say, in the versions of its server that `FrankaReceiver` knows.
+
+Facts of libfranka-common's `research_interface/robot/service_types.h` and `rbk_types.h`, at the
+commits that libfranka 0.9 (server 5), 0.10 (6), 0.13.6 (7), 0.14 (8), 0.15 (9) and 0.18 (10) use;
+for 3 and 4 at the last commits that have these numbers. All is little-endian and packed.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ...base.frames import Array
+from ...data.receive.franka import state_fields, state_size
+
+HEAD = struct.Struct("<III")  # number of the request, its id, bytes of all
+MOST_BYTES = 4096  # of a request; the longest has 428
+SUCCESS, NOT_POSSIBLE, INVALID = 0, 1, 2  # status of answers, but for that to Move
+INCOMPATIBLE = 1  # status of the answer to Connect
+IDLE, MOVE, REFLEX = 1, 2, 4  # robot_mode
+# Of a request to move. In states, generators are one more, and 0 is none at work.
+JOINT_POSITION, JOINT_VELOCITY, NO_GENERATOR = 0, 1, 4
+JOINT_IMPEDANCE, CARTESIAN_IMPEDANCE, EXTERNAL = 0, 1, 2
+OTHER_CONTROLLER = 3  # in states, where nothing moves
+
+# Of each request: structure of what follows its head.
+REQUESTS = {
+    "Connect": "HH",
+    "Move": "II6d",
+    "StopMove": "",
+    "GetCartesianLimit": "i",
+    "SetCollisionBehavior": "52d",
+    "SetJointImpedance": "7d",
+    "SetCartesianImpedance": "6d",
+    "SetGuidingMode": "7?",
+    "SetEEToK": "16d",
+    "SetNEToEE": "16d",
+    "SetLoad": "13d",
+    "SetFilters": "5d",
+    "AutomaticErrorRecovery": "",
+    "LoadModelLibrary": "BB",
+    "GetRobotModel": "",
+}
+_UNTIL = {"GetCartesianLimit": 5, "SetFilters": 5, "LoadModelLibrary": 9}
+_SINCE = {"GetRobotModel": 8}
+_ASYNC_SINCE, _ASYNC = 10, "?7d"  # of Move: whether it is, and velocities, rad/s
+_NO_GENERATOR_SINCE = 7
+# Status of answers to Move; from version 6 on two of safety functions stand after the third.
+_MOVE_STATUS = (
+    "success", "started", "preempted", "not_possible", "singular", "invalid", "reflex",
+    "emergency", "input_error", "aborted",
+)  # fmt: skip
+_SAFETY_SINCE = 6
+_COMMAND = "<Q7d7d16d6d2d??7d"  # id, q_c, dq_c, O_T_EE_c, O_dP_EE_c, elbow_c, flags, tau_J_d
+_FINISHED_SINCE = 7  # a flag that ends torque control, at the end
+
+
+@dataclass(frozen=True)
+class RobotCommand:
+    """What a client commands in one cycle.
+
+    Attributes:
+        message_id: of the state that it answers.
+        angles: (7,), rad.
+        velocities: (7,), rad/s.
+        torques: (7,), Nm, without gravity.
+        is_last: whether the motion is finished.
+    """
+
+    message_id: int
+    angles: Array
+    velocities: Array
+    torques: Array
+    is_last: bool
+
+
+@dataclass(frozen=True)
+class Messages:
+    """The messages of one version of the server.
+
+    Attributes:
+        version: 3 to 10.
+    """
+
+    version: int
+
+    @cached_property
+    def requests(self) -> dict[int, tuple[str, struct.Struct]]:
+        """Number of a request to its name, and the structure of what follows the head."""
+        names = [
+            name
+            for name in REQUESTS
+            if _SINCE.get(name, 0) <= self.version <= _UNTIL.get(name, self.version)
+        ]
+        found = {}
+        for number, name in enumerate(names):
+            more = _ASYNC if name == "Move" and self.version >= _ASYNC_SINCE else ""
+            found[number] = name, struct.Struct(f"<{REQUESTS[name]}{more}")
+        return found
+
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """Name of a request to its number."""
+        return {name: number for number, (name, _) in self.requests.items()}
+
+    def answer(self, request: str, number: int, status: int, more: bytes = b"") -> bytes:
+        """An answer.
+
+        Args:
+            request: its name.
+            number: its id.
+            status: of the answer.
+            more: what follows the status.
+        """
+        size = HEAD.size + 1 + len(more)
+        return HEAD.pack(self.numbers[request], number, size) + bytes([status]) + more
+
+    def move_status(self, name: str) -> int:
+        """Status of an answer to Move, of `_MOVE_STATUS`."""
+        found = _MOVE_STATUS.index(name)
+        return found + 2 * (found > 2 and self.version >= _SAFETY_SINCE)
+
+    @property
+    def has_no_generator(self) -> bool:
+        """Whether torques can be commanded without a motion generator."""
+        return self.version >= _NO_GENERATOR_SINCE
+
+    @cached_property
+    def command(self) -> struct.Struct:
+        """Structure of a command."""
+        return struct.Struct(_COMMAND + "?" * (self.version >= _FINISHED_SINCE))
+
+    def read_command(self, packet: bytes | bytearray | memoryview) -> RobotCommand | None:
+        """Reads a command; None where it is none."""
+        if len(packet) != self.command.size:
+            return None
+        found = self.command.unpack(packet)
+        numbers = np.array(found[1:39] + found[41:48])
+        is_last = found[40] or any(found[48:])
+        return RobotCommand(found[0], numbers[:7], numbers[7:14], numbers[38:], is_last)
+
+
+class StatePacket:
+    """The state of a robot, to be written in place.
+
+    Args:
+        version: of the server.
+
+    Attributes:
+        packet: the bytes.
+        views: name of a field to its numbers in it, see `sero_mj.data.receive.franka.FIELDS`.
+    """
+
+    def __init__(self, version: int) -> None:
+        self.packet = bytearray(state_size(version))
+        self.views: dict[str, Any] = {
+            name: np.frombuffer(self.packet, f"<{kind[-1]}", int(kind[:-1]), at)
+            for name, (at, kind) in state_fields(version).items()
+        }
+
+    def __setitem__(self, field: str, values: Array | Sequence[float] | float) -> None:
+        """Writes a field, where this version has it."""
+        view = self.views.get(field)
+        if view is not None:
+            view[:] = values
+
+    def __getitem__(self, field: str) -> Any:
+        """The numbers of a field."""
+        return self.views[field]
