@@ -1,4 +1,4 @@
-"""What clients of a Franka arm's FCI say, in the versions of its server that `FrankaReceiver` knows.
+"""Messages between a Franka arm and its clients, in the server versions of `FrankaReceiver`.
 
 Facts of libfranka-common's `research_interface/robot/service_types.h` and `rbk_types.h`, at the
 commits that libfranka 0.9 (server 5), 0.10 (6), 0.13.6 (7), 0.14 (8), 0.15 (9) and 0.18 (10) use;

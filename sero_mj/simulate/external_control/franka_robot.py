@@ -38,9 +38,11 @@ from .franka_motion import CYCLE, JOINTS, MOST_LOST, Desired, Motion, Violation
 log = logging.getLogger(__name__)
 
 _BANDWIDTH = 25.0  # 1/s, of the observer of external torques; our choice
-_SINGULAR = 1e-4  # determinant of J J^T, m^6, below which there is no external force; our choice
+_SINGULAR = 1e-8  # determinant of J J^T, below which no external force is known; our choice
 _LOST = "communication_constraints_violation"
-_REPEATED = 0.02  # s, after which a state is sent again in lockstep: libfranka leaves out the first
+# s, after which a state is sent again in lockstep: libfranka does not answer the first
+# one of a motion, and may leave out others. A client that takes longer sees a state twice.
+_SOON, _REPEATED = 0.02, 0.1
 _STIFFEST = 5000.0  # Nm/rad, of the robot's own control
 _NO_MODEL = bytes(24 + 128 + 1)  # of the answer to GetCartesianLimit, which refuses
 
@@ -169,14 +171,14 @@ class FrankaRobot:
         if is_paced:
             self.logged[3] = link.wait_until(time)
         link.serve(0.0)
-        if self._motion is not None and self._motion.is_external:
+        if self._motion is not None and self._motion.generator == NO_GENERATOR:
             desired.angles[:], desired.velocities[:] = sensed.angles, sensed.velocities
         if link.is_connected:
             self._fill(sensed)
             (self._keep_pace if is_paced else self._keep_time)(time)
         link.check(time)
         motion = self._motion
-        if motion is None:
+        if motion is None or not (motion.is_commanded or motion.generator == NO_GENERATOR):
             desired.brake()
         self.logged[0] = self.mode
         self.logged[1] = motion.success if motion is not None else 0.0
@@ -224,12 +226,13 @@ class FrankaRobot:
         patience = declared.patience if motion.is_commanded else declared.first_patience
         now = clock.monotonic()
         deadline, again = now + patience, now
+        pause = self._repeat if motion.is_commanded else _SOON
         if motion.is_commanded:
             link.share_core()
         while self._motion is motion and link.is_connected:
             if now >= again:
                 self._send()
-                again = now + self._repeat
+                again, pause = now + pause, self._repeat
             if now > deadline:
                 self._reflex(_LOST, f"no command within {patience:g} s")
                 return False
@@ -415,19 +418,21 @@ class FrankaRobot:
 
     def _send(self) -> None:
         """Sends the state, numbered anew."""
-        state, motion = self._state, self._motion
+        state, motion, desired = self._state, self._motion, self._desired
         self._number += 1
         state["message_id"] = self._number
         state["robot_mode"] = self.mode
-        is_moving = motion is not None
-        state["motion_generator_mode"] = motion.generator + 1 if is_moving else 0
-        state["controller_mode"] = motion.controller if is_moving else OTHER_CONTROLLER
-        state["control_command_success_rate"] = motion.success if is_moving else 0.0
-        desired = self._desired
+        if motion is None:
+            modes = 0, OTHER_CONTROLLER
+            state["control_command_success_rate"], torques = 0.0, self._torques
+        else:
+            modes = motion.generator + 1, motion.controller
+            state["control_command_success_rate"] = motion.success
+            torques = desired.torques if motion.is_external else self._torques
+        state["motion_generator_mode"], state["controller_mode"] = modes
+        state["tau_J_d"] = torques
         state["q_d"], state["dq_d"] = desired.angles, desired.velocities
         state["ddq_d"] = desired.accelerations
-        is_external = is_moving and motion.is_external
-        state["tau_J_d"] = desired.torques if is_external else self._torques
         self._link.send(state.packet)
 
     def _fill(self, sensed: Sensed) -> None:
@@ -465,10 +470,9 @@ class FrankaRobot:
         linear += _cross(angular, arm)
         full = np.vstack([linear, angular])
         square = full @ full.T
-        if np.linalg.det(square) < _SINGULAR**2:
-            wrench = np.zeros(6)
-        else:
-            wrench = np.linalg.solve(square, full @ external)
+        wrench: Array = np.zeros(6)
+        if np.linalg.det(square) > _SINGULAR:
+            wrench[:] = np.linalg.solve(square, full @ external)
         turn = T_base_k[:3, :3].T
         state["O_F_ext_hat_K"] = wrench
         state["K_F_ext_hat_K"] = np.concatenate([turn @ wrench[:3], turn @ wrench[3:]])
