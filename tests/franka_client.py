@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import select
 import socket
 import struct
 import sys
@@ -79,14 +80,12 @@ class Client:
     def read(self) -> Any:
         """The newest state that is not known."""
         before = getattr(self.last, "message_id", 0)
-        while True:
-            try:
-                packet, self.robot = self.udp.recvfrom(4000, socket.MSG_DONTWAIT)
-            except BlockingIOError:
-                if getattr(self.last, "message_id", 0) > before:
-                    return self.last
-                packet, self.robot = self.udp.recvfrom(4000)
+        is_new = False
+        while not is_new or select.select([self.udp], [], [], 0)[0]:
+            packet, self.robot = self.udp.recvfrom(4000)
             self.last = STATES[self.version].from_buffer_copy(packet)
+            is_new = self.last.message_id > before
+        return self.last
 
     def fresh(self) -> Any:
         """A state that was sent after what was asked for before."""

@@ -53,15 +53,8 @@ def at_start() -> tuple[Sensed, Target]:
 
 def test_every_kind_comes_from_a_table_and_holds_the_robot_at_its_target() -> None:
     tables = tomllib.loads(TABLES)
-    external = {
-        "library",
-        "udp",
-        "shm",
-        "fmu",
-        "fri",
-        "rtde",
-        "ros2",
-    }  # which have tests of their own
+    # Which have tests of their own.
+    external = {"library", "udp", "shm", "fmu", "fri", "rtde", "franka", "ros2"}
     assert {table["kind"] for table in tables.values()} == set(controller_kinds()) - external
     sensed, target = at_start()
     for table in tables.values():
@@ -97,7 +90,7 @@ def test_controllers_in_joint_space_make_no_arrays() -> None:
 
 KINDS = [
     "cartesian_impedance", "gravity_compensation", "joint_impedance", "joint_position", "torque",
-    "library", "udp", "shm", "fri", "rtde", "fmu", "ros2",
+    "library", "udp", "shm", "fri", "rtde", "fmu", "franka", "ros2",
 ]  # fmt: skip
 
 
@@ -110,8 +103,8 @@ KINDS = [
                 "kind",
                 "is required",
                 expected="'gravity_compensation', 'joint_impedance', 'cartesian_impedance', "
-                "'joint_position', 'torque', 'library', 'udp', 'shm', 'fri', 'rtde', 'fmu' or "
-                "'ros2'",
+                "'joint_position', 'torque', 'library', 'udp', 'shm', 'fri', 'rtde', 'fmu', "
+                "'franka' or 'ros2'",
             ),
         ),
         (

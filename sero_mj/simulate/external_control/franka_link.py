@@ -138,7 +138,7 @@ class FciLink(Link):
 
     def check(self, time: float) -> None:
         """Raises SimulationError where the program has failed; `time` is s since the start."""
-        if self._program is not None and self._program.status:
+        if self._program is not None and self._program.has_failed:
             raise self.error(time, self._program.why())
 
     # ---- states and commands

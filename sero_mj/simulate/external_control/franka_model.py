@@ -84,4 +84,4 @@ def _add_origin(element: ElementTree.Element, at: Array) -> None:
 
 
 def _text(numbers: Array) -> str:
-    return " ".join(f"{number:.17g}" for number in numbers)
+    return " ".join(f"{round(number, 12) + 0.0:.12g}" for number in numbers.tolist())

@@ -381,6 +381,8 @@ class FrankaRobot:
                 self._link.tell("a load is reported to clients; its weight is not compensated")
         else:  # SetCollisionBehavior, SetCartesianImpedance, SetGuidingMode, SetFilters
             self._link.tell(f"{name} has no effect")
+        if name in ("SetEEToK", "SetNEToEE"):
+            self._fill_frames(-self._observer.external)
 
     def _begin_motion(self, number: int, values: tuple[Any, ...]) -> None:
         controller, generator = values[:2]
@@ -446,6 +448,14 @@ class FrankaRobot:
         # With which the robot pushes, as Franka counts them.
         external = -self._observer.external
         state["tau_ext_hat_filtered"] = external
+        elbow = float(sensed.angles[2]), 1.0 if sensed.angles[3] >= 0.0 else -1.0
+        for name in ("elbow", "elbow_d", "elbow_c"):
+            state[name] = elbow
+        self._fill_frames(external)
+
+    def _fill_frames(self, external: Array) -> None:
+        """Writes the pose of the end effector, and the force that explains external torques."""
+        state, model = self._state, self._model
         T_base_world, T_world_flange = inverse(model.base()), model.flange()
         T_flange_ee = np.reshape(state["F_T_EE"], (4, 4)).T.astype(float)
         T_flange_k = T_flange_ee @ np.reshape(state["EE_T_K"], (4, 4)).T
@@ -453,9 +463,6 @@ class FrankaRobot:
         pose = (T_base_flange @ T_flange_ee).T.ravel()
         for name in ("O_T_EE", "O_T_EE_d", "O_T_EE_c"):
             state[name] = pose
-        elbow = float(sensed.angles[2]), 1.0 if sensed.angles[3] >= 0.0 else -1.0
-        for name in ("elbow", "elbow_d", "elbow_c"):
-            state[name] = elbow
         self._fill_force(external, T_base_flange @ T_flange_k, T_base_world, T_world_flange)
 
     def _fill_force(
