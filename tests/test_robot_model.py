@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from simulated import MOTORS, lwr_model, lwr_mujoco, lwr_robot
 
+from sero_mj import SerialRobot
+from sero_mj.base.frames import frame, rotation_from_rpy
 from sero_mj.simulate.control.robot_model import RobotModel
 
 Array = NDArray[np.float64]
@@ -129,3 +131,13 @@ def test_other_things_in_the_model_are_left_out_and_other_joints_rigid() -> None
     np.testing.assert_allclose(robot.jacobian()[:, 0], [0, 0, -1.4, 0, 1, 0], atol=1e-12)
     with pytest.raises(ValueError, match=r"^found joints \[0, 1\]"):
         RobotModel(model, [0, 1], site=0)
+
+
+def test_the_base_is_where_the_robot_stands() -> None:
+    stands = frame(rotation_from_rpy(np.array([0.2, 0.1, 0.3])), np.array([1.0, 2.0, 3.0]))
+    robot = SerialRobot.from_model("fr3", base_frame=stands)
+    model = RobotModel.of(robot)
+    angles = np.array([0.1, 0.2, 0.3, -1.4, 0.5, 1.6, 0.7])
+    model.update(angles, np.zeros(7))
+    flange = model.base() @ robot.fwd_kin_base_to_flange(angles)
+    np.testing.assert_allclose(flange, model.flange(), atol=1e-12)

@@ -460,6 +460,8 @@ class FrankaRobot:
         T_flange_ee = np.reshape(state["F_T_EE"], (4, 4)).T.astype(float)
         T_flange_k = T_flange_ee @ np.reshape(state["EE_T_K"], (4, 4)).T
         T_base_flange = T_base_world @ T_world_flange
+        # Clients' models take gravity from it, which libfranka documents as {0, 0, -9.81}.
+        state["O_ddP_O"] = T_base_world[:3, :3] @ model.skeleton.opt.gravity
         pose = (T_base_flange @ T_flange_ee).T.ravel()
         for name in ("O_T_EE", "O_T_EE_d", "O_T_EE_c"):
             state[name] = pose
