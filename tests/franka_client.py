@@ -206,7 +206,12 @@ def requests(client: Client, found: dict[str, Any]) -> None:
         found[name] = client.do(name, struct.pack(f"<{len(values)}d", *values))
     found["SetGuidingMode"] = client.do("SetGuidingMode", bytes(7))
     found["StopMove"] = client.do("StopMove")
-    found["wrong"] = client.do("SetNEToEE", struct.pack("<16d", *[math.nan] * 16))
+    found["wrong"] = [
+        client.do("SetNEToEE", struct.pack("<16d", *[math.nan] * 16)),
+        client.do("SetEEToK", struct.pack("<16d", *[2.0] * 16)),
+        client.do("SetJointImpedance", struct.pack("<7d", *[-1.0] * 7)),
+        client.do("SetLoad", struct.pack("<13d", *[1e300] * 13)),
+    ]
     if client.version <= 5:
         found["SetFilters"] = client.do("SetFilters", struct.pack("<5d", *[100.0] * 5))
         limit = client.answer(client.ask("GetCartesianLimit", struct.pack("<i", 1)))

@@ -147,7 +147,7 @@ def test_violations_end_the_motion_by_a_reflex_until_the_client_recovers(
     assert [text.split(", ")[1].split(":")[0] for text in told] == list(errors.values())
     assert told[0].endswith("fr3_joint1: commanded torque changes by 2000 Nm/s; "
                             "expected up to 1000")  # fmt: skip
-    assert told[2].endswith("a commanded torque is not finite")
+    assert told[2].endswith("a commanded torque is not finite, or huge")
 
 
 def test_a_client_that_stalls_has_an_error_and_may_go_on(
@@ -213,7 +213,7 @@ def test_requests_are_answered(tmp_path: Path, version: int) -> None:
     for name in ("SetCollisionBehavior", "SetJointImpedance", "SetCartesianImpedance", "SetEEToK",
                  "SetNEToEE", "SetLoad", "SetGuidingMode", "StopMove"):  # fmt: skip
         assert found[name] == 0, name
-    assert found["wrong"] == 2
+    assert found["wrong"] == [2, 2, 2, 2]
     refused, invalid = (5, 7) if version >= 6 else (3, 5)
     assert (found["Cartesian"], found["unknown"]) == (refused, invalid)
     assert found.get("async", refused) == refused

@@ -234,7 +234,7 @@ class FciLink(Link):
         except BlockingIOError:
             return
         except OSError as error:
-            self._drop(error.strerror or str(error))
+            self._drop(f"is lost: {error.strerror or error}")
             return
         if not more:
             self._drop(f"has left{' within a message' if self._received else ''}")

@@ -8,15 +8,12 @@ for 3 and 4 at the last commits that have these numbers. All is little-endian an
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from ...base.frames import Array
-from ...data.receive.franka import state_fields, state_size
 
 HEAD = struct.Struct("<III")  # number of the request, its id, bytes of all
 MOST_BYTES = 4096  # of a request; the longest has 428
@@ -143,32 +140,3 @@ class Messages:
         numbers = np.array(found[1:39] + found[41:48])
         is_last = found[40] or any(found[48:])
         return RobotCommand(found[0], numbers[:7], numbers[7:14], numbers[38:], is_last)
-
-
-class StatePacket:
-    """The state of a robot, to be written in place.
-
-    Args:
-        version: of the server.
-
-    Attributes:
-        packet: the bytes.
-        views: name of a field to its numbers in it, see `sero_mj.data.receive.franka.FIELDS`.
-    """
-
-    def __init__(self, version: int) -> None:
-        self.packet = bytearray(state_size(version))
-        self.views: dict[str, Any] = {
-            name: np.frombuffer(self.packet, f"<{kind[-1]}", int(kind[:-1]), at)
-            for name, (at, kind) in state_fields(version).items()
-        }
-
-    def __setitem__(self, field: str, values: Array | Sequence[float] | float) -> None:
-        """Writes a field, where this version has it."""
-        view = self.views.get(field)
-        if view is not None:
-            view[:] = values
-
-    def __getitem__(self, field: str) -> Any:
-        """The numbers of a field."""
-        return self.views[field]

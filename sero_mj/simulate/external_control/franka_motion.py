@@ -22,6 +22,7 @@ MOST_TORQUES: Array = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])  # Nm
 MOST_TORQUE_RATE = 1000.0  # Nm/s
 MOST_ACCELERATION = 10.0  # rad/s2
 MOST_LOST = 20  # commands in a row
+MOST_NUMBER = 1e9  # what is beyond can be no quantity of a robot, and overflows in what follows
 _WINDOW = 100  # commands, over which success is counted
 # Clients compute from states with float32: 4 um of an angle of 4 rad are 0.5 rad/s2 in a cycle.
 _RATE_TOLERANCE, _ACCELERATION_TOLERANCE = 1.0, 1.0
@@ -169,5 +170,5 @@ class Desired:
             raise Violation(error, f"{self._model.joint_names[joint]}: {expected}")
 
     def _check_finite(self, numbers: Sequence[float] | Array, what: str, error: str) -> None:
-        if not np.isfinite(numbers).all():
-            raise Violation(error, f"a commanded {what} is not finite", is_input=True)
+        if not (np.abs(numbers) < MOST_NUMBER).all():  # nor is NaN
+            raise Violation(error, f"a commanded {what} is not finite, or huge", is_input=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.frames import Array, inverse
+from ...base.frames import Array
 from ...data.receive.franka import ERRORS
 from ..control.controller import Sensed, Target
 from ..control.joint_control import JointImpedance
@@ -30,15 +30,14 @@ from .franka_messages import (
     REFLEX,
     SUCCESS,
     Messages,
-    StatePacket,
 )
 from .franka_model import urdf_of
-from .franka_motion import CYCLE, JOINTS, MOST_LOST, Desired, Motion, Violation
+from .franka_motion import CYCLE, JOINTS, MOST_LOST, MOST_NUMBER, Desired, Motion, Violation
+from .franka_state import FrankaState
 
 log = logging.getLogger(__name__)
 
 _BANDWIDTH = 25.0  # 1/s, of the observer of external torques; our choice
-_SINGULAR = 1e-8  # determinant of J J^T, below which no external force is known; our choice
 _LOST = "communication_constraints_violation"
 # s, after which a state is sent again in lockstep: libfranka does not answer the first
 # one of a motion, and may leave out others. A client that takes longer sees a state twice.
@@ -85,7 +84,7 @@ class FrankaRobot:
         self._steps, self._step, self._time = steps, 0, 0.0
         self._messages = Messages(version)
         self._link = FciLink(declared, model.name, self._messages, self)
-        self._state = StatePacket(version)
+        self._state = FrankaState(version, model, CYCLE)
         self._desired = Desired(model)
         self._observer = MomentumObserver(model, _BANDWIDTH, timestep)
         self._own = Target(JOINTS)
@@ -100,10 +99,7 @@ class FrankaRobot:
         self._repeat = _REPEATED
         self._rests_until, self._is_free = 0.0, False  # in lockstep, see `_keep_time`
         self._motor_state: Array = np.zeros((2, JOINTS))
-        self._before: Array = np.zeros(JOINTS)  # torques of the last cycle, measured
         self._torques: Array = np.zeros(JOINTS)  # of the last step, without gravity
-        for name in ("F_T_EE", "EE_T_K", "F_T_NE", "NE_T_EE"):
-            self._state[name] = np.eye(4).ravel()
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (7,).
@@ -174,7 +170,7 @@ class FrankaRobot:
         if self._motion is not None and self._motion.generator == NO_GENERATOR:
             desired.angles[:], desired.velocities[:] = sensed.angles, sensed.velocities
         if link.is_connected:
-            self._fill(sensed)
+            self._state.measure(sensed, self._observer.external)
             (self._keep_pace if is_paced else self._keep_time)(time)
         link.check(time)
         motion = self._motion
@@ -360,7 +356,7 @@ class FrankaRobot:
             )
         elif name == "GetRobotModel":
             more = urdf_of(self._model).encode()
-        elif not np.isfinite(values).all():
+        elif _is_wrong(name, np.array(values, float)):
             status = INVALID
         else:
             self._set(name, np.array(values, float))
@@ -371,18 +367,17 @@ class FrankaRobot:
         if name == "SetJointImpedance":
             self._stiffness = np.clip(values, 0.0, _STIFFEST)
             self._make_springs()
-        elif name == "SetEEToK":
-            state["EE_T_K"] = values
-        elif name == "SetNEToEE":
-            state["NE_T_EE"] = state["F_T_EE"] = values  # F_T_NE is one
+        elif name in ("SetEEToK", "SetNEToEE"):
+            frames = ("EE_T_K",) if name == "SetEEToK" else ("NE_T_EE", "F_T_EE")  # F_T_NE is one
+            for frame in frames:
+                state.set_frame(frame, values.reshape(4, 4).T)
+            state.place(self._observer.external)
         elif name == "SetLoad":
             state["m_load"], state["F_x_Cload"], state["I_load"] = np.split(values, [1, 4])
             if values[0]:
                 self._link.tell("a load is reported to clients; its weight is not compensated")
         else:  # SetCollisionBehavior, SetCartesianImpedance, SetGuidingMode, SetFilters
             self._link.tell(f"{name} has no effect")
-        if name in ("SetEEToK", "SetNEToEE"):
-            self._fill_frames(-self._observer.external)
 
     def _begin_motion(self, number: int, values: tuple[Any, ...]) -> None:
         controller, generator = values[:2]
@@ -437,61 +432,18 @@ class FrankaRobot:
         state["ddq_d"] = desired.accelerations
         self._link.send(state.packet)
 
-    def _fill(self, sensed: Sensed) -> None:
-        """Writes what is measured, and what follows from it."""
-        state, model = self._state, self._model
-        model.update(sensed.angles, sensed.velocities)
-        state["q"], state["dq"], state["tau_J"] = sensed.angles, sensed.velocities, sensed.torques
-        state["theta"], state["dtheta"] = sensed.motor_angles, sensed.motor_velocities
-        state["dtau_J"] = (sensed.torques - self._before) / CYCLE
-        self._before[:] = sensed.torques
-        # With which the robot pushes, as Franka counts them.
-        external = -self._observer.external
-        state["tau_ext_hat_filtered"] = external
-        elbow = float(sensed.angles[2]), 1.0 if sensed.angles[3] >= 0.0 else -1.0
-        for name in ("elbow", "elbow_d", "elbow_c"):
-            state[name] = elbow
-        self._fill_frames(external)
-
-    def _fill_frames(self, external: Array) -> None:
-        """Writes the pose of the end effector, and the force that explains external torques."""
-        state, model = self._state, self._model
-        T_base_world, T_world_flange = inverse(model.base()), model.flange()
-        T_flange_ee = np.reshape(state["F_T_EE"], (4, 4)).T.astype(float)
-        T_flange_k = T_flange_ee @ np.reshape(state["EE_T_K"], (4, 4)).T
-        T_base_flange = T_base_world @ T_world_flange
-        # Clients' models take gravity from it, which libfranka documents as {0, 0, -9.81}.
-        state["O_ddP_O"] = T_base_world[:3, :3] @ model.skeleton.opt.gravity
-        pose = (T_base_flange @ T_flange_ee).T.ravel()
-        for name in ("O_T_EE", "O_T_EE_d", "O_T_EE_c"):
-            state[name] = pose
-        self._fill_force(external, T_base_flange @ T_flange_k, T_base_world, T_world_flange)
-
-    def _fill_force(
-        self, external: Array, T_base_k: Array, T_base_world: Array, T_world_flange: Array
-    ) -> None:
-        """Writes the force at the stiffness frame that explains the external torques."""
-        state, jacobian = self._state, self._model.jacobian()
-        to_base = T_base_world[:3, :3]
-        linear, angular = to_base @ jacobian[:3], to_base @ jacobian[3:]
-        # v_K = v_F + w x r for each joint
-        arm = T_base_k[:3, 3] - (T_base_world @ T_world_flange)[:3, 3]
-        linear += _cross(angular, arm)
-        full = np.vstack([linear, angular])
-        square = full @ full.T
-        wrench: Array = np.zeros(6)
-        if np.linalg.det(square) > _SINGULAR:
-            wrench[:] = np.linalg.solve(square, full @ external)
-        turn = T_base_k[:3, :3].T
-        state["O_F_ext_hat_K"] = wrench
-        state["K_F_ext_hat_K"] = np.concatenate([turn @ wrench[:3], turn @ wrench[3:]])
-
     def __getstate__(self) -> Any:
         raise TypeError("a controller that talks to a program is of this process")
 
 
-def _cross(columns: Array, vector: Array) -> Array:
-    """Each column of (3, n) x a vector, (3,)."""
-    x, y, z = vector
-    a, b, c = columns
-    return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
+def _is_wrong(name: str, values: Array) -> bool:
+    """Whether a request to set something has values that cannot be."""
+    if not (np.abs(values) < MOST_NUMBER).all():  # nor is NaN
+        return True
+    if name in ("SetEEToK", "SetNEToEE"):
+        pose = values.reshape(4, 4).T
+        turn = pose[:3, :3]
+        is_turn = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0.0
+        return not (is_turn and np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0]))
+    first = {"SetJointImpedance": 7, "SetCartesianImpedance": 6, "SetLoad": 1}.get(name, 0)
+    return bool((values[:first] < 0.0).any())

@@ -68,6 +68,7 @@ class Program:
     def has_failed(self) -> bool:
         """Whether it has ended by itself, and not with exit status 0."""
         return bool(self._process.poll())
+
     def why(self) -> str:
         """How it has ended, and its last lines."""
         code = self._process.poll()
