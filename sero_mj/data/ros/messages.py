@@ -13,6 +13,7 @@ NUMBERS = "std_msgs/msg/Float64MultiArray"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TEXT = "std_msgs/msg/String"
 CLOCK = "rosgraph_msgs/msg/Clock"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 
 MOST_BYTES = 1 << 20  # of a message that moves something; texts may be longer
 

@@ -99,11 +99,12 @@ class Link:
         answered: number of the step whose answer was applied last; 0 for none.
         is_silent: whether an answer is missing.
         why_silent: what is known of the cause, to be put behind a sentence; empty for nothing.
+        why_wrong: likewise of an answer of a wrong size, where that is not how to say it.
     """
 
     def __init__(self, declared: Reachable, robot: str, most: int) -> None:
         self.buffer = bytearray(most + 1)
-        self.answered, self.is_silent, self.why_silent = 0, False, ""
+        self.answered, self.is_silent, self.why_silent, self.why_wrong = 0, False, "", ""
         self._declared, self._robot = declared, robot
         if declared.command:
             find_program(declared.command, declared.folder)
@@ -489,7 +490,8 @@ class ProgramController:
             self.wrong += 1
             # The buffer holds one byte more than an answer has.
             found = f"{size}" if size <= answer.structure.size else "more"
-            self._why_wrong = f" (found {found} bytes; expected {answer.structure.size})"
+            why = self._link.why_wrong or f"found {found} bytes; expected {answer.structure.size}"
+            self._why_wrong = f" ({why})"
             return False
         if answer.has_step and (step - answer.step) % self._modulus:
             self._why_wrong = f" (to another step than {step})"
