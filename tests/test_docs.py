@@ -32,7 +32,8 @@ OUTPUT = re.compile(r"(?:[ \"(])(out/[\w.]+\.(?:png|gif|mp4|webm|mcap|csv|pdf|xm
 # A command with nothing that a shell would do for it.
 ALONE = re.compile(r"\.venv/bin/sero-mj [^|&;<>$*`#]*(#.*)?|#.*|\s*")
 # A minute of windows, films and processes.
-LONGEST = ("compare", "headless", "learn", "mirror", "player", "robots", "simulate", "view")
+LONGEST = ("compare", "controllers", "headless", "learn", "mirror", "player", "robots", "ros",
+           "simulate", "view")  # fmt: skip
 PAGES = sorted(
     [ROOT / "README.md", *(ROOT / "docs").glob("*.md")],
     key=lambda page: (page.stem in LONGEST, page),

@@ -179,6 +179,7 @@ def test_a_recording_without_a_whole_packet_leaves_no_page(tmp_path: Path, whole
     assert not (tmp_path / "torn.html").exists()
 
 
+@pytest.mark.thorough
 def test_the_bundle_is_what_its_sources_make(tmp_path: Path, node_modules: Path) -> None:
     copy = tmp_path / "player" / "js"
     shutil.copytree(JS, copy, ignore=shutil.ignore_patterns("node_modules"))

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import sampled
 from polling import until
 from ros_tools import Peer, free_domain, publishing, rclpy_environment, read_joint_states
 from test_cli import run
@@ -363,11 +364,14 @@ def test_whatever_robot_a_network_has_is_shown(
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [
-        ("no XML", "the robot_description is no URDF: it begins with 'no XML'"),
-        ("<robot name='x'><link", "described.urdf"),
-        ("<robot name='x'/>", "has no <link>"),
-    ],
+    sampled(
+        [
+            ["no XML", "the robot_description is no URDF: it begins with 'no XML'"],
+            ["<robot name='x'><link", "described.urdf"],
+            ["<robot name='x'/>", "has no <link>"],
+        ],
+        1,
+    ),
 )
 def test_descriptions_that_are_none_are_told(
     peer: Peer, text: str, said: str, capsys: pytest.CaptureFixture[str]

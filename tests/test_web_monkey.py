@@ -33,6 +33,7 @@ _PLACES = """() => Object.fromEntries([...document.querySelectorAll(
         return [`${k}`, [left, top, right, bottom]]; }))"""
 
 
+@pytest.mark.thorough
 def test_random_events_do_not_end_a_page(own_browser: Any, tmp_path: Path) -> None:
     errors = tmp_path / "errors.txt"
     folder = tmp_path / "page"

@@ -25,6 +25,7 @@ def display() -> Iterator[str]:
         yield name
 
 
+@pytest.mark.thorough
 def test_random_events_do_not_end_a_window(display: str, tmp_path: Path) -> None:
     """One of a pixel with a plot died of a division by zero."""
     errors = tmp_path / "errors.txt"
