@@ -6,6 +6,7 @@ Source: section 2.1 of Hulin, Hertkorn, Preusche: Interactive Features for Robot
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from ...robots.declared.scene import Scene
 from .card_names import LONGEST, card_names, longest_name, titles
 from .cards import NO_SHARE, SMALL, Cards, heights_in_order, owner_groups
 from .feature import Feature, Frame
+from .font import Font
 from .geom_buffer import Kind
 from .layout import LEFT, RIGHT
 from .panels import PANEL_RGBA, panel_sizes
@@ -98,6 +100,7 @@ class Billboards(Feature):
         self._rank = heights_in_order(_declared_heights(world))
         self._rgba = np.array([_tinted(part) for part in parts]).reshape(-1, 4)[joints.owner]
         self._widths: dict[tuple[int, int], int] = {}
+        self._written: dict[int, _Written] = {}  # by joint
 
     def _formats_for(self, view: PictureView) -> Formats:
         """Returns the lines of all joints, with names as long as the picture has room for."""
@@ -145,10 +148,7 @@ class Billboards(Feature):
             limit = joints.torque_limit
             share = 100 * np.abs(values["torques"]) / limit
             values = {**values, "torque_limit": limit, "torque_share": share}
-        texts = [
-            [line.text(float(values[line.key][i])) for line in of_joint]
-            for i, of_joint in zip(index, lines, strict=True)
-        ]
+        texts, widths = self._write(index.tolist(), lines, values, view.font)
         asked = toggles.details | (toggles.clicked & toggles.billboards)
         # Clear of the round arrows of the joint closest to the camera.
         clear = 2.0 * joints.arrow_radius[index].max() / view.pixel_size(float(depth.min()))
@@ -156,7 +156,7 @@ class Billboards(Feature):
             kind=Kind.BILLBOARD,
             items=index,
             anchors=anchors,
-            sizes=self._sizes(view, lines, texts),
+            sizes=panel_sizes(widths, np.array([len(text) for text in texts]), view),
             texts=texts,
             owners=joints.owner[index],
             side=self._sides(frame)[index],
@@ -195,20 +195,61 @@ class Billboards(Feature):
         full = np.where(np.isfinite(frame.arrow_limit), frame.arrow_limit, full)
         return np.nan_to_num(np.abs(frame.arrow_values) / full, nan=NO_SHARE, posinf=0.0)
 
-    def _sizes(self, view: PictureView, lines: list[list[Line]], texts: list[list[bytes]]) -> Array:
-        """Returns panel sizes (k, 2), pixels, constant except for unusually long numbers."""
-        font, known = view.font, self._widths
-        widths = np.empty(len(lines))
-        for k, (of_joint, of_text) in enumerate(zip(lines, texts, strict=True)):
-            key = (font.height, id(of_joint))
-            if key not in known:
-                known[key] = font.block_width(
-                    [line.widest.encode("ascii", "replace") for line in of_joint]
-                )
-            widths[k] = known[key]
-            if any(len(t) > len(f.widest) for t, f in zip(of_text, of_joint, strict=True)):
-                widths[k] = max(widths[k], font.block_width(of_text))
-        return panel_sizes(widths, np.array([len(of_joint) for of_joint in lines]), view)
+    def _write(
+        self, index: list[int], lines: list[list[Line]], values: Mapping[str, Array], font: Font
+    ) -> tuple[list[list[bytes]], Array]:
+        """Returns the texts of joints' cards and their widths, (k,), pixels.
+
+        Cards of joints whose numbers did not change are not written anew.
+        """
+        numbers = {
+            key: values[key].tolist() for key in {line.key for each in lines for line in each}
+        }
+        written = []
+        for i, of_joint in zip(index, lines, strict=True):
+            shown = [numbers[line.key][i] for line in of_joint]
+            last = self._written.get(i)
+            if (
+                last is None
+                or last.lines is not of_joint
+                or last.numbers != shown
+                or last.height != font.height
+            ):
+                texts = [line.text(number) for line, number in zip(of_joint, shown, strict=True)]
+                width = self._width(of_joint, texts, font)
+                last = self._written[i] = _Written(of_joint, shown, font.height, texts, width)
+            written.append(last)
+        return [each.texts for each in written], np.array([each.width for each in written], float)
+
+    def _width(self, lines: list[Line], texts: list[bytes], font: Font) -> int:
+        """Returns the width of a card's text, pixels, constant but for unusually long numbers."""
+        key = (font.height, id(lines))
+        if key not in self._widths:
+            widest = [line.widest.encode("ascii", "replace") for line in lines]
+            self._widths[key] = font.block_width(widest)
+        width = self._widths[key]
+        if any(len(text) > len(line.widest) for text, line in zip(texts, lines, strict=True)):
+            width = max(width, font.block_width(texts))
+        return width
+
+
+@dataclass(frozen=True)
+class _Written:
+    """What a joint's card says.
+
+    Attributes:
+        lines: their formats.
+        numbers: of the lines.
+        height: of the font, pixels.
+        texts: of the lines.
+        width: of the text, pixels.
+    """
+
+    lines: list[Line]
+    numbers: list[float]
+    height: int
+    texts: list[bytes]
+    width: int
 
 
 @dataclass(frozen=True)

@@ -126,22 +126,31 @@ class GeomBuffer:
         return rows
 
 
-def place_triangles(rows: NDArray[Any], corners: Array) -> None:
+def place_triangles(rows: NDArray[Any], origin: Array, second: Array, third: Array) -> None:
     """Sets size, pos and mat of triangles.
 
     A triangle's corners are its origin, size[0] along x and size[1] along y; it is seen from where
-    z points to.
+    z points to. Coordinates come first, as arrays with an inner dimension of 3 take half as long
+    again.
 
     Args:
         rows: (...), of `GeomBuffer.take`.
-        corners: (..., 3, 3), m, anticlockwise where they are to be seen from.
+        origin: first corner, (3, ...), m; the three are anticlockwise where they are seen from.
+        second: likewise.
+        third: likewise.
     """
-    edges = corners[..., 1:, :] - corners[..., :1, :]
-    sizes = np.sqrt(np.einsum("...ej,...ej->...e", edges, edges))
-    edges /= sizes[..., None]
-    rows["pos"] = corners[..., 0, :]
-    rows["size"][..., :2] = sizes
-    rows["mat"][..., :2] = edges.swapaxes(-1, -2)
-    (ax, ay, az), (bx, by, bz) = ([edges[..., k, i] for i in range(3)] for k in range(2))
-    normal = np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
-    rows["mat"][..., 2] = normal / np.sqrt(np.einsum("...j,...j->...", normal, normal))[..., None]
+    x, y = second - origin, third - origin
+    rows["size"][..., 0] = _normalise(x)
+    rows["size"][..., 1] = _normalise(y)
+    z = np.array([x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]])
+    _normalise(z)
+    rows["pos"] = np.moveaxis(origin, 0, -1)
+    rows["mat"] = np.moveaxis(np.array([x, y, z]), (0, 1), (-1, -2))
+
+
+def _normalise(vectors: Array) -> Array:
+    """Divides vectors, (3, ...), by their lengths, in place; returns these, (...)."""
+    x, y, z = vectors
+    lengths: Array = np.sqrt(x * x + y * y + z * z)
+    vectors /= lengths
+    return lengths

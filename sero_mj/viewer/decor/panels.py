@@ -273,7 +273,7 @@ def draw_leaders(
     across = along[:, ::-1] * (1.0, -1.0)
     # By their corners, since lenses bend what is straight in the world.
     first = starts - across * (base / 2)
-    pixels = first, first + across * base, first + along * length[:, None]
-    place_triangles(rows, np.stack([view.at(pixel, depth) for pixel in pixels], axis=1))
+    pixels = np.concatenate((first, first + across * base, first + along * length[:, None]))
+    place_triangles(rows, *view.at(pixels, depth).reshape(3, -1, 3).swapaxes(1, 2))
     rows["rgba"] = rgba
     rows["emission"] = 1.0

@@ -93,20 +93,21 @@ def _angles(ribbons: Ribbons, along: Array) -> Array:
     return np.asarray(ribbons.sign[:, None] * (ribbons.phase[:, None] + along))
 
 
-def _directions(ribbons: Ribbons, angles: Array) -> Array:
-    """Returns unit vectors away from the axis at these angles, (k, n, 3)."""
-    x, y = ribbons.axes[:, None, :, 0], ribbons.axes[:, None, :, 1]
-    return np.asarray(np.cos(angles)[..., None] * x + np.sin(angles)[..., None] * y)
+def _directions(ribbons: Ribbons, cos: Array, sin: Array) -> Array:
+    """Returns unit vectors away from the axis at angles (k, n), (3, k, n)."""
+    x, y = ribbons.axes.T[:2, ..., None]
+    return np.asarray(cos * x + sin * y)
 
 
 def _place_boxes(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> None:
     """Sets the boxes of ribbons (k, boxes): width along the axis, thickness outward."""
     radius = ribbons.radius[:, None]
     angles = _angles(ribbons, shape.middle)
-    outward = _directions(ribbons, angles)
-    grid["pos"] = ribbons.centre[:, None] + radius[..., None] * outward
-    grid["mat"][..., 0] = outward
-    grid["mat"][..., 1] = _directions(ribbons, angles + np.pi / 2)
+    cos, sin = np.cos(angles), np.sin(angles)
+    outward = _directions(ribbons, cos, sin)
+    grid["pos"] = np.moveaxis(ribbons.centre.T[..., None] + radius * outward, 0, -1)
+    grid["mat"][..., 0] = np.moveaxis(outward, 0, -1)
+    grid["mat"][..., 1] = np.moveaxis(_directions(ribbons, -sin, cos), 0, -1)
     grid["mat"][..., 2] = ribbons.axes[:, None, :, 2]
     grid["size"][..., 0] = _THICKNESS / 2 * radius
     # Adjacent boxes meet at the ribbon's outer edge.
@@ -126,13 +127,14 @@ def _place_heads(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> No
     # For the other direction an arrow is turned over, so that the outside of triangles stays there.
     out = radius[..., None] + thickness[..., None] / 2 * (1.0, 1.0, -1.0, -1.0)
     aside = (ribbons.sign[:, None] * width)[..., None] / 2 * (1.0, -1.0, -1.0, 1.0)
-    outward = _directions(ribbons, _angles(ribbons, shape.rings))
-    corners = (
-        ribbons.centre[:, None, None]
-        + out[..., None] * outward[:, :, None]
-        + aside[..., None] * ribbons.axes[:, None, None, :, 2]
-    ).reshape(len(grid), -1, 3)
-    place_triangles(grid, corners[:, shape.triangles])
+    angles = _angles(ribbons, shape.rings)
+    outward = _directions(ribbons, np.cos(angles), np.sin(angles))
+    corners = (  # coordinates, arrows, corners of rings
+        ribbons.centre.T[..., None, None]
+        + out * outward[..., None]
+        + aside * ribbons.axes.T[2, ..., None, None]
+    ).reshape(3, len(grid), -1)
+    place_triangles(grid, *(corners[..., each] for each in shape.triangles.T))
 
 
 @dataclass(frozen=True, eq=False)
