@@ -179,6 +179,7 @@ def test_the_rod_of_a_prismatic_joint_stays_in_its_housing_over_its_stroke(conve
 def test_arrows_stand_at_the_housings_of_a_standard_table():
     # Joint 1 of the Puma turns at its shoulder, not at the foot of its pedestal.
     puma = SerialRobot.from_model("puma560")
+    puma = SerialRobot(name="puma560", dh_params=puma.dh_params, dh_convention="standard")
     world = World(Scene(robots=[puma]))
     data = world.make_data()
     links = generate_shapes(puma.dh, puma.flange_frame)

@@ -1,0 +1,182 @@
+"""Write the link meshes of the Unimation Puma 560 to ``models/puma560/meshes/``.
+
+The shapes are this project's own design about the published axes.  The upper arm stands 0.2435 m
+aside of the column and the forearm 0.0934 m less (Armstrong, Khatib, Burdick, ICRA 1986); all other
+measures are estimated.  No manufacturer's data of shapes is used.
+
+One binary STL file is written per link and colour, in metres, in the link's own standard
+Denavit-Hartenberg frame.
+
+Run ``python models/puma560/make_meshes.py``; the output is the same byte for byte on every run.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from bodies import (
+    RING_INSET,
+    X,
+    Y,
+    Z,
+    drum,
+    fillet,
+    link_cap,
+    loft,
+    merge,
+    revolve,
+    seam_ring,
+    tool_flange,
+    write_links,
+)
+
+OUT = Path(__file__).resolve().parent / "meshes"
+
+SHOULDER = 0.67183  # m, height of axis 2
+UPPER_ARM = 0.4318  # m, from axis 2 to axis 3
+FOREARM = 0.4318  # m, from axis 3 to the wrist, along axis 4
+ELBOW = 0.0203  # m, from axis 3 to axis 4
+ASIDE = 0.2435  # m, from the column to the middle of the upper arm
+HALF = 0.046  # m, half the thickness of upper arm and forearm
+COLUMN = 0.092  # m, radius
+SEAM_1 = 0.230  # m, below axis 2
+SHOULDER_DRUM = 0.098  # m, radius
+GAP = 0.0015  # m, from a body to the middle of its seam
+
+Parts = dict[str, list[trimesh.Trimesh]]
+
+
+def base() -> Parts:
+    """Return link 0 in the world frame (metres): foot with bolts, column, seam ring."""
+    top = SHOULDER - SEAM_1
+    foot = [(0.165, 0.0), (0.165, 0.016, 0.004), (0.120, 0.020, 0.006), (COLUMN + 0.004, 0.052)]
+    column = [(COLUMN, 0.040), (COLUMN, top - GAP, 0.002), (0.0, top - GAP)]
+    angles = (np.arange(6) + 0.5) * np.pi / 3
+    bolts = [drum(0.009, 0.006, Z, (0.145 * np.cos(a), 0.145 * np.sin(a), 0.018)) for a in angles]
+    return {
+        "white": [revolve(fillet(column), sides=40)],
+        "grey": [revolve(fillet(foot), sides=40), seam_ring(COLUMN - RING_INSET, top), *bolts],
+    }
+
+
+def shoulder() -> Parts:
+    """Return link 1 in its frame (metres): trunk below axis 2, drum about it."""
+    trunk = [
+        (-SEAM_1 + GAP, COLUMN, COLUMN, 2.0),
+        (-0.150, COLUMN, COLUMN, 2.0),
+        (-0.070, 0.090, 0.096, 2.6),
+        (0.000, 0.086, 0.098, 3.0),
+    ]
+    inner = ASIDE - HALF - GAP
+    return merge(
+        {
+            "white": [
+                loft(trunk, (X, -Z, Y), edges=(0.002, 0.01), steps=3, sides=40),
+                drum(
+                    SHOULDER_DRUM,
+                    0.5 * (inner + 0.115),
+                    Z,
+                    (0, 0, 0.5 * (inner - 0.115)),
+                    0.010,
+                    40,
+                ),
+            ],
+            "grey": [seam_ring(0.080, ASIDE - HALF, Z)],
+        },
+        link_cap(SHOULDER_DRUM - 0.022, 0.115, -Z),
+    )
+
+
+def upper_arm() -> Parts:
+    """Return link 2 in its frame (metres): a plate from behind the shoulder to the elbow."""
+    stations = [
+        (-0.660, 0.066, HALF - 0.006, 4.0),
+        (-0.580, 0.092, HALF, 4.5),
+        (-UPPER_ARM, 0.112, HALF + 0.003, 4.5),
+        (-0.300, 0.104, HALF + 0.001, 4.5),
+        (-0.120, 0.082, HALF - 0.004, 4.5),
+        (0.000, 0.076, HALF - 0.005, 4.5),
+        (0.068, 0.058, HALF - 0.008, 3.6),
+    ]
+    plate = loft(stations, (Y, Z, X), ASIDE * Z, edges=(0.030, 0.030), steps=4, sides=48)
+    outer = ASIDE + HALF
+    return merge(
+        {"white": [plate], "grey": [seam_ring(0.055, ASIDE - HALF - GAP, Z)]},
+        link_cap(0.074, outer + 0.001, Z, (-UPPER_ARM, 0.0, 0.0)),
+        link_cap(0.048, outer - 0.007, Z),
+    )
+
+
+def forearm() -> Parts:
+    """Return link 3 in its frame (metres): a tapered body with the motors of the wrist behind."""
+    stations = [
+        (-0.190, 0.058, HALF - 0.008, 4.0, -ELBOW, 0.0),
+        (-0.120, 0.074, HALF - 0.002, 4.5, -ELBOW, 0.0),
+        (0.000, 0.076, HALF - 0.001, 4.5, -ELBOW, 0.0),
+        (0.120, 0.060, HALF - 0.003, 4.5, -0.5 * ELBOW, 0.0),
+        (0.280, 0.046, 0.041, 4.0),
+        (FOREARM - 0.078, 0.041, 0.041, 2.2),
+        (FOREARM - 0.066 - GAP, 0.040, 0.040, 2.0),
+    ]
+    face = -HALF + 0.001  # towards the upper arm, whose z is -y here
+    return merge(
+        {
+            "white": [loft(stations, (X, Y, Z), edges=(0.022, 0.002), steps=4, sides=48)],
+            "grey": [
+                seam_ring(0.055, face, -Y).apply_translation(-ELBOW * X),
+                seam_ring(0.040 - RING_INSET, FOREARM - 0.066),
+            ],
+        },
+        link_cap(0.048, HALF - 0.002, Y, (-ELBOW, 0.0, 0.0)),
+    )
+
+
+def wrist() -> Parts:
+    """Return link 4 in its frame (metres): a collar about axis 4, and a fork about axis 5."""
+    collar = [(0.0, 0.040), (0.040, 0.040, 0.003), (0.040, 0.066 - GAP, 0.002), (0.0, 0.066 - GAP)]
+    cheek = [(-0.052, 0.036, 0.0075, 3.0), (0.0, 0.034, 0.0075, 3.0), (0.026, 0.020, 0.0065, 2.6)]
+    sides = [1.0, -1.0]
+    return merge(
+        {
+            "white": [
+                revolve(fillet(collar), -Y, sides=32),
+                *(loft(cheek, (X, Z, Y), 0.0345 * s * Z, edges=(0.004, 0.010), steps=4, sides=32)
+                  for s in sides),
+            ],
+        },
+        *(link_cap(0.017, 0.042, s * Z) for s in sides),
+    )  # fmt: skip
+
+
+def hand() -> Parts:
+    """Return link 5 in its frame (metres): a drum about axis 5, and a neck along axis 6."""
+    neck = [(0.024, 0.0), (0.024, 0.032, 0.002), (0.0, 0.032)]
+    return {
+        "white": [drum(0.030, 0.0255, Y, edge=0.006, sides=32), revolve(fillet(neck), sides=32)],
+        "grey": [seam_ring(0.0225, 0.033)],
+    }
+
+
+def flange() -> Parts:
+    """Return link 6 in its frame (metres): collar and plate."""
+    collar = [(0.0, 0.034), (0.026, 0.034, 0.002), (0.026, 0.048, 0.002), (0.0, 0.048)]
+    parts = tool_flange(0.056, np.arange(4) * np.pi / 2.0, 0.0315)
+    return merge({"white": [revolve(fillet(collar), sides=32)]}, parts)
+
+
+if __name__ == "__main__":
+    links = {
+        "base": base(),
+        "link1": shoulder(),
+        "link2": upper_arm(),
+        "link3": forearm(),
+        "link4": wrist(),
+        "link5": hand(),
+        "link6": flange(),
+    }
+    write_links(OUT, links, "sero-mj Puma 560 mesh")

@@ -1,0 +1,191 @@
+"""Write the link meshes of the Stanford arm to ``models/stanford/meshes/``.
+
+The shapes are this project's own design about the published axes and lengths; all other measures
+are estimated, after what the arm in the museum looks like: a column, a shoulder drum, a square
+boom that rolls through its carriage, a wrist of three axes and a hand of two jaws.
+
+One binary STL file is written per link and colour, in metres, in the link's own standard
+Denavit-Hartenberg frame.
+
+Run ``python models/stanford/make_meshes.py``; the output is the same byte for byte on every run.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from bodies import (
+    RING_INSET,
+    X,
+    Y,
+    Z,
+    drum,
+    fillet,
+    link_cap,
+    loft,
+    merge,
+    revolve,
+    seam_ring,
+    write_links,
+)
+
+OUT = Path(__file__).resolve().parent / "meshes"
+
+HEIGHT = 0.412  # m, of axis 2
+ASIDE = 0.154  # m, from axis 1 to the boom
+HAND = 0.263  # m, from the wrist to the grasp
+LONGEST, SHORTEST = 0.9144, 0.2032  # m, of the boom, from axis 2 to the wrist
+COLUMN = 0.074  # m, radius
+SEAM_1 = 0.120  # m, below axis 2
+DRUM = 0.080  # m, radius of the shoulder
+BOOM = 0.0318  # m, half the width
+GAP = 0.0015  # m, from a body to the middle of its seam
+
+Parts = dict[str, list[trimesh.Trimesh]]
+
+
+def base() -> Parts:
+    """Return link 0 in the world frame (metres): foot with bolts, column, seam ring."""
+    top = HEIGHT - SEAM_1
+    foot = [(0.150, 0.0), (0.150, 0.014, 0.003), (0.105, 0.018, 0.006), (COLUMN + 0.004, 0.046)]
+    column = [(COLUMN, 0.036), (COLUMN, top - GAP, 0.002), (0.0, top - GAP)]
+    angles = (np.arange(6) + 0.5) * np.pi / 3
+    bolts = [drum(0.008, 0.005, Z, (0.130 * np.cos(a), 0.130 * np.sin(a), 0.016)) for a in angles]
+    return {
+        "white": [revolve(fillet(column), sides=40)],
+        "grey": [revolve(fillet(foot), sides=40), seam_ring(COLUMN - RING_INSET, top), *bolts],
+    }
+
+
+def shoulder() -> Parts:
+    """Return link 1 in its frame (metres; y down): trunk, and the drum about axis 2."""
+    trunk = [
+        (-SEAM_1 + GAP, COLUMN, COLUMN, 2.0),
+        (-0.085, COLUMN, COLUMN, 2.0),
+        (-0.030, 0.072, 0.072, 2.8),
+        (0.000, 0.070, 0.070, 3.2),
+    ]
+    inner, outer = -0.118, ASIDE - BOOM - 0.030 - GAP
+    half, middle = 0.5 * (outer - inner), 0.5 * (outer + inner)
+    return merge(
+        {
+            "white": [
+                loft(trunk, (X, Z, -Y), edges=(0.002, 0.008), steps=3, sides=40),
+                drum(DRUM, half, Z, (0.0, 0.0, middle), 0.010, 40),
+            ],
+            "grey": [seam_ring(0.058, outer + GAP, Z)],
+        },
+        link_cap(DRUM - 0.020, -inner, -Z),
+    )
+
+
+def carriage() -> Parts:
+    """Return link 2 in its frame (metres): a frame with rollers about the boom, along z."""
+    wall, tall = BOOM + 0.030, 0.105
+    plates = [
+        (-tall, wall - 0.006, wall - 0.006, 6.0),
+        (-tall + 0.012, wall, wall, 7.0),
+        (tall - 0.012, wall, wall, 7.0),
+        (tall, wall - 0.006, wall - 0.006, 6.0),
+    ]
+    rollers = [
+        drum(0.016, 0.020, Y, (s * (BOOM + 0.017), 0.0, e * (tall + 0.010)), 0.003)
+        for s in (-1.0, 1.0)
+        for e in (-1.0, 1.0)
+    ]
+    motor = loft(
+        [(0.0, 0.036, 0.040, 3.6), (0.085, 0.032, 0.036, 3.0)],
+        (Y, Z, X),
+        (wall - 0.004) * X,
+        edges=(0.003, 0.012),
+        steps=3,
+        sides=40,
+    )
+    return merge(
+        {
+            "white": [loft(plates, edges=(0.004, 0.004), sides=48), motor],
+            "grey": rollers,
+        },
+        link_cap(0.048, wall - 0.001, Y),
+    )
+
+
+def boom() -> Parts:
+    """Return link 3 in its frame (metres): a square tube that ends before the wrist."""
+    start, end = -LONGEST - 0.140, -0.060
+    tube = [(start, BOOM, BOOM, 8.0), (end, BOOM, BOOM, 8.0)]
+    rack = [(start + 0.040, 0.006, 0.003, 8.0), (end - 0.060, 0.006, 0.003, 8.0)]
+    collar = [(0.0, end - 0.002), (0.042, end - 0.002, 0.003), (0.042, -0.044 - GAP, 0.002)]
+    return {
+        "steel": [loft(tube, edges=(0.003, 0.003), sides=48)],
+        "white": [revolve(fillet([*collar, (0.0, -0.044 - GAP)]), sides=32)],
+        "grey": [
+            loft(rack, (X, Y, Z), -(BOOM + 0.001) * Y, edges=(0.001, 0.001)),
+            seam_ring(0.042 - RING_INSET, -0.044),
+        ],
+    }
+
+
+def wrist() -> Parts:
+    """Return link 4 in its frame (metres; the boom is along -y): a fork about axis 5."""
+    collar = [(0.0, 0.024), (0.042, 0.024, 0.004), (0.042, 0.044 - GAP, 0.002), (0.0, 0.044 - GAP)]
+    cheek = [(-0.036, 0.036, 0.0075, 3.0), (0.0, 0.034, 0.0075, 3.0), (0.026, 0.020, 0.0065, 2.6)]
+    sides = [1.0, -1.0]
+    return merge(
+        {
+            "white": [
+                revolve(fillet(collar), Y, sides=32),
+                *(loft(cheek, (X, Z, -Y), 0.0345 * s * Z, edges=(0.004, 0.010), steps=4, sides=32)
+                  for s in sides),
+            ],
+        },
+        *(link_cap(0.017, 0.042, s * Z) for s in sides),
+    )  # fmt: skip
+
+
+def yoke() -> Parts:
+    """Return link 5 in its frame (metres): a drum about axis 5, and a neck along axis 6."""
+    neck = [(0.025, 0.0), (0.025, 0.044, 0.002), (0.0, 0.044)]
+    return {
+        "white": [drum(0.030, 0.0255, Y, edge=0.006, sides=32), revolve(fillet(neck), sides=32)],
+        "grey": [seam_ring(0.0235, 0.0455)],
+    }
+
+
+def hand() -> Parts:
+    """Return link 6 in its frame (metres): from the wrist to two jaws that meet in its origin."""
+    start = -HAND + 0.047
+    body = [
+        (start, 0.026, 0.026, 2.0),
+        (start + 0.022, 0.030, 0.030, 2.2),
+        (start + 0.060, 0.062, 0.028, 4.0),
+        (-0.110, 0.066, 0.026, 5.0),
+    ]
+    jaws = []
+    for side in (-1.0, 1.0):
+        shape = [
+            (-0.112, 0.010, 0.017, 5.0, side * 0.050, 0.0),
+            (-0.060, 0.009, 0.016, 5.0, side * 0.046, 0.0),
+            (-0.020, 0.007, 0.013, 4.0, side * 0.026, 0.0),
+            (0.014, 0.005, 0.011, 4.0, side * 0.018, 0.0),
+        ]
+        jaws.append(loft(shape, edges=(0.002, 0.003), steps=4, sides=32))
+    return {"white": [loft(body, edges=(0.003, 0.008), steps=3, sides=40)], "grey": jaws}
+
+
+if __name__ == "__main__":
+    links = {
+        "base": base(),
+        "link1": shoulder(),
+        "link2": carriage(),
+        "link3": boom(),
+        "link4": wrist(),
+        "link5": yoke(),
+        "link6": hand(),
+    }
+    write_links(OUT, links, "sero-mj Stanford arm mesh")
