@@ -8,7 +8,7 @@ import pytest
 from foreign_models import arm, compiled, jaco
 
 import sero_mj
-from sero_mj.robots.assemble.decor_sizes import measure
+from sero_mj.robots.assemble.decor_sizes import MeasuredBodies, Sizes, measure
 from sero_mj.robots.assemble.solids import Solids
 from sero_mj.robots.external._model_trees import Tree, find_trees, without_scope
 from sero_mj.robots.external.model_world import ModelWorld
@@ -17,6 +17,10 @@ from sero_mj.robots.importers.mjcf_tree import torque_limits
 
 def body(name: str, inside: str = "<joint/>") -> str:
     return f'<body name="{name}">{inside}<geom size=".1"/></body>'
+
+
+def measured(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree) -> Sizes:
+    return measure(model, data, MeasuredBodies(tree.bodies, tree.joints, tree.trunk))
 
 
 def names(*bodies: str) -> list[str]:
@@ -77,14 +81,14 @@ def sizes_of(xml: str) -> tuple[Tree, np.ndarray, np.ndarray]:
     model, data = compiled(xml)
     tree = find_trees(model)[0]
     mujoco.mj_fwdPosition(model, data)
-    sizes = measure(model, data, tree)
+    sizes = measured(model, data, tree)
     return tree, sizes.arrow_radius, sizes.load
 
 
 def test_arrows_are_clear_of_the_housing_and_no_larger_than_needed() -> None:
     model, data = jaco()
     tree = find_trees(model)[0]
-    radius = measure(model, data, tree).arrow_radius
+    radius = measured(model, data, tree).arrow_radius
     # Measured on the meshes by hand: housings of 41 mm, a wrist of 32 mm.
     assert (radius[:3] > 0.045).all() and (radius[:3] < 0.085).all()
     assert (radius[3:6] > 0.036).all() and (radius[3:6] < 0.065).all()
@@ -128,7 +132,7 @@ def test_arrows_are_outside_of_skins() -> None:
     vertices = " ".join(f"{x} {y} {z}" for x, y, z in corners)
     model, data = compiled(SKIN.format(vertices=vertices))
     (tree,) = find_trees(model)
-    assert 0.05 < measure(model, data, tree).arrow_radius[0] < 0.1
+    assert 0.05 < measured(model, data, tree).arrow_radius[0] < 0.1
     up, radii = np.array([0.0, 0.0, 1.0]), np.array([0.04, 0.08])
     assert Solids(model, data).hidden_shares(np.zeros(3), up, radii, 0.02) == pytest.approx([1, 0])
 
@@ -140,7 +144,7 @@ def test_arrows_of_close_joints_are_narrow_and_of_similar_size() -> None:
         spine = spine.format(vertebra)
     model, data = compiled(f"<mujoco><worldbody>{spine.format('')}</worldbody></mujoco>")
     (tree,) = find_trees(model)
-    sizes = measure(model, data, tree)
+    sizes = measured(model, data, tree)
     assert (sizes.arrow_radius > 0.05).all() and np.ptp(np.log(sizes.arrow_radius)) < np.log(1.5)
     assert sizes.full_width == pytest.approx(0.02 / sizes.arrow_radius)
     overlay = sero_mj.overlay(model, data)

@@ -37,11 +37,13 @@ class MeasuredBodies(NamedTuple):
         bodies: ids of its bodies.
         joints: ids of its hinges and slides, (n,).
         trunk: ids of the world's geoms that are part of it.
+        centres: ids of the sites at the centres of its arrows, (n,); None for the joints' anchors.
     """
 
     bodies: Ints
     joints: Ints
     trunk: Ints
+    centres: Ints | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,8 @@ def _radii(
     The smallest visible radius, rarely larger than the bodies that the joint connects, and if
     possible similar to those of neighbouring joints.
     """
-    anchors, axes = data.xanchor[robot.joints], data.xaxis[robot.joints]
+    axes = data.xaxis[robot.joints]
+    anchors = data.xanchor[robot.joints] if robot.centres is None else data.site_xpos[robot.centres]
     solids = Solids(model, data)
     of_skin = _OF_SKIN * extent if model.nskin else 0.0
     tried, hidden, smallest = [], [], []

@@ -303,7 +303,9 @@ class World(WorldView):
         for name, part in fitted.items():
             joints = self.model.dof_jntid[part.dofs].astype(np.intp)
             bodies = np.unique([*part.bodies, part.flange_body])
-            seen = MeasuredBodies(bodies, joints, np.zeros(0, np.intp))
+            names = [f"{part.scope}centre{i + 1}" for i in range(part.robot.n)]
+            centres = np.array([self.model.site(each).id for each in names], np.intp)
+            seen = MeasuredBodies(bodies, joints, np.zeros(0, np.intp), centres)
             self.robots[name] = replace(part, sizes=measure(self.model, data, seen))
 
     def _free(self, base: int) -> Ints:
