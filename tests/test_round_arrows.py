@@ -19,7 +19,6 @@ from sero_mj.robots.declared.double import Double
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.robot_parts import ARROW_QUANTITIES
 from sero_mj.robots.declared.scene import Scene
-from sero_mj.robots.declared.shapes import housing_radii
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.decor.quantities import arrow_values, joint_values
@@ -565,10 +564,10 @@ def test_arrows_about_grown_shapes_are_clear_of_them() -> None:
             show_arrows=True,
         )
         world = World(Scene(robots=[robot], floor=False))
-        model = world.model
-        housings = model.geom_size[model.geom_type == int(GEOM.mjGEOM_CYLINDER), 0]
-        # The first cylinder is the pedestal's.
-        assert (robot.arrow_radii > 1.5 * housings[1:]).all()
+        assert (robot.arrow_radii > 1.5 * robot.housing_radii).all()
+        model = world.model  # of cylinders only the pedestal's is as large
+        sizes = model.geom_size[model.geom_type == int(GEOM.mjGEOM_CYLINDER), 0]
+        assert np.sort(sizes)[-2] == pytest.approx(robot.housing_radii.max())
         assert ribbons(world).shape[0] == 3
     # Axes that meet: both are clear of the larger housing, whichever row has the offset.
     for convention, rows in (
@@ -576,8 +575,7 @@ def test_arrows_about_grown_shapes_are_clear_of_them() -> None:
         ("standard", [[-np.pi / 2, 0, 0, 0.7], [0, 0.45, 0, 0]]),
     ):
         robot = SerialRobot(dh_convention=convention, dh_params=rows)
-        housings = housing_radii(robot.dh, robot.T_n_flange)
-        assert robot.arrow_radii[:2] == pytest.approx(1.7 * housings[0])
+        assert robot.arrow_radii[:2] == pytest.approx(1.7 * robot.housing_radii[0])
     assert SerialRobot.from_model("lwr").arrow_radii.tolist() == [0.1] * 7
     declared = SerialRobot(dh_convention="craig", arrow_radius=0.3)
     assert declared.arrow_radii.tolist() == [0.3]

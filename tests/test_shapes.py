@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError, Problem
+from sero_mj.robots.assemble.link_geometry import trim_geoms
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.dh import DhTable
 from sero_mj.robots.declared.robot import SerialRobot
@@ -229,7 +230,10 @@ def test_any_table_compiles_into_geoms_where_the_shapes_are(table, point):
     world = World(Scene(robots=[robot], floor=False))
     model, data = world.model, world.make_data()
     links = generate_shapes(robot.dh, robot.flange_frame)
-    assert model.ngeom == sum(map(len, links))
+    drawn_only = trim_geoms(robot)
+    assert model.ngeom == sum(map(len, [*links, *drawn_only]))
+    assert not any(geom["mass"] for link in drawn_only for geom in link)
+    assert any(drawn_only) == (len(table) <= 16)
     assert (model.geom_size[:, 0] > 0).all()
     frames = table.frames(np.zeros(len(table)))
     scale = max(1.0, np.abs(frames[:, :3, 3]).max())

@@ -12,11 +12,12 @@ from ...base.errors import DeclarationError, Problem, collect
 from ...base.frames import MIRROR, Array
 from ..declared.robot import SerialRobot
 from ..declared.robot_parts import LinkGeometry
-from ..declared.shapes import SHELL, LinkShape, generate_shapes
+from ..declared.shapes import SHELL, LinkShape, generate_shapes, trims
 from .mjcf_elements import MESH, Hull, geom_type, half_sizes, mesh_assets, pose, shape_geom
 from .mjcf_links import drawn_links, touching_links
 
 Geom = dict[str, Any]
+_MOST_TRIMMED = 16  # joints
 
 
 def generated(robot: SerialRobot) -> list[list[LinkShape]]:
@@ -49,6 +50,17 @@ def drawn_geoms(
         links = generated(robot)
         return [[{"rgba": s.rgba, **shape_geom(s, shrink)} for s in link] for link in links]
     return _declared(root, robot, "filenames", scope, problems, hull, shrink)
+
+
+def trim_geoms(robot: SerialRobot) -> list[list[Geom]]:
+    """Returns the attributes of what is drawn on generated links only, without mass.
+
+    Robots of many joints have none, as they would take more time to draw than they are worth.
+    """
+    if robot.mjcf is not None or robot.filenames or robot.n > _MOST_TRIMMED:
+        return [[] for _ in range(robot.n + 1)]
+    found = trims(generated(robot), robot.T_n_flange, robot.flange_link)
+    return [[{"rgba": s.rgba, "mass": 0, **shape_geom(s)} for s in link] for link in found]
 
 
 def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:

@@ -25,7 +25,7 @@ from ..declared.robot import SerialRobot
 from ..declared.scene import Scene
 from ..declared.surroundings import PALETTES, Look, Object, Palette
 from ..importers.mjcf_file import as_spec
-from .link_geometry import drawn_geoms
+from .link_geometry import drawn_geoms, trim_geoms
 from .mjcf_dynamics import (
     ON,
     add_dynamics,
@@ -206,6 +206,7 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
     inertia = declared_inertia(robot)
     # Without declared masses its arrows are scaled by those of its meshes.
     geoms = drawn_geoms(root, robot, problems, hull="never" if inertia else "unless flat")
+    geoms = [own + more for own, more in zip(geoms, trim_geoms(robot), strict=True)]
     body = root.worldbody
     _add_geoms(body, geoms[0])
     body.add_site(name="base", group=SITE_GROUP)

@@ -18,7 +18,6 @@ from ...base.frames import Array, Bools
 from ..declared.dynamics import principal_moments
 from ..declared.mounts import carrying_link
 from ..declared.robot import SerialRobot
-from ..declared.shapes import housing_radii
 from .link_geometry import touching_geoms
 from .mjcf_elements import MESH, hull_asset
 from .mjcf_links import excluded_links
@@ -241,7 +240,7 @@ def _links_near_base(robot: SerialRobot) -> Bools:
     if robot.free_base or robot.mount is not None:
         return np.zeros(robot.n + 1, bool)
     table = robot.kinematics
-    near = 2.5 * housing_radii(table, robot.T_n_flange, robot.flange_link)[0]
+    near = 2.5 * robot.housing_radii[0]
     along = table.path_lengths(table.step_lengths())
     near_joints = np.concatenate([[0], table.depths]) < 2
     return np.asarray((along < near) | near_joints)
@@ -253,7 +252,7 @@ def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
     for i, k in [] if robot.mjcf is None else excluded_links(robot):
         root.add_exclude(bodyname1=bodies[i][0], bodyname2=bodies[k][0])
     table = robot.kinematics
-    near = _ONE_HOUSING * housing_radii(table, robot.T_n_flange, robot.flange_link)[0]
+    near = _ONE_HOUSING * robot.housing_radii[0]
     steps, moves = table.step_lengths(), table.moves
     for i, k in combinations(range(robot.n + 1), 2):
         between = np.flatnonzero(moves[i] != moves[k])  # the joints between i and k

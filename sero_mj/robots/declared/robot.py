@@ -236,7 +236,12 @@ class SerialRobot(RobotDeclaration):
         """
         if self.has_geometry or "arrow_radius" in self.model_fields_set:
             return np.full(self.n, self.arrow_radius)
-        return clear_radii(self.kinematics, self.T_n_flange, self.flange_link)
+        return clear_radii(self.kinematics, self.housing_radii)
+
+    @property
+    def housing_radii(self) -> Array:
+        """Radius of the generated housing of every joint (n,), m."""
+        return housing_radii(self.kinematics, self.T_n_flange, self.strokes, self.flange_link)
 
     @property
     def arrow_width_scales(self) -> Array:
@@ -258,7 +263,7 @@ class SerialRobot(RobotDeclaration):
             return _AXES_OF_REACH * self.reach
         if self.has_geometry or "axes_size" in self.model_fields_set:
             return self.axes_size
-        return 4.0 * float(housing_radii(self.kinematics, self.T_n_flange, self.flange_link)[0])
+        return 4.0 * float(self.housing_radii[0])
 
     @property
     def strokes(self) -> Array:

@@ -2,7 +2,8 @@
 
 Every link gets a cylinder about the axis of a revolute joint, or the rod of a prismatic one, which
 slides through a box on the previous link; and capsules along the offsets to the next joint. Sizes
-are in proportion to the reach and never zero.
+are in proportion to the reach and never zero. Trims are drawn on them: covers on housings, collars
+on links, a flange.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from .joint_tree import JointTree
 
 SHELL = (0.93, 0.93, 0.91, 1.0)
 JOINT = (0.36, 0.38, 0.41, 1.0)
+_SEAM = (0.20, 0.21, 0.23, 1.0)
+_STEEL = (0.62, 0.64, 0.66, 1.0)
 
 _RADIUS_OF_REACH = 0.05
 _SMALLEST_REACH = 0.05  # m; so that a table of zeros still shows its joints
@@ -46,15 +49,21 @@ class LinkShape:
     rgba: tuple[float, float, float, float]
 
 
-def housing_radii(table: JointTree, flange_frame: Array, flange_link: int = -1) -> Array:
+def housing_radii(
+    table: JointTree, flange_frame: Array, strokes: Array | None = None, flange_link: int = -1
+) -> Array:
     """Returns the radius of the generated housing of every joint, (n,), m.
 
     Args:
         table: n joints.
         flange_frame: T_link_flange (4, 4).
+        strokes: maximum extension of every joint, (n,), m; where the table has no lengths, as that
+            of a gantry, they say how large the robot is.
         flange_link: index of the frame that carries the flange.
     """
     steps, depths = table.step_lengths(), table.depths
+    if strokes is not None:
+        steps = np.maximum(steps, strokes)
     along = table.path_lengths(steps)
     along[flange_link] += float(np.linalg.norm(flange_frame[:3, 3]))
     reach = max(float(along.max()), _SMALLEST_REACH)
@@ -64,7 +73,7 @@ def housing_radii(table: JointTree, flange_frame: Array, flange_link: int = -1) 
     return np.asarray(radius * np.linspace(1.0, _TAPER, depths.max())[depths - 1])
 
 
-def clear_radii(table: JointTree, flange_frame: Array, flange_link: int = -1) -> Array:
+def clear_radii(table: JointTree, radii: Array) -> Array:
     """Returns the radius of rings about the joints that clear all housings, (n,), m.
 
     Intersecting axes (of a shoulder or a wrist) have coinciding housings: each ring clears the
@@ -72,10 +81,8 @@ def clear_radii(table: JointTree, flange_frame: Array, flange_link: int = -1) ->
 
     Args:
         table: n joints.
-        flange_frame: T_link_flange (4, 4).
-        flange_link: index of the frame that carries the flange.
+        radii: of `housing_radii`.
     """
-    radii = housing_radii(table, flange_frame, flange_link)
     axes, centres = table.joint_axes(table.frames(np.zeros(len(table))))
     if isinstance(table, DhTable) and table.turns_in_carrier:
         lifted = np.where(table.revolute, table.d, 0.0) * table.signs
@@ -102,7 +109,7 @@ def generate_shapes(
     """
     n = len(table)
     strokes = np.zeros(n) if strokes is None else strokes
-    housings = housing_radii(table, flange_frame, flange_link)
+    housings = housing_radii(table, flange_frame, strokes, flange_link)
     links: list[list[LinkShape]] = [[] for _ in range(n + 1)]
     for i, parent in enumerate(table.carriers.tolist()):
         near, far = _segments(table, i, max(strokes[i], 2 * _HALF_HOUSING * housings[i]))
@@ -118,6 +125,51 @@ def generate_shapes(
     links[flange_link] += _capsules(np.array([np.zeros(3), flange_frame[:3, 3]]), end)
     links[0] = [*map(_above_ground, links[0]), _pedestal(housings[0])]
     return links
+
+
+def trims(
+    links: list[list[LinkShape]], flange_frame: Array, flange_link: int
+) -> list[list[LinkShape]]:
+    """Returns what makes generated links look like a machine's; it is drawn and has no mass.
+
+    Args:
+        links: of `generate_shapes`.
+        flange_frame: T_link_flange (4, 4).
+        flange_link: index of the frame that carries the flange.
+    """
+    found = [[trim for shape in link for trim in _trims_of(shape)] for link in links]
+    own = [shape for shape in links[flange_link] if shape.kind != "box"] or links[0]
+    radius = 0.8 * min(float(shape.size[0]) for shape in own)
+    end, axis = flange_frame[:3, 3], flange_frame[:3, 2]
+    for rgba, size, start in ((_STEEL, radius, 0.30), (_SEAM, 0.9 * radius, 0.42)):
+        ends = np.array([end - start * radius * axis, end])
+        ends[1] -= (0.0 if rgba is _STEEL else 0.2) * radius * axis
+        found[flange_link].append(LinkShape("cylinder", np.array([size]), ends, rgba))
+    return found
+
+
+def _trims_of(shape: LinkShape) -> list[LinkShape]:
+    """Covers on both ends of a housing, or collars at both ends of a link, clear of housings."""
+    start, end = shape.ends
+    length = float(np.linalg.norm(end - start))
+    radius = float(shape.size[0])
+    axis = (end - start) / length
+    if shape.kind == "cylinder" and length > radius:  # not the pedestal
+        covers = []
+        for face, out in ((start, -axis), (end, axis)):
+            for rgba, size, high in ((SHELL, 0.84, 0.10), (_SEAM, 0.50, 0.13)):
+                ends = np.array([face - 0.05 * radius * out, face + high * radius * out])
+                covers.append(LinkShape("cylinder", np.array([size * radius]), ends, rgba))
+        return covers
+    from_end, wide = 1.7 * radius, 0.30 * radius
+    if shape.kind != "capsule" or length < 2 * from_end + 4 * wide:
+        return []
+    collars = []
+    for place, inwards in ((start, axis), (end, -axis)):
+        for rgba, size, begin, high in ((SHELL, 1.14, 0.0, 1.0), (_SEAM, 1.06, 1.0, 1.25)):
+            ends = place + np.outer(from_end + wide * np.array([begin, high]), inwards)
+            collars.append(LinkShape("cylinder", np.array([size * radius]), ends, rgba))
+    return collars
 
 
 def _above_ground(shape: LinkShape) -> LinkShape:
