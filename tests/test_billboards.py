@@ -26,6 +26,8 @@ from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.decor.quantities import joint_values
 from sero_mj.viewer.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
 from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.session.interaction import click
+from sero_mj.viewer.session.picking import pick
 from sero_mj.viewer.typesetting import Typesetter
 
 TORQUES = np.array([-12.34, 0.04, -0.04, 100.0, 5.0, -38.0, 0.0])
@@ -386,6 +388,14 @@ def test_panels_stand_on_the_side_of_their_robot(joints: int) -> None:
         assert ((across < view.width / 2) == (is_of_first == first_is_left)).all()
 
 
+def bounds_of_cards(decor: Decor) -> tuple[np.ndarray, np.ndarray]:
+    """Lower left and upper right corners of all cards, (k, 2) each, pixels."""
+    cards = [panels for panels in decor.panels if panels.has_values]
+    centres = np.concatenate([panels.centres for panels in cards])
+    half = np.concatenate([panels.sizes for panels in cards]) / 2
+    return centres - half, centres + half
+
+
 def test_cards_leave_four_robots_free_where_the_picture_has_no_room_for_all() -> None:
     places = [(x, y) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]
     robots = [
@@ -397,7 +407,6 @@ def test_cards_leave_four_robots_free_where_the_picture_has_no_room_for_all() ->
     world = World(Scene(robots=robots, floor=False))
     data, decor, rng = world.make_data(), Decor(world), np.random.default_rng(7)
     links = np.flatnonzero(world.model.geom_bodyid > 0)
-    notes = []
     for azimuth in np.linspace(0, 2 * np.pi, 8, endpoint=False):
         for name in world.robots:
             world.set_input(data, f"{name}.joint_angles", rng.uniform(-1.4, 1.4, 7))
@@ -405,19 +414,16 @@ def test_cards_leave_four_robots_free_where_the_picture_has_no_room_for_all() ->
         follow(world.model, data)
         view = view_at(azimuth, distance=4.0, width=640, height=480)
         decor.draw(data, toggles_of(world), view)
-        (cards,) = (panels for panels in decor.panels if panels.has_values)
-        low, high = cards.centres - cards.sizes / 2, cards.centres + cards.sizes / 2
+        low, high = bounds_of_cards(decor)
         middles, _ = view.project(data.geom_xpos[links])
         within = (middles[:, None] > low) & (middles[:, None] < high)
         assert not within.all(axis=2).any()
-        said = [text for p in decor.panels for text in p.texts if b" of 28 " in text[0]]
-        expected = f"cards: {len(cards.texts)} of 28 joints, the most loaded".encode()
-        assert said == ([] if len(cards.texts) == 28 else [[expected]])
-        notes += said
-    assert notes
+        shown = [text for p in decor.panels if p.kind == Kind.LIMB for text in p.texts]
+        assert 1 <= len(shown) <= 4
+        assert all(b"7 joints" in text[0] and b"most" in text[1] for text in shown)
 
 
-def test_cards_are_of_the_most_loaded_joints_of_the_whole_picture_not_of_each_robot() -> None:
+def test_a_hand_has_one_card_that_says_which_joint_is_the_most_loaded() -> None:
     """A hand at an arm: 27 joints, and room for some of them."""
     scene = load_scene("lwr_hit_hand")
     world = World(scene)
@@ -434,11 +440,36 @@ def test_cards_are_of_the_most_loaded_joints_of_the_whole_picture_not_of_each_ro
     for azimuth in np.linspace(-3, 3, 7):
         view = replace(view_at(azimuth, 2.0, 480, 360), font=font)
         decor.draw(data, toggles, view)
-        (cards,) = (panels for panels in decor.panels if panels.has_values)
-        count = len(cards.texts)
-        assert 8 <= count < 27
-        order = np.argsort(-np.nan_to_num(share, nan=-1.0))
-        assert set(cards.items.tolist()) == set(order[:count].tolist())
+        limbs, cards = (panels for panels in decor.panels if panels.has_values)
+        assert limbs.kind == Kind.LIMB and cards.items.tolist() == [*range(7)]
+        top = 7 + int(np.nanargmax(share[7:]))
+        finger = list(world.robots)[world.joints.owner[top]].removeprefix("hand_")
+        label = f"{finger} {world.joints.names[top]}"
+        (lines,) = limbs.texts
+        assert lines[0].split() == [b"hand", b"20", b"joints"]
+        assert lines[1].endswith(b"  %.0f %%" % (100 * share[top]))
+        words = lines[1].decode().removeprefix("most ").rsplit("  ", 1)[0].partition("..")
+        assert label.startswith(words[0]) and label.endswith(words[2])
+
+
+def test_a_click_on_the_card_of_a_limb_shows_all_of_its_joints() -> None:
+    world = World(load_scene("lwr_hit_hand"))
+    data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
+    toggles.billboards[:] = True
+    Placer(world).place(data)
+    view = view_at(0.5, 2.0, 1280, 800)
+    buffer = decor.draw(data, toggles, view)
+    (limbs,) = (panels for panels in decor.panels if panels.kind == Kind.LIMB)
+    assert [text[0].split()[1:] for text in limbs.texts] == [[b"20", b"joints"]]  # without data
+    picked = pick(world, data, buffer, view, tuple(limbs.centres[0]))
+    assert picked is not None and picked.kind == "limb"
+    click(world, toggles, picked)
+    decor.draw(data, toggles, view)
+    (cards,) = (panels for panels in decor.panels if panels.kind == Kind.BILLBOARD)
+    assert set(cards.items.tolist()) >= {*range(7, 27)}
+    toggles.clicked[:] = False
+    click(world, toggles, picked, "shift")
+    assert toggles.billboards.nonzero()[0].tolist() == [*range(7)]
 
 
 def test_cards_of_a_hand_stand_together_on_the_side_where_it_is() -> None:
@@ -559,12 +590,13 @@ def test_names_of_frames_cover_neither_cards_nor_each_other() -> None:
 
 
 def test_cards_of_joints_without_data_are_not_called_the_most_loaded() -> None:
-    world = World(load_scene("lwr_hit_hand"))
+    snake = SerialRobot(name="snake", dh_params=[[0.0, 0.05, 0.0, 0.0]] * 27, dh_convention="craig")
+    world = World(Scene(robots=[snake]))
     data, toggles, decor = world.make_data(), toggles_of(world), Decor(world)
     toggles.billboards[:] = True
     toggles.status = False
     Placer(world).place(data)
-    view = replace(view_at(0.5, 2.0, 480, 360), font=Typesetter(18).font)
+    view = replace(view_at(0.5, 4.0, 480, 360), font=Typesetter(18).font)
 
     def note() -> str:
         buffer = decor.draw(data, toggles, view)
@@ -587,9 +619,8 @@ def test_a_narrow_picture_has_one_column_of_the_few_most_loaded() -> None:
     Placer(world).place(data)
     view = replace(view_at(0.5, 4.0, 390, 844), font=Typesetter(18).font)
     decor.draw(data, toggles, view)
-    (cards,) = (panels for panels in decor.panels if panels.has_values)
-    assert len(cards.texts) == 8
-    low, high = cards.centres - cards.sizes / 2, cards.centres + cards.sizes / 2
+    low, high = bounds_of_cards(decor)
+    assert len(low) == 8  # of the arm, and of the hand
     assert (low >= 0).all() and (high <= [390, 844]).all()
     over = ((low[:, None] < high - 1e-6) & (high[:, None] > low + 1e-6)).all(axis=2)
     assert not (over & ~np.eye(8, dtype=bool)).any()

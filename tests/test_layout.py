@@ -171,7 +171,8 @@ def test_labels_are_placed_off_what_is_taken_and_off_each_other(count, taken, se
     rectangles = np.hstack([middles - half, middles + half])
     sizes = rng.uniform(10, 60, (count, 2))
     wanted = rng.uniform(60, 400, (count, 2))
-    placed = place_clear(wanted, sizes, rectangles, *PICTURE)
+    placed, has_room = place_clear(wanted, sizes, rectangles, *PICTURE, np.ones(count, bool))
+    assert has_room.all()
     low = np.concatenate([placed - sizes / 2, rectangles[:, :2]])
     high = np.concatenate([placed + sizes / 2, rectangles[:, 2:]])
     over = ((low[:, None] < high - 1e-3) & (high[:, None] > low + 1e-3)).all(axis=2)
@@ -184,7 +185,11 @@ def test_a_label_moves_as_little_as_it_can_and_stays_where_there_is_no_room() ->
     size = np.array([[100.0, 20.0]])
 
     def placed(x: float, y: float, taken: np.ndarray = corner) -> list[float]:
-        return place_clear(np.array([[x, y]]), size, taken, *PICTURE)[0].tolist()
+        (found,), (has_room,) = place_clear(
+            np.array([[x, y]]), size, taken, *PICTURE, np.ones(1, bool)
+        )
+        assert has_room == (len(taken) == 1 and taken[0, 2] < 600)
+        return list(found)
 
     assert placed(300.0, 60.0) == [300.0, 60.0]
     assert placed(150.0, 60.0) == [150.0, 80.0]  # above it

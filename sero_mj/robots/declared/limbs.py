@@ -47,7 +47,7 @@ def find_limbs(
         else:
             runs.append([i])
     runs = _with_followers(runs, names, followed)
-    found = [_named([names[i] for i in run]) for run in runs]
+    found = [limb_name([names[i] for i in run]) for run in runs]
     known = Counter(found)
     limbs: dict[str, list[int]] = {}
     for run, name in zip(runs, found, strict=True):
@@ -130,7 +130,7 @@ def _ends(names: Sequence[str], run: Sequence[int]) -> str:
     return first if len(run) == 1 else f"{first}-{last}"
 
 
-def _named(joints: Sequence[str]) -> str:
+def limb_name(joints: Sequence[str]) -> str:
     """Returns the common part of the names of a limb's joints; may be empty."""
     if len(joints) == 1:
         return joints[0]

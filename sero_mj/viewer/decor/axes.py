@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...base.frames import Array, Bools
 from ...robots.assemble.world_view import WorldView
+from .card_names import frame_titles
 from .feature import Feature, Frame
 from .geom_buffer import GREY, GeomBuffer, Kind
 from .panels import Panels, labels_below
@@ -166,9 +167,10 @@ def name_panels(
         view: of the picture.
     """
     shown = named.nonzero()[0]
-    found = labels_below(
-        data.site_xpos[world.frames.site[shown]], [world.frames.names[i] for i in shown], view
-    )
+    if not len(shown):
+        return None
+    titles = frame_titles(world.frames.names)
+    found = labels_below(data.site_xpos[world.frames.site[shown]], [titles[i] for i in shown], view)
     if found is None:
         return None
     panels, seen = found

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,12 +17,13 @@ from ...robots.assemble.parts import DoublePart, Owner
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import BillboardLine
 from ...robots.declared.scene import Scene
-from .card_names import LONGEST, card_names, longest_name, titles
-from .cards import NO_SHARE, SMALL, Cards, heights_in_order, owner_groups
+from .card_names import LONGEST, card_names, longest_name, shortened, titles
+from .cards import FEWEST, GAP, NO_SHARE, Cards, heights_in_order
 from .feature import Feature, Frame
 from .font import Font
 from .geom_buffer import Kind
-from .layout import LEFT, RIGHT
+from .layout import LEFT, RIGHT, is_narrow
+from .limb_cards import card_limbs
 from .panels import PANEL_RGBA, panel_sizes
 from .picture_view import PictureView
 
@@ -62,6 +64,7 @@ _DETAILS = {
 
 _LARGEST = "largest seen"  # label of the largest torque seen so far, in place of a limit
 _STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
+_FILLED = 0.6  # part of both sides of a picture that cards may take before limbs have one card
 _TINT = 0.30  # fraction of the double's colour in the colour of its panels
 
 
@@ -86,14 +89,14 @@ class Billboards(Feature):
             bool,
         )
         self._formats: dict[int, Formats] = {}
+        self._names: dict[int, _LimbNames] = {}
         self._side = np.concatenate(
             [np.arange(part.robot.n) % 2 for part in parts] or [np.zeros(0, np.intp)]
         ).astype(np.intp)
-        is_double = np.array([isinstance(part, DoublePart) for part in parts], bool)
-        of_owner = np.where(is_double, np.arange(len(parts)), owner_groups(world))
-        self._limb = _limbs(world, of_owner)
+        self._limbs = limbs = card_limbs(world)
+        self._limb = limbs.beside
         self._close = 0.0  # how far from its robot's middle a limb has no side, picture widths
-        group = of_owner[joints.owner]
+        group = limbs.groups[joints.owner]
         every = [np.unique(self._limb[group == each]) for each in np.unique(group)]
         self._limbs_of_groups = [limbs for limbs in every if len(limbs) > 1]
         self._is_in_limbs = np.isin(self._limb, np.concatenate([[-1], *self._limbs_of_groups]))
@@ -101,6 +104,7 @@ class Billboards(Feature):
         self._rgba = np.array([_tinted(part) for part in parts]).reshape(-1, 4)[joints.owner]
         self._widths: dict[tuple[int, int], int] = {}
         self._written: dict[int, _Written] = {}  # by joint
+        self._limb_widths: dict[tuple[int, int], int] = {}  # by font and limb
 
     def _formats_for(self, view: PictureView) -> Formats:
         """Returns the lines of all joints, with names as long as the picture has room for."""
@@ -112,12 +116,71 @@ class Billboards(Feature):
     def lay_out(self, frame: Frame) -> None:
         """Adds the billboards that are shown, of joints in the picture.
 
-        Where there are too many, `CardLayout` keeps those of joints and limbs that were clicked on
-        and of the most loaded ones.
+        Where there are too many, one card tells of all joints of a limb that were not asked for.
+        Of what remains `CardLayout` keeps those that were, and the most loaded ones.
         """
         cards = self._cards(frame)
-        if cards is not None:
+        if cards is None:
+            return
+        most = _room_for(cards.sizes, frame.view)
+        told = self._limbs.collapsed(cards.items, np.isinf(cards.share), most)
+        if told.any():
+            frame.cards.append(self._of_limbs(frame, cards.only(told)))
+            cards = cards.only(~told)
+        if cards.texts:
             frame.cards.append(cards)
+
+    def _of_limbs(self, frame: Frame, cards: Cards) -> Cards:
+        """Returns a card for each limb of these joints: how many they are, and the most loaded."""
+        names, view = self._limb_names(frame.view), frame.view
+        of_joint = self._limbs.of_joint
+        limb = of_joint[cards.items]
+        numbers, first = np.unique(limb, return_index=True)
+        mine = [(limb == number).nonzero()[0] for number in numbers]
+        most = [rows[cards.share[rows].argmax()] for rows in mine]
+        texts, widths = [], np.empty(len(numbers))
+        for k, (number, rows, top) in enumerate(zip(numbers.tolist(), mine, most, strict=True)):
+            lines = [f"{names.limbs[number]}  {len(rows)} joints".encode("ascii", "replace")]
+            if cards.share[top] > NO_SHARE:
+                joint = int(cards.items[top])
+                value = cards.texts[top][0].rsplit(b"  ", 1)[-1].strip()
+                if np.isfinite(frame.arrow_limit[joint]):
+                    value = b"%.0f %%" % (100 * cards.share[top])
+                label = names.joints[joint].encode("ascii", "replace")
+                lines.append(b"most " + label + b"  " + value)
+            key = (view.font.height, number)
+            widths[k] = max(self._limb_widths.get(key, 0), view.font.block_width(lines))
+            self._limb_widths[key] = int(widths[k])  # does not shrink: the most loaded one changes
+            texts.append(lines)
+        stale = np.array([frame.stale_joints[cards.items[rows]].all() for rows in mine])
+        return replace(
+            cards,
+            kind=Kind.LIMB,
+            items=np.array([(of_joint == number).argmax() for number in numbers], np.intp),
+            anchors=np.array([cards.anchors[rows].mean(axis=0) for rows in mine]),
+            sizes=panel_sizes(widths, np.array([len(lines) for lines in texts]), view),
+            texts=texts,
+            owners=cards.owners[first],
+            side=cards.side[first],
+            rank=np.array([cards.rank[rows].mean() for rows in mine]),
+            share=cards.share[most],
+            rgba=np.where(stale[:, None], _STALE_RGBA, self._rgba[cards.items[first]]),
+        )
+
+    def _limb_names(self, view: PictureView) -> _LimbNames:
+        """Returns the names of limbs, and of joints within them, as long as there is room for."""
+        longest = longest_name(view)
+        if longest not in self._names:
+            limbs, world = self._limbs, self.world
+            joints = joint_titles(world, LONGEST)
+            plain = [
+                _without_start(title, limbs.names[limb])
+                for title, limb in zip(joints, limbs.of_joint, strict=True)
+            ]
+            self._names[longest] = _LimbNames(
+                shortened(limbs.names, longest), shortened(plain, longest)
+            )
+        return self._names[longest]
 
     def _cards(self, frame: Frame) -> Cards | None:
         data, view, toggles, values = frame.data, frame.view, frame.toggles, frame.values
@@ -233,6 +296,13 @@ class Billboards(Feature):
         return width
 
 
+class _LimbNames(NamedTuple):
+    """Names of limbs, and of all joints within their limbs."""
+
+    limbs: list[str]
+    joints: list[str]
+
+
 @dataclass(frozen=True)
 class _Written:
     """What a joint's card says.
@@ -269,18 +339,23 @@ class Formats:
     details: list[list[Line]]
 
 
-def joint_formats(world: WorldView, longest: int = LONGEST) -> Formats:
-    """Returns the lines of all joints, with names of at most `longest` characters."""
-    joints, parts = world.joints, list(world.owners.values())
-    declared = [declared_lines(part, world.scene) for part in parts]
+def joint_titles(world: WorldView, longest: int) -> list[str]:
+    """Returns the titles of the cards of all joints, with names of at most `longest` characters."""
+    parts = list(world.owners.values())
     # With several robots, joint names alone are ambiguous.
     is_ambiguous = [len(world.robots) > 1 or isinstance(part, DoublePart) for part in parts]
-    names = titles(
+    return titles(
         [card_names(part.robot.names, part.robot.name) for part in parts],
         [part.declared.name for part in parts],
         is_ambiguous,
         longest,
     )
+
+
+def joint_formats(world: WorldView, longest: int = LONGEST) -> Formats:
+    """Returns the lines of all joints, with names of at most `longest` characters."""
+    joints, names = world.joints, joint_titles(world, longest)
+    declared = [declared_lines(part, world.scene) for part in world.owners.values()]
     full = np.where(np.isfinite(joints.torque_limit), joints.torque_limit, joints.arrow_load)
     found = Formats([], [], [], [])
     for k, (name, owner) in enumerate(zip(names, joints.owner, strict=True)):
@@ -307,36 +382,19 @@ def _tinted(part: object) -> Array:
     return rgba
 
 
-def _limbs(world: WorldView, groups: Ints) -> Ints:
-    """Returns the limb whose cards stand together with every joint's, (N,).
+def _room_for(sizes: Array, view: PictureView) -> int:
+    """Returns how many cards of such sizes (k, 2) stand well beside robots in a picture."""
+    (left, bottom), (right, top) = view.free
+    gap = GAP * view.font.height
+    if is_narrow(sizes, gap, right - left):
+        return FEWEST
+    return int(_FILLED * 2 * (top - bottom) / (float(np.median(sizes[:, 1])) + gap))
 
-    A limb that is small beside the one that carries it counts with that: fingers with their arm.
-    All robots that stand with another one are one limb: the fingers of a hand.
 
-    Args:
-        world: the compiled scene.
-        groups: index of the robot with which every robot and double stands, (len(owners),).
-    """
-    joints = world.joints
-    centres = world.state(world.make_data()).site_xpos[joints.centre_site]
-    limb = joints.limb.copy()
-    for part in world.owners.values():
-        first = part.joints.start
-        n = part.joints.stop - first
-        carriers = part.robot.carriers
-        below = first + (np.arange(n) if carriers is None else carriers[:n]) - 1
-        on_base = below < first
-        below[on_base] = (first + np.arange(n))[on_base]
-        own = joints.limb[part.joints]
-        steps = np.linalg.norm(centres[part.joints] - centres[below], axis=1)
-        lengths = np.bincount(own, np.where(joints.limb[below] == own, steps, 0.0))
-        for k in np.flatnonzero(joints.limb[below] != own):  # the first joints of limbs
-            if lengths[own[k]] < SMALL * lengths[joints.limb[below[k]]]:
-                limb[part.joints][own == own[k]] = limb[below[k]]
-    is_carried = groups != np.arange(len(groups))
-    for group in np.unique(groups[is_carried]):
-        limb[(is_carried & (groups == group))[joints.owner]] = limb.max() + 1
-    return limb
+def _without_start(title: str, limb: str) -> str:
+    """Returns a joint's title without the name of its limb: `thumb proximal` of a `hand`."""
+    rest = title.removeprefix(limb).lstrip("_ /")
+    return rest or title
 
 
 def _declared_heights(world: WorldView) -> Array:

@@ -66,7 +66,7 @@ def titles(
         longest: characters of a robot's or a joint's name.
     """
     of_joints = iter(shortened([name for names in joints for name in names], longest))
-    owners = _without_common_start(owners)
+    owners = without_common_start(owners)
     found = []
     for owner, short, names, with_owner in zip(
         owners, shortened(owners, longest), joints, is_named, strict=True
@@ -80,7 +80,7 @@ def titles(
     return found
 
 
-def _without_common_start(owners: Sequence[str]) -> list[str]:
+def without_common_start(owners: Sequence[str]) -> list[str]:
     """Returns names without their common first words."""
     words = [name.split("_") for name in owners]
     same = 0
@@ -88,6 +88,17 @@ def _without_common_start(owners: Sequence[str]) -> list[str]:
         columns = zip(*(of_name[:-1] for of_name in words), strict=False)
         same = sum(1 for _ in takewhile(lambda column: len({*column}) == 1, columns))
     return _if_clear(list(owners), ["_".join(of_name[same:]) for of_name in words])
+
+
+def frame_titles(names: Sequence[str]) -> list[str]:
+    """Returns the names of frames, `ROBOT/FRAME` or of their own, without robots' common words."""
+    owners = list(dict.fromkeys(name.partition("/")[0] for name in names if "/" in name))
+    short = dict(zip(owners, without_common_start(owners), strict=True))
+    return [
+        f"{short[owner]}/{frame}" if slash else name
+        for name in names
+        for owner, slash, frame in [name.partition("/")]
+    ]
 
 
 def shortened(names: Sequence[str], longest: int = SHORTEST) -> list[str]:

@@ -25,10 +25,10 @@ _Key = tuple[Kind, int]
 
 _CLOSE = 0.03  # of the picture's width, by which a robot moves before it changes its place
 _MIN_GAIN = 0.01  # of a line's height: less is noise, and no reason to change places
-_FEWEST = 8  # cards, also where they need several columns
+FEWEST = 8  # cards, also where they need several columns
 # Of a robot with more joints only the most loaded have cards, unless they were clicked on.
 _MANY, _MAX_LOADED = 24, 12
-_GAP = 0.3  # between cards, of a line's height
+GAP = 0.3  # between cards, of a line's height
 # A hand or finger is less than this of the arm that carries it: their cards stand together.
 SMALL = 0.5
 NO_SHARE = -1.0  # comes after any known share
@@ -36,6 +36,8 @@ NO_SHARE = -1.0  # comes after any known share
 _MORE = (1.25, 0.02)
 _NEW_ROOM = 0.5  # of a line's height, by which robots must be farther away from a new card
 _MARGIN = 0.5  # of a line's height
+_OF_LIMB = 2  # how many cards of joints the card of a limb stands for where there is little room
+_OF_LOADS = (Kind.BILLBOARD, Kind.LIMB)  # kinds of which the most loaded are shown
 _PLACED_BY = ("anchors", "sizes", "owners", "side", "rank")  # of `Cards`
 _ROUNDS = 4  # of placing and uncrossing; panels of several sizes can need more than one
 # Dark on a light scene, light on a dark one.
@@ -234,7 +236,7 @@ class CardLayout:
             order: as returned by `_by_share`.
         """
         pixels, of_point, covered = body
-        gap = _GAP * view.font.height
+        gap = GAP * view.font.height
         low, high = view.free
         width, height = high - low
         covered = covered - [*low, *low]
@@ -295,8 +297,8 @@ class CardLayout:
         sizes, share, keys = _of_all(groups, "sizes"), _of_all(groups, "share"), _keys(groups)
         asked = int(np.isinf(share).sum())
         limit = max(_most_cards(_of_all(groups, "owners")), asked)
-        if is_narrow(sizes, _GAP * line, width):  # leaders cross one column more than two
-            limit = max(_FEWEST, asked)
+        if is_narrow(sizes, GAP * line, width):  # leaders cross one column more than two
+            limit = max(FEWEST, asked)
         first = order[:limit]
 
         def fitting(around: Array, corners: list[Panels], fewest: int = 0) -> tuple[int, Ints]:
@@ -305,7 +307,7 @@ class CardLayout:
                 found = with_room(
                     sizes[first],
                     side[first],
-                    _GAP * line,
+                    GAP * line,
                     width,
                     height,
                     kept_free=_rectangles(corners, low),
@@ -324,15 +326,18 @@ class CardLayout:
             return True
 
         everything, nothing = np.ones(len(keys), bool), np.zeros((0, 4))
-        if len(keys) <= _FEWEST and is_all(fitting(nothing, corners, len(keys))):
+        # The card of a limb has more lines than those of joints, and says as much as several.
+        weights = np.where([kind == Kind.LIMB for kind, _ in keys], _OF_LIMB, 1)[order]
+        few = max(int((weights.cumsum() <= FEWEST).sum()), 1)
+        if len(keys) <= few and is_all(fitting(nothing, corners, len(keys))):
             return everything, []
         if not self._chosen and is_all(fitting(covered, corners)):
             return everything, []
         note = _note(view, len(keys), corners)
         corners = [*corners, note]
         # A few are shown even over robots, but never over each other.
-        fewest = fitting(nothing, corners, min(_FEWEST, limit))[0]
-        least = max(min(fewest, max(_FEWEST, asked), limit), 1)
+        fewest = fitting(nothing, corners, min(few, limit))[0]
+        least = max(min(fewest, max(few, asked), limit), 1)
         apart = _NEW_ROOM * line * np.array([-1, -1, 1, 1])
         count, sides = fitting(covered + apart, corners, least)
         if is_all((count, sides)):
@@ -347,10 +352,15 @@ class CardLayout:
         kept[order[:count]] = True
         self._chosen = {key for key, is_kept in zip(keys, kept, strict=True) if is_kept}
         is_load = np.concatenate(
-            [np.full(len(group.texts), group.kind == Kind.BILLBOARD) for group in groups]
+            [np.full(len(group.texts), group.kind in _OF_LOADS) for group in groups]
         )
-        is_loaded = bool((share[kept & is_load] > NO_SHARE).all())
-        text = _note_text(int((kept & is_load).sum()), int(is_load.sum()), is_loaded)
+        has_limbs = any(group.kind == Kind.LIMB for group in groups)
+        text = _note_text(
+            int((kept & is_load).sum()),
+            int(is_load.sum()),
+            is_loaded=bool((share[kept & is_load] > NO_SHARE).all()),
+            what="" if has_limbs else " joints",
+        )
         return kept, [replace(note, texts=[[text]])]
 
     def _last_places(
@@ -458,9 +468,9 @@ def _note(view: PictureView, count: int, corners: list[Panels]) -> Panels:
     return Panels(centre[None], size[None], [[text]])
 
 
-def _note_text(shown: int, count: int, is_loaded: bool = True) -> bytes:
+def _note_text(shown: int, count: int, *, is_loaded: bool = True, what: str = " joints") -> bytes:
     which = ", the most loaded" if is_loaded else ""  # of joints without data none is
-    return f"cards: {shown} of {count} joints{which}".encode()
+    return f"cards: {shown} of {count}{what}{which}".encode()
 
 
 def _starts(centres: Array, sizes: Array, anchors: Array, side: Ints) -> Array:

@@ -49,6 +49,7 @@ class Kind(IntEnum):
     CHECK = 7  # item: robot; the panel of its flange check
     HANDLE = 8  # item: what it does, see `handles`
     PART = 9  # no item: the name of a part of the model
+    LIMB = 10  # item: first joint of a limb; its card
 
 
 class GeomBuffer:

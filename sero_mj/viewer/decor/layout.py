@@ -292,7 +292,9 @@ def _rooms_between(
     return list(zip(starts[is_room].tolist(), ends[is_room].tolist(), strict=True))
 
 
-def place_clear(centres: Array, sizes: Array, taken: Array, low: Array, high: Array) -> Array:
+def place_clear(
+    centres: Array, sizes: Array, taken: Array, low: Array, high: Array, is_needed: Bools
+) -> tuple[Array, Bools]:
     """Moves rectangles off occupied ones and off each other, each as little as possible.
 
     Args:
@@ -301,11 +303,13 @@ def place_clear(centres: Array, sizes: Array, taken: Array, low: Array, high: Ar
         taken: left, bottom, right and top of what stays where it is, (m, 4), pixels.
         low: lower left pixel of the room that there is, (2,).
         high: upper right pixel, (2,).
+        is_needed: whether each takes its place also where there is no room, (k,).
 
     Returns:
-        centres (k, 2). One for which there is no room stays where it is.
+        centres (k, 2), and whether there is room for each, (k,). One for which there is none stays
+        where it is.
     """
-    placed = centres.copy()
+    placed, has_room = centres.copy(), np.ones(len(centres), bool)
     for k, (centre, half) in enumerate(zip(centres, sizes / 2, strict=True)):
         # A centre inside one of these bounds is over what is taken.
         below, above = taken[:, :2] - half, taken[:, 2:] + half
@@ -320,10 +324,13 @@ def place_clear(centres: Array, sizes: Array, taken: Array, low: Array, high: Ar
             grid = grid[((grid >= low + half) & (grid <= high - half)).all(axis=1)]
             grid = grid[np.argsort(np.linalg.norm(grid - centre, axis=1), kind="stable")]
             clear = is_clear(grid).nonzero()[0]
-            if len(clear):
+            has_room[k] = len(clear) > 0
+            if has_room[k]:
                 placed[k] = grid[clear[0]]
+            elif not is_needed[k]:
+                continue
         taken = np.concatenate([taken, np.concatenate([placed[k] - half, placed[k] + half])[None]])
-    return placed
+    return placed, has_room
 
 
 def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.frames import Array, Ints
+from ...base.frames import Array, Bools, Ints
 from .geom_buffer import GeomBuffer, Kind, place_triangles
 from .layout import place_clear
 from .picture_view import PictureView
@@ -66,6 +66,17 @@ class Panels:
     has_values: bool = False
     bars: Array | None = None
 
+    def only(self, kept: Bools) -> Panels:
+        """Returns those of its panels that are kept, (k,)."""
+        return replace(
+            self,
+            centres=self.centres[kept],
+            sizes=self.sizes[kept],
+            texts=[text for text, is_kept in zip(self.texts, kept, strict=True) if is_kept],
+            rgba=self.rgba[kept] if isinstance(self.rgba, np.ndarray) else self.rgba,
+            items=None if self.items is None else self.items[kept],
+        )
+
 
 def labels_at(view: PictureView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
     """Returns centres and sizes of panels, moved to be inside the picture.
@@ -102,6 +113,8 @@ def labels_below(places: Array, names: list[str], view: PictureView) -> tuple[Pa
 def clear_of(labels: list[Panels], others: list[Panels], view: PictureView) -> list[Panels]:
     """Returns labels moved off other panels and off each other, as far as the picture has room.
 
+    Names for which there is none are left out: nobody could read them, nor what is below.
+
     Args:
         labels: the first ones have the first choice.
         others: these stay where they are.
@@ -113,15 +126,20 @@ def clear_of(labels: list[Panels], others: list[Panels], view: PictureView) -> l
         [np.hstack([p.centres - p.sizes / 2, p.centres + p.sizes / 2]) for p in others]
         or [np.zeros((0, 4))]
     )
-    centres = place_clear(
+    is_name = np.concatenate([np.full(len(each.texts), each.kind == Kind.NAME) for each in labels])
+    centres, has_room = place_clear(
         np.concatenate([label.centres for label in labels]),
         np.concatenate([label.sizes for label in labels]),
         taken,
         *view.free,
+        is_needed=~is_name,
     )
     ends = np.cumsum([len(label.texts) for label in labels])
-    parts = np.split(centres, ends[:-1])
-    return [replace(label, centres=part) for label, part in zip(labels, parts, strict=True)]
+    parts = zip(labels, np.split(centres, ends[:-1]), np.split(has_room, ends[:-1]), strict=True)
+    return [
+        replace(label, centres=at).only(kept | (label.kind != Kind.NAME))
+        for label, at, kept in parts
+    ]
 
 
 def draw_panels(

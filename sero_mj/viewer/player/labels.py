@@ -9,6 +9,7 @@ import numpy as np
 
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
+from ..decor.card_names import frame_titles
 from ..decor.feature import Frame
 from ..decor.part_names import named_parts
 from .packing import Parts
@@ -26,8 +27,9 @@ def labels_of(world: WorldView, frame: Frame) -> dict[_Key, tuple[str, Array]]:
     """
     frames, buffer = world.frames, frame.buffer
     found: dict[_Key, tuple[str, Array]] = {}
+    titles = frame_titles(frames.names)
     for i in frame.shown.frame_names.nonzero()[0].tolist():
-        found["name", i] = frames.names[i], np.array(frame.data.site_xpos[frames.site[i]])
+        found["name", i] = titles[i], np.array(frame.data.site_xpos[frames.site[i]])
     parts, places = named_parts(world, frame.data, frame.toggles.part_names)
     found |= {("part", k): (parts[k], places[k]) for k in range(len(parts))}
     rows = buffer.rows[: buffer.count]

@@ -16,6 +16,7 @@ import numpy as np
 from ...base.frames import Ints
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
+from ..decor.limb_cards import card_limbs
 from ..decor.quantities import QUANTITY_NAMES, arrow_values, joint_values
 from ..decor.toggles import Toggles
 from .input import DOUBLE_CLICK_DISTANCE, DOUBLE_CLICK_TIME
@@ -79,6 +80,16 @@ def _flip_limb(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     toggles.billboards[rows] = toggles.clicked[rows] = show
 
 
+def _card_limb(world: WorldView, picked: Picked) -> Ints:
+    """Returns the joints that the card of a limb stands for."""
+    return card_limbs(world).joints_of(picked.index)
+
+
+def _open_limb(world: WorldView, toggles: Toggles, picked: Picked) -> None:
+    rows = _card_limb(world, picked)
+    toggles.clicked[rows] = True
+
+
 def _next_quantity_here(world: WorldView, toggles: Toggles, picked: Picked) -> None:
     following = toggles.arrow_quantity[picked.index] + 1
     toggles.arrow_quantity[_joints(world, picked)] = following % len(ARROW_QUANTITIES)
@@ -112,6 +123,8 @@ CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
     ("shift", "vector"): ("values of all smart arrows on or off", _flip("cards", _everything)),
     ("click", "card"): ("hides it", _flip("cards")),
     ("shift", "card"): ("hides all of them", _flip("cards", _everything)),
+    ("click", "limb"): ("a card for each of its joints", _open_limb),
+    ("shift", "limb"): ("hides it", _hide(_BILLBOARD, _card_limb)),
     ("click", "check"): ("hides the comparison of flange frames", _hide_checks),
     ("double", "object"): ("centres the view on it", _do_nothing),  # the host moves its camera
 }
@@ -206,7 +219,7 @@ def hover(toggles: Toggles, picked: Picked | None, pixel: Pixel) -> None:
         pixel: x to the right and y up from the lower left corner of the picture.
     """
     # A billboard shows its name already, and the label would hide its values.
-    name = "" if picked is None or picked.kind == "billboard" else picked.own_name
+    name = "" if picked is None or picked.kind in ("billboard", "limb") else picked.own_name
     toggles.hover = (name, pixel) if name else None
 
 
@@ -370,6 +383,7 @@ _KINDS = {
     "name": "name",
     "vector": "smart arrow",
     "card": "card",
+    "limb": "card of a limb",
     "object": "object",
 }
 

@@ -31,6 +31,7 @@ PickedKind = Literal[
     "card",
     "check",
     "handle",
+    "limb",
 ]
 
 Pixel = tuple[float, float]  # x to the right and y up from the lower left corner of a picture

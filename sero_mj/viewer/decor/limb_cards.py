@@ -1,0 +1,128 @@
+"""Cards of limbs: one for all joints of an arm or a hand, where there is no room for one each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import takewhile
+
+import numpy as np
+
+from ...base.frames import Bools, Ints
+from ...robots.assemble.parts import DoublePart
+from ...robots.assemble.world_view import WorldView
+from ...robots.declared.limbs import limb_name
+from .card_names import without_common_start
+from .cards import SMALL, owner_groups
+
+
+@dataclass(frozen=True, eq=False)
+class CardLimbs:
+    """The limbs of a world, for cards.
+
+    Attributes:
+        groups: index of the robot with which the cards of every owner of joints stand,
+            (len(owners),); each double has its own.
+        beside: number of the limb with whose cards every joint's stands, (N,): fingers with their
+            arm.
+        of_joint: number of every joint's limb, (N,); all fingers of an arm are one, its hand.
+        names: of these limbs.
+    """
+
+    groups: Ints
+    beside: Ints
+    of_joint: Ints
+    names: list[str]
+
+    def joints_of(self, joint: int) -> Ints:
+        """Returns the joints of the limb of a joint."""
+        return np.flatnonzero(self.of_joint == self.of_joint[joint])
+
+    def collapsed(self, shown: Ints, is_asked: Bools, most: int) -> Bools:
+        """Returns which joints the card of their limb tells of, (k,).
+
+        They are those of the limbs with the most joints, until there are not too many cards; both
+        legs, or none.
+
+        Args:
+            shown: joints to tell of, (k,).
+            is_asked: whether each has a card of its own in any case, (k,).
+            most: cards that there is room for.
+        """
+        limb = self.of_joint[shown]
+        told = np.zeros(len(shown), bool)
+        if len(np.unique(limb)) == 1:  # the most loaded ones say more
+            return told
+        numbers, counts = np.unique(limb[~is_asked], return_counts=True)
+        cards = len(shown)
+        for count in np.unique(counts[counts > 1])[::-1]:
+            if cards > most:
+                of_count = numbers[counts == count]
+                told |= np.isin(limb, of_count) & ~is_asked
+                cards -= int(count - 1) * len(of_count)
+        return told
+
+
+def card_limbs(world: WorldView) -> CardLimbs:
+    """Returns the limbs of a world.
+
+    Limbs that are small beside the one that carries them stand with it, and are one together. So
+    are all robots that stand with another one: the fingers of a hand.
+
+    Args:
+        world: the compiled scene.
+    """
+    joints, parts = world.joints, list(world.owners.values())
+    is_double = np.array([isinstance(part, DoublePart) for part in parts], bool)
+    groups = np.where(is_double, np.arange(len(parts)), owner_groups(world))
+    centres = world.state(world.make_data()).site_xpos[joints.centre_site]
+    beside, limb = joints.limb.copy(), joints.limb.copy()
+    carried: dict[int, int] = {}  # by the limb that carries them
+    for part in parts:
+        first = part.joints.start
+        n = part.joints.stop - first
+        carriers = part.robot.carriers
+        below = first + (np.arange(n) if carriers is None else carriers[:n]) - 1
+        on_base = below < first
+        below[on_base] = (first + np.arange(n))[on_base]
+        own = joints.limb[part.joints]
+        steps = np.linalg.norm(centres[part.joints] - centres[below], axis=1)
+        lengths = np.bincount(own, np.where(joints.limb[below] == own, steps, 0.0))
+        for k in np.flatnonzero(joints.limb[below] != own):  # the first joints of limbs
+            if lengths[own[k]] < SMALL * lengths[joints.limb[below[k]]]:
+                by = int(beside[below[k]])
+                beside[part.joints][own == own[k]] = by
+                limb[part.joints][own == own[k]] = carried.setdefault(by, limb.max() + 1)
+    is_carried = groups != np.arange(len(groups))
+    for group in np.unique(groups[is_carried]):
+        mine = (is_carried & (groups == group))[joints.owner]
+        beside[mine], limb[mine] = beside.max() + 1, limb.max() + 1
+    of_joint = np.unique(limb, return_inverse=True)[1].reshape(-1)
+    names = [
+        _name(world, (of_joint == k).nonzero()[0]) for k in range(of_joint.max(initial=-1) + 1)
+    ]
+    return CardLimbs(groups, beside, of_joint, names)
+
+
+def _name(world: WorldView, mine: Ints) -> str:
+    """Returns the name of a limb with these joints: of its robot, or what its robots share."""
+    parts = list(world.owners.values())
+    titles = without_common_start([part.declared.name for part in parts])
+    owners = np.unique(world.joints.owner[mine]).tolist()
+    part = parts[owners[0]]
+    if len(owners) > 1 or len(mine) == part.robot.n:
+        return _common_start([titles[owner] for owner in owners])
+    within = [int(joint) - part.joints.start for joint in mine]
+    limbs = [name for name, rows in part.robot.limb_joints.items() if {*rows} & {*within}]
+    name = limbs[0]
+    if len(limbs) > 1:
+        name = limb_name([part.robot.names[i] for i in within]) or f"{limbs[0]} to {limbs[-1]}"
+    return f"{titles[owners[0]]} {name}" if len(parts) > 1 else name
+
+
+def _common_start(names: list[str]) -> str:
+    """Returns the words with which all names begin; without any the first name and the last."""
+    if len(names) == 1:
+        return names[0]
+    words = zip(*(name.split("_") for name in names), strict=False)
+    same = [column[0] for column in takewhile(lambda column: len({*column}) == 1, words)]
+    return "_".join(same) or f"{names[0]} to {names[-1]}"
