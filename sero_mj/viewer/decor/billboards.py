@@ -64,7 +64,7 @@ _DETAILS = {
 
 _LARGEST = "largest seen"  # label of the largest torque seen so far, in place of a limit
 _STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
-_FILLED = 0.6  # part of both sides of a picture that cards may take before limbs have one card
+_FILLED = 0.55  # part of both sides of a picture that cards may take before limbs have one card
 _TINT = 0.30  # fraction of the double's colour in the colour of its panels
 
 
