@@ -11,8 +11,9 @@ from ...base.declaration import Name, Rgba, Vector, of_shape
 from ...base.frames import Array
 from .robot_parts import ArrowQuantity, BillboardLines, Posed
 
-# Green for commanded positions, as in the paper's section 4.2.
-COMMANDED_RGBA = np.array([0.20, 0.72, 0.36, 0.36])
+# Green for commanded positions, as in the paper's section 4.2; a bluish one, since who cannot see red
+# would take a pure one for the orange of arrows.
+COMMANDED_RGBA = np.array([0.12, 0.84, 0.64, 0.36])
 AXES_OPACITY = 0.5  # of its coordinate axes
 DOUBLE_GROUP = 2  # of its geoms
 OUT_OF_SIGHT = np.array([0.0, 0.0, -1000.0])
