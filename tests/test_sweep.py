@@ -274,7 +274,7 @@ def test_what_was_interrupted_goes_on(file: Path, tmp_path: Path) -> None:
         table.write("5,123.4,tr")
     with SweepTable(runs, broken, resume=True) as table:
         assert sorted(table.rows) == [0, 1, 2]
-        for number, found in runs.run(done=set(table.rows)):
+        for number, found in runs.run(numbers=range(3, 6)):
             assert number > 2
             table.add(number, found)
         summary = summarise_sweep(table.rows, runs.columns)
@@ -283,6 +283,62 @@ def test_what_was_interrupted_goes_on(file: Path, tmp_path: Path) -> None:
         assert len(table.rows) == 6
         assert summarise_sweep(table.rows, runs.columns) == summary
     assert whole.read_bytes() == broken.read_bytes()
+
+
+def test_shards_joined_are_the_table_of_one_run(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["sweep", str(file), "--vary", f"{STIFFNESS}=50:900", "--samples", "5"]
+    arguments += ["--jobs", "1", "--quiet"]
+
+    def done(*more: str | Path) -> tuple[int, str]:
+        with pytest.raises(SystemExit) as caught:
+            main([*arguments, *map(str, more)])
+        return int(caught.value.code or 0), capsys.readouterr().err
+
+    whole, joined = tmp_path / "whole.csv", tmp_path / "joined.csv"
+    parts = [tmp_path / f"part.{number}.csv" for number in (1, 2)]
+    held, _ = done("-o", whole)
+    assert held == 1  # not all of them
+    done("--shard", "2/2", "-o", parts[1])
+    assert [row["variant"] for row in read(parts[1])] == ["1", "3"]
+    assert done("--merge", parts[1], "-o", joined) == (
+        130, "sero-mj: stopped with 3 variants to go; the same with --resume goes on\n",
+    )  # fmt: skip
+    done("--shard", "1/2", "-o", parts[0])
+    assert done("--merge", tmp_path / "part.*.csv", "-o", joined, "--resume")[0] == held
+    assert joined.read_bytes() == whole.read_bytes()
+    head, first, second = parts[1].read_text().splitlines()
+    parts[1].write_text(f"{head}\n{first.replace('1', '3', 1)}\n{second.replace('3', '1', 1)}\n")
+    _, said = done("--merge", parts[1], "-o", joined, "--resume")
+    assert "has another result of variant" in said
+    _, said = done("--merge", tmp_path / "no.*.csv", "-o", joined, "--resume")
+    assert "--merge: no file" in said
+
+
+def test_a_job_of_slurm_runs_the_shards(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["sweep", str(file), "--vary", f"{STIFFNESS}=50:900", "--samples", "3",
+              "-o", str(tmp_path / "out.csv"), "--print-sbatch", "2"])  # fmt: skip
+    job = capsys.readouterr().out
+    assert "#SBATCH --array=1-2\n" in job
+    # As a cluster does it: bash, and an `srun` that runs what it is told.
+    bin_ = tmp_path / "bin"
+    bin_.mkdir()
+    (bin_ / "srun").write_text('#!/bin/sh\nexec "$@"\n')
+    (bin_ / "sero-mj").write_text(f'#!/bin/sh\nexec {sys.executable} -m sero_mj "$@"\n')
+    for program in bin_.iterdir():
+        program.chmod(0o755)
+    path = f"{bin_}:{os.environ['PATH']}"
+    for task in ("1", "2"):
+        variables = {"PATH": path, "SLURM_ARRAY_TASK_ID": task, "SLURM_CPUS_PER_TASK": "1"}
+        subprocess.run(["bash"], input=job, text=True, env=os.environ | variables, check=False)
+    afterwards = job.partition("# Afterwards:\n")[2].replace("# ", "", 1).replace("\n#", "\n")
+    subprocess.run(["bash"], input=afterwards, text=True, env=os.environ | {"PATH": path},
+                   check=False, capture_output=True)  # fmt: skip
+    assert [row["variant"] for row in read(tmp_path / "out.csv")] == ["0", "1", "2"]
 
 
 def test_a_table_of_another_sweep_is_not_gone_on_with(file: Path, tmp_path: Path) -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import shlex
 import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import model_validator
+from pydantic import BeforeValidator, model_validator
 
+from ..base.errors import Problem, UsageError
 from ..base.options import Option, Seed, ending, positional, whole
 from ._arguments import (
     command,
@@ -32,18 +34,33 @@ examples:
       --vary controllers.lwr.damping=0.3:1 --samples 1000 -o sweep.csv --plot sweep.png
   sero-mj sweep my.toml --vary run.seed=0:9999 --samples 10000 -o noise.csv --resume
   sero-mj sweep my.toml --vary run.elastic=true,false --vary 'run.timestep=0.001,0.0005' --grid
+  sero-mj sweep my.toml --vary run.seed=0:9999 --samples 10000 --print-sbatch 40 > noise.sbatch
 
 KEY is anything that `simulate --set` takes. VALUES is a range LOW:HIGH, evenly in orders of
 magnitude with log:LOW:HIGH, whole numbers with int:LOW:HIGH, or a list A,B,C. Samples are a Latin
 hypercube, none of them twice, or with --grid all values with all others, as are lists with fewer
 combinations than --samples. A variant that is unstable or cannot be built is a row with its
-error. Rows are written as they come: what was interrupted goes on with --resume. Exits with 1 when
-not every variant held.
+error. Rows are written as they come: what was interrupted goes on with --resume. On several
+machines each runs a shard of the variants, into a table of its own; --merge joins these. Exits with
+1 when not every variant held.
 """
 ORDER = 25  # in the help of `sero-mj`
 
 
 Count = Annotated[int, whole(1, 200_000), Option("N")]
+
+
+def _shard(value: Any) -> Any:
+    """Reads `2/8`, which is the second of eight."""
+    if not isinstance(value, str):
+        return value
+    number, _, of = value.partition("/")
+    if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
+        raise ValueError(f"found '{value}'; expected I/N, the Ith of N, from 1/N to N/N")
+    return int(number), int(of)
+
+
+Shard = Annotated[tuple[int, int], BeforeValidator(_shard)]
 
 
 class SweepOptions(JsonOptions):
@@ -59,6 +76,10 @@ class SweepOptions(JsonOptions):
         settings: set anything in all variants: run.duration=2; may be repeated.
         out: a row for each variant.
         plot: outcomes over the values.
+        shard: run only every Nth variant, from the Ith on.
+        merge: run nothing, and join tables of shards: a file, or a pattern 'part.*.csv'; may be
+            repeated.
+        print_sbatch: print a job of SLURM that runs N shards, and run nothing.
         resume: go on with an OUT.csv that is there.
         overwrite: write over it.
         as_json: print the result as JSON.
@@ -74,6 +95,9 @@ class SweepOptions(JsonOptions):
     settings: Settings = []
     out: Annotated[Path | None, ending(".csv"), Option("OUT.csv", ("-o", "--out"))] = None
     plot: Annotated[Figure | None, Option("OUT.png")] = None
+    shard: Annotated[Shard | None, Option("I/N")] = None
+    merge: Annotated[list[Path], Option("PART.csv")] = []
+    print_sbatch: Annotated[Count | None, Option("N")] = None
     resume: bool = False
     overwrite: bool = False
     quiet: bool = False
@@ -84,6 +108,11 @@ class SweepOptions(JsonOptions):
             raise ValueError("--resume: expected the file to go on with, -o OUT.csv")
         if self.resume and self.overwrite:
             raise ValueError("--resume and --overwrite: expected one of them")
+        if self.shard is not None and self.merge:
+            raise ValueError("--shard and --merge: expected one of them")
+        if (self.shard is not None or self.merge) and self.out is None:
+            option = "--merge" if self.merge else "--shard"
+            raise ValueError(f"{option}: expected a file for the rows, -o OUT.csv")
         return self
 
 
@@ -105,12 +134,19 @@ def run(options: SweepOptions) -> int:
             options.seed,
             fixed,
         )
+    if options.print_sbatch is not None:
+        print(_sbatch(options.print_sbatch, options), end="")
+        return 0
+    wanted = sweep.shard(*options.shard or (1, 1))
     with SweepTable(
         sweep, options.out, resume=options.resume, overwrite=options.overwrite
     ) as table:
+        for part in _parts(options):
+            table.take(part)
         before = len(table.rows)
         begin = time.perf_counter()
-        is_whole = _run_variants(sweep, table, options)
+        todo = [number for number in wanted if number not in table.rows]
+        is_whole = not todo if options.merge else _run_variants(sweep, table, todo, options)
     seconds = time.perf_counter() - begin
     summary = summarise_sweep(table.rows, sweep.columns)
     if options.plot is not None:
@@ -123,7 +159,7 @@ def run(options: SweepOptions) -> int:
         _print(sweep, table, summary, seconds, before)
     if not is_whole:
         again = " --resume" if options.out else ""
-        left = len(sweep.variants) - len(table.rows)
+        left = sum(number not in table.rows for number in wanted)
         hint = f"; the same with{again} goes on" if again else ""
         print(f"sero-mj: stopped with {left} variants to go{hint}", file=sys.stderr)
         return 130
@@ -133,17 +169,52 @@ def run(options: SweepOptions) -> int:
 add_to = command("sweep", run, SweepOptions, _EPILOG)
 
 
-def _run_variants(sweep: Sweep, table: SweepTable, options: SweepOptions) -> bool:
+def _parts(options: SweepOptions) -> list[Path]:
+    """The tables to join: files, and what patterns stand for."""
+    found = []
+    for path in options.merge:
+        matches = sorted(path.parent.glob(path.name))
+        if not matches:
+            raise UsageError(Problem("--merge", "no file", found=str(path)))
+        found += matches
+    return found
+
+
+def _sbatch(count: int, options: SweepOptions) -> str:
+    """A job of SLURM with one task for each shard, which goes on where it is started again."""
+    words = ["sero-mj", "sweep", options.scenario]
+    for option, values in (("--vary", options.vary), ("--set", options.settings)):
+        words += [word for value in values for word in (option, str(value))]
+    words += ["--samples", str(options.samples), *(["--grid"] if options.grid else [])]
+    words += ["--seed", str(options.seed)]
+    same = shlex.join(words)
+    out = options.out or Path(f"{Path(options.scenario).stem}.csv")
+    part = f"{out.with_suffix('')}.$SLURM_ARRAY_TASK_ID.csv"
+    parts = f"{out.with_suffix('')}.[0-9]*.csv"
+    return f"""#!/bin/bash
+#SBATCH --job-name=sero-mj
+#SBATCH --array=1-{count}
+#SBATCH --cpus-per-task=4
+srun {same} \\
+    --shard $SLURM_ARRAY_TASK_ID/{count} -o "{part}" \\
+    --jobs "$SLURM_CPUS_PER_TASK" --resume --quiet
+# Afterwards:
+# {same} \\
+#     --merge {shlex.quote(parts)} -o {shlex.quote(str(out))}
+"""
+
+
+def _run_variants(sweep: Sweep, table: SweepTable, todo: list[int], options: SweepOptions) -> bool:
     """Runs what is left to do; returns whether all was done."""
     from contextlib import closing
 
     from ..study.workers import available_cpus
 
-    count = len(sweep.variants)
-    jobs = min(options.jobs or available_cpus(), max(count - len(table.rows), 1))
+    count = len(table.rows) + len(todo)
+    jobs = min(options.jobs or available_cpus(), max(len(todo), 1))
     with (
         progress_bar("variants", quiet=options.quiet) as update,
-        closing(sweep.run(jobs, done=set(table.rows))) as results,
+        closing(sweep.run(jobs, todo)) as results,
     ):
         update(len(table.rows), count)
         try:

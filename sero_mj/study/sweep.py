@@ -283,14 +283,19 @@ class Sweep:
             "mujoco": mujoco.__version__,
         }
 
-    def run(self, jobs: int = 1, done: Collection[int] = ()) -> Generator[Result]:
-        """Runs all variants but those that are done; yields number and result as they are ready.
+    def shard(self, number: int = 1, of: int = 1) -> range:
+        """The numbers of the variants of one of several shards, counted from 1."""
+        return range(number - 1, len(self.variants), of)
+
+    def run(self, jobs: int = 1, numbers: Collection[int] | None = None) -> Generator[Result]:
+        """Runs variants; yields number and result as they are ready.
 
         Args:
             jobs: how many at once; 1 runs them in this process.
-            done: numbers of variants to leave out.
+            numbers: of the variants; None for all.
         """
-        todo = [(k, values) for k, values in enumerate(self.variants) if k not in done]
+        wanted = range(len(self.variants)) if numbers is None else numbers
+        todo = [(number, self.variants[number]) for number in wanted]
         size = self._batch_size(len(todo), jobs)
         batches = [todo[first : first + size] for first in range(0, len(todo), size)]
         if jobs > 1:

@@ -71,7 +71,7 @@ class SweepTable:
         about = path.with_name(f"{path.name}.json")
         try:
             if path.exists() and resume:
-                self._check_settings(path, about)
+                self._check_settings(path, f"--resume {path}", "--overwrite")
                 self._read(path)
             elif path.exists() and not overwrite:
                 expected = "--resume to go on with it, or --overwrite"
@@ -85,18 +85,20 @@ class SweepTable:
         except OSError as error:
             raise CsvError(path, f"cannot be written: {error.strerror}") from error
 
-    def _check_settings(self, path: Path, about: Path) -> None:
+    def _check_settings(self, path: Path, option: str, expected: str | None = None) -> None:
+        """Raises UsageError where a table is not of this sweep."""
+        about = path.with_name(f"{path.name}.json")
         try:
             found = json.loads(about.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             message = f"cannot be gone on with: {about.name} with its settings is missing"
-            raise UsageError(Problem("", message, str(path), expected="--overwrite")) from None
+            raise UsageError(Problem("", message, str(path), expected=expected)) from None
         wanted = json.loads(json.dumps(self._sweep.settings))
         differences = _differences(found, wanted)
         if differences:
             text = "; ".join(differences[:6])
             message = f"it belongs to another sweep: {text}"
-            raise UsageError(Problem(f"--resume {path}", message))
+            raise UsageError(Problem(option, message))
 
     def _read(self, path: Path) -> None:
         """Takes over complete rows, and drops a partial row of a killed process."""
@@ -105,10 +107,36 @@ class SweepTable:
         if len(whole) < len(contents):
             with open(path, "r+b") as file:
                 file.truncate(len(whole))
-        lines = list(csv.reader(io.StringIO(whole.decode("utf-8"), newline="")))
-        if not lines:  # it was killed before the first line
+        if not whole:  # it was killed before the first line
             path.write_text(_line(self._columns), encoding="utf-8")
             return
+        self.rows |= self._rows_of(path, whole)
+
+    def take(self, part: Path) -> None:
+        """Adds the rows of another table of this sweep, of a shard say.
+
+        Raises:
+            UsageError: it belongs to another sweep, or has another result of the same variant.
+            CsvError: it cannot be read, or is no table of a sweep.
+        """
+        try:
+            contents = part.read_bytes()
+        except OSError as error:
+            raise CsvError(part, f"cannot be read: {error.strerror}") from error
+        self._check_settings(part, f"--merge {part}")
+        for number, row in self._rows_of(part, contents[: contents.rfind(b"\n") + 1]).items():
+            if number not in self.rows:
+                self.add(number, row)
+            elif _cells(row, self._columns) != _cells(self.rows[number], self._columns):
+                message = f"has another result of variant {number} than a table before it"
+                raise UsageError(Problem(f"--merge {part}", message))
+
+    def _rows_of(self, path: Path, whole: bytes) -> dict[int, dict[str, Any]]:
+        """The rows in the text of a table, by their variants."""
+        rows = {}
+        lines = list(csv.reader(io.StringIO(whole.decode("utf-8"), newline="")))
+        if not lines:
+            return {}
         if lines[0] != self._columns:
             found = f"found columns {','.join(lines[0])[:80]}"
             raise CsvError(path, Problem("", found, expected="a sweep's"))
@@ -124,7 +152,8 @@ class SweepTable:
                 raise CsvError(path, problem, line=number)
             given = self._sweep.variants[variant]
             row = dict(zip(self._columns, (_value(cell) for cell in cells), strict=True))
-            self.rows[variant] = {**row, "error": cells[self._columns.index("error")], **given}
+            rows[variant] = {**row, "error": cells[self._columns.index("error")], **given}
+        return rows
 
     def add(self, number: int, result: Mapping[str, Any]) -> None:
         """Adds the results of a variant.
@@ -137,7 +166,7 @@ class SweepTable:
         if self._file is None:
             return
         try:
-            self._file.write(_line([_cell(self.rows[number][column]) for column in self._columns]))
+            self._file.write(_line(_cells(self.rows[number], self._columns)))
             self._file.flush()
         except OSError as error:
             assert self._path is not None
@@ -155,8 +184,7 @@ class SweepTable:
         with csv_table(self._path, "cannot be put in order") as table:
             table.writerow(self._columns)
             for number in sorted(self.rows):
-                row = self.rows[number]
-                table.writerow([_cell(row[column]) for column in self._columns])
+                table.writerow(_cells(self.rows[number], self._columns))
 
     def __enter__(self) -> Self:
         return self
@@ -169,6 +197,10 @@ def _line(cells: list[str]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow(cells)
     return text.getvalue()
+
+
+def _cells(row: Mapping[str, Any], columns: list[str]) -> list[str]:
+    return [_cell(row[column]) for column in columns]
 
 
 def _cell(value: Any) -> str:
