@@ -22,8 +22,9 @@ command chooses one by hand.
 """
 
 _NO_DM_CONTROL = """\
-  dm-control is not installed; only models made with PyMJCF or composer need it (it needs labmaze,
-  which has no release for Python 3.13 and later)"""
+  dm-control is not installed; only models made with PyMJCF or composer need it:
+  pip install 'sero-mj[dm-control]' (before Python 3.13: labmaze, which it needs, has no
+  later release)"""
 
 _TRIAL = """
 import time, mujoco
