@@ -48,24 +48,31 @@ class SceneWriter:
         Returns:
             number of geoms that exceeded the scene's capacity.
         """
-        scene = self._scene
-        if buffer.hidden is not None:
-            self._hide(buffer.hidden)
-        if buffer.grey is not None:
-            self._grey(buffer.grey, scene.ngeom)
-        if buffer.opacity is not None:
-            self._fade(buffer.opacity, scene.ngeom)
-        dropped = 0
-        if buffer.drawn_doubles:
-            if self._painter is None:
-                self._painter = _DoublePainter(buffer.drawn_doubles[0].model)
-            dropped = sum(
-                self._painter.add(drawn, scene, self._view) for drawn in buffer.drawn_doubles
-            )
+        self.mark(buffer)
+        dropped = sum(self.add_double(drawn) for drawn in buffer.drawn_doubles)
         if with_text:
             return dropped + self._append(buffer.rows[: buffer.count])
         before, after = slice(0, buffer.text.start), slice(buffer.text.stop, buffer.count)
         return dropped + self._append(buffer.rows[before]) + self._append(buffer.rows[after])
+
+    def mark(self, buffer: GeomBuffer) -> None:
+        """Removes hidden geoms of the model, and makes others grey or transparent."""
+        if buffer.hidden is not None:
+            self._hide(buffer.hidden)
+        if buffer.grey is not None:
+            self._grey(buffer.grey, self._scene.ngeom)
+        if buffer.opacity is not None:
+            self._fade(buffer.opacity, self._scene.ngeom)
+
+    def add_double(self, drawn: DrawnDouble) -> int:
+        """Appends a double that is not compiled into the model.
+
+        Returns:
+            number of geoms that exceeded the scene's capacity.
+        """
+        if self._painter is None:
+            self._painter = _DoublePainter(drawn.model)
+        return self._painter.add(drawn, self._scene, self._view)
 
     def _append(self, rows: NDArray[Any]) -> int:
         """Appends geoms to the scene; returns the number of those that exceeded its capacity."""

@@ -18,6 +18,7 @@ import numpy as np
 from PIL import Image
 
 from ...base.errors import Problem, RenderError
+from ...base.frames import Array, Ints
 from ...data.drive.mirror import Mirror, restore
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
@@ -35,6 +36,7 @@ from ..typesetting import Typesetter, compose
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
 from .painter import Painter, perform_clicks
+from .passes import PassRenderer
 from .picture_options import (
     DEFAULT_SIZE,
     EYE_DISTANCE,
@@ -162,6 +164,7 @@ class HeadlessRenderer(Painter):
         # A new renderer's OpenGL context is the current one.
         self._surroundings = added_surroundings(world, context_of(self._renderer))
         self._typesetter = Typesetter(line_height(world, *self._half))
+        self._passes: PassRenderer | None = None
 
     @classmethod
     def of_scene(cls, mirror: Mirror, options: PictureOptions) -> Self:
@@ -205,6 +208,54 @@ class HeadlessRenderer(Painter):
             compose(pixels, text)
         return pixels if out is not None else pixels.view(Picture)
 
+    def segmentation(self, data: mujoco.MjData) -> Ints:
+        """Renders which part every pixel shows, with neither decor nor stereo.
+
+        Args:
+            data: the world's state, with frames up to date.
+
+        Returns:
+            numbers of parts (height, width), int32, top row first; `part_names` names them.
+        """
+        return self._filled(data).segmentation(self.decor.buffer)
+
+    def depth(self, data: mujoco.MjData) -> Array:
+        """Renders the depth of every pixel, with neither decor nor stereo.
+
+        Args:
+            data: the world's state, with frames up to date.
+
+        Returns:
+            distances from the camera along the viewing direction (height, width), float32, m, top
+            row first; infinite for the sky.
+        """
+        return self._filled(data).depth(self.decor.buffer)
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of parts by their numbers in `segmentation`, see `passes.Parts`."""
+        return self._pass_renderer().parts.names
+
+    def _pass_renderer(self) -> PassRenderer:
+        """Made when the first pass is asked for: it has an OpenGL context of its own."""
+        if self._passes is None:
+            self._passes = PassRenderer(
+                self.world, make_renderer(self.world, *self.size, is_draft=True)
+            )
+        return self._passes
+
+    def _filled(self, data: mujoco.MjData) -> PassRenderer:
+        passes = self._pass_renderer()
+        self._lay_out(data)
+        self._fill(passes.scene, data, self.size)
+        return passes
+
+    def close(self) -> None:
+        """Frees the OpenGL contexts."""
+        if self._passes is not None:
+            self._passes.close()
+        super().close()
+
     def _drawn(self) -> Pixels:
         """The picture of the scene's camera; panels are set into it in its own size."""
         drawn: Pixels = self._renderer.render()
@@ -219,13 +270,17 @@ class HeadlessRenderer(Painter):
         return [self._drawn() for _ in each_eye(scene, self._eye_distance, distance)]
 
     def _look(self, data: mujoco.MjData) -> PictureView:
-        renderer = self._renderer
+        scene = self._renderer.scene
         self._framing.fit(self.camera, data)
-        self.decor.fill(data, self.camera, renderer.scene)
-        stand_back(renderer.scene, self.camera, *self._half, self._needed)
+        self._fill(scene, data, self._half)
+        return PictureView.of_scene(scene, *self._half, self._typesetter.font)
+
+    def _fill(self, scene: mujoco.MjvScene, data: mujoco.MjData, size: tuple[int, int]) -> None:
+        """Fills a scene with the world, for a picture of a size."""
+        self.decor.fill(data, self.camera, scene)
+        stand_back(scene, self.camera, *size, self._needed)
         if self._surroundings is not None:
-            self._surroundings.add(renderer.scene)
-        return PictureView.of_scene(renderer.scene, *self._half, self._typesetter.font)
+            self._surroundings.add(scene)
 
     def _pixel(self, x: float, y: float) -> Pixel:
         """The pixel of decor, between those of both eyes, at one of the picture."""

@@ -378,7 +378,19 @@ def _pick_solid(
         return drawn
     if hit < 0 or model.geom_type[hit] == mujoco.mjtGeom.mjGEOM_PLANE:
         return None
-    body = int(model.geom_bodyid[hit])
+    return picked_geom(world, hit, distance)
+
+
+def picked_geom(world: WorldView, geom: int, distance: float = 0.0) -> Picked:
+    """Returns what a geom of the model is part of: a link, a double's link, or an object.
+
+    Args:
+        world: the compiled scene.
+        geom: its id.
+        distance: from the camera, m.
+    """
+    model = world.model
+    body = int(model.geom_bodyid[geom])
     for name, double in world.doubles.items():
         if (double.bodies == body).any():
             link = int((double.bodies == body).nonzero()[1][0])
@@ -395,7 +407,7 @@ def _pick_solid(
             label, joint = of_robot
             shown = dict(zip(part.link_names, part.own_link_names, strict=True)).get(label, label)
             return Picked("link", label, name, part.joints.start + joint, distance, shown)
-    return Picked("object", model.geom(hit).name, "", -1, distance)
+    return Picked("object", model.geom(geom).name, "", -1, distance)
 
 
 def _link_of(world: WorldView, part: RobotPart, body: int) -> tuple[str, int] | None:
@@ -417,16 +429,31 @@ def _pick_drawn_double(
     """Returns the nearest double along a ray, of those that are not compiled in."""
     nearest = None
     for drawn in buffer.drawn_doubles:
-        double = world.doubles[drawn.double]
         hit, distance = _ray(drawn.model, drawn.data, drawn.opacity == 0, origin, direction)
         if hit < 0 or (nearest is not None and nearest.distance <= distance):
             continue
-        link = _link_of(world, double.of, int(world.model.geom_bodyid[hit]))
-        if link is not None:
-            label = f"{drawn.double}/{link[0].partition('/')[2]}"
-            joint = -1 if double.path is not None else double.joints.start + link[1]
-            nearest = Picked("double", label, drawn.double, joint, distance)
+        nearest = picked_drawn(world, drawn.double, hit, distance) or nearest
     return nearest
+
+
+def picked_drawn(
+    world: WorldView, name: str, geom: int, distance: float = 0.0
+) -> Picked | None:
+    """Returns the link of a double that a geom is part of, see `picked_geom`; None for none.
+
+    Args:
+        world: the compiled scene.
+        name: of a double that is not compiled in.
+        geom: of the model it is drawn from.
+        distance: from the camera, m.
+    """
+    double = world.doubles[name]
+    link = _link_of(world, double.of, int(world.model.geom_bodyid[geom]))
+    if link is None:
+        return None
+    label = f"{name}/{link[0].partition('/')[2]}"
+    joint = -1 if double.path is not None else double.joints.start + link[1]
+    return Picked("double", label, name, joint, distance)
 
 
 def _ray(
