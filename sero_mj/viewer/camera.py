@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
-
 import mujoco
 import numpy as np
 
-from ..base.errors import DeclarationError, Problem, UnknownName, UsageError
+from ..base.errors import Problem, UnknownName, UsageError
 from ..base.frames import Array
-from ..data.drive.place import Placer
-from ..robots.assemble.solids import geom_boxes
 from ..robots.assemble.world_view import WorldView
-from ..robots.declared.double import OUT_OF_SIGHT
+from .following import Follower
+from .framing import MARGIN, Framing, axes, bounding_sphere, declared_data
 
-_MARGIN = 1.12  # margin around the robots
 _DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height
 _STEEPEST_DEG = 89.0
 _PER_NOTCH = 0.9  # change of distance for one step of the wheel
 _NEAREST, _FARTHEST = 0.02, 500.0  # m
-_WIDEST = 4 / 3  # width over height, at and above which no camera stands back
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 _EXPECTED = (
     "a name or azimuth,elevation,distance (degrees, degrees, m above 0), e.g. 150,-15,2.2; with "
@@ -56,7 +51,7 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
     centre, radius = bounding_sphere(world)
     camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
     half_fovy = np.deg2rad(world.model.vis.global_.fovy) / 2
-    camera.distance = view.distance or _MARGIN * radius / np.sin(half_fovy)
+    camera.distance = view.distance or MARGIN * radius / np.sin(half_fovy)
     camera.lookat = centre if view.look_at is None else view.look_at
     if wanted is not None:
         numbers = _numbers(wanted)
@@ -64,95 +59,6 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
         if len(numbers) == 6:
             camera.lookat = numbers[3:]
     return camera
-
-
-def bounding_sphere(world: WorldView) -> tuple[Array, float]:
-    """Returns centre (3,), m, and radius, m, of a sphere about the scene without its floor.
-
-    Objects that a route attaches to a robot's flange count at the flange.
-    """
-    return _sphere(*_boxes(world, _declared(world)))
-
-
-def _declared(world: WorldView) -> mujoco.MjData:
-    data = world.make_data()
-    if world.scene.routes:
-        # Invalid routes are reported elsewhere, when they are wired.
-        with contextlib.suppress(DeclarationError):
-            Placer(world).place(data)
-    return data
-
-
-def _boxes(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Lowest and highest corners of boxes about what stands in the picture, (k, 3) each, m."""
-    solid = world.geoms_in_view()
-    solid &= data.geom_xpos[:, 2] > OUT_OF_SIGHT[2] / 2  # doubles without a pose are far away
-    lows, highs = geom_boxes(world.model, data)
-    return lows[solid], highs[solid]
-
-
-def _sphere(lows: Array, highs: Array) -> tuple[Array, float]:
-    if not len(lows):
-        return np.zeros(3), 1.0
-    low, high = lows.min(axis=0), highs.max(axis=0)
-    return (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-
-
-class Framing:
-    """Moves a camera back where data show robots outside of the picture of their declared pose.
-
-    A robot that is mirrored stands anywhere. It acts when a coordinate first leaves its declared
-    value, so that a picture does not move with a robot that is in it; and only until the camera is
-    moved, on one that neither the scene nor the user has placed.
-
-    Args:
-        world: the compiled scene.
-        camera: as returned by `find_camera`.
-        wanted: as it was called with.
-    """
-
-    def __init__(
-        self, world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None
-    ) -> None:
-        view = world.scene.view
-        is_placed = wanted is not None or view.distance is not None or view.look_at is not None
-        self._world = world
-        self._placed = _pose(camera)
-        self._acts = not is_placed and camera.type == _FREE
-        if self._acts:
-            self._declared = _declared(world)
-            self._moved = np.zeros(world.model.nq, bool)
-
-    def fit(self, camera: mujoco.MjvCamera, data: mujoco.MjData) -> None:
-        """Moves the camera where a state needs it.
-
-        Args:
-            camera: changed in place.
-            data: the state, with frames up to date.
-        """
-        if not self._acts:
-            return
-        moved = data.qpos != self._declared.qpos
-        if not (moved & ~self._moved).any():
-            return
-        self._moved |= moved
-        if _pose(camera) != self._placed:
-            self._acts = False
-            return
-        lows, highs = _boxes(self._world, data)
-        half_fovy = np.deg2rad(self._world.model.vis.global_.fovy) / 2
-        seen = camera.distance * np.sin(half_fovy)  # m, radius of the sphere in the picture
-        farthest = np.abs((lows + highs) / 2 - camera.lookat) + (highs - lows) / 2
-        if not (np.linalg.norm(farthest, axis=1) > seen).any():
-            return
-        declared = _boxes(self._world, self._declared)
-        centre, radius = _sphere(np.vstack((lows, declared[0])), np.vstack((highs, declared[1])))
-        camera.lookat, camera.distance = centre, _MARGIN * radius / np.sin(half_fovy)
-        self._placed = _pose(camera)
-
-
-def _pose(camera: mujoco.MjvCamera) -> tuple[float, ...]:
-    return (camera.type, camera.distance, camera.azimuth, camera.elevation, *camera.lookat)
 
 
 def list_cameras(world: WorldView) -> list[str]:
@@ -181,8 +87,7 @@ class Navigator:
 
     Attributes:
         camera: of the renderer.
-        needed: as returned by `needed_aspect` for the initial view.
-        following: the frame that it follows; None for none.
+        following: the robot, group or frame that it follows; None for none.
 
     Raises:
         UnknownName: no camera of that name.
@@ -190,12 +95,23 @@ class Navigator:
 
     def __init__(self, world: WorldView, wanted: str | None = None) -> None:
         self.camera = find_camera(world, wanted)
-        self.needed = needed_aspect(world, self.camera)
-        self.following: str | None = None
         self._world = world
         self._start = wanted
         self._framing = Framing(world, self.camera, wanted)
-        self._last = np.zeros(3)  # last position of the followed frame
+        self._follow_as_declared()
+
+    @property
+    def needed(self) -> float:
+        """Width over height of a picture that the initial view needs, see `needed_aspect`."""
+        return self._framing.needed
+
+    def _follow_as_declared(self) -> None:
+        """Follows what the scene's view does, from where that is declared."""
+        self.following = followed(self._world, self.camera)
+        self._follower: Follower | None = None
+        if self.following is not None:
+            data = declared_data(self._world)
+            self._follower = Follower(self._world, self.following, data)
 
     def orbit(self, right: float, down: float) -> None:
         """Rotates about the look-at point by a drag, in window heights."""
@@ -254,7 +170,7 @@ class Navigator:
         if number == 0:
             self.camera = find_camera(self._world, self._start)
             self._framing = Framing(self._world, self.camera, self._start)
-            self.following = None
+            self._follow_as_declared()
             return "initial view"
         if number > len(names):
             count = f"{len(names)} cameras" if len(names) != 1 else "one camera"
@@ -266,82 +182,41 @@ class Navigator:
         return f"camera {names[number - 1]}"
 
     def follow(self, data: mujoco.MjData, frame: str | None) -> str:
-        """Starts following a frame, or stops for None; returns a message for the user."""
+        """Starts following a robot, group or frame; stops for None, or the one that it follows.
+
+        Returns:
+            a message for the user.
+
+        Raises:
+            UnknownName: nothing has this name.
+        """
         if frame is None or frame == self.following:
             self.following = None
             return "follows nothing"
-        self._last = self._world.frame(data, frame)[:3, 3].copy()
+        self._follower = Follower(self._world, frame, data)
         self.following = frame
         return f"follows {frame}"
 
     def advance(self, data: mujoco.MjData) -> None:
-        """Moves with the followed frame, by its displacement since the last call.
+        """Moves with what it follows, see `Follower`.
 
         As long as nobody has moved the camera, it moves back where robots are out of the picture.
 
         Args:
             data: the state, with frames up to date.
         """
-        if self.following is None:
+        if self.following is None or self._follower is None:
             self._framing.fit(self.camera, data)
-        if self.following is None or self.camera.type != _FREE:
             return
-        now = self._world.frame(data, self.following)[:3, 3]
-        if np.isfinite(now).all():
-            self.camera.lookat = self.camera.lookat + now - self._last
-            self._last = now.copy()
+        moved = self._follower.displacement(data)
+        if self.camera.type == _FREE:
+            self.camera.lookat = self.camera.lookat + moved
 
 
-def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]:
-    """Returns the unit vectors forward, right and up (3,) of a free camera."""
-    azimuth, elevation = np.deg2rad([azimuth_deg, elevation_deg])
-    ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
-    forward = np.array([ca * ce, sa * ce, se])
-    right = np.array([sa, -ca, 0.0])
-    up = np.array([-ca * se, -sa * se, ce])
-    return forward, right, up
-
-
-def needed_aspect(world: WorldView, camera: mujoco.MjvCamera) -> float:
-    """Returns the width of a picture over its height that a free camera needs, at most 4/3.
-
-    It shows a sphere about the declared scene without its floor. Distances are those of pictures
-    that are as wide; in narrower ones the camera stands back.
-    """
-    centre, radius = bounding_sphere(world)
-    radius = _MARGIN * radius + float(np.linalg.norm(centre - camera.lookat))
-    half = np.arcsin(min(radius / camera.distance, 1.0))
-    tan_half_fovy = np.tan(np.deg2rad(world.model.vis.global_.fovy) / 2)
-    return float(min(np.tan(min(half, np.pi / 3)) / tan_half_fovy, _WIDEST))
-
-
-def standing_back(width: float, height: float, needed: float) -> float:
-    """Returns by how much farther away a free camera stands in a narrow picture; 1 in others.
-
-    Args:
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        needed: as returned by `needed_aspect`.
-    """
-    return max(needed * height / max(width, 1.0), 1.0)
-
-
-def stand_back(
-    scene: mujoco.MjvScene, camera: mujoco.MjvCamera, width: float, height: float, needed: float
-) -> None:
-    """Moves the camera of a scene back for a narrow picture, see `standing_back`.
-
-    Args:
-        scene: that `mjv_updateScene` has filled.
-        camera: with which it has; only a free one is moved.
-        width: of the picture, pixels.
-        height: of the picture, pixels.
-        needed: as returned by `needed_aspect`.
-    """
-    back = (standing_back(width, height, needed) - 1.0) * camera.distance
-    if back > 0.0 and camera.type == _FREE:
-        for eye in scene.camera:
-            eye.pos = np.array(eye.pos) - back * np.array(eye.forward)
+def followed(world: WorldView, camera: mujoco.MjvCamera) -> str | None:
+    """Returns what the view of a scene follows; None for nothing, or a camera that is fixed."""
+    view = world.scene.view
+    return view.follow if camera.type == _FREE else None
 
 
 def copy_camera(camera: mujoco.MjvCamera, to: mujoco.MjvCamera) -> None:

@@ -12,6 +12,7 @@ from ...base.frames import Array, Bools, Ints
 
 _SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
 _ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
+_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))  # of a box, in halves of its lengths
 _MAX_CROSSINGS = 24  # of surfaces along a ray
 _SKIN_DISTANCE = 2.5  # maximum distance of faces of skins, over the largest radius
 _STEP = 1e-6  # beyond a surface, over the largest radius
@@ -45,6 +46,21 @@ def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array
     centre = data.geom_xpos + np.einsum("nij,nj->ni", rotation, model.geom_aabb[:, :3])
     half = np.einsum("nij,nj->ni", np.abs(rotation), model.geom_aabb[:, 3:])
     return centre - half, centre + half
+
+
+def geom_corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: Bools | None = None) -> Array:
+    """Returns the corners of the boxes about geoms that turn with them, (k, 8, 3), m.
+
+    Args:
+        model: compiled.
+        data: its state, with frames up to date.
+        geoms: which, (ngeom,); all when None.
+    """
+    which = slice(None) if geoms is None else geoms
+    rotation = data.geom_xmat.reshape(-1, 3, 3)[which]
+    box = model.geom_aabb[which]
+    local = box[:, None, :3] + _CORNERS * box[:, None, 3:]
+    return np.asarray(data.geom_xpos[which][:, None] + local @ rotation.transpose(0, 2, 1))
 
 
 def lowest_height(model: mujoco.MjModel, data: mujoco.MjData, geoms: Ints) -> float:

@@ -371,6 +371,7 @@ class Scene:
             *self._group_problems,
             *self._double_problems(),
             *self._frame_problems(),
+            *self._view_problems(),
         ]
 
     def _name_problems(self) -> list[Problem]:
@@ -419,6 +420,29 @@ class Scene:
             for key, name in wanted
             if name not in frames and not self.is_broken(name.partition("/")[0])
         ]
+
+    def _view_problems(self) -> list[Problem]:
+        """Returns what the view cannot follow."""
+        view = self.view
+        if view.follow is None:
+            return []
+        if view.camera is not None:
+            reason = "is for the free camera, and view.camera names another; leave one of them out"
+            return [Problem("view.follow", reason)]
+        found = self.follow_problem("view.follow", view.follow)
+        return [] if found is None or self.is_broken(view.follow.partition("/")[0]) else [found]
+
+    def follow_problem(self, key: str, name: str) -> Problem | None:
+        """Returns the problem of a name that no camera can follow; None for one that it can.
+
+        Args:
+            key: of the problem.
+            name: of a robot, a group or a frame.
+        """
+        names = [*self.groups, *self.robots, *self.named_frames()]
+        if name in names or self.frame_name(name) in names:
+            return None
+        return Problem(key, "no robot, group or frame", found=name, available=names)
 
     def _which_frame(self, name: str, frames: Mapping[str, NamedFrame]) -> str:
         """Suggests a frame: for a joint that of its link, else the nearest name."""

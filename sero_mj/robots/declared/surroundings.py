@@ -217,6 +217,8 @@ class View(Declaration):
         elevation_deg: negative looks down.
         distance: m from the look-at point; None fits the scene.
         look_at: m; None for the centre of the scene.
+        follow: the robot or group whose base, or the frame (`lwr/flange`), that the free camera
+            moves with; its distance stays.
         look: colour theme, `light` or `dark`.
     """
 
@@ -225,6 +227,7 @@ class View(Declaration):
     elevation_deg: float = -14.0
     distance: float | None = Field(None, gt=0)
     look_at: Point | None = None
+    follow: str | None = None
     look: Look = "light"
 
 

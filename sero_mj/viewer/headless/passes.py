@@ -112,7 +112,8 @@ class PassRenderer:
         """
         self._mark(buffer)
         self._renderer.enable_segmentation_rendering()
-        return np.maximum(self._renderer.render()[..., 0], 0)  # it is -1 where there is nothing
+        shown = self._renderer.render()[..., 0]
+        return np.asarray(np.maximum(shown, 0))  # it is -1 where there is nothing
 
     def depth(self, buffer: GeomBuffer) -> Array:
         """Returns the depth at every pixel, (height, width), float32, m; infinite for the sky.
@@ -134,9 +135,9 @@ class PassRenderer:
 
     def _mark(self, buffer: GeomBuffer) -> None:
         """Gives every geom of a filled scene the number of its part, and leaves decor out."""
-        scene, ends = self.scene, []
+        scene = self.scene
         self._writer.mark(buffer)
-        ends.append((scene.ngeom, None))
+        ends: list[tuple[int, str | None]] = [(scene.ngeom, None)]
         for drawn in buffer.drawn_doubles:
             self._writer.add_double(drawn)
             ends.append((scene.ngeom, drawn.double))

@@ -23,9 +23,11 @@ from ...data.drive.mirror import Mirror, restore
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
 from ..added_surroundings import added_surroundings
-from ..camera import Framing, bounding_sphere, find_camera, needed_aspect, stand_back
+from ..camera import find_camera, followed
 from ..decor.font import line_height
 from ..decor.picture_view import PictureView
+from ..following import Follower
+from ..framing import Framing, bounding_sphere, declared_data, stand_back
 from ..mujoco_private import context_of
 from ..sampling import sampled_states
 from ..session.picking import Pixel
@@ -149,7 +151,10 @@ class HeadlessRenderer(Painter):
         self.world = world
         self.camera = find_camera(world, camera)
         self._framing = Framing(world, self.camera, camera)
-        self._needed = needed_aspect(world, self.camera)
+        follow = followed(world, self.camera)
+        self._follower = None
+        if follow is not None:
+            self._follower = Follower(world, follow, declared_data(world))
         self.size = (width, height)
         self._stereo, self._eye_distance = stereo, eye_distance
         # What one eye sees.
@@ -207,6 +212,18 @@ class HeadlessRenderer(Painter):
             pixels[:] = self._drawn()
             compose(pixels, text)
         return pixels if out is not None else pixels.view(Picture)
+
+    def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None:
+        """Moves the camera so that robots are in the picture in all of some poses.
+
+        One that follows something stays; see `Framing.hold`.
+
+        Args:
+            poses: states with frames up to date.
+            turns: by which the camera will turn about what it looks at, degrees.
+        """
+        if self._follower is None:
+            self._framing.hold(self.camera, poses, self._half, turns)
 
     def segmentation(self, data: mujoco.MjData) -> Ints:
         """Renders which part every pixel shows, with neither decor nor stereo.
@@ -271,14 +288,17 @@ class HeadlessRenderer(Painter):
 
     def _look(self, data: mujoco.MjData) -> PictureView:
         scene = self._renderer.scene
-        self._framing.fit(self.camera, data)
+        if self._follower is not None:
+            self.camera.lookat = self.camera.lookat + self._follower.displacement(data)
+        else:
+            self._framing.fit(self.camera, data)
         self._fill(scene, data, self._half)
         return PictureView.of_scene(scene, *self._half, self._typesetter.font)
 
     def _fill(self, scene: mujoco.MjvScene, data: mujoco.MjData, size: tuple[int, int]) -> None:
         """Fills a scene with the world, for a picture of a size."""
         self.decor.fill(data, self.camera, scene)
-        stand_back(scene, self.camera, *size, self._needed)
+        stand_back(scene, self.camera, *size, self._framing.needed)
         if self._surroundings is not None:
             self._surroundings.add(scene)
 

@@ -21,7 +21,7 @@ from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 from ...robots.declared.scene import Scene
-from ..camera import Framing, find_camera, needed_aspect
+from ..camera import find_camera
 from ..decor.billboards import Line, joint_formats
 from ..decor.draw import Decor
 from ..decor.feature import Frame
@@ -29,6 +29,7 @@ from ..decor.geom_buffer import GEOM, GeomBuffer, Kind
 from ..decor.legend import SCALE
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
+from ..framing import Framing, needed_aspect
 from ..sampling import sampled_states
 from ..session.torque_history import joint_name
 from .copied_bodies import CopiedBodies, CopiedBody

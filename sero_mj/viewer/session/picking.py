@@ -436,9 +436,7 @@ def _pick_drawn_double(
     return nearest
 
 
-def picked_drawn(
-    world: WorldView, name: str, geom: int, distance: float = 0.0
-) -> Picked | None:
+def picked_drawn(world: WorldView, name: str, geom: int, distance: float = 0.0) -> Picked | None:
     """Returns the link of a double that a geom is part of, see `picked_geom`; None for none.
 
     Args:

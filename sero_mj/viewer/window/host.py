@@ -15,10 +15,11 @@ from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
 from ..added_surroundings import added_surroundings
-from ..camera import Navigator, stand_back, standing_back
+from ..camera import Navigator
 from ..decor.geom_buffer import CAPACITY
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
+from ..framing import stand_back, standing_back
 from ..headless.film import Pixels
 from ..headless.picture_options import DEFAULT_SIZE
 from ..session.input import Clicked, Event, Mouse, Moved

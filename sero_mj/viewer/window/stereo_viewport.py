@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 
 from ...robots.assemble.world_view import WorldView
-from ..camera import bounding_sphere
 from ..decor.toggles import Toggles
+from ..framing import bounding_sphere
 from ..headless.picture_options import EYE_DISTANCE, Stereo
 from ..stereo import check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter
