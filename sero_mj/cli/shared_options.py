@@ -12,6 +12,7 @@ from pydantic import AfterValidator, model_validator
 
 from ..base import paths
 from ..base.declaration import expecting
+from ..base.errors import UsageError
 from ..base.options import Duration, Option, Options, Time, ending, positional
 from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
 from ..study.figure import SUFFIXES
@@ -147,6 +148,10 @@ class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
         scene = read_scene(name, self.settings, by_hand=by_hand and self.replay is None)
         if self.look is not None:
             scene.view.look = self.look
+        if self.follow is not None:
+            if (problem := scene.follow_problem("--follow", self.follow)) is not None:
+                raise UsageError(problem)
+            scene.view.follow = self.follow
         if self.replay is not None:
             replay_instead(scene, self.replay, self.start, self.source)
         return scene

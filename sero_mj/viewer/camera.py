@@ -213,10 +213,21 @@ class Navigator:
             self.camera.lookat = self.camera.lookat + moved
 
 
-def followed(world: WorldView, camera: mujoco.MjvCamera) -> str | None:
-    """Returns what the view of a scene follows; None for nothing, or a camera that is fixed."""
-    view = world.scene.view
-    return view.follow if camera.type == _FREE else None
+def followed(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None) -> str | None:
+    """Returns what a camera follows: what is wanted, else what the view of the scene does.
+
+    A fixed camera does not follow what the view does.
+
+    Raises:
+        UsageError: a fixed camera is wanted to follow something.
+    """
+    if camera.type == _FREE:
+        return world.scene.view.follow if wanted is None else wanted
+    if wanted is not None:
+        name = world.model.camera(camera.fixedcamid).name
+        reason = f"is for the free camera; camera '{name}' of the scene stands where it is"
+        raise UsageError(Problem("follow", reason, found=wanted))
+    return None
 
 
 def copy_camera(camera: mujoco.MjvCamera, to: mujoco.MjvCamera) -> None:

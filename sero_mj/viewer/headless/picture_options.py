@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field
 
 from ...base.declaration import expecting
 from ...base.options import Duration, Option, Options, Positive, Size, Time
@@ -38,6 +39,10 @@ def _switches(value: Any) -> Any:
     return {name: digits for name, _, digits in parts}
 
 
+Degrees = Annotated[
+    float, Field(allow_inf_nan=False, ge=-36_000, le=36_000), expecting("degrees, up to 36000")
+]
+Pass = Literal["colour", "segmentation", "depth"]
 Rate = Annotated[Positive, Option("N")]
 # Pixel from the upper left corner, x and y; `click`, `shift`, `double` or `hover`; by touch.
 Click = tuple[float, float, str, bool]
@@ -79,9 +84,24 @@ class CameraOptions(Options):
 
     Attributes:
         camera: name of a camera, or azimuth,elevation,distance in degrees and m.
+        follow: move the free camera with a robot or group by its base, or with a frame, lwr/flange.
     """
 
     camera: Annotated[str | None, Option("CAM")] = None
+    follow: Annotated[str | None, Option("NAME")] = None
+
+
+class MotionOptions(Options):
+    """How the camera of a film moves.
+
+    Attributes:
+        orbit: turn the camera about what it looks at, by degrees over the whole film.
+        camera_path: move the camera through the key frames of a TOML file: tables [[keys]] with
+            time and azimuth_deg, elevation_deg, distance or look_at.
+    """
+
+    orbit: Annotated[Degrees | None, Option("DEG")] = None
+    camera_path: Annotated[Path | None, Option("KEYS.toml")] = None
 
 
 class PictureOptions(SizeOptions, StereoOptions, CameraOptions):
@@ -92,6 +112,8 @@ class PictureOptions(SizeOptions, StereoOptions, CameraOptions):
             double, hover or touch (as with a finger); may be repeated.
         shown: switch arrows, billboards, axes, legend, inertias, transparent, ... on or off: a
             digit for all of them, or one for each joint, frame, ...; may be repeated.
+        render_pass: instead of the picture, which link or object every pixel shows, or how far
+            away it is; .png or .npy.
         selected: light a joint, as one that was clicked on is.
         wait: how long to wait for the first packet of every source, s.
     """
@@ -99,10 +121,11 @@ class PictureOptions(SizeOptions, StereoOptions, CameraOptions):
     clicks: Annotated[list[_GivenClick], Option("X,Y[,HOW]", ("--click",))] = []
     shown: Annotated[Switches, Option("NAME=0|1", ("--show",))] = {}
     selected: Annotated[str | None, Option("ROBOT/JOINT", ("--select",))] = None
+    render_pass: Annotated[Pass, Option(flags=("--pass",))] = "colour"
     wait: Time = 2.0
 
 
-class FilmOptions(PictureOptions):
+class FilmOptions(PictureOptions, MotionOptions):
     """Options of a film of a scene; the fields are keywords of `render_film`.
 
     Attributes:

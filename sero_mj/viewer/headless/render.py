@@ -19,7 +19,8 @@ from PIL import Image
 
 from ...base.errors import Problem, RenderError
 from ...base.frames import Array, Ints
-from ...data.drive.mirror import Mirror, restore
+from ...data.drive.mirror import Mirror
+from ...robots.assemble.solids import geom_corners
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
 from ..added_surroundings import added_surroundings
@@ -29,7 +30,6 @@ from ..decor.picture_view import PictureView
 from ..following import Follower
 from ..framing import Framing, bounding_sphere, declared_data, stand_back
 from ..mujoco_private import context_of
-from ..sampling import sampled_states
 from ..session.picking import Pixel
 from ..session.scene_decor import SceneDecor
 from ..session.view_state import apply_switches
@@ -37,12 +37,12 @@ from ..stereo import anaglyph, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter, compose
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
+from .motion_blur import Exposure
 from .painter import Painter, perform_clicks
 from .passes import PassRenderer
 from .picture_options import (
     DEFAULT_SIZE,
     EYE_DISTANCE,
-    Click,
     FilmOptions,
     PictureOptions,
     Quality,
@@ -120,6 +120,8 @@ class HeadlessRenderer(Painter):
         stereo: `side-by-side` for a half of the picture for each eye, the left one on the left;
             `anaglyph` for red-cyan glasses.
         eye_distance: between the eyes, m.
+        follow: the robot, group or frame that the free camera moves with; that of the scene's view
+            when None.
 
     Attributes:
         world: the world.
@@ -130,7 +132,8 @@ class HeadlessRenderer(Painter):
     Raises:
         RenderError: no OpenGL, the size or the eyes' distance is out of range, or there is no such
             quality or stereo.
-        UnknownName: no camera of that name.
+        UnknownName: no camera of that name, or nothing to follow.
+        UsageError: a fixed camera is to follow something.
     """
 
     def __init__(
@@ -142,6 +145,7 @@ class HeadlessRenderer(Painter):
         quality: Quality = "normal",
         stereo: Stereo | None = None,
         eye_distance: float = EYE_DISTANCE,
+        follow: str | None = None,
     ) -> None:
         check_stereo(stereo, eye_distance)
         if quality not in QUALITIES:
@@ -151,7 +155,7 @@ class HeadlessRenderer(Painter):
         self.world = world
         self.camera = find_camera(world, camera)
         self._framing = Framing(world, self.camera, camera)
-        follow = followed(world, self.camera)
+        follow = followed(world, self.camera, follow)
         self._follower = None
         if follow is not None:
             self._follower = Follower(world, follow, declared_data(world))
@@ -181,6 +185,7 @@ class HeadlessRenderer(Painter):
             options.quality,
             options.stereo,
             options.eye_distance,
+            options.follow,
         )
 
     def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
@@ -224,6 +229,11 @@ class HeadlessRenderer(Painter):
         """
         if self._follower is None:
             self._framing.hold(self.camera, poses, self._half, turns)
+
+    @property
+    def follows(self) -> bool:
+        """Whether the camera follows something."""
+        return self._follower is not None
 
     def segmentation(self, data: mujoco.MjData) -> Ints:
         """Renders which part every pixel shows, with neither decor nor stereo.
@@ -272,6 +282,34 @@ class HeadlessRenderer(Painter):
         if self._passes is not None:
             self._passes.close()
         super().close()
+
+    def render_blurred(self, moments: Iterable[mujoco.MjData], out: Pixels | None = None) -> Pixels:
+        """Renders one frame as the mean of moments, as an open shutter sees what moves.
+
+        Text is that of the first moment, and stays sharp. There is one eye.
+
+        Args:
+            moments: states with frames up to date; the same object may come again with another
+                one, and `camera` may be moved for each.
+            out: see `render`.
+
+        Returns:
+            see `render`.
+        """
+        exposure, text, scene = Exposure(), None, self._renderer.scene
+        for data in moments:
+            view = self._look(data)
+            if not exposure.moves(view, geom_corners(self.world.model, data)):
+                exposure.add()
+                continue
+            self.decor.draw(data, view, scene)
+            text = self._typesetter.place(self.decor.panels) if text is None else text
+            exposure.add(self._drawn())
+        pixels = np.zeros((*self.size[::-1], 3), np.uint8) if out is None else out
+        pixels[:] = exposure.picture()
+        if text is not None:
+            compose(pixels, text)
+        return pixels if out is not None else pixels.view(Picture)
 
     def _drawn(self) -> Pixels:
         """The picture of the scene's camera; panels are set into it in its own size."""
@@ -406,14 +444,19 @@ def render_film(
     Raises:
         SeroError: a problem of the scene, its sources, the camera, an option or the file.
     """
+    from .film_frames import film_frames
+
     path, options = Path(path), options or FilmOptions(**keywords)
+    if options.render_pass != "colour":
+        expected = "a picture: films change colours, by which parts and depths are told"
+        raise RenderError(Problem(file=str(path), found=options.render_pass, expected=expected))
     fps = options.fps or default_fps(path)
     count = max(round(options.duration * fps), 1)
     if count > MAX_FRAMES:
         raise RenderError(f"a film of {count} frames: expected at most {MAX_FRAMES}")
     with Mirror(scene) as mirror, HeadlessRenderer.of_scene(mirror, options) as renderer:
         return write_film(
-            mirror, renderer, path, _frames(mirror, renderer, count, fps, options.clicks),
+            mirror, renderer, path, film_frames(mirror, renderer, count, fps, options),
             fps=fps, count=count, options=options, on_progress=on_progress,
         )  # fmt: skip
 
@@ -452,16 +495,3 @@ def write_film(
             if on_progress is not None:
                 on_progress(film.frames, max(count, film.frames))
     return silent
-
-
-def _frames(
-    mirror: Mirror, renderer: HeadlessRenderer, count: int, fps: float, clicks: Sequence[Click]
-) -> Iterator[Pixels]:
-    """Draws the state at the time of every frame, always into the same array."""
-    data = mirror.world.make_data()
-    pixels = np.empty((*renderer.size[::-1], 3), np.uint8)
-    for k, state in enumerate(sampled_states(mirror, count, fps)):
-        restore(mirror.world, data, state)
-        if k == 0:
-            perform_clicks(renderer, data, clicks)
-        yield renderer.render(data, out=pixels)

@@ -1,0 +1,138 @@
+"""The frames of a film: states of a mirror, a camera that may move, and a shutter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+import mujoco
+import numpy as np
+
+from ...base.errors import Problem, UsageError
+from ...base.frames import Array
+from ...data.drive.mirror import Mirror, restore
+from ...robots.assemble.world import World
+from ..camera_motion import CameraMotion, orbit, read_camera_path
+from ..sampling import sampled_states
+from .film import Pixels
+from .motion_blur import SHUTTER, SUBFRAMES
+from .painter import perform_clicks
+from .picture_options import FilmOptions
+from .render import HeadlessRenderer
+
+_POSES = 64  # of a film, by which the camera is placed
+_TURNS = 24  # of a turntable, likewise
+_FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
+
+
+def film_frames(
+    mirror: Mirror, renderer: HeadlessRenderer, count: int, fps: float, options: FilmOptions
+) -> Iterator[Pixels]:
+    """Draws the state at the time of every frame, always into the same array.
+
+    Args:
+        mirror: open.
+        renderer: of its world.
+        count: of the frames.
+        fps: frames per second.
+        options: of the film.
+
+    Raises:
+        DeclarationError: errors of the camera's path.
+        UsageError: the camera is to move, and cannot.
+    """
+    _check_motion(renderer, options)
+    path = None if options.camera_path is None else read_camera_path(options.camera_path)
+    if path is not None and path.has_look_at and renderer.follows:
+        reason = "has look_at, and the camera follows something; leave one of them out"
+        raise UsageError(Problem("--camera-path", reason, file=str(options.camera_path)))
+    return _draw(mirror, renderer, count, fps, options, path)
+
+
+def _draw(
+    mirror: Mirror,
+    renderer: HeadlessRenderer,
+    count: int,
+    fps: float,
+    options: FilmOptions,
+    motion: CameraMotion | None,
+) -> Iterator[Pixels]:
+    """Draws the frames, see `film_frames`, with a camera on its way, or one that may turn."""
+    world, data = mirror.world, mirror.world.make_data()
+    is_placed = motion is not None
+    if not mirror.is_live and not is_placed:
+        renderer.hold(_poses(mirror, count / fps), _turns(options))
+    pixels = np.empty((*renderer.size[::-1], 3), np.uint8)
+    is_blurred = options.quality == "fine" and options.stereo is None and not mirror.is_live
+    subframes = SUBFRAMES if is_blurred else 1
+
+    def move(time: float) -> None:
+        if motion is not None:
+            motion(renderer.camera, time)
+
+    for k, states in enumerate(_opened(mirror, count, fps, subframes)):
+        if k == 0:
+            restore(world, data, states[0])
+            if mirror.is_live and not is_placed:
+                renderer.hold([data], _turns(options))
+            if options.orbit is not None:
+                motion = orbit(renderer.camera, options.orbit, count / fps)
+            move(0.0)
+            perform_clicks(renderer, data, options.clicks)
+        times = (k + SHUTTER * np.arange(len(states)) / subframes) / fps
+        moments = _moments(world, data, zip(times.tolist(), states, strict=True), move)
+        if is_blurred:
+            yield renderer.render_blurred(moments, out=pixels)
+        else:
+            yield renderer.render(next(moments), out=pixels)
+
+
+def _moments(
+    world: World,
+    data: mujoco.MjData,
+    states: Iterable[tuple[float, Array]],
+    move: Callable[[float], None],
+) -> Iterator[mujoco.MjData]:
+    """Yields the data with every state of a frame, by their times, s; moves the camera before."""
+    for time, state in states:
+        restore(world, data, state)
+        move(time)
+        yield data
+
+
+def _opened(mirror: Mirror, count: int, fps: float, subframes: int) -> Iterator[list[Array]]:
+    """Yields the states of every frame while its shutter is open."""
+    if subframes == 1:
+        yield from ([state] for state in sampled_states(mirror, count, fps))
+        return
+    for k in range(count):
+        states = []
+        for j in range(subframes):
+            mirror.advance((k + SHUTTER * j / subframes) / fps)
+            states.append(mirror.state())
+        yield states
+
+
+def _poses(mirror: Mirror, duration: float) -> Iterator[mujoco.MjData]:
+    """Yields states over the time of a film; backwards, as sources that jump back are quick."""
+    for time in np.linspace(duration, 0.0, _POSES if mirror.sources else 1):
+        mirror.advance(time)
+        yield mirror.data
+
+
+def _turns(options: FilmOptions) -> list[float]:
+    """Angles that a turntable passes, degrees."""
+    if options.orbit is None:
+        return [0.0]
+    end = min(max(options.orbit, -360.0), 360.0)
+    return [end * i / _TURNS for i in range(_TURNS + 1)]
+
+
+def _check_motion(renderer: HeadlessRenderer, options: FilmOptions) -> None:
+    """Raises UsageError where a camera is to move that cannot, or to two places at once."""
+    moved = options.given("orbit", "camera_path")
+    if len(moved) > 1:
+        raise UsageError(f"{' and '.join(moved)}: both move the camera; leave one of them out")
+    if moved and renderer.camera.type != _FREE:
+        name = renderer.world.model.camera(renderer.camera.fixedcamid).name
+        expected = "the free camera, azimuth,elevation,distance or the scene's view"
+        raise UsageError(Problem(moved[0], "moves a camera", found=name, expected=expected))
