@@ -13,7 +13,7 @@ from pydantic import model_validator
 
 from ..base.errors import UsageError
 from ..base.options import Option, Time, ending
-from ..viewer.headless.film_kinds import FILMS, PICTURES
+from ..viewer.headless.film_kinds import FILMS, PASS_ENDINGS, PICTURES
 from ..viewer.headless.picture_options import FilmOptions
 from ._arguments import command, offset_of_video, progress_bar
 from .shared_options import EyeOptions, OverOptions, SceneArgument, ShownOptions
@@ -31,6 +31,10 @@ examples:
   sero-mj render lwr_udp -o top.png --camera 90,-80,2.5 --size 640x480
   sero-mj render lwr_udp -o lwr.png --stereo anaglyph  for red-cyan glasses
   sero-mj render lwr_udp -o run.mp4 --replay run.mcap --duration 10
+  sero-mj render lwr -o turn.mp4 --orbit 360          a turntable
+  sero-mj render justin -o drive.mp4 --follow justin --duration 20
+  sero-mj render lwr -o links.png --pass segmentation
+                                                      links.parts.json names links by colour
   sero-mj render lwr -o joint.png --click 640,400     as if one clicked there in a window
   sero-mj render lwr_udp -o now.png --over photo.jpg --camera-file cell.yaml
   sero-mj render lwr_udp -o run.mp4 --over video.mp4 --camera-file cell.yaml \\
@@ -48,6 +52,7 @@ calibrate finds it. Needs `pip install 'sero-mj[camera]'`.
 _OF_OTHERS = "the picture is as large as the photo or video, seen by its camera"
 _KINDS = f"{', '.join(PICTURES)} for a picture, or in {', '.join(FILMS)} for a film"
 PictureOrFilm = Annotated[Path, ending(*PICTURES, *FILMS, expected=_KINDS)]
+_AnyPicture = Annotated[Path, ending(*PICTURES, *FILMS, ".npy", expected=_KINDS)]
 ORDER = 13  # in the help of `sero-mj`
 
 
@@ -55,12 +60,12 @@ class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOp
     """Render a scene to a picture or a film, without a window.
 
     Attributes:
-        output: a picture: .png, .jpg, .webp; or a film: .mp4, .webm, .gif.
+        output: a picture: .png, .jpg, .webp; or a film: .mp4, .webm, .gif; of --pass, .png or .npy.
         at: time of a simulation's or recording's picture, s.
         quiet: no progress bar, no closing line.
     """
 
-    output: Annotated[PictureOrFilm, Option("OUT", ("-o", "--output"))]
+    output: Annotated[_AnyPicture, Option("OUT", ("-o", "--output"))]
     at: Time | None = None
     quiet: bool = False
 
@@ -74,12 +79,30 @@ class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOp
         if not self.is_film and self.given("duration", "fps"):
             films = ", ".join(FILMS)
             raise ValueError(f"-o {self.output}: --duration and --fps are for films ({films})")
+        if not self.is_film and (moves := self.given("orbit", "camera_path")):
+            raise ValueError(f"-o {self.output}: {moves[0]} is for films ({', '.join(FILMS)})")
+        self._check_pass()
         if self.is_film and self.at is not None:
             raise ValueError(f"-o {self.output}: --at is for pictures; a film begins at the start")
         if self.over is not None:
-            names = ("camera", "stereo", "size", "fps")
+            names = ("camera", "follow", "orbit", "camera_path", "stereo", "size", "fps")
             self.refuse(names, f" does not go with --over: {_OF_OTHERS}")
         return self
+
+    def _check_pass(self) -> None:
+        """Raises where segmentation or depth do not go with other options."""
+        ends = self.output.suffix.lower()
+        if self.render_pass == "colour":
+            if ends not in (*PICTURES, *FILMS):
+                raise ValueError(f"-o {self.output}: found '{ends}'; expected {_KINDS}")
+            return
+        what = f"--pass {self.render_pass}"
+        if ends not in PASS_ENDINGS:
+            expected = f"expected a name that ends in {' or '.join(PASS_ENDINGS)}"
+            raise ValueError(f"-o {self.output}: {what} needs exact numbers; {expected}")
+        if self.over is not None:
+            raise ValueError(f"{what} is for pictures of a scene alone; leave out --over")
+        self.refuse(("stereo",), f" does not go with {what}, which has one eye")
 
 
 def run(options: RenderOptions) -> int:

@@ -51,12 +51,12 @@ def save_picture(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
     """
     check_writable(path)
     resolution: dict[str, Any] = {} if dpi is None else {"dpi": (dpi, dpi)}
-    with _writing(path):
+    with writing_to(path):
         Image.fromarray(pixels).save(path, **resolution)
 
 
 @contextlib.contextmanager
-def _writing(path: Path) -> Iterator[None]:
+def writing_to(path: Path) -> Iterator[None]:
     """Reports errors by the name of the final file, not of the temporary one."""
     try:
         yield
@@ -119,7 +119,7 @@ class FilmWriter:
         import av
 
         check_writable(path)
-        with _writing(path):
+        with writing_to(path):
             self._container = av.open(str(self._part), "w")
         self.frames = 0
         rate = Fraction(fps).limit_denominator(1001)
@@ -142,7 +142,7 @@ class FilmWriter:
 
     def _encode(self, frame: av.VideoFrame | None) -> None:
         frames = [frame] if self._palettes is None else self._palettes.follow(frame)
-        with _writing(self._path):
+        with writing_to(self._path):
             for each in frames:
                 self._container.mux(self._stream.encode(each))
             if frame is None and self._palettes is not None:

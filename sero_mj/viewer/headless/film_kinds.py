@@ -32,3 +32,4 @@ FILMS = {
     ".gif": FilmKind("gif", {}, has_palette=True, fps=20.0, most_fps=50.0),
 }
 PICTURES = (".png", ".jpg", ".jpeg", ".webp")
+PASS_ENDINGS = (".png", ".npy")  # of segmentation and depth

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from PIL import Image
 
-from ...base.errors import Problem, RenderError
+from ...base.errors import Problem, RenderError, UsageError
 from ...base.frames import Array, Ints
 from ...data.drive.mirror import Mirror
 from ...robots.assemble.solids import geom_corners
@@ -39,11 +39,13 @@ from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
 from .motion_blur import Exposure
 from .painter import Painter, perform_clicks
+from .pass_files import check_pass_file, save_depth, save_segmentation
 from .passes import PassRenderer
 from .picture_options import (
     DEFAULT_SIZE,
     EYE_DISTANCE,
     FilmOptions,
+    Pass,
     PictureOptions,
     Quality,
     Stereo,
@@ -399,7 +401,7 @@ def render_picture(
         at: time of recordings and simulations, s after their start.
         painter: makes what draws the world of a mirror.
         **keywords: of `PictureOptions`: `size` (width, height), `quality`, `camera`, `stereo`,
-            `eye_distance`, `clicks`, `shown`, `selected`, `wait`.
+            `eye_distance`, `follow`, `clicks`, `shown`, `selected`, `render_pass`, `wait`.
 
     Returns:
         names of the sources without data; their robots have the declared pose.
@@ -408,6 +410,8 @@ def render_picture(
         SeroError: a problem of the scene, its sources, the camera, an option or the file.
     """
     path, options = Path(path), options or PictureOptions(**keywords)
+    if options.render_pass != "colour":
+        check_pass_file(path)
     with Mirror(scene) as mirror:
         check_writable(path)
         with painter(mirror, options) as drawn:
@@ -415,9 +419,24 @@ def render_picture(
             mirror.wait_fresh(min(options.wait, NEXT_WITHIN), at)
             apply_switches(mirror.world, drawn.toggles, options.shown, options.selected)
             perform_clicks(drawn, mirror.data, options.clicks)
+            if isinstance(drawn, HeadlessRenderer):
+                drawn.hold([mirror.data])
+            if options.render_pass != "colour":
+                _save_pass(path, drawn, mirror.data, options.render_pass)
+                return silent
             dpi = PRINT_DPI if options.quality == "fine" else None
             save_picture(path, drawn.render(mirror.data), dpi)
     return silent
+
+
+def _save_pass(path: Path, drawn: Painter, data: mujoco.MjData, which: Pass) -> None:
+    """Writes segmentation or depth instead of a picture."""
+    if not isinstance(drawn, HeadlessRenderer):
+        raise UsageError(f"--pass {which} is for pictures of a scene, not over photos")
+    if which == "segmentation":
+        save_segmentation(path, drawn.segmentation(data), drawn.part_names)
+    else:
+        save_depth(path, drawn.depth(data))
 
 
 def render_film(
@@ -435,8 +454,8 @@ def render_film(
         path: the file; .mp4, .webm or .gif.
         options: of the film; when None they are made of keywords.
         on_progress: called with the number of rendered frames and of all frames.
-        **keywords: of `FilmOptions`: `duration` (s), `fps`, and all of `render_picture`; clicks are
-            performed before the first frame.
+        **keywords: of `FilmOptions`: `duration` (s), `fps`, `orbit` (degrees), `camera_path` (a
+            file), and all of `render_picture`; clicks are performed before the first frame.
 
     Returns:
         names of the sources without data.
