@@ -107,7 +107,9 @@ class Declaration(_Model):
         kept = {key: held for key, held in self.__dict__.items() if key in fields}
         # A field set in degrees replaces the one in radians, to which the old one was converted.
         kept = {
-            key: held for key, held in kept.items() if f"{key}_deg" != name and key[-4:] != "_deg"
+            key: held
+            for key, held in kept.items()
+            if f"{key}_deg" != name and (key[-4:] != "_deg" or key[:-4] not in fields)
         }
         checked = type(self)(**{**kept, name: value})
         self.__dict__.clear()  # also removes cached properties
