@@ -1,0 +1,116 @@
+"""Where cameras stand so that robots are in pictures of every shape, in all of their poses."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from conftest import sampled
+
+from sero_mj.base import paths
+from sero_mj.data.drive.place import Placer
+from sero_mj.load import load_scene
+from sero_mj.robots.assemble.solids import geom_boxes, geom_corners
+from sero_mj.robots.assemble.world import World
+from sero_mj.viewer.camera import find_camera
+from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.framing import Framing, stand_back
+from sero_mj.viewer.headless.render import HeadlessRenderer
+
+SIZES = [(390, 844), (1280, 800), (360, 270)]
+
+
+def shipped() -> list[str]:
+    return [*paths.list_scenes(), *paths.list_scenarios()]
+
+
+def corners_in_picture(
+    world: World, camera: mujoco.MjvCamera, data: mujoco.MjData, size, needed: float
+) -> bool:
+    """Whether the corners of all boxes about robots are in the picture."""
+    scene = mujoco.MjvScene(world.model, maxgeom=0)
+    mujoco.mjv_updateCamera(world.model, data, camera, scene)
+    stand_back(scene, camera, *size, needed)
+    view = PictureView.of_scene(scene, *size)
+    points = geom_corners(world.model, data, world.geoms_in_view())
+    return bool(view.sees(*view.project(points.reshape(-1, 3))).all())
+
+
+def driven(world: World, x: float, y: float) -> mujoco.MjData:
+    data, T = world.make_data(), np.eye(4)
+    T[:2, 3] = x, y
+    world.set_input(data, "justin.base_frame", T)
+    mujoco.mj_kinematics(world.model, data)
+    return data
+
+
+@pytest.fixture(scope="module")
+def justin() -> World:
+    scene = load_scene("justin")
+    scene.view.follow = None
+    return World(scene)
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("name", sampled(sorted(shipped(), key="hit_hand_grasp".__ne__), 1))
+def test_no_robot_touches_the_border_of_a_picture(name: str) -> None:
+    world = World(load_scene(name))
+    data = world.make_data()
+    Placer(world).place(data)
+    owners = {*world.robots, *world.doubles}
+    for size in SIZES:
+        with HeadlessRenderer(world, *size, quality="draft") as renderer:
+            parts, names = renderer.segmentation(data), renderer.part_names
+        is_robot = np.array([each.partition("/")[0] in owners for each in names])[parts]
+        assert is_robot.any()
+        for border in (is_robot[0], is_robot[-1], is_robot[:, 0], is_robot[:, -1]):
+            assert not border.any(), f"{name} at {size}"
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_view_holds_all_poses_that_are_known(justin: World, size) -> None:
+    poses = [driven(justin, x, y) for x, y in ((0.8, 0.4), (-0.8, 0.4), (0.0, -1.5))]
+    camera = find_camera(justin)
+    framing = Framing(justin, camera)
+    before = camera.distance
+    assert not all(corners_in_picture(justin, camera, p, SIZES[1], framing.needed) for p in poses)
+    framing.hold(camera, poses, size)
+    assert camera.distance >= before
+    assert (camera.azimuth, camera.elevation) == (205.0, -10.0)
+    assert all(corners_in_picture(justin, camera, p, size, framing.needed) for p in poses)
+
+
+def test_a_view_holds_a_robot_all_around_a_turntable(justin: World) -> None:
+    poses = [driven(justin, 1.2, 0.0)]
+    camera = find_camera(justin)
+    framing = Framing(justin, camera)
+    turns = np.linspace(0, 360, 25).tolist()
+    framing.hold(camera, poses, SIZES[2], turns)
+    for turn in turns:
+        camera.azimuth = 205.0 + turn
+        assert corners_in_picture(justin, camera, poses[0], SIZES[2], framing.needed)
+
+
+def test_a_view_stays_where_it_shows_all_poses_or_a_user_has_placed_it(justin: World) -> None:
+    for wanted, poses in ((None, [driven(justin, 0.01, 0.0)]), ("0,-10,3", [driven(justin, 5, 0)])):
+        camera = find_camera(justin, wanted)
+        before = camera.distance, *camera.lookat, camera.azimuth
+        Framing(justin, camera, wanted).hold(camera, poses, SIZES[1])
+        assert (camera.distance, *camera.lookat, camera.azimuth) == before
+
+
+def test_what_a_view_leaves_out_on_purpose_stays_out() -> None:
+    scene = load_scene("lwr")
+    scene.view.look_at, scene.view.distance = np.array([0.0, 0.0, 1.1]), 0.3  # its hand
+    world = World(scene)
+    camera = find_camera(world)
+    Framing(world, camera).hold(camera, [world.make_data()], SIZES[1])
+    assert camera.distance == pytest.approx(0.3)
+
+
+def test_boxes_that_turn_with_geoms_are_inside_those_that_do_not(justin: World) -> None:
+    data = driven(justin, 0.3, 0.1)
+    corners = geom_corners(justin.model, data)
+    lows, highs = geom_boxes(justin.model, data)
+    assert corners.min(axis=1) == pytest.approx(lows, abs=1e-12)
+    assert corners.max(axis=1) == pytest.approx(highs, abs=1e-12)

@@ -1,0 +1,144 @@
+"""Motion blur: means in linear light, of what moves, below sharp text."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from sero_mj.data.drive.place import Placer
+from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
+from sero_mj.viewer.decor.picture_view import PictureView
+from sero_mj.viewer.headless.film_frames import film_frames
+from sero_mj.viewer.headless.motion_blur import SHUTTER, SUBFRAMES, Exposure
+from sero_mj.viewer.headless.picture_options import FilmOptions
+from sero_mj.viewer.headless.render import HeadlessRenderer
+
+AXES = np.eye(3)
+VIEW = PictureView(np.zeros(3), AXES[0], AXES[1], -AXES[2], 0.5, 0.01, 200, 100)
+
+
+def test_the_mean_of_black_and_white_is_half_the_light() -> None:
+    exposure = Exposure()
+    for level in (0, 255):
+        exposure.add(np.full((2, 2, 3), level, np.uint8))
+    assert exposure.picture()[0, 0].tolist() == [188, 188, 188]  # sRGB of 0.5
+
+
+def test_every_level_of_a_still_picture_stays() -> None:
+    levels = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(3, axis=2)
+    exposure = Exposure()
+    exposure.add(levels)
+    for _ in range(SUBFRAMES - 1):
+        exposure.add()  # nothing has moved
+    assert np.array_equal(exposure.picture(), levels)
+
+
+def test_what_moves_by_less_than_half_a_pixel_needs_no_picture() -> None:
+    exposure, metres = Exposure(), VIEW.pixel_size(2.0)
+    point, right = np.array([[0.0, 0.0, -2.0], [0.3, 0.1, -2.0]]), metres * AXES[0]
+    assert exposure.moves(VIEW, point)
+    assert not exposure.moves(VIEW, point + 0.3 * right)
+    assert exposure.moves(VIEW, point + 0.6 * right)  # since it was drawn
+    assert not exposure.moves(VIEW, point + 0.6 * right + 0.001 * AXES[2])
+    behind = point * [1, 1, -1]
+    assert Exposure().moves(VIEW, behind)
+    exposure.moves(VIEW, behind)
+    assert not exposure.moves(VIEW, behind + 20 * right)  # out of the picture
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    robot = SerialRobot.from_model("lwr", show_billboards=True, torques=[20.0] * 7)
+    return World(Scene(robots=[robot]))
+
+
+def posed(world: World, angle: float) -> mujoco.MjData:
+    data = world.make_data()
+    world.set_input(data, "lwr.joint_angles", [angle, 0.6, 0.0, -1.2, 0.0, 0.5, 0.0])
+    Placer(world).place(data)
+    return data
+
+
+@pytest.fixture(scope="module")
+def renderer(world):
+    with HeadlessRenderer(world, 240, 180, quality="fine") as renderer:
+        yield renderer
+
+
+@pytest.mark.gl
+def test_numbers_stay_sharp_over_a_moving_arm(renderer, world) -> None:
+    first = posed(world, 0.5)
+    for _ in range(2):  # until panels have found their places
+        still = renderer.render(first)
+    assert np.array_equal(renderer.render_blurred(first for _ in range(SUBFRAMES)), still)
+    blurred = renderer.render_blurred(posed(world, 0.5 + 0.05 * k) for k in range(SUBFRAMES))
+    assert not np.array_equal(blurred, still)
+    renderer.toggles.billboards[:] = False
+    bare = renderer.render(first)
+    renderer.toggles.billboards[:] = True
+    letters = (still != bare).any(axis=2) & (still.min(axis=2) > 215)
+    assert letters.sum() > 30
+    # A letter's edge is mixed with what is behind the panel.
+    assert np.quantile(np.abs(blurred[letters].astype(int) - still[letters]), 0.9) <= 2
+
+
+@pytest.mark.gl
+def test_a_moving_arm_is_the_mean_of_its_pictures_in_linear_light(renderer, world) -> None:
+    renderer.toggles.billboards[:] = False
+    moments = [posed(world, 0.5 + 0.05 * k) for k in range(SUBFRAMES)]
+    sharp = np.stack([renderer.render(data).copy() for data in moments]) / 255.0
+    blurred = renderer.render_blurred(iter(moments))
+    renderer.toggles.billboards[:] = True
+    linear = np.where(sharp <= 0.04045, sharp / 12.92, ((sharp + 0.055) / 1.055) ** 2.4).mean(0)
+    mean = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    assert np.abs(255 * mean - blurred).max() < 2
+
+
+class FilmMirror:
+    """As much of a mirror as films need: an arm that turns by an angle per second."""
+
+    is_live = False
+    sources = {"sim": None}
+
+    def __init__(self, world: World, speed: float) -> None:
+        self.world, self.data, self._speed = world, world.make_data(), speed
+        self.times: list[float] = []
+
+    def advance(self, now: float) -> None:
+        self.times.append(now)
+        angle = 0.2 + self._speed * now
+        self.world.set_input(self.data, "lwr.joint_angles", [angle, 0.6, 0, -1.2, 0, 0.5, 0])
+        self.data.time = now
+        Placer(self.world).place(self.data)
+
+    def state(self) -> np.ndarray:
+        kind = mujoco.mjtState.mjSTATE_INTEGRATION
+        state = np.empty(mujoco.mj_stateSize(self.world.model, kind))
+        mujoco.mj_getState(self.world.model, self.data, state, kind)
+        return state
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("quality", ["fine", "draft"])
+def test_a_film_opens_its_shutter_for_half_of_a_frame(world, quality: str) -> None:
+    mirror = FilmMirror(world, 2.0)
+    options = FilmOptions(size=(64, 48), quality=quality, camera="150,-14,2.2")
+    with HeadlessRenderer(world, 64, 48, options.camera, quality) as renderer:
+        frames = [each.copy() for each in film_frames(mirror, renderer, 3, 10.0, options)]
+    assert len(frames) == 3
+    count = SUBFRAMES if quality == "fine" else 1
+    wanted = [(k + SHUTTER * j / SUBFRAMES) / 10 for k in range(3) for j in range(count)]
+    assert mirror.times[-3 * count :] == pytest.approx(wanted)
+    assert not np.array_equal(frames[0], frames[2])
+
+
+@pytest.mark.gl
+def test_a_turntable_begins_at_the_view_and_turns_on(world) -> None:
+    mirror, angles = FilmMirror(world, 0.0), []
+    with HeadlessRenderer(world, 32, 24, "150,-14,2.2", "draft") as renderer:
+        for _ in film_frames(mirror, renderer, 8, 4.0, FilmOptions(orbit=180.0)):
+            angles.append(renderer.camera.azimuth)
+    assert angles == pytest.approx([150 + 22.5 * k for k in range(8)])
