@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -11,21 +12,52 @@ from ...base.errors import Problem, UsageError
 from ...base.frames import Array
 from ...data.drive.mirror import Mirror, restore
 from ...robots.assemble.world import World
+from ...robots.assemble.world_view import WorldView
 from ..camera_motion import CameraMotion, orbit, read_camera_path
 from ..sampling import sampled_states
 from .film import Pixels
 from .motion_blur import SHUTTER, SUBFRAMES
-from .painter import perform_clicks
 from .picture_options import FilmOptions
-from .render import HeadlessRenderer
 
 _POSES = 64  # of a film, by which the camera is placed
 _TURNS = 24  # of a turntable, likewise
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 
 
+class FilmRenderer(Protocol):
+    """What draws a film: a `HeadlessRenderer`.
+
+    Attributes:
+        world: that it draws.
+        camera: may be moved between frames.
+        size: width and height, pixels.
+    """
+
+    world: WorldView
+    camera: mujoco.MjvCamera
+    size: tuple[int, int]
+
+    @property
+    def follows(self) -> bool:
+        """Whether the camera follows something."""
+
+    def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None:
+        """Moves the camera so that robots are in the picture in all of some poses."""
+
+    def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
+        """Renders one frame."""
+
+    def render_blurred(self, moments: Iterable[mujoco.MjData], out: Pixels | None = None) -> Pixels:
+        """Renders one frame as the mean of moments."""
+
+
 def film_frames(
-    mirror: Mirror, renderer: HeadlessRenderer, count: int, fps: float, options: FilmOptions
+    mirror: Mirror,
+    renderer: FilmRenderer,
+    count: int,
+    fps: float,
+    options: FilmOptions,
+    on_first: Callable[[mujoco.MjData], None] = lambda data: None,
 ) -> Iterator[Pixels]:
     """Draws the state at the time of every frame, always into the same array.
 
@@ -35,6 +67,7 @@ def film_frames(
         count: of the frames.
         fps: frames per second.
         options: of the film.
+        on_first: called with the first state before it is drawn.
 
     Raises:
         DeclarationError: errors of the camera's path.
@@ -45,16 +78,17 @@ def film_frames(
     if path is not None and path.has_look_at and renderer.follows:
         reason = "has look_at, and the camera follows something; leave one of them out"
         raise UsageError(Problem("--camera-path", reason, file=str(options.camera_path)))
-    return _draw(mirror, renderer, count, fps, options, path)
+    return _draw(mirror, renderer, count, fps, options, path, on_first)
 
 
 def _draw(
     mirror: Mirror,
-    renderer: HeadlessRenderer,
+    renderer: FilmRenderer,
     count: int,
     fps: float,
     options: FilmOptions,
     motion: CameraMotion | None,
+    on_first: Callable[[mujoco.MjData], None],
 ) -> Iterator[Pixels]:
     """Draws the frames, see `film_frames`, with a camera on its way, or one that may turn."""
     world, data = mirror.world, mirror.world.make_data()
@@ -77,7 +111,7 @@ def _draw(
             if options.orbit is not None:
                 motion = orbit(renderer.camera, options.orbit, count / fps)
             move(0.0)
-            perform_clicks(renderer, data, options.clicks)
+            on_first(data)
         times = (k + SHUTTER * np.arange(len(states)) / subframes) / fps
         moments = _moments(world, data, zip(times.tolist(), states, strict=True), move)
         if is_blurred:
@@ -127,7 +161,7 @@ def _turns(options: FilmOptions) -> list[float]:
     return [end * i / _TURNS for i in range(_TURNS + 1)]
 
 
-def _check_motion(renderer: HeadlessRenderer, options: FilmOptions) -> None:
+def _check_motion(renderer: FilmRenderer, options: FilmOptions) -> None:
     """Raises UsageError where a camera is to move that cannot, or to two places at once."""
     moved = options.given("orbit", "camera_path")
     if len(moved) > 1:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Self, get_args
 
@@ -37,6 +38,7 @@ from ..stereo import anaglyph, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter, compose
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
+from .film_frames import film_frames
 from .motion_blur import Exposure
 from .painter import Painter, perform_clicks
 from .pass_files import check_pass_file, save_depth, save_segmentation
@@ -463,8 +465,6 @@ def render_film(
     Raises:
         SeroError: a problem of the scene, its sources, the camera, an option or the file.
     """
-    from .film_frames import film_frames
-
     path, options = Path(path), options or FilmOptions(**keywords)
     if options.render_pass != "colour":
         expected = "a picture: films change colours, by which parts and depths are told"
@@ -474,8 +474,9 @@ def render_film(
     if count > MAX_FRAMES:
         raise RenderError(f"a film of {count} frames: expected at most {MAX_FRAMES}")
     with Mirror(scene) as mirror, HeadlessRenderer.of_scene(mirror, options) as renderer:
+        clicks = partial(perform_clicks, renderer, clicks=options.clicks)
         return write_film(
-            mirror, renderer, path, film_frames(mirror, renderer, count, fps, options),
+            mirror, renderer, path, film_frames(mirror, renderer, count, fps, options, clicks),
             fps=fps, count=count, options=options, on_progress=on_progress,
         )  # fmt: skip
 
