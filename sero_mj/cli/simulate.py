@@ -12,7 +12,13 @@ from pydantic import model_validator
 from ..base.errors import SimulationError, UsageError
 from ..base.options import NotNegative, Option, Seed, Time, ending, positional
 from ..viewer.headless.film_kinds import FILMS
-from ..viewer.headless.picture_options import CameraOptions, FilmOptions, Rate, SizeOptions
+from ..viewer.headless.picture_options import (
+    CameraOptions,
+    FilmOptions,
+    MotionOptions,
+    Rate,
+    SizeOptions,
+)
 from ._arguments import (
     command,
     finite,
@@ -46,7 +52,7 @@ for bit.
 ORDER = 22  # in the help of `sero-mj`
 
 
-class SimulateOptions(SizeOptions, CameraOptions, JsonOptions, SinkOptions):
+class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, SinkOptions):
     """Run a scenario faster than real time, and judge it.
 
     Attributes:
@@ -96,6 +102,9 @@ class SimulateOptions(SizeOptions, CameraOptions, JsonOptions, SinkOptions):
             raise ValueError("--at is for a picture: --render OUT.png")
         if self.is_picture and self.fps is not None:
             raise ValueError("--fps is for a film: --render OUT.mp4")
+        is_film = self.render is not None and not self.is_picture
+        if not is_film and (moves := self.given("orbit", "camera_path")):
+            raise ValueError(f"{moves[0]} is for a film: --render OUT.mp4")
         return self
 
 

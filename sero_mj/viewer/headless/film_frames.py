@@ -37,9 +37,8 @@ class FilmRenderer(Protocol):
     camera: mujoco.MjvCamera
     size: tuple[int, int]
 
-    @property
-    def follows(self) -> bool:
-        """Whether the camera follows something."""
+    def follow_nothing(self) -> None:
+        """Lets the camera stay where it is put."""
 
     def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None:
         """Moves the camera so that robots are in the picture in all of some poses."""
@@ -75,9 +74,11 @@ def film_frames(
     """
     _check_motion(renderer, options)
     path = None if options.camera_path is None else read_camera_path(options.camera_path)
-    if path is not None and path.has_look_at and renderer.follows:
-        reason = "has look_at, and the camera follows something; leave one of them out"
-        raise UsageError(Problem("--camera-path", reason, file=str(options.camera_path)))
+    if path is not None and path.has_look_at:
+        if options.follow is not None:
+            reason = f"its look_at does not go with --follow {options.follow}"
+            raise UsageError(f"--camera-path {options.camera_path}: {reason}; leave one out")
+        renderer.follow_nothing()
     return _draw(mirror, renderer, count, fps, options, path, on_first)
 
 

@@ -234,10 +234,9 @@ class HeadlessRenderer(Painter):
         if self._follower is None:
             self._framing.hold(self.camera, poses, self._half, turns)
 
-    @property
-    def follows(self) -> bool:
-        """Whether the camera follows something."""
-        return self._follower is not None
+    def follow_nothing(self) -> None:
+        """Lets the camera stay where it is put, also where the scene's view follows something."""
+        self._follower = None
 
     def segmentation(self, data: mujoco.MjData) -> Ints:
         """Renders which part every pixel shows, with neither decor nor stereo.
