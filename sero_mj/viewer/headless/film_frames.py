@@ -164,7 +164,8 @@ def _turns(options: FilmOptions) -> list[float]:
 
 def _check_motion(renderer: FilmRenderer, options: FilmOptions) -> None:
     """Raises UsageError where a camera is to move that cannot, or to two places at once."""
-    moved = options.given("orbit", "camera_path")
+    names = ("orbit", "camera_path")
+    moved = [options.spelled(name) for name in names if getattr(options, name) is not None]
     if len(moved) > 1:
         raise UsageError(f"{' and '.join(moved)}: both move the camera; leave one of them out")
     if moved and renderer.camera.type != _FREE:

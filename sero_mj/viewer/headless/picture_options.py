@@ -60,7 +60,7 @@ class SizeOptions(Options):
     Attributes:
         size: width and height, pixels.
         quality: draft: neither shadows nor smooth edges, in a fraction of the time where OpenGL is
-            software; fine: for print, with 300 dots per inch.
+            software; fine: for print, with 300 dots per inch; its films blur what moves.
     """
 
     size: Size = DEFAULT_SIZE
