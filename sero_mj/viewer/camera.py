@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import mujoco
 import numpy as np
 
@@ -208,7 +210,8 @@ class Navigator:
         if self.following is None or self._follower is None:
             self._framing.fit(self.camera, data)
             return
-        moved = self._follower.displacement(data)
+        # In real time, so that it arrives also where a time line stands still.
+        moved = self._follower.displacement(data, time.monotonic())
         if self.camera.type == _FREE:
             self.camera.lookat = self.camera.lookat + moved
 

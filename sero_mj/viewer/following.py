@@ -27,8 +27,7 @@ def roots(world: WorldView, name: str) -> list[str]:
 class Follower:
     """Computes how a camera moves with something, by a low-pass filter of first order.
 
-    The time of the data is that of the filter: where it stands still, as in a pose that is set by
-    hand, and where it jumps, the camera moves at once.
+    Where time stands still or jumps, the camera moves at once.
 
     Args:
         world: the compiled scene.
@@ -55,18 +54,19 @@ class Follower:
             return np.array(self._world.frame(data, self._name)[:3, 3])
         return np.asarray(self._world.state(data).xpos[self._roots].mean(axis=0))
 
-    def displacement(self, data: mujoco.MjData) -> Array:
+    def displacement(self, data: mujoco.MjData, now: float | None = None) -> Array:
         """Returns by how much the camera moves since the last call, (3,), m.
 
         Args:
             data: the state, with frames up to date.
+            now: time of the filter, s; that of the data when None.
         """
-        now = self._position(data)
-        if not np.isfinite(now).all():
+        position, now = self._position(data), float(data.time) if now is None else now
+        if not np.isfinite(position).all():
             return np.zeros(3)
-        moved, self._last = now - self._last, now
-        passed = 0.0 if self._time is None else float(data.time) - self._time
-        self._time = float(data.time)
+        moved, self._last = position - self._last, position
+        passed = 0.0 if self._time is None else now - self._time
+        self._time = now
         if not 0.0 < passed <= _JUMP:
             return moved
         late = (self._late + moved) * np.exp(-passed / TIME_CONSTANT)
