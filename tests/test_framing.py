@@ -16,6 +16,7 @@ from sero_mj.viewer.camera import find_camera
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.framing import Framing, stand_back
 from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.player import capture as capture_file
 
 SIZES = [(390, 844), (1280, 800), (360, 270)]
 
@@ -97,6 +98,18 @@ def test_a_view_stays_where_it_shows_all_poses_or_a_user_has_placed_it(justin: W
         before = camera.distance, *camera.lookat, camera.azimuth
         Framing(justin, camera, wanted).hold(camera, poses, SIZES[1])
         assert (camera.distance, *camera.lookat, camera.azimuth) == before
+
+
+def test_a_page_holds_all_poses_that_it_plays(justin: World, monkeypatch) -> None:
+    pose = driven(justin, 1.5, -0.5)
+    monkeypatch.setattr(capture_file, "known_poses", lambda *times: [pose])
+    scene = load_scene("justin")
+    scene.routes = {}  # moved by hand, so it is not live
+    page = capture_file.capture(scene, seconds=0.1, fps=10.0)
+    assert page.camera.distance > scene.view.distance
+    for size in SIZES:
+        assert corners_in_picture(justin, page.camera, pose, size, page.needed)
+    assert capture_file.eye(page)["aspect"] == pytest.approx(page.needed, abs=1e-4)
 
 
 def test_what_a_view_leaves_out_on_purpose_stays_out() -> None:

@@ -7,8 +7,30 @@ import threading
 import time
 from collections.abc import Iterator
 
+import mujoco
+import numpy as np
+
 from ..base.frames import Array
 from ..data.drive.mirror import Mirror
+
+_POSES = 64  # by which a camera is placed
+
+
+def known_poses(mirror: Mirror, begin: float, end: float) -> Iterator[mujoco.MjData]:
+    """Yields states over a time whose sources are not live, for a camera that holds them.
+
+    Args:
+        mirror: open; it is at the begin afterwards.
+        begin: s.
+        end: s.
+
+    Yields:
+        the data of the mirror, again and again.
+    """
+    # Backwards: recordings jump back without reading what is between.
+    for now in np.linspace(end, begin, _POSES if mirror.sources else 1).tolist():
+        mirror.advance(now)
+        yield mirror.data
 
 
 def sampled_states(mirror: Mirror, count: int, fps: float, begin: float = 0.0) -> Iterator[Array]:

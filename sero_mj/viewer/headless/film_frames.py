@@ -14,13 +14,12 @@ from ...data.drive.mirror import Mirror, restore
 from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ..camera_motion import CameraMotion, orbit, read_camera_path
-from ..sampling import sampled_states
+from ..sampling import known_poses, sampled_states
 from .film import Pixels
 from .motion_blur import SHUTTER, SUBFRAMES
 from .picture_options import FilmOptions
 
-_POSES = 64  # of a film, by which the camera is placed
-_TURNS = 24  # of a turntable, likewise
+_TURNS = 24  # of a turntable, by which the camera is placed
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 
 
@@ -95,7 +94,7 @@ def _draw(
     world, data = mirror.world, mirror.world.make_data()
     is_placed = motion is not None
     if not mirror.is_live and not is_placed:
-        renderer.hold(_poses(mirror, count / fps), _turns(options))
+        renderer.hold(known_poses(mirror, 0.0, count / fps), _turns(options))
     pixels = np.empty((*renderer.size[::-1], 3), np.uint8)
     is_blurred = options.quality == "fine" and options.stereo is None and not mirror.is_live
     subframes = SUBFRAMES if is_blurred else 1
@@ -145,13 +144,6 @@ def _opened(mirror: Mirror, count: int, fps: float, subframes: int) -> Iterator[
             mirror.advance((k + SHUTTER * j / subframes) / fps)
             states.append(mirror.state())
         yield states
-
-
-def _poses(mirror: Mirror, duration: float) -> Iterator[mujoco.MjData]:
-    """Yields states over the time of a film; backwards, as sources that jump back are quick."""
-    for time in np.linspace(duration, 0.0, _POSES if mirror.sources else 1):
-        mirror.advance(time)
-        yield mirror.data
 
 
 def _turns(options: FilmOptions) -> list[float]:

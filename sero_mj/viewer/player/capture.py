@@ -30,7 +30,8 @@ from ..decor.legend import SCALE
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..framing import Framing, needed_aspect
-from ..sampling import sampled_states
+from ..headless.picture_options import DEFAULT_SIZE
+from ..sampling import known_poses, sampled_states
 from ..session.torque_history import joint_name
 from .copied_bodies import CopiedBodies, CopiedBody
 from .labels import labels_of
@@ -110,6 +111,8 @@ class Capture:
         silent: names of the sources without data.
         meanings: of labels on cards, by label: the file that `A` is, say.
         copies: G more bodies, of doubles; poses, opacity and greyness have them after the B.
+        needed: width over height of a picture that the camera needs, see `needed_aspect`; that of
+            the declared pose when None.
     """
 
     world: WorldView
@@ -137,6 +140,7 @@ class Capture:
     silent: list[str] = field(default_factory=list)
     meanings: Mapping[str, str] = field(default_factory=dict)
     copies: Sequence[CopiedBody] = ()
+    needed: float | None = None
 
     @property
     def frames(self) -> int:
@@ -257,6 +261,7 @@ class FrameCapturer:
         marks: Sequence[Mark] = (),
         silent: Sequence[str] = (),
         toggles: Toggles | None = None,
+        needed: float | None = None,
     ) -> Capture:
         """Returns frames as one; at least one.
 
@@ -267,6 +272,7 @@ class FrameCapturer:
             marks: on the time line.
             silent: names of the sources without data.
             toggles: what is shown at first; as declared when None.
+            needed: see `Capture`.
         """
         world, bodies = self._world, self._bodies
         poses = np.array([each.poses for each in frames])
@@ -306,6 +312,7 @@ class FrameCapturer:
             marks=marks,
             silent=list(silent),
             copies=self._copies.each,
+            needed=needed,
         )
 
 
@@ -400,6 +407,8 @@ def capture(
         count = _frame_count(mirror, seconds, begin, fps)
         first = find_camera(world, camera)
         framing, capturer = Framing(world, first, camera), FrameCapturer(world, first)
+        if not mirror.is_live:
+            framing.hold(first, known_poses(mirror, begin, begin + count / fps), DEFAULT_SIZE)
         data, frames = world.make_data(), list[CapturedFrame]()
         silent = mirror.wait(wait)
         for state in sampled_states(mirror, count, fps, begin):
@@ -409,16 +418,23 @@ def capture(
             frames.append(capturer.take(data))
             if on_progress is not None:
                 on_progress(len(frames), count)
-    return capturer.result(frames, fps=fps, begin=begin, marks=marks, silent=silent)
+    needed = framing.needed
+    return capturer.result(frames, fps=fps, begin=begin, marks=marks, silent=silent, needed=needed)
 
 
-def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera) -> Capture:
+def capture_pose(
+    world: WorldView,
+    data: mujoco.MjData,
+    camera: mujoco.MjvCamera,
+    needed: float | None = None,
+) -> Capture:
     """Collects one pose without decor and values, which a live page is sent for every picture.
 
     Args:
         world: the compiled scene.
         data: its state, with frames up to date.
         camera: of the first picture.
+        needed: see `Capture`.
     """
     joints, bodies, copies = world.joints, shown_bodies(world), CopiedBodies(world)
     places, turns, faint = body_poses(data, bodies, copies, [])
@@ -448,6 +464,7 @@ def capture_pose(world: WorldView, data: mujoco.MjData, camera: mujoco.MjvCamera
         notes=[""],
         cards={},
         copies=copies.each,
+        needed=needed,
     )
 
 
@@ -553,7 +570,7 @@ def _cards(cards: list[dict[int, str]]) -> dict[int, list[str]]:
 
 def eye(capture: Capture) -> dict[str, Any]:
     """Returns the first camera of a page, as JSON."""
-    camera, world = capture.camera, capture.world
+    camera, world, needed = capture.camera, capture.world, capture.needed
     fixed = int(camera.fixedcamid) if camera.type == mujoco.mjtCamera.mjCAMERA_FIXED else -1
     return {
         "lookAt": np.round(camera.lookat, 5).tolist(),
@@ -561,6 +578,6 @@ def eye(capture: Capture) -> dict[str, Any]:
         "azimuth": round(float(camera.azimuth), 3),
         "elevation": round(float(camera.elevation), 3),
         "fovy": round(float(world.model.vis.global_.fovy), 3),
-        "aspect": round(needed_aspect(world, camera), 4),
+        "aspect": round(needed_aspect(world, camera) if needed is None else needed, 4),
         "fixed": fixed,
     }

@@ -99,7 +99,8 @@ class WebHost(LiveHost):
         )
         self._begin = self._last = time.monotonic()
         self._interval = 1.0 / RATE  # s, averaged over the last frames
-        self._state.begin(self.data, self.navigator.camera, world.scene.name)
+        navigator = self.navigator
+        self._state.begin(self.data, navigator.camera, navigator.needed, world.scene.name)
 
     @property
     def url(self) -> str:

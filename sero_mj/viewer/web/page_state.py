@@ -64,16 +64,19 @@ class PageState:
         self._beside: list[Panels] = []  # text that belongs to a place in the picture
         self.count = 0
 
-    def begin(self, data: mujoco.MjData, camera: mujoco.MjvCamera, title: str) -> None:
+    def begin(
+        self, data: mujoco.MjData, camera: mujoco.MjvCamera, needed: float, title: str
+    ) -> None:
         """Puts what does not change: shapes, joints, cameras.
 
         Args:
             data: the world's state, with frames up to date.
             camera: of the first picture.
+            needed: width over height of a picture that it needs, see `needed_aspect`.
             title: of the page.
         """
         self._sections.put("valueKeys", _KEYS)
-        self._sections.put("run", encode(capture_pose(self._world, data, camera), title))
+        self._sections.put("run", encode(capture_pose(self._world, data, camera, needed), title))
 
     # ---- a feature of decor, see `Drawn`
 
