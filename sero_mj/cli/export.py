@@ -63,6 +63,7 @@ class ExportOptions(SceneArgument, ShownOptions):
     def _check_output(self) -> Self:
         if (self.file is None) == (self.output is None):
             raise ValueError("-o OUT: expected one file to write, .html, .glb or .xml")
+        self.refuse(("follow",), " is for windows, pictures and films; a page holds all poses")
         if self.end is not None:
             if self.seconds is not None:
                 raise ValueError("--to and --seconds say the same; give one of them")
