@@ -8,8 +8,10 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import sampled
+from foreign_models import arm
 from PIL import Image
 
+import sero_mj
 from sero_mj.base.errors import RenderError
 from sero_mj.data.drive.place import Placer
 from sero_mj.robots.assemble.world import World
@@ -194,3 +196,17 @@ def test_passes_are_not_written_where_numbers_would_change(lwr, tmp_path) -> Non
     with pytest.raises(RenderError, match="films change colours"):
         render_film(scene, tmp_path / "film.mp4", render_pass="depth")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.gl
+def test_the_parts_of_a_model_of_others_have_its_names(tmp_path) -> None:
+    model, own = arm(lift=0.8)
+    double = Double(name="goal", of="arm", joint_angles=[0.0, -0.8, 0.3, 0.0])
+    with sero_mj.overlay(model, own, doubles=[double]) as overlay:
+        world = overlay.world
+        with HeadlessRenderer(world, *SIZE) as renderer:
+            renderer.toggles.wireframe = True  # of pictures, not of passes
+            parts, names = renderer.segmentation(own), renderer.part_names
+    counts = dict(zip(names, np.bincount(parts.ravel(), minlength=len(names)), strict=True))
+    assert {"background", "arm/fore", "goal/fore", "cube", "ground"} <= counts.keys()
+    assert min(counts[name] for name in ("arm/fore", "goal/fore", "arm/upper", "ground")) > 300

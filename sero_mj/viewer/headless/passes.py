@@ -20,6 +20,7 @@ from ..session.picking import picked_drawn, picked_geom
 BACKGROUND, FLOOR = "background", "floor"
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+_WIREFRAME = int(mujoco.mjtRndFlag.mjRND_WIREFRAME)
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
 # What has a surface besides geoms, and the field of a model that counts it.
 _SURFACES = {
@@ -136,6 +137,7 @@ class PassRenderer:
     def _mark(self, buffer: GeomBuffer) -> None:
         """Gives every geom of a filled scene the number of its part, and leaves decor out."""
         scene = self.scene
+        scene.flags[_WIREFRAME] = False
         self._writer.mark(buffer)
         ends: list[tuple[int, str | None]] = [(scene.ngeom, None)]
         for drawn in buffer.drawn_doubles:
