@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
@@ -12,11 +14,12 @@ from sero_mj.data.drive.place import Placer
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.solids import geom_boxes, geom_corners
 from sero_mj.robots.assemble.world import World
-from sero_mj.viewer.camera import find_camera
+from sero_mj.viewer.camera import Navigator, find_camera
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.framing import Framing, stand_back
 from sero_mj.viewer.headless.render import HeadlessRenderer
 from sero_mj.viewer.player import capture as capture_file
+from sero_mj.viewer.sampling import recorded_poses
 
 SIZES = [(390, 844), (1280, 800), (360, 270)]
 
@@ -110,6 +113,34 @@ def test_a_page_holds_all_poses_that_it_plays(justin: World, monkeypatch) -> Non
     for size in SIZES:
         assert corners_in_picture(justin, page.camera, pose, size, page.needed)
     assert capture_file.eye(page)["aspect"] == pytest.approx(page.needed, abs=1e-4)
+
+
+def test_the_initial_view_of_a_window_holds_a_recording(justin: World) -> None:
+    navigator, pose = Navigator(justin), driven(justin, 1.5, 0.0)
+    navigator.hold(iter([]), SIZES[1])  # as of live sources
+    declared = navigator.camera.distance
+    assert declared == pytest.approx(2.9)
+    navigator.hold(iter([pose]), SIZES[1])
+    held = navigator.camera.distance
+    assert held > declared
+    assert corners_in_picture(justin, navigator.camera, pose, SIZES[0], navigator.needed)
+    navigator.zoom(5)
+    navigator.choose(0)
+    assert navigator.camera.distance == held
+
+
+@pytest.mark.parametrize(
+    ("is_live", "end", "step", "count"),
+    [(False, 9.0, None, 64), (True, 9.0, None, 0), (False, 9.0, 0.001, 0), (False, 999.0, None, 0),
+     (False, None, None, 0)],
+)  # fmt: skip
+def test_short_recordings_are_read_before_they_are_shown(is_live, end, step, count) -> None:
+    times: list[float] = []
+    source = SimpleNamespace(end=end, step=step)
+    mirror = SimpleNamespace(is_live=is_live, sources={"a": source}, advance=times.append, data=0)
+    assert len(list(recorded_poses(mirror))) == count
+    assert times == sorted(times, reverse=True)
+    assert not times or (times[0], times[-1]) == (end, 0.0)
 
 
 def test_what_a_view_leaves_out_on_purpose_stays_out() -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from itertools import chain
 
 import mujoco
 import numpy as np
@@ -100,7 +102,23 @@ class Navigator:
         self._world = world
         self._start = wanted
         self._framing = Framing(world, self.camera, wanted)
+        self._held: mujoco.MjvCamera | None = None
         self._follow_as_declared()
+
+    def hold(self, poses: Iterator[mujoco.MjData], size: tuple[int, int]) -> None:
+        """Moves the initial view so that robots are in it in all of some poses, if there are any.
+
+        One that follows something stays; see `Framing.hold`.
+
+        Args:
+            poses: states with frames up to date.
+            size: of the picture, pixels.
+        """
+        if self.following is not None or (first := next(poses, None)) is None:
+            return
+        self._framing.hold(self.camera, chain([first], poses), size)
+        self._held = mujoco.MjvCamera()
+        copy_camera(self.camera, self._held)
 
     @property
     def needed(self) -> float:
@@ -171,7 +189,10 @@ class Navigator:
         names = list_cameras(self._world)
         if number == 0:
             self.camera = find_camera(self._world, self._start)
-            self._framing = Framing(self._world, self.camera, self._start)
+            if self._held is None:
+                self._framing = Framing(self._world, self.camera, self._start)
+            else:
+                copy_camera(self._held, self.camera)
             self._follow_as_declared()
             return "initial view"
         if number > len(names):

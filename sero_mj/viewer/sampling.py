@@ -11,12 +11,21 @@ import mujoco
 import numpy as np
 
 from ..base.frames import Array
-from ..data.drive.mirror import Mirror
+from ..data.drive.mirror import LiveWorld, Mirror
 
 _POSES = 64  # by which a camera is placed
+_LONGEST = 120.0  # s of a recording that is read before it is shown
 
 
-def known_poses(mirror: Mirror, begin: float, end: float) -> Iterator[mujoco.MjData]:
+def recorded_poses(mirror: LiveWorld) -> Iterator[mujoco.MjData]:
+    """Yields states of recordings, as `known_poses`; none of live, simulated and long ones."""
+    sources = mirror.sources.values()
+    ends = [source.end for source in sources if source.end is not None and source.step is None]
+    if not mirror.is_live and 0 < len(ends) == len(sources) and max(ends) <= _LONGEST:
+        yield from known_poses(mirror, 0.0, max(ends))
+
+
+def known_poses(mirror: LiveWorld, begin: float, end: float) -> Iterator[mujoco.MjData]:
     """Yields states over a time whose sources are not live, for a camera that holds them.
 
     Args:

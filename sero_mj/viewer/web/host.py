@@ -14,7 +14,9 @@ import mujoco
 from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ..headless.film import Pixels
+from ..headless.picture_options import DEFAULT_SIZE
 from ..player.page import look_asked_for
+from ..sampling import recorded_poses
 from ..session.live import LiveHost
 from ..session.scene_decor import SceneDecor
 from .browsers import Browsers
@@ -67,11 +69,13 @@ class WebHost(LiveHost):
         waits: bool = False,
         folder: Path | None = None,
     ) -> None:
+        self.view = PageView(mirror.world, camera)
+        self.navigator = self.view.navigator
+        # Before anything listens to packets.
+        self.navigator.hold(recorded_poses(mirror), DEFAULT_SIZE)
         super().__init__(mirror, folder)
         world = self.world
         self._renderer: HeadlessRenderer | None = None  # of screenshots and films
-        self.view = PageView(world, camera)
-        self.navigator = self.view.navigator
         self.decor = SceneDecor(world, self.toggles)
         self._sections = Sections()
         self._state = PageState(world, self._sections)

@@ -22,6 +22,7 @@ from ..decor.toggles import Toggles
 from ..framing import stand_back, standing_back
 from ..headless.film import Pixels
 from ..headless.picture_options import DEFAULT_SIZE
+from ..sampling import recorded_poses
 from ..session.input import Clicked, Event, Mouse, Moved
 from ..session.interaction import help_columns
 from ..session.live import LiveHost
@@ -193,9 +194,11 @@ class Window(LiveHost):
             raise RenderError(
                 f"no window can be opened: {error}; `sero-mj view --web` shows a page"
             ) from error
+        self.navigator = Navigator(mirror.world, camera)
+        # Before anything listens to packets.
+        self.navigator.hold(recorded_poses(mirror), DEFAULT_SIZE)
         super().__init__(mirror, folder)
         world = self.world
-        self.navigator = Navigator(world, camera)
         title = f"{world.scene.name} - sero-mj"
         self.gl = GlWindow(world, size, title, full_screen=full_screen)
         self.decor = make_viewport(world, self.toggles, self.gl.context)
