@@ -21,6 +21,9 @@ from sero_mj.viewer.camera_motion import (
     read_camera_path,
 )
 from sero_mj.viewer.following import TIME_CONSTANT, Follower, roots
+from sero_mj.viewer.headless.film_frames import film_frames
+from sero_mj.viewer.headless.picture_options import FilmOptions
+from sero_mj.viewer.headless.render import HeadlessRenderer
 
 TIMES = np.array([0.0, 1.0, 1.5, 4.0, 5.0])
 VALUES = np.array([[0.0, 3.0], [2.0, 3.0], [2.5, -1.0], [2.6, 4.0], [2.6, 5.0]])
@@ -174,6 +177,37 @@ def test_a_window_follows_what_the_view_of_its_scene_says(justin: World) -> None
     assert navigator.follow(data, None) == "follows nothing"
     navigator.choose(0)
     assert navigator.following == "justin"
+
+
+@pytest.mark.gl
+def test_pictures_follow_and_a_path_with_places_does_not(justin: World, tmp_path) -> None:
+    data, file = justin.make_data(), tmp_path / "path.toml"
+    file.write_text("[[keys]]\ntime = 0\nlook_at = [0, 0, 1]\n")
+    with HeadlessRenderer(justin, 32, 24, quality="draft") as renderer:
+        start = renderer.camera.lookat.copy()
+        drive(justin, data, 4.0, 0.0)
+        renderer.render(data)
+        assert renderer.camera.lookat == pytest.approx(start + np.array([4.0, 0, 0]))
+        with pytest.raises(UsageError, match="its look_at does not go with --follow justin"):
+            film_frames(None, renderer, 1, 1.0, FilmOptions(camera_path=file, follow="justin"))
+        film_frames(None, renderer, 1, 1.0, FilmOptions(camera_path=file))
+        drive(justin, data, 8.0, 0.1)
+        renderer.render(data)
+        assert renderer.camera.lookat[0] == pytest.approx(4.0 + start[0])
+        with pytest.raises(UsageError, match="--orbit and --camera-path: both move the camera"):
+            film_frames(None, renderer, 1, 1.0, FilmOptions(camera_path=file, orbit=90))
+
+
+@pytest.mark.gl
+def test_a_fixed_camera_does_not_turn() -> None:
+    cameras = {"front": Camera(position=[2.0, 0.0, 1.0])}
+    world = World(Scene(robots=[SerialRobot.from_model("lwr")], cameras=cameras))
+    told = "--orbit: cannot move camera 'front'; expected the free camera"
+    with (
+        HeadlessRenderer(world, 32, 24, "front", "draft") as renderer,
+        pytest.raises(UsageError, match=told),
+    ):
+        film_frames(None, renderer, 1, 1.0, FilmOptions(orbit=90))
 
 
 def test_a_fixed_camera_follows_nothing() -> None:

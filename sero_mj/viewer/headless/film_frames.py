@@ -163,4 +163,4 @@ def _check_motion(renderer: FilmRenderer, options: FilmOptions) -> None:
     if moved and renderer.camera.type != _FREE:
         name = renderer.world.model.camera(renderer.camera.fixedcamid).name
         expected = "the free camera, azimuth,elevation,distance or the scene's view"
-        raise UsageError(Problem(moved[0], "moves a camera", found=name, expected=expected))
+        raise UsageError(Problem(moved[0], "cannot move camera", found=name, expected=expected))
