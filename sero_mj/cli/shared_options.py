@@ -15,7 +15,7 @@ from ..base.declaration import expecting
 from ..base.errors import UsageError
 from ..base.options import Duration, Option, Options, Time, ending, positional
 from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
-from ..study.figure import SUFFIXES
+from ..study.figure import NO_MATPLOTLIB, SUFFIXES, has_matplotlib
 from ..viewer.headless.picture_options import EYE_DISTANCE, CameraOptions, StereoOptions
 from ._arguments import read_recorded_run, read_scene, replay_instead
 
@@ -23,9 +23,17 @@ if TYPE_CHECKING:
     from ..robots.declared.scene import Scene
     from ..simulate.runs.run_log import RunLog
 
+
+def _drawn(path: Path | None) -> Path | None:
+    """The path of a figure, before work of minutes that it would show."""
+    if path is not None and not has_matplotlib():
+        raise ValueError(NO_MATPLOTLIB)
+    return path
+
+
 File = Annotated[Path, Option("FILE")]
 Recording = Annotated[Path, Option("REC")]
-Figure = Annotated[Path, ending(*SUFFIXES), Option("OUT")]
+Figure = Annotated[Path, ending(*SUFFIXES), AfterValidator(_drawn), Option("OUT")]
 Settings = Annotated[list[str], Option("KEY=VALUE", ("--set",))]
 Flag = Annotated[str | None, Option("NAME")]
 

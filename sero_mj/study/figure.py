@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 
 
 SUFFIXES = (".png", ".pdf", ".svg")
+NO_MATPLOTLIB = "figures need matplotlib: pip install 'sero-mj[figures]'"
 # The colours of the round arrows: distinguishable by colour-blind people, and in grey.
 ORANGE, BLUE = "#E8720C", "#0B5CC2"
 INK, GREY, FAINT = "#23282E", "#6B737C", "#D9DDE1"
@@ -90,9 +92,16 @@ class Span:
     is_fault: bool = False
 
 
+def has_matplotlib() -> bool:
+    """Whether figures can be drawn."""
+    return find_spec("matplotlib") is not None
+
+
 def check_suffix(path: Path | str) -> Path:
-    """Raises UsageError for a suffix that is not a figure's."""
+    """Raises UsageError for a suffix that is not a figure's, or without matplotlib."""
     path = Path(path)
+    if not has_matplotlib():
+        raise UsageError(NO_MATPLOTLIB)
     if path.suffix.lower() not in SUFFIXES:
         expected = f"a name that ends in {', '.join(SUFFIXES)}"
         raise UsageError(Problem(file=str(path), found=path.suffix, expected=expected))

@@ -413,9 +413,9 @@ def plot_identified(found: Identified, path: Path | str) -> None:
         RenderError: the file cannot be written.
         UsageError: another suffix.
     """
+    path = check_suffix(path)
     from matplotlib.lines import Line2D
 
-    path = check_suffix(path)
     robot = found.robot
     unit = one_unit(unit_of("torques", kind) for kind in robot.types) or "Nm or N"
     limits = robot.torque_bounds

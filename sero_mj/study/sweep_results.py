@@ -16,6 +16,7 @@ import numpy as np
 
 from ..base.errors import CsvError, Problem, RenderError, UsageError
 from ..data.record.csv_files import csv_table
+from .figure import check_suffix
 from .sweep import Sweep, Vary
 from .variant import UNITS
 
@@ -338,7 +339,9 @@ def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) 
 
     Raises:
         RenderError: it cannot be written.
+        UsageError: it has another suffix, or matplotlib is not installed.
     """
+    check_suffix(path)
     from matplotlib.figure import Figure  # no window, no state: it may run beside others
 
     names = value_columns(sweep.columns)
