@@ -3,7 +3,8 @@
 MuJoCo's classic renderer draws what is in an `MjvScene` with the textures and meshes that are in
 an `MjrContext`, and both are made from one model. The surroundings are a model of their own, laid
 out by MuJoCo for the same camera: its lights and floor are copied into the scene, its textures
-become those of the context. Neither the user's model nor the user's data is involved.
+become those of the context. Neither the user's model nor the user's data is involved. Filament has
+no such context, and takes the model of the surroundings beside the other one.
 """
 
 from __future__ import annotations
@@ -20,12 +21,14 @@ _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
 _MOST_GEOMS = 4  # of the surroundings; MuJoCo draws the floor as one
 
 
-def added_surroundings(world: WorldView, context: mujoco.MjrContext) -> AddedSurroundings | None:
+def added_surroundings(
+    world: WorldView, context: mujoco.MjrContext | None
+) -> AddedSurroundings | None:
     """Returns the surroundings that a host adds to every frame; None if the world has its own.
 
     Args:
         world: what is shown.
-        context: of the host, whose OpenGL context must be current.
+        context: of the host, whose OpenGL context must be current; None for a host without.
     """
     own = world.surroundings()
     return None if own is None else AddedSurroundings(own, world.model, context)
@@ -37,15 +40,20 @@ class AddedSurroundings:
     Args:
         own: the model of the surroundings.
         model: the model that is shown.
-        context: of the host, made from that model; its OpenGL context must be current.
+        context: of the host, made from that model; its OpenGL context must be current. None for a
+            host without.
+
+    Attributes:
+        model: of the surroundings.
     """
 
     def __init__(
-        self, own: mujoco.MjModel, model: mujoco.MjModel, context: mujoco.MjrContext
+        self, own: mujoco.MjModel, model: mujoco.MjModel, context: mujoco.MjrContext | None
     ) -> None:
+        self.model = own
         # The floor ends where the shown model is no longer drawn.
         own.stat.extent, own.vis.map.zfar = model.stat.extent, model.vis.map.zfar
-        self._material = _lend_textures(own, model, context)
+        self._material = -1 if context is None else _lend_textures(own, model, context)
         self._scene = mujoco.MjvScene(own, maxgeom=_MOST_GEOMS)
         data, option, camera = mujoco.MjData(own), mujoco.MjvOption(), mujoco.MjvCamera()
         mujoco.mj_forward(own, data)

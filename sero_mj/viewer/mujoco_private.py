@@ -5,6 +5,7 @@ Therefore `mujoco>=4.0,<4.1`. Where another version lacks a part, `RenderError` 
 
 from __future__ import annotations
 
+import importlib
 from typing import Any
 
 import mujoco
@@ -33,3 +34,23 @@ def context_of(renderer: mujoco.Renderer) -> mujoco.MjrContext:
     """
     context: mujoco.MjrContext = _private(renderer, "_mjr_context", "pictures")
     return context
+
+
+def filament() -> Any:
+    """The module of MuJoCo's Filament renderer, with its materials registered.
+
+    `mujoco.mjrf` is used as it is, because the wrapper in `mujoco.rendering.filament` needs Python
+    3.12. Importing `mujoco.studio` is what registers where materials (`filament:pbr.filamat`) are
+    found; without it the first object ends the process.
+
+    Raises:
+        RenderError: this MuJoCo has none.
+    """
+    try:
+        importlib.import_module("mujoco.studio")
+        return importlib.import_module("mujoco.mjrf")
+    except ImportError as error:
+        raise RenderError(
+            f"MuJoCo {mujoco.__version__} has no Filament renderer ({error}); expected MuJoCo "
+            f"{_EXPECTED} with mujoco.mjrf and mujoco.studio"
+        ) from None

@@ -232,8 +232,30 @@ class View(Declaration):
 
 
 @dataclass(frozen=True)
+class PhysicalLight:
+    """Light of the surroundings for renderers that compute with physical quantities.
+
+    All of it is relative to the light that shows a white surface as white. The sky is that of the
+    palette.
+
+    Attributes:
+        sky: radiance of the sky that lights surfaces, as a factor of the radiance that is seen.
+        ground: radiance from below, likewise, of the colour of the floor's lighter tiles.
+        softbox: radiance of a large lamp above, of which smooth surfaces show reflections.
+        key: illuminance by the light that casts shadows, of a surface that faces it.
+        bulb: radius of that light, m; a larger one has softer shadows.
+    """
+
+    sky: float
+    ground: float
+    softbox: float
+    key: float
+    bulb: float = 0.5
+
+
+@dataclass(frozen=True)
 class Palette:
-    """Colours of the surroundings, red, green, blue, 0 to 1.
+    """Colours of the surroundings, red, green, blue, 0 to 1, and their light.
 
     Attributes:
         sky: at the horizon and at the zenith.
@@ -241,6 +263,7 @@ class Palette:
         haze: at the end of the floor.
         headlight: ambient and diffuse intensity.
         key: intensity of the light that casts shadows.
+        physical: the same light for a renderer of physical quantities.
     """
 
     sky: tuple[Rgb, Rgb]
@@ -248,6 +271,7 @@ class Palette:
     haze: Rgb
     headlight: tuple[float, float]
     key: float
+    physical: PhysicalLight
 
 
 PALETTES = {
@@ -258,6 +282,7 @@ PALETTES = {
         haze=(0.93, 0.95, 0.97),
         headlight=(0.34, 0.28),
         key=0.52,
+        physical=PhysicalLight(sky=0.70, ground=0.75, softbox=0.3, key=0.45),
     ),
     "dark": Palette(
         sky=((0.11, 0.13, 0.16), (0.03, 0.04, 0.05)),
@@ -265,6 +290,7 @@ PALETTES = {
         haze=(0.09, 0.11, 0.14),
         headlight=(0.30, 0.30),
         key=0.55,
+        physical=PhysicalLight(sky=8.0, ground=2.0, softbox=1.5, key=0.75),
     ),
 }
 

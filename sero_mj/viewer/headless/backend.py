@@ -151,9 +151,14 @@ def has_osmesa() -> bool:
     return any(name.startswith("libOSMesa.so") for name in _libraries())
 
 
+def library_files(name: str) -> list[str]:
+    """Returns the paths of the loader's shared libraries whose file names begin with a name."""
+    return sorted(path for file, path in _libraries().items() if file.startswith(name))
+
+
 @cache
-def _libraries() -> frozenset[str]:
-    """Returns the file names of the loader's shared libraries; empty if unavailable."""
+def _libraries() -> dict[str, str]:
+    """Returns the paths of the loader's shared libraries by file name; empty if unavailable."""
     try:
         listing = subprocess.run(
             ["ldconfig", "-p"],
@@ -163,5 +168,6 @@ def _libraries() -> frozenset[str]:
             env={**os.environ, "PATH": f"{os.environ.get('PATH', '')}:/sbin:/usr/sbin"},
         ).stdout
     except OSError:
-        return frozenset()
-    return frozenset(line.split()[0] for line in listing.splitlines()[1:] if line.strip())
+        return {}
+    lines = [line.split() for line in listing.splitlines()[1:] if line.strip()]
+    return {words[0]: words[-1] for words in reversed(lines)}  # the first of a name is loaded

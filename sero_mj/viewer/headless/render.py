@@ -50,8 +50,10 @@ from .picture_options import (
     Pass,
     PictureOptions,
     Quality,
+    RendererName,
     Stereo,
 )
+from .renderer_choice import choose_renderer, make_filament
 from .textures import upload_textures, without_textures
 
 log = logging.getLogger(__name__)
@@ -112,6 +114,13 @@ def offscreen_size(
         size.offwidth, size.offheight, quality.offsamples, quality.shadowsize = before
 
 
+class ClassicRenderer(mujoco.Renderer):
+    """MuJoCo's renderer on OpenGL, with the methods of a `FilamentRenderer`."""
+
+    def follow(self, data: mujoco.MjData) -> None:
+        """Does nothing: its scene holds all that it draws."""
+
+
 class HeadlessRenderer(Painter):
     """Renders a world into arrays.
 
@@ -126,16 +135,20 @@ class HeadlessRenderer(Painter):
         eye_distance: between the eyes, m.
         follow: the robot, group or frame that the free camera moves with; that of the scene's view
             when None.
+        renderer: `classic` for OpenGL, `filament` for soft shadows and occlusion on Vulkan; None
+            for `filament` where it runs for the quality `fine`, else `classic`. Where Filament does
+            not run, the classic renderer draws, and a warning is logged that says why.
 
     Attributes:
         world: the world.
+        renderer: which one draws.
         decor: of the last frame.
         camera: can be changed between frames.
         size: width and height, pixels.
 
     Raises:
         RenderError: no OpenGL, the size or the eyes' distance is out of range, or there is no such
-            quality or stereo.
+            quality, renderer or stereo.
         UnknownName: no camera of that name, or nothing to follow.
         UsageError: a fixed camera is to follow something.
     """
@@ -150,6 +163,7 @@ class HeadlessRenderer(Painter):
         stereo: Stereo | None = None,
         eye_distance: float = EYE_DISTANCE,
         follow: str | None = None,
+        renderer: RendererName | None = None,
     ) -> None:
         check_stereo(stereo, eye_distance)
         if quality not in QUALITIES:
@@ -171,11 +185,18 @@ class HeadlessRenderer(Painter):
         self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
         self.decor = SceneDecor(world, with_text=False)
         drawn, tall = self._half[0] * self._scale, height * self._scale
-        self._renderer = make_renderer(world, drawn, tall, is_draft=quality == "draft")
-        if quality == "draft":
+        is_draft = quality == "draft"
+        self.renderer: RendererName = choose_renderer(renderer, quality, drawn, tall)
+        if self.renderer == "filament":
+            self._renderer, self._surroundings = make_filament(
+                world, drawn, tall, is_draft=is_draft
+            )
+        else:
+            self._renderer = make_renderer(world, drawn, tall, is_draft=is_draft)
+            # A new renderer's OpenGL context is the current one.
+            self._surroundings = added_surroundings(world, context_of(self._renderer))
+        if is_draft:
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
-        # A new renderer's OpenGL context is the current one.
-        self._surroundings = added_surroundings(world, context_of(self._renderer))
         self._typesetter = Typesetter(line_height(world, *self._half))
         self._passes: PassRenderer | None = None
 
@@ -190,6 +211,7 @@ class HeadlessRenderer(Painter):
             options.stereo,
             options.eye_distance,
             options.follow,
+            options.renderer,
         )
 
     def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
@@ -203,6 +225,7 @@ class HeadlessRenderer(Painter):
             picture (height, width, 3), uint8; a notebook displays it.
         """
         self.decor.draw(data, self._look(data), self._renderer.scene)
+        self._renderer.follow(data)
         text = self._typesetter.place(self.decor.panels)
         if self._stereo is None and self._scale == 1:
             pixels: Pixels = self._renderer.render(out=out)
@@ -367,9 +390,9 @@ def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) 
     try:
         with offscreen_size(model, width, height, is_draft=is_draft):
             if not is_draft:
-                return mujoco.Renderer(model, height, width)
+                return ClassicRenderer(model, height, width)
             with without_textures(model) as textures:
-                renderer = mujoco.Renderer(model, height, width)
+                renderer = ClassicRenderer(model, height, width)
         upload_textures(model, context_of(renderer), textures)
         return renderer
     except Exception as error:  # every GL backend raises errors of its own
