@@ -282,7 +282,7 @@ PALETTES = {
         haze=(0.93, 0.95, 0.97),
         headlight=(0.34, 0.28),
         key=0.52,
-        physical=PhysicalLight(sky=0.70, ground=0.75, softbox=0.3, key=0.45),
+        physical=PhysicalLight(sky=0.62, ground=0.88, softbox=0.3, key=0.48),
     ),
     "dark": Palette(
         sky=((0.11, 0.13, 0.16), (0.03, 0.04, 0.05)),
@@ -290,7 +290,7 @@ PALETTES = {
         haze=(0.09, 0.11, 0.14),
         headlight=(0.30, 0.30),
         key=0.55,
-        physical=PhysicalLight(sky=8.0, ground=2.0, softbox=1.5, key=0.75),
+        physical=PhysicalLight(sky=16.0, ground=16.0, softbox=0.6, key=0.42),
     ),
 }
 

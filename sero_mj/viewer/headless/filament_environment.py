@@ -12,12 +12,13 @@ from functools import lru_cache
 import numpy as np
 
 from ...base.frames import Array
-from ...robots.declared.surroundings import Palette
+from ...robots.declared.surroundings import Palette, Rgb
 
 _SIDE, _LEVELS = 32, 6  # pixels of the sharpest level, and levels down to one pixel
 _SHARPEST, _BLUREST = 0.03, 0.9  # rad, standard deviation of the blur of the first and last level
 _LAMP = 0.12  # of the lamp above, 1 - sine of the elevation at which it fades
 _HORIZON = 0.02  # sine of the elevation over which the ground becomes the sky
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of red, green and blue; ITU-R BT.709
 # KTX 1.1 of three small floats (OpenGL's R11F_G11F_B10F) a pixel, the format of MuJoCo's own.
 _MAGIC = b"\xabKTX 11\xbb\r\n\x1a\n"
 _ENDIANNESS, _GL_RGB, _R11F_G11F_B10F = 0x04030201, 0x1907, 0x8C3A
@@ -54,13 +55,18 @@ def environment(look: str, palette: Palette) -> bytes:
     return b"".join([_MAGIC, header, about, *(_level(radiance, k) for k in range(_LEVELS))])
 
 
+def _grey(rgb: Rgb) -> Array:
+    """Returns linear light (3) without a tint: colours are to look as they are declared."""
+    return np.full(3, linear(np.array(rgb)) @ _LUMINANCE)
+
+
 class _Radiance:
     """Radiance by the sine of the elevation, relative to white."""
 
     def __init__(self, palette: Palette) -> None:
         light = palette.physical
-        self._horizon, self._zenith = (light.sky * linear(np.array(rgb)) for rgb in palette.sky)
-        self._ground = light.ground * linear(np.array(palette.tiles[1]))
+        self._horizon, self._zenith = (light.sky * _grey(rgb) for rgb in palette.sky)
+        self._ground = light.ground * _grey(palette.tiles[1])
         self._lamp = light.softbox
 
     def __call__(self, up: Array) -> Array:

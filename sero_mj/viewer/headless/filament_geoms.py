@@ -24,8 +24,6 @@ _TYPES = mujoco.mjtGeom
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
 _PLANE, _MESH = int(_TYPES.mjGEOM_PLANE), int(_TYPES.mjGEOM_MESH)
-_OF_MODEL = (_MESH, int(_TYPES.mjGEOM_SDF), int(_TYPES.mjGEOM_HFIELD))
-_FLEX, _SKIN = int(_TYPES.mjGEOM_FLEX), int(_TYPES.mjGEOM_SKIN)
 _PRIMITIVES = frozenset(
     int(getattr(_TYPES, f"mjGEOM_{name}"))
     for name in ("PLANE", "SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "ARROW", "ARROW1",
@@ -37,11 +35,13 @@ _CUBE = int(mujoco.mjtTexture.mjTEXTURE_CUBE)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 # A surface of this fraction of a colour that glows with the colour is independent of light.
 _DARK = 1 / 256
+_REFLECTANCE = 0.08  # of plastic at right angles, 0.04, for MuJoCo's usual specular of 0.5
+_LIT = 0.7  # share of light in the colour of doubles, whose shape it shows; the rest glows
 _FAINTEST = 0.01  # opacity
 
 
 class ModelGeoms:
-    """The geoms of a model, each as often as a scene shows it.
+    """The geoms of a model that light falls on, and its meshes and textures.
 
     Args:
         context: of the scene.
@@ -51,49 +51,47 @@ class ModelGeoms:
 
     def __init__(self, context: Any, scene: Any, model: mujoco.MjModel) -> None:
         module = filament()
-        self.model, self._scene, self._module = model, scene, module
+        self.model, self._context = model, context
         self._resources = module.ModelResources(context, model)
-        self._copies: list[tuple[Any, list[Any]]] = []
+        self._objects = module.ModelRenderables(scene, self._resources)
+        get = self._objects.get_renderable
+        self.geoms = [get(mujoco.mjtObj.mjOBJ_GEOM, k) for k in range(model.ngeom)]
+        for item in (*self.geoms, *(get(mujoco.mjtObj.mjOBJ_SITE, k) for k in range(model.nsite))):
+            scene.remove_renderable(item)
         self.textures = [own_texture(context, model, k) for k in range(model.ntex)]
         roles = model.mat_texid.reshape(-1, _ROLES)
         self._images = [-1 if k < 0 else int(roles[k, _RGB]) for k in model.geom_matid]
         has_roughness = (model.mat_metallic >= 0) | (model.mat_roughness >= 0)
         self._is_physical = [bool(k >= 0 and has_roughness[k]) for k in model.geom_matid]
-        # Flexes and skins are meshes that MuJoCo computes anew in every frame.
-        self.soft: Any = self._objects()[0] if model.nflex or model.nskin else None
+        self._meshes: dict[int, Any] = {}
 
-    def _objects(self) -> tuple[Any, list[Any]]:
-        model, scene = self.model, self._scene
-        objects = self._module.ModelRenderables(scene, self._resources)
-        geoms = [objects.get_renderable(mujoco.mjtObj.mjOBJ_GEOM, k) for k in range(model.ngeom)]
-        for geom in geoms:
-            scene.remove_renderable(geom)
-        for site in range(model.nsite):
-            scene.remove_renderable(objects.get_renderable(mujoco.mjtObj.mjOBJ_SITE, site))
-        return objects, geoms
-
-    def get(self, geom: int, copy: int) -> Any:
-        """Returns the object of a geom for the copy-th time that a scene shows it."""
-        while copy >= len(self._copies):
-            objects, geoms = self._objects()
-            self._copies.append((objects, geoms))
-        return self._copies[copy][1][geom]
+    def follow(self, data: mujoco.MjData) -> None:
+        """Computes the meshes of skins and flexes, which are others in every frame."""
+        if self.model.nflex or self.model.nskin:
+            self._objects.update(data)
 
     def material(self, geom: int, row: Any) -> Any:
-        """Returns the material of a geom that is lit, with the colour of a scene's row."""
-        material = self.get(geom, 0).get_material()
-        material.color = row["rgba"]
+        """Returns the material of a geom, with the colour of a scene's row."""
+        material = self.geoms[geom].get_material()
+        material.color = seen_rgba(row)
         image = self._images[geom]
         if image >= 0 and self.textures[image] is not None:
             material.color_texture = self.textures[image]
-        elif not self._is_physical[geom]:
-            material.metallic, material.roughness = 0.0, roughness(float(row["shininess"]))
+        if not self._is_physical[geom]:
+            material.specular, material.glossiness = finish(row)
         return material
+
+    def mesh(self, index: int) -> Any:
+        """Returns a mesh of the model for objects that cast no shadow."""
+        if index not in self._meshes:
+            self._meshes[index] = upload_mesh(self._context, self.model, index)
+        return self._meshes[index]
 
     def close(self) -> None:
         """Frees the objects."""
-        self._copies.clear()
-        self.soft = None
+        self.geoms.clear()
+        del self._objects
+        self._meshes.clear()
         self.textures.clear()
         del self._resources
 
@@ -105,7 +103,7 @@ class GeomPool:
         context: of the scene.
         scene: of Filament.
         models: the shown model, and that of added surroundings if any.
-        is_unlit: geoms of the shown model whose colours light does not change, (ngeom,).
+        doubles: geoms of the shown model that are those of doubles, (ngeom,).
         is_dark: whether what is behind transparent geoms is mostly dark.
     """
 
@@ -114,14 +112,16 @@ class GeomPool:
         context: Any,
         scene: Any,
         models: Sequence[mujoco.MjModel],
-        is_unlit: Bools,
+        doubles: Bools,
         *,
         is_dark: bool = False,
     ) -> None:
         self._module, self._context, self._scene = filament(), context, scene
         self._models = [ModelGeoms(context, scene, model) for model in models]
-        self._is_unlit, self._is_dark = is_unlit, is_dark
-        self._pool: dict[int, list[Any]] = {}
+        self._doubles, self._is_dark = doubles, is_dark
+        # By type, number of the mesh or -1, and whether they cast shadows: that cannot be changed
+        # once an object is made.
+        self._pool: dict[tuple[int, int, bool], list[Any]] = {}
         self._shown: set[Any] = set()
         self._materials: dict[Any, tuple[Any, ...]] = {}
         quality = models[0].vis.quality
@@ -138,8 +138,7 @@ class GeomPool:
 
     def follow(self, data: mujoco.MjData) -> None:
         """Takes the shapes of skins and flexes from a state, which a scene's geoms do not tell."""
-        if self._models[0].soft is not None:
-            self._models[0].soft.update(data)
+        self._models[0].follow(data)
 
     def update(self, rows: np.ndarray) -> None:
         """Shows the geoms of a scene, and nothing else.
@@ -148,34 +147,34 @@ class GeomPool:
             rows: (k,) of `GEOM`.
         """
         shown: set[Any] = set()
-        used: Counter[int] = Counter()
-        taken: Counter[int] = Counter()
+        used: Counter[tuple[int, int, bool]] = Counter()
         model = self._models[0].model
-        kinds, of, ids = (rows[name].tolist() for name in ("type", "objtype", "objid"))
+        kinds, of, ids, meshes = (
+            rows[name].tolist() for name in ("type", "objtype", "objid", "dataid")
+        )
         decor = (rows["category"] == _DECOR).tolist()
-        visible = (rows["rgba"][:, 3] > 0).tolist()
-        for k, row in enumerate(rows):
-            kind, geom, geoms = kinds[k], ids[k], self._models[0]
-            if not visible[k]:
-                continue
+        casts = (rows["castshadow"].astype(bool) & (rows["rgba"][:, 3] >= 1.0)).tolist()
+        for k in np.flatnonzero(rows["rgba"][:, 3] > 0).tolist():
+            kind, geom, geoms, row = kinds[k], ids[k], self._models[0], rows[k]
             is_own = of[k] == _GEOM and 0 <= geom < model.ngeom and model.geom_type[geom] == kind
+            is_double = of[k] == _GEOM and (decor[k] or (is_own and bool(self._doubles[geom])))
+            lit = _LIT if is_double else 0.0 if decor[k] else 1.0
             if kind == _PLANE and not is_own and len(self._models) > 1:
                 geoms, geom = self._models[1], 0  # the floor of the surroundings
                 is_own = geoms.model.ngeom > 0
-            if is_own and (kind in _OF_MODEL or kind == _PLANE or not decor[k]):
-                item = geoms.get(geom, taken[geom] if geoms is self._models[0] else 0)
-                taken[geom] += geoms is self._models[0]
+            if is_own and lit == 1.0:
+                item = geoms.geoms[geom]
                 self._place_own(item, geoms.model, geom, row)
-            elif kind in _PRIMITIVES:
-                item = self._primitive(kind, used[kind])
-                used[kind] += 1
-                item.set_size(row["size"])
+            elif kind in _PRIMITIVES or kind == _MESH:
+                key = (kind, meshes[k] // 2 if kind == _MESH else -1, casts[k] and lit == 1.0)
+                item = self._pooled(key, used[key])
+                used[key] += 1
+                if kind != _MESH:
+                    item.set_size(row["size"])
                 item.set_pose(row["pos"], row["mat"].ravel())
-                is_own = False
             else:
                 continue
-            unlit = decor[k] or (is_own and geoms is self._models[0] and self._is_unlit[geom])
-            self._paint(item, row, geoms if is_own else None, geom, unlit=bool(unlit))
+            self._paint(item, row, geoms if is_own else None, geom, lit)
             shown.add(item)
         for item in self._shown - shown:
             self._scene.remove_renderable(item)
@@ -184,47 +183,59 @@ class GeomPool:
         self._shown = shown
 
     def _place_own(self, item: Any, model: mujoco.MjModel, geom: int, row: Any) -> None:
-        position, turned = row["pos"], row["mat"].ravel()
+        position = row["pos"]
         if row["type"] == _PLANE and not model.geom_bodyid[geom]:
             # MuJoCo moves infinite planes with the camera, and textures of theirs the other way;
             # Filament draws this one so large that it can stay.
             position = model.geom_pos[geom].astype(np.float32)
-        item.set_pose(position, turned)
+        item.set_pose(position, row["mat"].ravel())
 
-    def _primitive(self, kind: int, number: int) -> Any:
-        pool = self._pool.setdefault(kind, [])
+    def _pooled(self, key: tuple[int, int, bool], number: int) -> Any:
+        pool = self._pool.setdefault(key, [])
         if number == len(pool):
-            item = self._context.create_renderable(self._module.RenderableParams())
-            item.set_geom_mesh(mujoco.mjtGeom(kind), *self._quality)
+            kind, mesh, casts = key
+            # With soft shadows, what receives shadows casts them as well.
+            params = self._module.RenderableParams(cast_shadow=casts, receive_shadow=casts)
+            item = self._context.create_renderable(params)
+            if kind == _MESH:
+                item.set_mesh(self._models[0].mesh(mesh), 0, 0)
+            else:
+                item.set_geom_mesh(mujoco.mjtGeom(kind), *self._quality)
             pool.append(item)
         return pool[number]
 
-    def _paint(
-        self, item: Any, row: Any, geoms: ModelGeoms | None, geom: int, *, unlit: bool
-    ) -> None:
-        """Sets the material of an object, where it is another one than in the last frame."""
-        casts = bool(row["castshadow"]) and not unlit and float(row["rgba"][3]) >= 1.0
-        look = (row["rgba"].tobytes(), float(row["shininess"]), unlit, casts, id(geoms))
+    def _paint(self, item: Any, row: Any, geoms: ModelGeoms | None, geom: int, lit: float) -> None:
+        """Sets the material of an object, where it is another one than in the last frame.
+
+        Args:
+            item: the object.
+            row: of the scene.
+            geoms: the model that it belongs to; None for a primitive of the pool.
+            geom: its number in the model.
+            lit: share of light in its colour; the rest glows.
+        """
+        look = (row["rgba"].tobytes(), *finish(row), lit, id(geoms), geom if geoms else -1)
         if self._materials.get(item) == look:
             return
         self._materials[item] = look
-        if unlit:
-            material = self._unlit(row["rgba"])
+        if lit < 1.0:
+            material = self._glowing(row["rgba"], max(lit, _DARK))
         elif geoms is not None:
             material = geoms.material(geom, row)
         else:
+            specular, glossiness = finish(row)
             material = self._module.Material(
-                color=row["rgba"], metallic=0.0, roughness=roughness(float(row["shininess"]))
+                color=seen_rgba(row), specular=specular, glossiness=glossiness
             )
         item.set_material(material)
-        item.set_cast_shadow(casts)
 
-    def _unlit(self, rgba: Array) -> Any:
-        colour, opacity = glow(tuple(rgba.tolist()), self._is_dark)
-        dark = shown(np.array(colour) * _DARK)
+    def _glowing(self, rgba: Array, lit: float) -> Any:
+        light, opacity = glow(tuple(rgba.tolist()), self._is_dark)
+        surface = shown(np.array(light) * lit / opacity)
+        # Filament multiplies what glows by the opacity twice: as a glow and as a colour.
         return self._module.Material(
-            color=np.array([*dark, opacity], np.float32), specular=0.0, glossiness=0.0,
-            emissive=1.0 / _DARK,
+            color=np.array([*surface, opacity], np.float32), specular=0.0, glossiness=0.0,
+            emissive=(1.0 - lit) / (lit * opacity),
         )  # fmt: skip
 
     def close(self) -> None:
@@ -239,9 +250,24 @@ class GeomPool:
         self._models.clear()
 
 
+def opacity_of(alpha: float) -> float:
+    """Returns the opacity with which the classic renderer shows a geom of a declared one.
+
+    It blends every transparent geom twice.
+    """
+    return 1.0 - (1.0 - min(float(alpha), 1.0)) ** 2
+
+
+def seen_rgba(row: Any) -> Array:
+    """Returns the colour of a scene's row with the opacity that the classic renderer gives it."""
+    rgba: Array = row["rgba"].copy()
+    rgba[3] = opacity_of(rgba[3])
+    return rgba
+
+
 @lru_cache(maxsize=4096)
 def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], float]:
-    """Returns light (3) and opacity of a material that looks as the classic renderer draws a colour.
+    """Returns light (3) and opacity with which a colour looks as the classic renderer draws it.
 
     The classic renderer mixes colours as they are shown, Filament mixes light, in which the same
     opacity looks paler. Light and opacity are those that differ least over greys behind them.
@@ -250,7 +276,7 @@ def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], flo
         rgba: as it is declared.
         is_dark: whether what is behind is mostly dark.
     """
-    colour, alpha = np.array(rgba[:3]), float(rgba[3])
+    colour, alpha = np.array(rgba[:3]), opacity_of(rgba[3])
     if alpha >= 1.0:
         return tuple(linear(colour).tolist()), 1.0
     behind = np.linspace(0.05, 0.5, 10) if is_dark else np.linspace(0.5, 0.95, 10)
@@ -260,18 +286,59 @@ def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], flo
     through = float((spread * (wanted - wanted.mean(axis=0))).sum() / (3.0 * (spread**2).sum()))
     opacity = float(np.clip(1.0 - through, _FAINTEST, 1.0 - 1e-3))
     light = np.maximum((wanted - (1.0 - opacity) * there).mean(axis=0), 0.0)
-    # Filament multiplies what glows by the opacity twice: as a glow and as a colour.
-    return tuple((light / opacity**2).tolist()), opacity
+    return tuple(light.tolist()), opacity
 
 
-def roughness(shininess: float) -> float:
-    """Returns Filament's roughness of a surface with MuJoCo's shininess, 0 to 1.
+def finish(row: Any) -> tuple[float, float]:
+    """Returns Filament's specular colour and glossiness, 0 to 1, of a scene's row.
 
-    Source: Blinn-Phong's exponent n as the width of a microfacet lobe, alpha^2 = 2 / (n + 2)
-    (Walter et al., Microfacet Models for Refraction, 2007); Filament's roughness is sqrt(alpha), and
-    MuJoCo's n is 128 times the shininess.
+    MuJoCo's usual specular, 0.5, becomes the reflectance of plastic at right angles, 0.04.
+
+    Source: Blinn-Phong's exponent n, MuJoCo's shininess times 128, as the width of a microfacet
+    lobe, alpha^2 = 2 / (n + 2) (Walter et al., Microfacet Models for Refraction, 2007); Filament's
+    roughness is sqrt(alpha), its glossiness 1 - roughness.
     """
-    return float((2.0 / (128.0 * max(shininess, 0.0) + 2.0)) ** 0.25)
+    exponent = 128.0 * max(float(row["shininess"]), 0.0)
+    return _REFLECTANCE * float(row["specular"]), 1.0 - (2.0 / (exponent + 2.0)) ** 0.25
+
+
+def upload_mesh(context: Any, model: mujoco.MjModel, index: int) -> Any:
+    """Returns a mesh of a model as a mesh of Filament, three corners of its own for each face."""
+    module = filament()
+    first, count = int(model.mesh_faceadr[index]), int(model.mesh_facenum[index])
+    faces = model.mesh_face[first : first + count].ravel()
+    corners = model.mesh_vert[model.mesh_vertadr[index] :][faces]
+    faces = model.mesh_facenormal[first : first + count].ravel()
+    normals = model.mesh_normal[model.mesh_normaladr[index] :][faces]
+    usage, kinds = module.VertexAttributeUsage, module.VertexAttributeType
+    attributes = [
+        module.VertexAttribute(
+            usage.VERTEX_ATTRIBUTE_USAGE_POSITION, kinds.VERTEX_ATTRIBUTE_TYPE_FLOAT3
+        ),
+        module.VertexAttribute(
+            usage.VERTEX_ATTRIBUTE_USAGE_TANGENTS, kinds.VERTEX_ATTRIBUTE_TYPE_FLOAT4
+        ),
+    ]
+    config = module.MeshConfig(
+        max_vertices=3 * count, max_indices=3 * count, attributes=attributes, interleaved=True,
+        index_type=module.IndexType.INDEX_TYPE_U32,
+        primitive_type=module.MeshPrimitiveType.MESH_PRIMITIVE_TYPE_TRIANGLES,
+    )  # fmt: skip
+    data = module.MeshData(compute_bounds=True)
+    vertices = np.concatenate([corners, _tangents(normals)], axis=1).astype(np.float32)
+    data.set_vertices(config, vertices.tobytes())
+    data.set_indices(config, np.arange(3 * count, dtype=np.uint32).tobytes())
+    mesh = context.create_mesh(config)
+    mesh.upload(data)
+    return mesh
+
+
+def _tangents(normals: Array) -> Array:
+    """Returns quaternions (k, 4), x, y, z, w, that turn z to unit normals (k, 3)."""
+    x, y, z = normals.T.astype(float)
+    turned = np.stack([-y, x, np.zeros_like(z), 1.0 + z], axis=1)
+    turned[z < -1.0 + 1e-6] = (1.0, 0.0, 0.0, 0.0)  # half a turn about any axis across
+    return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
 
 def own_texture(context: Any, model: mujoco.MjModel, index: int) -> Any | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...robots.declared.surroundings import Palette
 from ..mujoco_private import filament
-from .filament_environment import environment
+from .filament_environment import environment, linear
 
 log = logging.getLogger(__name__)
 
@@ -27,24 +27,33 @@ _OPTIONS: dict[str, str | float] = {
 _DRAFT: dict[str, str | float] = {"ao.enabled": 0.0, "shadows.type": "pcf"}
 _SHADOW_MAP = 2048  # pixels a side
 _FAR = 20.0  # extents of the model from which a further light of parallel rays shines
-_SPOT, _DIRECTIONAL = int(mujoco.mjtLightType.mjLIGHT_SPOT), int(
-    mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+_SPOT, _DIRECTIONAL = (
+    int(mujoco.mjtLightType.mjLIGHT_SPOT),
+    int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL),
 )
 _POINT, _IMAGE = int(mujoco.mjtLightType.mjLIGHT_POINT), int(mujoco.mjtLightType.mjLIGHT_IMAGE)
 _KNOWN = frozenset(
-    """
-    ao.bent_normals ao.bilateral_threshold ao.enabled ao.low_pass_filter ao.quality ao.ssct
-    ao.upsampling bloom.dirt_strength bloom.enabled bloom.levels bloom.quality bloom.resolution
-    bloom.strength cg.contrast cg.exposure cg.gamut_mapping cg.highlight_scale cg.highlights
-    cg.luminance_scaling cg.mid_point cg.midtones cg.offset cg.output_color_space cg.power
-    cg.saturation cg.shadow_gamma cg.shadows cg.slope cg.temperature cg.tint cg.tonal_ranges
-    cg.tone_mapping cg.vibrance clear_color fallback.environment_light_intensity
-    fallback.head_light_intensity fallback.scene_light_intensity fog.color fog.cut_off_distance
-    fog.density fog.distance fog.enabled fog.height fog.height_falloff fog.in_scattering_size
-    fog.in_scattering_start fog.maximum_opacity material.base_color_type msaa.enabled
-    phong.emissive_multiplier phong.shininess_multiplier phong.specular_multiplier
-    shadows.map_size shadows.type vignette.enabled vignette.midpoint
-    """.split()
+    {
+        f"{group}.{name}"
+        for group, names in {
+            "ao": "bent_normals bilateral_threshold enabled low_pass_filter quality ssct "
+            "upsampling",
+            "bloom": "dirt_strength enabled levels quality resolution strength",
+            "cg": "contrast exposure gamut_mapping highlight_scale highlights luminance_scaling "
+            "mid_point midtones offset output_color_space power saturation shadow_gamma shadows "
+            "slope temperature tint tonal_ranges tone_mapping vibrance",
+            "fallback": "environment_light_intensity head_light_intensity scene_light_intensity",
+            "fog": "color cut_off_distance density distance enabled height height_falloff "
+            "in_scattering_size in_scattering_start maximum_opacity",
+            "material": "base_color_type",
+            "msaa": "enabled",
+            "phong": "emissive_multiplier shininess_multiplier specular_multiplier",
+            "shadows": "map_size type",
+            "vignette": "enabled midpoint",
+        }.items()
+        for name in names.split()
+    }
+    | {"clear_color"}
 )
 
 
@@ -74,7 +83,8 @@ def options_model(model: mujoco.MjModel, *, is_draft: bool) -> mujoco.MjModel:
             numeric = spec.add_numeric()
             numeric.name, numeric.data, numeric.size = PREFIX + name, numbers, len(numbers)
     options = spec.compile()
-    options.vis.rgba.haze[:] = model.vis.rgba.haze
+    # Filament takes it for linear light.
+    options.vis.rgba.haze[:3] = linear(model.vis.rgba.haze[:3])
     options.vis.map.haze = model.vis.map.haze
     options.stat.extent = model.stat.extent
     return options

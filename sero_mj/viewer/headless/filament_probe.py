@@ -1,4 +1,4 @@
-"""Whether MuJoCo's Filament renderer draws on this machine, found in another process and remembered.
+"""Whether MuJoCo's Filament renderer draws on this machine: tried elsewhere, remembered.
 
 Filament ends the process that asks it for what it cannot do: without the Vulkan loader, without a
 driver, for a picture that is larger than the driver's largest. So a process of its own tries first.

@@ -1,7 +1,7 @@
-"""`FilamentRenderer`: draws an `MjvScene` by MuJoCo's Filament renderer, in place of the classic one.
+"""`FilamentRenderer`: draws an `MjvScene` by Filament, in place of MuJoCo's classic renderer.
 
-It takes the same scene, with the same camera, geoms, lights and flags. Whether it can be made at all
-is to be asked first, see `filament_probe`: where Filament cannot draw, it ends the process.
+It takes the same scene, with the same camera, geoms, lights and flags. Whether it can be made at
+all is to be asked first, see `filament_probe`: where Filament cannot draw, it ends the process.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from ...robots.declared.surroundings import PALETTES
 from ..decor.geom_buffer import GEOM
 from ..decor.scene_writer import struct_view
 from ..mujoco_private import filament
-from .film import Pixels
 from .filament_geoms import GeomPool
 from .filament_light import SceneLights, options_model
+from .film import Pixels
 
 MAX_GEOMS = 10_000  # of a scene, as of `mujoco.Renderer`
 _FLAGS = mujoco.mjtRndFlag
@@ -35,7 +35,7 @@ class FilamentRenderer:
         width: of the picture, pixels.
         height: of the picture, pixels.
         look: name of the palette of the surroundings, which has their light.
-        is_unlit: geoms whose colours light does not change, (ngeom,); None for none.
+        doubles: geoms of doubles, (ngeom,), which glow; None for none.
         surroundings: a model of a floor and a sky, for a model without.
         is_draft: without occlusion and soft shadows.
 
@@ -53,7 +53,7 @@ class FilamentRenderer:
         height: int,
         *,
         look: str = "light",
-        is_unlit: Bools | None = None,
+        doubles: Bools | None = None,
         surroundings: mujoco.MjModel | None = None,
         is_draft: bool = False,
     ) -> None:
@@ -71,10 +71,10 @@ class FilamentRenderer:
             self._scene = self._context.create_scene(module.SceneParams())
             self._scene.configure_from_model(options_model(model, is_draft=is_draft))
             models = [model] if surroundings is None else [model, surroundings]
-            if is_unlit is None:
-                is_unlit = np.zeros(model.ngeom, bool)
+            if doubles is None:
+                doubles = np.zeros(model.ngeom, bool)
             self._geoms = GeomPool(
-                self._context, self._scene, models, is_unlit, is_dark=look == "dark"
+                self._context, self._scene, models, doubles, is_dark=look == "dark"
             )
             self._lights = SceneLights(self._context, self._scene, model, look, palette)
             sky = self._geoms.skybox

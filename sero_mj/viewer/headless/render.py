@@ -114,7 +114,7 @@ def offscreen_size(
         size.offwidth, size.offheight, quality.offsamples, quality.shadowsize = before
 
 
-class ClassicRenderer(mujoco.Renderer):
+class ClassicRenderer(mujoco.Renderer):  # type: ignore[misc]
     """MuJoCo's renderer on OpenGL, with the methods of a `FilamentRenderer`."""
 
     def follow(self, data: mujoco.MjData) -> None:

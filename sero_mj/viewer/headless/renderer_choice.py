@@ -54,7 +54,9 @@ def _tell(problem: str) -> None:
     )  # fmt: skip
 
 
-def make_filament(world: WorldView, width: int, height: int, *, is_draft: bool = False) -> tuple[FilamentRenderer, AddedSurroundings | None]:
+def make_filament(
+    world: WorldView, width: int, height: int, *, is_draft: bool = False
+) -> tuple[FilamentRenderer, AddedSurroundings | None]:
     """Returns Filament's renderer for a world, and the surroundings that it adds, if any.
 
     Args:
@@ -65,7 +67,7 @@ def make_filament(world: WorldView, width: int, height: int, *, is_draft: bool =
     """
     surroundings = added_surroundings(world, None)
     renderer = FilamentRenderer(
-        world.model, width, height, look=world.scene.view.look, is_unlit=_doubles(world),
+        world.model, width, height, look=world.scene.view.look, doubles=_doubles(world),
         surroundings=None if surroundings is None else surroundings.model, is_draft=is_draft,
     )  # fmt: skip
     return renderer, surroundings
