@@ -250,7 +250,7 @@ class PhysicalLight:
     ground: float
     softbox: float
     key: float
-    bulb: float = 0.5
+    bulb: float = 0.15
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,7 @@ class GeomPool:
         # once an object is made.
         self._pool: dict[tuple[int, int, bool], list[Any]] = {}
         self._shown: set[Any] = set()
-        self._materials: dict[Any, tuple[Any, ...]] = {}
+        self._looks: dict[Any, tuple[bytes, float, int]] = {}  # of the materials that were set
         quality = models[0].vis.quality
         self._quality = int(quality.numstacks), int(quality.numslices), int(quality.numquads)
 
@@ -154,41 +154,45 @@ class GeomPool:
         )
         decor = (rows["category"] == _DECOR).tolist()
         casts = (rows["castshadow"].astype(bool) & (rows["rgba"][:, 3] >= 1.0)).tolist()
+        sizes, places = list(rows["size"].copy()), list(rows["pos"].copy())
+        turned = list(rows["mat"].reshape(-1, 9))
+        finishes = np.stack([rows["specular"], rows["shininess"]], axis=1)
+        looks = np.concatenate([rows["rgba"], finishes], axis=1, dtype=np.float32).tobytes()
+        width = len(looks) // max(len(rows), 1)
         for k in np.flatnonzero(rows["rgba"][:, 3] > 0).tolist():
-            kind, geom, geoms, row = kinds[k], ids[k], self._models[0], rows[k]
+            kind, geom, geoms = kinds[k], ids[k], self._models[0]
             is_own = of[k] == _GEOM and 0 <= geom < model.ngeom and model.geom_type[geom] == kind
             is_double = of[k] == _GEOM and (decor[k] or (is_own and bool(self._doubles[geom])))
             lit = _LIT if is_double else 0.0 if decor[k] else 1.0
             if kind == _PLANE and not is_own and len(self._models) > 1:
                 geoms, geom = self._models[1], 0  # the floor of the surroundings
                 is_own = geoms.model.ngeom > 0
+            place = places[k]
             if is_own and lit == 1.0:
                 item = geoms.geoms[geom]
-                self._place_own(item, geoms.model, geom, row)
+                if kind == _PLANE and not geoms.model.geom_bodyid[geom]:
+                    # MuJoCo moves infinite planes with the camera, and textures of theirs the
+                    # other way; Filament draws this one so large that it can stay.
+                    place = geoms.model.geom_pos[geom].astype(np.float32)
             elif kind in _PRIMITIVES or kind == _MESH:
                 key = (kind, meshes[k] // 2 if kind == _MESH else -1, casts[k] and lit == 1.0)
                 item = self._pooled(key, used[key])
                 used[key] += 1
                 if kind != _MESH:
-                    item.set_size(row["size"])
-                item.set_pose(row["pos"], row["mat"].ravel())
+                    item.set_size(sizes[k])
             else:
                 continue
-            self._paint(item, row, geoms if is_own else None, geom, lit)
+            item.set_pose(place, turned[k])
+            look = (looks[k * width : (k + 1) * width], lit, geom if is_own else -1)
+            if self._looks.get(item) != look:
+                self._looks[item] = look
+                item.set_material(self._material(rows[k], geoms if is_own else None, geom, lit))
             shown.add(item)
         for item in self._shown - shown:
             self._scene.remove_renderable(item)
         for item in shown - self._shown:
             self._scene.add_renderable(item)
         self._shown = shown
-
-    def _place_own(self, item: Any, model: mujoco.MjModel, geom: int, row: Any) -> None:
-        position = row["pos"]
-        if row["type"] == _PLANE and not model.geom_bodyid[geom]:
-            # MuJoCo moves infinite planes with the camera, and textures of theirs the other way;
-            # Filament draws this one so large that it can stay.
-            position = model.geom_pos[geom].astype(np.float32)
-        item.set_pose(position, row["mat"].ravel())
 
     def _pooled(self, key: tuple[int, int, bool], number: int) -> Any:
         pool = self._pool.setdefault(key, [])
@@ -204,30 +208,21 @@ class GeomPool:
             pool.append(item)
         return pool[number]
 
-    def _paint(self, item: Any, row: Any, geoms: ModelGeoms | None, geom: int, lit: float) -> None:
-        """Sets the material of an object, where it is another one than in the last frame.
+    def _material(self, row: Any, geoms: ModelGeoms | None, geom: int, lit: float) -> Any:
+        """Returns the material of an object.
 
         Args:
-            item: the object.
             row: of the scene.
             geoms: the model that it belongs to; None for a primitive of the pool.
             geom: its number in the model.
             lit: share of light in its colour; the rest glows.
         """
-        look = (row["rgba"].tobytes(), *finish(row), lit, id(geoms), geom if geoms else -1)
-        if self._materials.get(item) == look:
-            return
-        self._materials[item] = look
         if lit < 1.0:
-            material = self._glowing(row["rgba"], max(lit, _DARK))
-        elif geoms is not None:
-            material = geoms.material(geom, row)
-        else:
-            specular, glossiness = finish(row)
-            material = self._module.Material(
-                color=seen_rgba(row), specular=specular, glossiness=glossiness
-            )
-        item.set_material(material)
+            return self._glowing(row["rgba"], max(lit, _DARK))
+        if geoms is not None:
+            return geoms.material(geom, row)
+        specular, glossiness = finish(row)
+        return self._module.Material(color=seen_rgba(row), specular=specular, glossiness=glossiness)
 
     def _glowing(self, rgba: Array, lit: float) -> Any:
         light, opacity = glow(tuple(rgba.tolist()), self._is_dark)
@@ -243,7 +238,7 @@ class GeomPool:
         for item in self._shown:
             self._scene.remove_renderable(item)
         self._shown.clear()
-        self._materials.clear()
+        self._looks.clear()
         self._pool.clear()
         for geoms in self._models:
             geoms.close()
