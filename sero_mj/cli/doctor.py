@@ -11,6 +11,7 @@ import subprocess
 import sys
 from typing import Any
 
+from ..viewer.headless import filament_probe
 from ..viewer.headless.backend import BACKENDS, PACKAGES, has_display, has_osmesa
 from ._arguments import command
 from .shared_options import JsonOptions
@@ -74,7 +75,7 @@ ORDER = 73  # in the help of `sero-mj`
 
 
 class DoctorOptions(JsonOptions):
-    """Say which OpenGL backends work and what to install."""
+    """Say which OpenGL backends work, whether Filament does, and what to install."""
 
 
 def run(options: DoctorOptions) -> int:
@@ -87,10 +88,12 @@ def run(options: DoctorOptions) -> int:
     works = [name for name, found in backends.items() if found["works"]]
     used = chosen if chosen in works else next(iter(works), None)
     speed = None if used is None else frame_times(used)
+    filament = filament_probe.filament_problem()
     if options.as_json:
         found: dict[str, Any] = {"versions": versions, "backends": backends}
         found["python"] = platform.python_version()
         found |= {"chosen": chosen, "live": live, "frame_times": speed, "fifo": may_be_first()}
+        found["filament"] = {"works": filament is None, "reason": filament}
         print(json.dumps(found, indent=2))
         return 0 if works else 1
     print(
@@ -105,6 +108,11 @@ def run(options: DoctorOptions) -> int:
         else:
             print(f"  {name:7} does not work: {found['reason']}")
             print(f"  {'':7} Debian, Ubuntu: apt install {PACKAGES[name]}")
+    if filament is None:
+        print("  Filament works: --renderer filament, and what --quality fine takes")
+    else:
+        print(f"  Filament does not work: {filament}; pictures are classic ones")
+        print(f"  {'':7} Debian, Ubuntu: apt install {filament_probe.PACKAGES}")
     print(f"sero-mj uses {chosen or 'what MuJoCo chooses'}; MUJOCO_GL overrides it")
     if speed is not None:
         print(_about_speed(used or "", speed))

@@ -21,11 +21,18 @@ PREFIX = "filament."
 # Colours are kept as they are declared: a linear tone mapping that clips. MuJoCo 4.0.0 shows
 # everything twice as bright, which the exposure of -1 stop undoes.
 _OPTIONS: dict[str, str | float] = {
-    "cg.tone_mapping": "linear", "cg.exposure": -1.0, "bloom.enabled": 0.0,
-    "shadows.type": "pcss", "ao.enabled": 1.0,
-}  # fmt: skip
+    "cg.tone_mapping": "linear",
+    "cg.exposure": -1.0,
+    "bloom.enabled": 0.0,
+    "shadows.type": "pcss",
+    "ao.enabled": 1.0,
+    # Medium, of low, medium, high and ultra: on software rendering the last takes a fifth longer.
+    "ao.quality": 1.0,
+    "ao.low_pass_filter": 1.0,
+    "ao.upsampling": 1.0,
+}
 _DRAFT: dict[str, str | float] = {"ao.enabled": 0.0, "shadows.type": "pcf"}
-_SHADOW_MAP = 2048  # pixels a side
+_SHADOW_MAP = 1024  # pixels a side, of each of four cascades
 _FAR = 20.0  # extents of the model from which a further light of parallel rays shines
 _SPOT, _DIRECTIONAL = (
     int(mujoco.mjtLightType.mjLIGHT_SPOT),
@@ -56,6 +63,13 @@ _KNOWN = frozenset(
     | {"clear_color"}
 )
 
+_SIZES = {  # of options that are several numbers
+    **dict.fromkeys(("clear_color", "fog.color"), 3),
+    **{f"cg.{name}": 3 for name in ("slope", "offset", "power")},
+    **{f"cg.{name}": 3 for name in ("shadow_gamma", "mid_point", "highlight_scale")},
+    **{f"cg.{name}": 4 for name in ("shadows", "midtones", "highlights", "tonal_ranges")},
+}
+
 
 def options_model(model: mujoco.MjModel, *, is_draft: bool) -> mujoco.MjModel:
     """Returns a model with the options of the view, which Filament reads from a model's custom.
@@ -68,12 +82,7 @@ def options_model(model: mujoco.MjModel, *, is_draft: bool) -> mujoco.MjModel:
         is_draft: without occlusion and soft shadows.
     """
     spec = mujoco.MjSpec()
-    own, unknown = _own_options(model)
-    if unknown:
-        log.warning(
-            "%s: MuJoCo's Filament renderer has no such options; they have no effect",
-            ", ".join(f"'{PREFIX}{name}'" for name in unknown),
-        )
+    own = _own_options(model)
     for name, value in (_OPTIONS | (_DRAFT if is_draft else {}) | own).items():
         if isinstance(value, str):
             text = spec.add_text()
@@ -90,16 +99,31 @@ def options_model(model: mujoco.MjModel, *, is_draft: bool) -> mujoco.MjModel:
     return options
 
 
-def _own_options(model: mujoco.MjModel) -> tuple[dict[str, Any], list[str]]:
-    """Returns the known options of a model, and the names of unknown ones."""
+def _own_options(model: mujoco.MjModel) -> dict[str, Any]:
+    """Returns the options of a model that Filament takes; logs those that it does not know."""
     found: dict[str, Any] = {}
     for index in range(model.nnumeric):
         start, size = int(model.numeric_adr[index]), int(model.numeric_size[index])
         found[model.numeric(index).name] = model.numeric_data[start : start + size].copy()
     for index in range(model.ntext):
-        found[model.text(index).name] = model.text(index).data
-    ours = {key.removeprefix(PREFIX): value for key, value in found.items() if PREFIX in key[:9]}
-    return {k: v for k, v in ours.items() if k in _KNOWN}, sorted({*ours} - _KNOWN)
+        start, size = int(model.text_adr[index]), int(model.text_size[index])
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, index)
+        found[name or ""] = model.text_data[start : start + size - 1].decode("utf-8", "replace")
+    taken: dict[str, Any] = {}
+    for name, value in found.items():
+        if not name.startswith(PREFIX):
+            continue
+        key = name.removeprefix(PREFIX)
+        # MuJoCo 4.0.0 ends the process for another number of numbers.
+        size, expected = 0 if isinstance(value, str) else len(value), _SIZES.get(key, 1)
+        if key not in _KNOWN:
+            log.warning("'%s' is no option of MuJoCo's Filament renderer: it has no effect", name)
+        elif size and (size != expected or not np.isfinite(value).all()):
+            numbers = " ".join(f"{each:g}" for each in value)
+            log.warning("%s: found %s; expected finite numbers, %d", name, numbers, expected)
+        else:
+            taken[key] = value
+    return taken
 
 
 class SceneLights:

@@ -24,7 +24,7 @@ from ..typesetting import Typesetter, compose
 from .film import check_film, default_fps
 from .film_kinds import FILMS
 from .painter import Painter, perform_clicks
-from .picture_options import PictureOptions, Quality
+from .picture_options import PictureOptions, Quality, RendererName
 from .render import (
     MAX_SIDE,
     QUALITIES,
@@ -34,6 +34,7 @@ from .render import (
     render_picture,
     write_film,
 )
+from .renderer_choice import choose_renderer, make_filament
 
 log = logging.getLogger(__name__)
 
@@ -45,22 +46,35 @@ class PhotoRenderer(Painter):
         world: what is in the photos.
         camera: of the photos.
         quality: see `HeadlessRenderer`.
+        renderer: likewise.
 
     Attributes:
+        renderer: which one draws.
         photo: the photo to draw over if `render` gets none.
 
     Raises:
         RenderError: no OpenGL, or the photos are too large.
     """
 
-    def __init__(self, world: WorldView, camera: PhotoCamera, quality: Quality = "normal") -> None:
+    def __init__(
+        self,
+        world: WorldView,
+        camera: PhotoCamera,
+        quality: Quality = "normal",
+        renderer: RendererName | None = None,
+    ) -> None:
         if quality not in QUALITIES:
             raise RenderError(Problem("quality", found=quality, expected=", ".join(QUALITIES)))
         scale = SUPERSAMPLING if quality == "fine" else 1
         self.world, self.size = world, (camera.width, camera.height)
         self.photo: Pixels = np.zeros((camera.height, camera.width, 3), np.uint8)
         self._painter = PhotoPainter(world, camera, (MAX_SIDE // 2, MAX_SIDE // 2), scale)
-        self._renderer = make_renderer(world, *self._painter.size, is_draft=quality == "draft")
+        size, is_draft = self._painter.size, quality == "draft"
+        self.renderer: RendererName = choose_renderer(renderer, quality, *size)
+        if self.renderer == "filament":
+            self._renderer, _ = make_filament(world, *size, is_draft=is_draft)
+        else:
+            self._renderer = make_renderer(world, *size, is_draft=is_draft)
         self._typesetter = Typesetter(line_height(world, camera.width, camera.height))
         self.decor = SceneDecor(world, with_text=False)
 
@@ -74,6 +88,7 @@ class PhotoRenderer(Painter):
         photo = self.photo if photo is None else photo
         scene = self._renderer.scene
         self.decor.draw(data, self._look(data), scene)
+        self._renderer.follow(data)
         pixels = self._painter.over(photo, scene, self._renderer.render)
         compose(pixels, self._typesetter.place(self.decor.panels))
         return pixels
@@ -119,7 +134,7 @@ def render_picture_over(
     def painter(mirror: Mirror, options: PictureOptions) -> PhotoRenderer:
         if is_video:
             refuse_live(mirror, over)
-        renderer = PhotoRenderer(mirror.world, camera, options.quality)
+        renderer = PhotoRenderer(mirror.world, camera, options.quality, options.renderer)
         renderer.photo = pixels
         return renderer
 
@@ -166,7 +181,7 @@ def render_film_over(
         fps = min(video.fps, FILMS[check_film(path).suffix.lower()].most_fps)
         if path.suffix.lower() == ".gif":
             fps = min(fps, default_fps(path))
-        with PhotoRenderer(mirror.world, camera, options.quality) as renderer:
+        with PhotoRenderer(mirror.world, camera, options.quality, options.renderer) as renderer:
             plain = drawn = 0
 
             def frames() -> Iterator[Pixels]:

@@ -89,6 +89,7 @@ class PhotoPainter:
         for geom in masked:
             geom.matid = geom.texid = -1
             geom.specular = geom.reflectance = 0.0
+            geom.category = _DECOR  # which Filament draws in its colour, without light
         _colour(masked, 0.0)
         black = self._plane.to_photo(draw().copy(), 0)
         _colour(masked, 1.0)
