@@ -316,7 +316,7 @@ def test_a_draft_has_the_textures_that_opengl_would_make(world, monkeypatch) -> 
 def test_a_fine_picture_is_smoother_and_has_the_same_size_panels_and_text(world) -> None:
     pictures, panels = {}, {}
     for quality in ("normal", "fine"):
-        with HeadlessRenderer(world, *SIZE, quality=quality) as renderer:
+        with HeadlessRenderer(world, *SIZE, quality=quality, renderer="classic") as renderer:
             renderer.toggles.cards[:] = True
             pictures[quality] = renderer.render(world.make_data())
             panels[quality] = renderer.decor.panels
@@ -331,7 +331,8 @@ def test_a_fine_picture_is_smoother_and_has_the_same_size_panels_and_text(world)
 @pytest.mark.parametrize(("quality", "dpi"), [("normal", None), ("fine", 300)])
 def test_a_fine_picture_says_its_resolution(quality, dpi, lwr, tmp_path) -> None:
     file = tmp_path / "lwr.png"
-    render_picture(Scene(robots=[lwr]), file, size=(120, 90), quality=quality)
+    scene, options = Scene(robots=[lwr]), {"size": (120, 90), "quality": quality}
+    render_picture(scene, file, **options, renderer="classic")
     with Image.open(file) as picture:
         assert picture.size == (120, 90)
         assert (dpi is None) == ("dpi" not in picture.info)

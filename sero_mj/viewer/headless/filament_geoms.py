@@ -37,6 +37,12 @@ SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 _DARK = 1 / 256
 _REFLECTANCE = 0.08  # of plastic at right angles, 0.04, for MuJoCo's usual specular of 0.5
 _LIT = 0.7  # share of light in the colour of doubles, whose shape it shows; the rest glows
+# Filament grades colours by a table, which rounds off where they reach white: what is seen, and the
+# light that is needed for it. Source: greys and colours drawn by MuJoCo 4.0.0, to 2 of 255.
+_NEAR_WHITE = (
+    (0.0, 0.83, 0.871, 0.905, 0.931, 0.992, 1.0),
+    (0.0, 0.83, 0.9, 0.95, 1.0, 1.1, 1.3),
+)
 _FAINTEST = 0.01  # opacity
 
 
@@ -273,7 +279,7 @@ def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], flo
     """
     colour, alpha = np.array(rgba[:3]), opacity_of(rgba[3])
     if alpha >= 1.0:
-        return tuple(linear(colour).tolist()), 1.0
+        return tuple(np.interp(linear(colour), *_NEAR_WHITE).tolist()), 1.0
     behind = np.linspace(0.05, 0.5, 10) if is_dark else np.linspace(0.5, 0.95, 10)
     wanted = linear(alpha * colour + (1.0 - alpha) * behind[:, None])  # (10, 3)
     there = linear(behind)[:, None]

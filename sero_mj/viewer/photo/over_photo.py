@@ -22,6 +22,7 @@ Pixels = NDArray[np.uint8]
 Draw = Callable[[], Pixels]
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
+_UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
 _BACKGROUND_DEPTH = 0.9  # of the far plane
 # Effects of the model's surroundings and lights, and holes in it.
 _FLAGS = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_SKYBOX", "mjRND_FOG", "mjRND_HAZE",
@@ -89,7 +90,8 @@ class PhotoPainter:
         for geom in masked:
             geom.matid = geom.texid = -1
             geom.specular = geom.reflectance = 0.0
-            geom.category = _DECOR  # which Filament draws in its colour, without light
+            # Like decor, which Filament draws in its colour without light.
+            geom.category, geom.objtype = _DECOR, _UNKNOWN
         _colour(masked, 0.0)
         black = self._plane.to_photo(draw().copy(), 0)
         _colour(masked, 1.0)
