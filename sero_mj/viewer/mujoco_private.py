@@ -5,7 +5,6 @@ Therefore `mujoco>=4.0,<4.1`. Where another version lacks a part, `RenderError` 
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 import mujoco
@@ -47,10 +46,11 @@ def filament() -> Any:
         RenderError: this MuJoCo has none.
     """
     try:
-        importlib.import_module("mujoco.studio")
-        return importlib.import_module("mujoco.mjrf")
+        import mujoco.studio
+        from mujoco import mjrf
     except ImportError as error:
         raise RenderError(
             f"MuJoCo {mujoco.__version__} has no Filament renderer ({error}); expected MuJoCo "
             f"{_EXPECTED} with mujoco.mjrf and mujoco.studio"
         ) from None
+    return mjrf

@@ -286,7 +286,9 @@ def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], flo
     spread = there - there.mean()
     through = float((spread * (wanted - wanted.mean(axis=0))).sum() / (3.0 * (spread**2).sum()))
     opacity = float(np.clip(1.0 - through, _FAINTEST, 1.0 - 1e-3))
-    light = np.maximum((wanted - (1.0 - opacity) * there).mean(axis=0), 0.0)
+    # Not less than the colour's own, so that several layers keep its hue.
+    least = opacity * linear(colour)
+    light = np.maximum((wanted - (1.0 - opacity) * there).mean(axis=0), least)
     return tuple(light.tolist()), opacity
 
 

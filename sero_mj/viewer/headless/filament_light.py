@@ -31,7 +31,7 @@ _OPTIONS: dict[str, str | float] = {
     "ao.low_pass_filter": 1.0,
     "ao.upsampling": 1.0,
 }
-_DRAFT: dict[str, str | float] = {"ao.enabled": 0.0, "shadows.type": "pcf"}
+_DRAFT: dict[str, str | float] = {"shadows.type": "pcf"}
 _SHADOW_MAP = 1024  # pixels a side, of each of four cascades
 _FAR = 20.0  # extents of the model from which a further light of parallel rays shines
 _SPOT, _DIRECTIONAL = (
@@ -71,7 +71,9 @@ _SIZES = {  # of options that are several numbers
 }
 
 
-def options_model(model: mujoco.MjModel, *, is_draft: bool) -> mujoco.MjModel:
+def options_model(
+    model: mujoco.MjModel, *, is_draft: bool, has_occlusion: bool = True
+) -> mujoco.MjModel:
     """Returns a model with the options of the view, which Filament reads from a model's custom.
 
     Those of the shown model come before ours. It is not changed: a page, whose renderer is the
@@ -79,11 +81,13 @@ def options_model(model: mujoco.MjModel, *, is_draft: bool) -> mujoco.MjModel:
 
     Args:
         model: the shown model.
-        is_draft: without occlusion and soft shadows.
+        is_draft: without soft shadows.
+        has_occlusion: whether corners are darker, whatever the model says.
     """
     spec = mujoco.MjSpec()
     own = _own_options(model)
-    for name, value in (_OPTIONS | (_DRAFT if is_draft else {}) | own).items():
+    no_occlusion = {} if has_occlusion else {"ao.enabled": 0.0}
+    for name, value in (_OPTIONS | (_DRAFT if is_draft else {}) | own | no_occlusion).items():
         if isinstance(value, str):
             text = spec.add_text()
             text.name, text.data = PREFIX + name, value

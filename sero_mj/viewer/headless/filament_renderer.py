@@ -6,8 +6,11 @@ all is to be asked first, see `filament_probe`: where Filament cannot draw, it e
 
 from __future__ import annotations
 
+import logging
 import os
+import re
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -23,6 +26,9 @@ from .filament_geoms import GeomPool
 from .filament_light import SceneLights, options_model
 from .film import Pixels
 
+log = logging.getLogger(__name__)
+
+MOST_OCCLUDED = 300  # frames with occlusion where it costs memory
 MAX_GEOMS = 10_000  # of a scene, as of `mujoco.Renderer`
 _FLAGS = mujoco.mjtRndFlag
 
@@ -38,8 +44,12 @@ class FilamentRenderer:
         doubles: geoms of doubles, (ngeom,), which glow; None for none.
         surroundings: a model of a floor and a sky, for a model without.
         is_draft: without occlusion and soft shadows.
+        frames: about how many will be drawn. Occlusion takes 1 MB of memory a frame, for good, of
+            Mesa's software renderer (22.3), which compiles a shader for it every time. There it is
+            left out of more than `MOST_OCCLUDED` frames, from the first one on if this is known.
 
     Attributes:
+        driver: name of Vulkan's device.
         scene: to be filled by `mujoco.mjv_updateScene` before a picture is drawn.
 
     Raises:
@@ -56,6 +66,7 @@ class FilamentRenderer:
         doubles: Bools | None = None,
         surroundings: mujoco.MjModel | None = None,
         is_draft: bool = False,
+        frames: int = 1,
     ) -> None:
         module = self._module = filament()
         self.scene = mujoco.MjvScene(model, maxgeom=MAX_GEOMS)
@@ -66,10 +77,10 @@ class FilamentRenderer:
             # OpenGL would need a display.
             config.graphics_api = module.GraphicsApi.GRAPHICS_API_VULKAN
         palette = PALETTES[look]
-        with _quiet():
+        self._model, self._is_draft, self._drawn = model, is_draft, 0
+        with _quiet() as said:
             self._context = module.Context(config)
             self._scene = self._context.create_scene(module.SceneParams())
-            self._scene.configure_from_model(options_model(model, is_draft=is_draft))
             models = [model] if surroundings is None else [model, surroundings]
             if doubles is None:
                 doubles = np.zeros(model.ngeom, bool)
@@ -86,7 +97,20 @@ class FilamentRenderer:
         self._pixels: Pixels = np.zeros((height, width, 3), np.uint8)
         self._read = module.ReadRequest(target=self._target)
         self._read.set_buffer(self._pixels)
-        self._has_drawn = False
+        device = re.search(r"Selected physical device '([^']*)'", "".join(said))
+        self.driver = device[1] if device else "unknown"
+        self._has_occlusion = not is_draft and not (self._leaks and frames > MOST_OCCLUDED)
+        self._configure()
+
+    @property
+    def _leaks(self) -> bool:
+        return "llvmpipe" in self.driver
+
+    def _configure(self) -> None:
+        options = options_model(
+            self._model, is_draft=self._is_draft, has_occlusion=self._has_occlusion
+        )
+        self._scene.configure_from_model(options)
 
     def follow(self, data: mujoco.MjData) -> None:
         """Takes what a scene's geoms do not tell from a state: the shapes of skins and flexes."""
@@ -103,13 +127,17 @@ class FilamentRenderer:
         """
         self._geoms.update(self._scene_rows())
         self._lights.update(self.scene)
+        if self._drawn == MOST_OCCLUDED and self._has_occlusion and self._leaks:
+            self._has_occlusion = False
+            log.info("occlusion is left out from frame %d on, to save memory", self._drawn)
+            self._configure()
         request = self._request()
-        if self._has_drawn:
+        if self._drawn:
             self._draw(request)
         else:
             with _quiet():  # drivers say what they compile
                 self._draw(request)
-            self._has_drawn = True
+        self._drawn += 1
         if out is None:
             return self._pixels.copy()
         out[:] = self._pixels
@@ -160,19 +188,21 @@ class FilamentRenderer:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Keeps Filament's messages about its start, which it writes to standard output, to itself."""
+def _quiet() -> Iterator[list[str]]:
+    """Keeps what Filament writes to standard output as it starts; it is in the list afterwards."""
+    said: list[str] = []
     sys.stdout.flush()
     try:
         kept = os.dup(1)
     except OSError:  # there is no standard output
-        yield
+        yield said
         return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 1)
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
-        os.close(nowhere)
+    with tempfile.TemporaryFile() as file:
+        os.dup2(file.fileno(), 1)
+        try:
+            yield said
+        finally:
+            os.dup2(kept, 1)
+            os.close(kept)
+            file.seek(0)
+            said.append(file.read().decode("utf-8", "replace"))

@@ -138,6 +138,7 @@ class HeadlessRenderer(Painter):
         renderer: `classic` for OpenGL, `filament` for soft shadows and occlusion on Vulkan; None
             for `filament` where it runs for the quality `fine`, else `classic`. Where Filament does
             not run, the classic renderer draws, and a warning is logged that says why.
+        frames: about how many will be drawn, see `FilamentRenderer`.
 
     Attributes:
         world: the world.
@@ -164,6 +165,7 @@ class HeadlessRenderer(Painter):
         eye_distance: float = EYE_DISTANCE,
         follow: str | None = None,
         renderer: RendererName | None = None,
+        frames: int = 1,
     ) -> None:
         check_stereo(stereo, eye_distance)
         if quality not in QUALITIES:
@@ -189,7 +191,7 @@ class HeadlessRenderer(Painter):
         self.renderer: RendererName = choose_renderer(renderer, quality, drawn, tall)
         if self.renderer == "filament":
             self._renderer, self._surroundings = make_filament(
-                world, drawn, tall, is_draft=is_draft
+                world, drawn, tall, is_draft=is_draft, frames=frames
             )
         else:
             self._renderer = make_renderer(world, drawn, tall, is_draft=is_draft)
@@ -201,7 +203,7 @@ class HeadlessRenderer(Painter):
         self._passes: PassRenderer | None = None
 
     @classmethod
-    def of_scene(cls, mirror: Mirror, options: PictureOptions) -> Self:
+    def of_scene(cls, mirror: Mirror, options: PictureOptions, frames: int = 1) -> Self:
         """Returns a renderer for pictures of a mirrored scene as they were chosen."""
         return cls(
             mirror.world,
@@ -212,6 +214,7 @@ class HeadlessRenderer(Painter):
             options.eye_distance,
             options.follow,
             options.renderer,
+            frames,
         )
 
     def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
@@ -495,7 +498,7 @@ def render_film(
     count = max(round(options.duration * fps), 1)
     if count > MAX_FRAMES:
         raise RenderError(f"a film of {count} frames: expected at most {MAX_FRAMES}")
-    with Mirror(scene) as mirror, HeadlessRenderer.of_scene(mirror, options) as renderer:
+    with Mirror(scene) as mirror, HeadlessRenderer.of_scene(mirror, options, count) as renderer:
         clicks = partial(perform_clicks, renderer, clicks=options.clicks)
         return write_film(
             mirror, renderer, path, film_frames(mirror, renderer, count, fps, options, clicks),
