@@ -7,6 +7,7 @@ driver, for a picture that is larger than the driver's largest. So a process of 
 from __future__ import annotations
 
 import hashlib
+import importlib.metadata
 import json
 import logging
 import os
@@ -17,7 +18,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import mujoco
 from platformdirs import user_cache_path
 
 from .backend import library_files
@@ -69,7 +69,7 @@ def _digest(width: int, height: int) -> str:
     listed = [file for folder in _DRIVERS if folder.is_dir() for file in sorted(folder.iterdir())]
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         listed += [Path(path) for path in os.environ.get(name, "").split(os.pathsep) if path]
-    about: list[Any] = [mujoco.__version__, sys.version, width, height]
+    about: list[Any] = [importlib.metadata.version("mujoco"), sys.version, width, height]
     about += [os.environ.get(name) for name in _CHOICES]
     for file in [*files, *listed, *(lib for each in listed for lib in _library_of(each))]:
         about.append([str(file), file.stat().st_mtime_ns if file.exists() else None])
@@ -127,6 +127,8 @@ def draw_trial(width: int, height: int) -> None:
     Raises:
         RenderError: this MuJoCo has no Filament, or the picture is empty.
     """
+    import mujoco
+
     from ...base.errors import RenderError
     from .filament_renderer import FilamentRenderer
 
