@@ -11,6 +11,7 @@ import numpy as np
 from ...robots.declared.surroundings import Palette
 from ..mujoco_private import filament
 from .filament_environment import environment, linear
+from .picture_options import Quality
 
 log = logging.getLogger(__name__)
 
@@ -24,15 +25,11 @@ _OPTIONS: dict[str, str | float] = {
     "cg.tone_mapping": "linear",
     "cg.exposure": -1.0,
     "bloom.enabled": 0.0,
-    "shadows.type": "pcss",
     "ao.enabled": 1.0,
-    # Medium, of low, medium, high and ultra: on software rendering the last takes a fifth longer.
-    "ao.quality": 1.0,
-    "ao.low_pass_filter": 1.0,
-    "ao.upsampling": 1.0,
 }
-_DRAFT: dict[str, str | float] = {"shadows.type": "pcf"}
-_SHADOW_MAP = 1024  # pixels a side, of each of four cascades
+# Shadows whose softness grows with distance, `pcss`, double the time of a frame in software.
+_SHADOWS: dict[Quality, str] = {"draft": "pcf", "normal": "pcf", "fine": "pcss"}
+_SHADOW_MAP = 2048  # pixels a side, of each of four cascades
 _FAR = 20.0  # extents of the model from which a further light of parallel rays shines
 _SPOT, _DIRECTIONAL = (
     int(mujoco.mjtLightType.mjLIGHT_SPOT),
@@ -72,7 +69,7 @@ _SIZES = {  # of options that are several numbers
 
 
 def options_model(
-    model: mujoco.MjModel, *, is_draft: bool, has_occlusion: bool = True
+    model: mujoco.MjModel, quality: Quality, *, has_occlusion: bool = True
 ) -> mujoco.MjModel:
     """Returns a model with the options of the view, which Filament reads from a model's custom.
 
@@ -81,13 +78,14 @@ def options_model(
 
     Args:
         model: the shown model.
-        is_draft: without soft shadows.
+        quality: of the picture.
         has_occlusion: whether corners are darker, whatever the model says.
     """
     spec = mujoco.MjSpec()
     own = _own_options(model)
     no_occlusion = {} if has_occlusion else {"ao.enabled": 0.0}
-    for name, value in (_OPTIONS | (_DRAFT if is_draft else {}) | own | no_occlusion).items():
+    ours = _OPTIONS | {"shadows.type": _SHADOWS[quality]}
+    for name, value in (ours | own | no_occlusion).items():
         if isinstance(value, str):
             text = spec.add_text()
             text.name, text.data = PREFIX + name, value

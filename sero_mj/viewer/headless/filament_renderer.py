@@ -25,6 +25,7 @@ from ..mujoco_private import filament
 from .filament_geoms import GeomPool
 from .filament_light import SceneLights, options_model
 from .film import Pixels
+from .picture_options import Quality
 
 log = logging.getLogger(__name__)
 
@@ -43,7 +44,7 @@ class FilamentRenderer:
         look: name of the palette of the surroundings, which has their light.
         doubles: geoms of doubles, (ngeom,), which glow; None for none.
         surroundings: a model of a floor and a sky, for a model without.
-        is_draft: without occlusion and soft shadows.
+        quality: `draft` is without occlusion, `fine` has the softest shadows.
         frames: about how many will be drawn. Occlusion takes 1 MB of memory a frame, for good, of
             Mesa's software renderer (22.3), which compiles a shader for it every time. There it is
             left out of more than `MOST_OCCLUDED` frames, from the first one on if this is known.
@@ -65,7 +66,7 @@ class FilamentRenderer:
         look: str = "light",
         doubles: Bools | None = None,
         surroundings: mujoco.MjModel | None = None,
-        is_draft: bool = False,
+        quality: Quality = "normal",
         frames: int = 1,
     ) -> None:
         module = self._module = filament()
@@ -77,7 +78,7 @@ class FilamentRenderer:
             # OpenGL would need a display.
             config.graphics_api = module.GraphicsApi.GRAPHICS_API_VULKAN
         palette = PALETTES[look]
-        self._model, self._is_draft, self._drawn = model, is_draft, 0
+        self._model, self._quality, self._drawn = model, quality, 0
         with _quiet() as said:
             self._context = module.Context(config)
             self._scene = self._context.create_scene(module.SceneParams())
@@ -99,7 +100,8 @@ class FilamentRenderer:
         self._read.set_buffer(self._pixels)
         device = re.search(r"Selected physical device '([^']*)'", "".join(said))
         self.driver = device[1] if device else "unknown"
-        self._has_occlusion = not is_draft and not (self._leaks and frames > MOST_OCCLUDED)
+        is_long = self._leaks and frames > MOST_OCCLUDED
+        self._has_occlusion = quality != "draft" and not is_long
         self._configure()
 
     @property
@@ -107,9 +109,7 @@ class FilamentRenderer:
         return "llvmpipe" in self.driver
 
     def _configure(self) -> None:
-        options = options_model(
-            self._model, is_draft=self._is_draft, has_occlusion=self._has_occlusion
-        )
+        options = options_model(self._model, self._quality, has_occlusion=self._has_occlusion)
         self._scene.configure_from_model(options)
 
     def follow(self, data: mujoco.MjData) -> None:

@@ -72,7 +72,7 @@ class PhotoRenderer(Painter):
         size, is_draft = self._painter.size, quality == "draft"
         self.renderer: RendererName = choose_renderer(renderer, quality, *size)
         if self.renderer == "filament":
-            self._renderer, _ = make_filament(world, *size, is_draft=is_draft)
+            self._renderer, _ = make_filament(world, *size, quality)
         else:
             self._renderer = make_renderer(world, *size, is_draft=is_draft)
         self._typesetter = Typesetter(line_height(world, camera.width, camera.height))

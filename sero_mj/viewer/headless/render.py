@@ -191,7 +191,7 @@ class HeadlessRenderer(Painter):
         self.renderer: RendererName = choose_renderer(renderer, quality, drawn, tall)
         if self.renderer == "filament":
             self._renderer, self._surroundings = make_filament(
-                world, drawn, tall, is_draft=is_draft, frames=frames
+                world, drawn, tall, quality, frames=frames
             )
         else:
             self._renderer = make_renderer(world, drawn, tall, is_draft=is_draft)

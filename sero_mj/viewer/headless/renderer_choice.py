@@ -55,7 +55,7 @@ def _tell(problem: str) -> None:
 
 
 def make_filament(
-    world: WorldView, width: int, height: int, *, is_draft: bool = False, frames: int = 1
+    world: WorldView, width: int, height: int, quality: Quality, *, frames: int = 1
 ) -> tuple[FilamentRenderer, AddedSurroundings | None]:
     """Returns Filament's renderer for a world, and the surroundings that it adds, if any.
 
@@ -63,13 +63,13 @@ def make_filament(
         world: what to render.
         width: pixels.
         height: pixels.
-        is_draft: without occlusion and soft shadows.
+        quality: of the picture.
         frames: about how many will be drawn, see `FilamentRenderer`.
     """
     surroundings = added_surroundings(world, None)
     renderer = FilamentRenderer(
         world.model, width, height, look=world.scene.view.look, doubles=_doubles(world),
-        surroundings=None if surroundings is None else surroundings.model, is_draft=is_draft,
+        surroundings=None if surroundings is None else surroundings.model, quality=quality,
         frames=frames,
     )  # fmt: skip
     return renderer, surroundings
