@@ -24,6 +24,7 @@ from sero_mj.viewer.headless.filament_environment import environment, linear, sh
 from sero_mj.viewer.headless.filament_geoms import glow
 from sero_mj.viewer.headless.filament_probe import filament_problem, reason_of
 from sero_mj.viewer.headless.filament_renderer import FilamentRenderer
+from sero_mj.viewer.headless.flat_triangles import blend
 from sero_mj.viewer.headless.over import PhotoRenderer
 
 pytestmark = pytest.mark.gl
@@ -173,7 +174,9 @@ def test_clicks_are_the_same(
     assert len(hits) > 2
 
 
-@pytest.mark.parametrize("stereo", ["side-by-side", "anaglyph"])
+@pytest.mark.parametrize(
+    "stereo", ["side-by-side", pytest.param("anaglyph", marks=pytest.mark.thorough)]
+)
 def test_pictures_for_two_eyes_are_those_of_the_classic_renderer(
     world: World, data: mujoco.MjData, stereo: Any
 ) -> None:
@@ -346,6 +349,17 @@ def test_memory_does_not_grow_over_frames(world: World, data: mujoco.MjData) -> 
             renderer.render(data)
             seen.append(megabytes())
     assert seen[-1] - seen[180] < 15  # buffers of the driver fill up before
+
+
+def test_leaders_are_smooth_to_their_tips() -> None:
+    picture = np.full((40, 200, 3), 200, np.uint8)
+    triangle = np.array([[[10.0, 18.0], [10.0, 22.0], [190.0, 20.3]]])
+    blend(picture, triangle, np.array([[0.0, 0.0, 0.0, 1.0]]))
+    covered = (200.0 - picture[..., 0]).sum(axis=0) / 200.0
+    expected = 4.0 * (190.0 - (np.arange(200) + 0.5)) / 180.0
+    inside = slice(12, 188)
+    assert np.abs(covered[inside] - expected[inside]).max() < 0.15
+    assert (picture[:, 200 - 5 :] == 200).sum() > 0
 
 
 def test_the_light_of_the_sky_has_no_tint() -> None:

@@ -22,9 +22,10 @@ from ...robots.declared.surroundings import PALETTES
 from ..decor.geom_buffer import GEOM
 from ..decor.scene_writer import struct_view
 from ..mujoco_private import filament
-from .filament_geoms import GeomPool
+from .filament_geoms import GeomPool, seen_rgba
 from .filament_light import SceneLights, options_model
 from .film import Pixels
+from .flat_triangles import blend, corners_of, is_flat
 from .picture_options import Quality
 
 log = logging.getLogger(__name__)
@@ -125,7 +126,11 @@ class FilamentRenderer:
         Returns:
             picture (height, width, 3), uint8, top row first.
         """
-        self._geoms.update(self._scene_rows())
+        rows, scene = self._scene_rows(), self.scene
+        eye = mujoco.mjv_averageCamera(scene.camera[0], scene.camera[1])
+        flat = is_flat(rows, eye)
+        leaders = rows[flat]
+        self._geoms.update(rows[~flat] if len(leaders) else rows)
         self._lights.update(self.scene)
         if self._drawn == MOST_OCCLUDED and self._has_occlusion and self._leaks:
             self._has_occlusion = False
@@ -138,6 +143,9 @@ class FilamentRenderer:
             with _quiet():  # drivers say what they compile
                 self._draw(request)
         self._drawn += 1
+        if len(leaders):
+            rgba = np.array([seen_rgba(row) for row in leaders], float)
+            blend(self._pixels, corners_of(leaders, eye, *self._size), rgba)
         if out is None:
             return self._pixels.copy()
         out[:] = self._pixels
