@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from types import SimpleNamespace
 
 import mujoco
@@ -9,7 +10,7 @@ import pytest
 
 from sero_mj.base.errors import RenderError
 from sero_mj.viewer import mujoco_private
-from sero_mj.viewer.mujoco_private import context_of
+from sero_mj.viewer.mujoco_private import context_of, filament
 
 
 @pytest.mark.gl
@@ -25,6 +26,17 @@ def test_a_renderer_without_a_context_is_told() -> None:
         f"MuJoCo {mujoco.__version__} has no SimpleNamespace._mjr_context, which is needed for "
         "pictures; expected MuJoCo 4.0"
     )
+
+
+def test_filament_is_there_and_its_materials_are_found() -> None:
+    module = filament()
+    assert {"Context", "ModelRenderables", "ModelResources", "Material"} <= {*dir(module)}
+
+
+def test_a_mujoco_without_filament_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco.studio", None)
+    with pytest.raises(RenderError, match=r"has no Filament renderer .*; expected MuJoCo 4\.0"):
+        filament()
 
 
 def test_nothing_else_reaches_into_mujoco() -> None:

@@ -31,11 +31,10 @@ _OPTIONS: dict[str, str | float] = {
 _SHADOWS: dict[Quality, str] = {"draft": "pcf", "normal": "pcf", "fine": "pcss"}
 _SHADOW_MAP = 2048  # pixels a side, of each of four cascades
 _FAR = 20.0  # extents of the model from which a further light of parallel rays shines
-_SPOT, _DIRECTIONAL = (
-    int(mujoco.mjtLightType.mjLIGHT_SPOT),
-    int(mujoco.mjtLightType.mjLIGHT_DIRECTIONAL),
+_SPOT, _DIRECTIONAL, _POINT, _IMAGE = (
+    int(getattr(mujoco.mjtLightType, f"mjLIGHT_{name}"))
+    for name in ("SPOT", "DIRECTIONAL", "POINT", "IMAGE")
 )
-_POINT, _IMAGE = int(mujoco.mjtLightType.mjLIGHT_POINT), int(mujoco.mjtLightType.mjLIGHT_IMAGE)
 _KNOWN = frozenset(
     {
         f"{group}.{name}"
