@@ -34,7 +34,8 @@ def test_filament_is_there_and_its_materials_are_found() -> None:
 
 
 def test_a_mujoco_without_filament_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "mujoco.studio", None)
+    monkeypatch.delattr(mujoco, "mjrf", raising=False)
+    monkeypatch.setitem(sys.modules, "mujoco.mjrf", None)
     with pytest.raises(RenderError, match=r"has no Filament renderer .*; expected MuJoCo 4\.0"):
         filament()
 

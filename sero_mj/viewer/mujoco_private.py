@@ -46,8 +46,7 @@ def filament() -> Any:
         RenderError: this MuJoCo has none.
     """
     try:
-        import mujoco.studio
-        from mujoco import mjrf
+        from mujoco import mjrf, studio  # noqa: F401
     except ImportError as error:
         raise RenderError(
             f"MuJoCo {mujoco.__version__} has no Filament renderer ({error}); expected MuJoCo "
