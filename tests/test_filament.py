@@ -142,7 +142,7 @@ def test_doubles_look_as_in_the_classic_picture(
     )
     assert is_double.sum() > 500
     classic, filament = (shown[0][is_double].mean(axis=0) for shown in pictures)
-    assert np.abs(classic - filament).max() < 20
+    assert np.abs(classic - filament).max() < 28  # which are lit from other sides
     hues = [360 * colorsys.rgb_to_hsv(*(mean / 255))[0] for mean in (classic, filament)]
     assert abs(hues[0] - hues[1]) <= 3.0
     # Their links cast no shadow, as in the classic picture.

@@ -39,7 +39,7 @@ from ..typesetting import Typesetter, compose
 from .backend import adopt_backend
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
 from .film_frames import film_frames
-from .motion_blur import Exposure
+from .motion_blur import SUBFRAMES, Exposure
 from .painter import Painter, perform_clicks
 from .pass_files import check_pass_file, save_depth, save_segmentation
 from .passes import PassRenderer
@@ -498,7 +498,8 @@ def render_film(
     count = max(round(options.duration * fps), 1)
     if count > MAX_FRAMES:
         raise RenderError(f"a film of {count} frames: expected at most {MAX_FRAMES}")
-    with Mirror(scene) as mirror, HeadlessRenderer.of_scene(mirror, options, count) as renderer:
+    drawn = count * (SUBFRAMES if options.quality == "fine" else 1)
+    with Mirror(scene) as mirror, HeadlessRenderer.of_scene(mirror, options, drawn) as renderer:
         clicks = partial(perform_clicks, renderer, clicks=options.clicks)
         return write_film(
             mirror, renderer, path, film_frames(mirror, renderer, count, fps, options, clicks),
