@@ -2,7 +2,8 @@
 
 `--no-skips` (in `.ci/run`) makes a failure of a test that is skipped because a tool is missing.
 `--hypothesis-profile=thorough` (likewise) runs all examples of property tests, else a quarter, and
-what is marked `thorough`, which else runs where a test is named.
+what is marked `thorough`, which else runs where a test is named; and all cases of slow tests, else
+the first and the last of each.
 `--hypothesis-profile=everything` (in `make mutations`) tries all mutations of scenarios.
 """
 
@@ -186,8 +187,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         "::" in name for name in config.args
     ):
         left_out = [item for item in items if item.get_closest_marker("thorough")]
+        left_out += _inner_cases(items)
         config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if not item.get_closest_marker("thorough")]
+        skipped = {*left_out}
+        items[:] = [item for item in items if item not in skipped]
     for item in items:
         if item.path.name.startswith(_LIVE):
             item.add_marker(pytest.mark.live)
@@ -197,6 +200,15 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items.sort(
         key=lambda item: (_is_exact(item.nodeid), not item.path.name.startswith("test_docs"))
     )
+
+
+def _inner_cases(items: list[pytest.Item]) -> list[pytest.Item]:
+    """The cases of slow tests that are for thorough runs: all but the first and the last one."""
+    cases: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if item.path.name.startswith((*_SLOW, *_LIVE)):
+            cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    return [item for each in cases.values() for item in each[1:-1]]
 
 
 def pytest_collection_finish() -> None:

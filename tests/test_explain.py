@@ -134,6 +134,7 @@ def test_a_fault_is_named_with_its_joint_its_size_and_its_time(
     assert first.confidence > 0.9
 
 
+@pytest.mark.thorough
 def test_a_payload_is_found_by_all_joints_with_its_centre_and_its_end() -> None:
     load = {"kind": "payload", "robot": "lwr", "mass": 2.5, "end": 2.1,
             "center_of_mass": [0.02, -0.03, 0.1]}  # fmt: skip

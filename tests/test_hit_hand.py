@@ -140,6 +140,7 @@ def test_distal_joints_follow_the_medial_ones_also_under_load() -> None:
         np.testing.assert_allclose(angles[:, 3], angles[:, 2], atol=2e-4)
 
 
+@pytest.mark.thorough
 def test_the_hand_holds_the_can_by_friction_and_by_nothing_else() -> None:
     simulation = grasp()
     outcomes = simulation.outcomes()

@@ -211,6 +211,7 @@ def test_keys_with_thousands_of_dots_are_refused(tmp_path: Path, key: str) -> No
     assert str(found.value) == f"{file}:2: {expected}"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("many", "what"),
     [

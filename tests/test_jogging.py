@@ -358,6 +358,7 @@ def test_sliders_and_links_move_the_robot_in_a_window(tmp_path: Path) -> None:
         assert camera is None
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 def test_a_pose_is_taken_back_and_copied_with_what_holds_it(tmp_path: Path) -> None:

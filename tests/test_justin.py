@@ -256,6 +256,7 @@ def test_wheels_roll_where_the_platform_goes_without_slip() -> None:
     assert travelled > 0.3
 
 
+@pytest.mark.thorough
 def test_one_pushed_arm_has_wide_arrows_and_the_others_thin_ones() -> None:
     simulation = Simulation(read_scenario("justin_push"))
     for _ in simulation.run():

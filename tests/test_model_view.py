@@ -66,6 +66,7 @@ def test_two_plots_fit_beside_the_picture(browser: Any, tmp_path: Path) -> None:
         visitor.close()
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(bool(window_tools.MISSING), reason=f"needs {', '.join(window_tools.MISSING)}")
 def test_a_window_has_the_same_switches(tmp_path: Path) -> None:
     with screen() as display, Driven(display, tmp_path, "lwr") as window:

@@ -232,6 +232,7 @@ def test_a_kernel_that_ends_ends_its_viewers_without_complaints(kernel: Kernel) 
     assert "Error" not in kernel.ended()
 
 
+@pytest.mark.thorough
 def test_a_notebook_keeps_what_was_shown(kernel: Kernel) -> None:
     kernel.run(_SHOW)
     kernel.run(_MOVE.format(seconds=2))

@@ -211,6 +211,7 @@ def test_a_report_is_a_page_a_figure_json_and_a_test_for_each_expectation(tmp_pa
     assert failed.get("name") == "it_comes_back"
 
 
+@pytest.mark.thorough
 def test_a_page_of_two_runs_has_the_second_as_the_firsts_double(
     tmp_path: Path, whole: Path
 ) -> None:

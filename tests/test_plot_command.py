@@ -74,6 +74,7 @@ def test_several_recordings_are_pages(folder: Path, tmp_path: Path) -> None:
     assert plot(run, run, "-o", tmp_path / "x.png") == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_a_table_is_the_same_run(folder: Path, tmp_path: Path) -> None:
     for name, more in (("swing.mcap", []), ("swing.csv", ["--scene", "lwr"])):

@@ -494,6 +494,7 @@ def test_a_robot_of_seven_joints_has_no_rtde() -> None:
         RtdeClient().make(model, 1e-3)
 
 
+@pytest.mark.thorough
 def test_a_port_in_use_and_a_client_that_never_comes_are_told(folder: Path) -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as taken,
@@ -560,6 +561,7 @@ def received(client: socket.socket, count: int) -> bytes:
         return b""
 
 
+@pytest.mark.thorough
 def test_no_bytes_harm_the_server() -> None:
     chosen = random.Random(4)
     good = [

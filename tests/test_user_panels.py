@@ -268,6 +268,7 @@ def test_widgets_work_on_a_page(home: None) -> None:
         assert client.widget("panel", "gain")["value"] == 2.0
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.skipif(bool(NO_WINDOW), reason=f"needs {', '.join(NO_WINDOW)}")
 def test_widgets_work_in_a_window_and_outlive_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -128,6 +128,7 @@ def test_a_browser_sees_it_live_while_nothing_is_called(viewer: Viewer, browser:
     page.close()
 
 
+@pytest.mark.thorough
 def test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along(
     capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -196,6 +197,7 @@ sys.stdin.readline()
 """
 
 
+@pytest.mark.thorough
 def test_it_ends_with_the_script_and_not_before(tmp_path: Path) -> None:
     script = subprocess.Popen(
         [sys.executable, "-c", _OF_A_SCRIPT],

@@ -56,6 +56,7 @@ def test_axe_finds_nothing_serious(
     context.close()
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_axe_finds_nothing_serious_on_a_live_page(browser: Any, axe: str, tmp_path: Path) -> None:
     settings = (TORQUES, "lwr.show_billboards=true")

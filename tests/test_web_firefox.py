@@ -77,6 +77,7 @@ def test_a_live_page_shows_what_comes_and_takes_clicks_and_keys(
     firefox.until("document.getElementById('problem').textContent.includes('has gone')")
 
 
+@pytest.mark.thorough
 def test_cards_are_as_they_were_and_marks_stand_on_the_line(
     firefox: Firefox, tmp_path: Path
 ) -> None:

@@ -219,6 +219,7 @@ _DROP = """(files) => {
 }"""
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {' and '.join(MISSING)}")
 def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
     browser: Any, tmp_path: Path, home: None

@@ -400,6 +400,7 @@ def run_script(text: str, folder: Path, display: str, **more: str) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 def test_a_viewer_that_is_closed_says_so_and_a_wrong_size_is_told(
     display: str, tmp_path: Path
 ) -> None:

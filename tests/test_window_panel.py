@@ -39,6 +39,7 @@ def screenshot(window: Driven) -> np.ndarray:
     return np.asarray(Image.open(made))
 
 
+@pytest.mark.thorough
 def test_faults_begin_beside_the_button_of_the_panel(window: Driven) -> None:
     window.settle()
     beside = window.ask("w._chrome.covered") + 0.5 * window.ask("w.decor.view.font.height")

@@ -13,7 +13,7 @@ from .robot_parts import ArrowQuantity, BillboardLines, Posed
 
 # Green for commanded positions, as in the paper's section 4.2; a bluish one, since who cannot see
 # red would take a pure one for the orange of arrows.
-COMMANDED_RGBA = np.array([0.12, 0.84, 0.64, 0.36])
+COMMANDED_RGBA = np.array([0.28, 0.84, 0.66, 0.36])
 AXES_OPACITY = 0.5  # of its coordinate axes
 DOUBLE_GROUP = 2  # of its geoms
 OUT_OF_SIGHT = np.array([0.0, 0.0, -1000.0])

@@ -6,6 +6,7 @@ the widget is built next, and is then returned by it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -303,7 +304,10 @@ def _height_of(nodes: Sequence[Node], width: float) -> float:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and bool(np.isfinite(value))
+    try:
+        return isinstance(value, int | float) and math.isfinite(value)
+    except OverflowError:  # a whole number beyond all others
+        return False
 
 
 def _number(value: float, otherwise: float) -> float:
