@@ -64,7 +64,7 @@ def posed(world: World, angle: float) -> mujoco.MjData:
 
 @pytest.fixture(scope="module")
 def renderer(world):
-    with HeadlessRenderer(world, 240, 180, quality="fine") as renderer:
+    with HeadlessRenderer(world, 240, 180, quality="fine", renderer="classic") as renderer:
         yield renderer
 
 
@@ -126,7 +126,7 @@ class FilmMirror:
 def test_a_film_opens_its_shutter_for_half_of_a_frame(world, quality: str) -> None:
     mirror = FilmMirror(world, 2.0)
     options = FilmOptions(size=(64, 48), quality=quality, camera="150,-14,2.2")
-    with HeadlessRenderer(world, 64, 48, options.camera, quality) as renderer:
+    with HeadlessRenderer(world, 64, 48, options.camera, quality, renderer="classic") as renderer:
         frames = [each.copy() for each in film_frames(mirror, renderer, 3, 10.0, options)]
     assert len(frames) == 3
     count = SUBFRAMES if quality == "fine" else 1
