@@ -1,6 +1,6 @@
 """Makes a picture of every system and of every visual feature, and the page that shows them.
 
-`make gallery` writes `docs/pictures/gallery/*.png` and `docs/gallery.md` from the list `SHOTS`, and
+`make gallery` writes `docs/pictures/gallery/*.webp` and `docs/gallery.md` from the list `SHOTS`, and
 `make gallery SHOTS="justin lwr"` only these pictures. A new robot, scene or feature gets an entry.
 It also writes `scenes/pictures/*.jpg`, which the start page shows: one of whatever is shipped, as
 in `SHOTS`, or else as it stands.
@@ -244,7 +244,7 @@ def make_page(shots: Sequence[Shot] = SHOTS) -> str:
         lines += [f"## {group}", ""]
         for shot in shots:
             if shot.group == group:
-                lines += [f"![{shot.caption}](pictures/gallery/{shot.name}.png)", shot.caption, ""]
+                lines += [f"![{shot.caption}](pictures/gallery/{shot.name}.webp)", shot.caption, ""]
     return "\n".join(lines).rstrip("\n") + "\n"
 
 
@@ -304,9 +304,11 @@ def main(names: Sequence[str]) -> None:
     PICTURES.mkdir(parents=True, exist_ok=True)
     for shot in SHOTS:
         if not names or shot.name in names:
-            file = PICTURES / f"{shot.name}.png"
+            file = PICTURES / f"{shot.name}.webp"
             with _sender(shot):
-                render_picture(scene_of(shot), file, size=SIZE, camera=shot.camera, at=shot.at)
+                render_picture(
+                    scene_of(shot), file, size=SIZE, camera=shot.camera, at=shot.at, quality="fine"
+                )
             print(file)
     START_PICTURES.mkdir(parents=True, exist_ok=True)
     for name, shot in start_shots().items():
@@ -314,7 +316,9 @@ def main(names: Sequence[str]) -> None:
             file = START_PICTURES / f"{name}.jpg"
             with _sender(shot):
                 scene = start_scene_of(shot)
-                render_picture(scene, file, size=START_SIZE, camera=shot.camera, at=shot.at)
+                render_picture(
+                    scene, file, size=START_SIZE, camera=shot.camera, at=shot.at, quality="fine"
+                )
             print(file)
     PAGE.write_text(make_page(), "utf-8")
 

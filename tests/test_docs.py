@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 from commands import UNSET, run_command
 from conftest import ROOT, sampled
+from polling import until
 from window_tools import MISSING, screen
 
 BLOCK = re.compile(r"(?:<!-- test: (.+?) -->\n)?```(\w+)\n(.*?)```", re.DOTALL)
@@ -75,7 +76,8 @@ def open_window(language: str, text: str, folder: Path, environment: dict[str, s
         for line in text.splitlines():
             process = subprocess.Popen(line.partition("#")[0].split(), cwd=folder, env=here)
             try:
-                subprocess.run(opened, env=here, check=True, timeout=20)
+                # Of a window that is replaced while it searches, xdotool says that there is none.
+                assert until(lambda: subprocess.call(opened, env=here, timeout=20) == 0)
                 assert process.poll() is None, f"{line}: it has ended"
             finally:
                 process.kill()

@@ -19,7 +19,7 @@ def gallery() -> ModuleType:
 def test_page_and_pictures_are_those_of_the_list(gallery):
     names = [shot.name for shot in gallery.SHOTS]
     assert len(set(names)) == len(names)
-    assert {path.stem for path in gallery.PICTURES.glob("*.png")} == {*names}
+    assert {path.stem for path in gallery.PICTURES.glob("*.webp")} == {*names}
     assert gallery.PAGE.read_text("utf-8") == gallery.make_page(), "run make gallery"
 
 
