@@ -19,12 +19,13 @@ from sero_mj.base.errors import RenderError
 from sero_mj.base.paths import list_scenes
 from sero_mj.load import load_scene
 from sero_mj.robots.declared.surroundings import PALETTES
-from sero_mj.viewer.headless import filament_probe, renderer_choice
-from sero_mj.viewer.headless.filament_environment import environment, linear, shown
-from sero_mj.viewer.headless.filament_geoms import glow
-from sero_mj.viewer.headless.filament_probe import filament_problem, reason_of
-from sero_mj.viewer.headless.filament_renderer import FilamentRenderer
-from sero_mj.viewer.headless.flat_triangles import blend
+from sero_mj.viewer.headless import renderer_choice
+from sero_mj.viewer.headless.filament import probe as filament_probe
+from sero_mj.viewer.headless.filament.environment import environment, linear, shown
+from sero_mj.viewer.headless.filament.flat_triangles import blend
+from sero_mj.viewer.headless.filament.geoms import glow
+from sero_mj.viewer.headless.filament.probe import filament_problem, reason_of
+from sero_mj.viewer.headless.filament.renderer import FilamentRenderer
 from sero_mj.viewer.headless.over import PhotoRenderer
 
 pytestmark = pytest.mark.gl

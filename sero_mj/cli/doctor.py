@@ -11,8 +11,8 @@ import subprocess
 import sys
 from typing import Any
 
-from ..viewer.headless import filament_probe
 from ..viewer.headless.backend import BACKENDS, PACKAGES, has_display, has_osmesa
+from ..viewer.headless.filament import probe as filament_probe
 from ._arguments import command
 from .shared_options import JsonOptions
 

@@ -12,8 +12,8 @@ from ...base.errors import Problem, RenderError
 from ...base.frames import Bools
 from ...robots.assemble.world_view import WorldView
 from ..added_surroundings import AddedSurroundings, added_surroundings
-from .filament_probe import PACKAGES, filament_problem
-from .filament_renderer import FilamentRenderer
+from .filament.probe import PACKAGES, filament_problem
+from .filament.renderer import FilamentRenderer
 from .picture_options import Quality, RendererName
 
 log = logging.getLogger(__name__)

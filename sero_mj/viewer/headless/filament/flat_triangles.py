@@ -8,8 +8,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from ...base.frames import Array, Bools
-from .film import Pixels
+from ....base.frames import Array, Bools
+from ..film import Pixels
 
 _TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)

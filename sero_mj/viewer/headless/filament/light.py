@@ -8,10 +8,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...robots.declared.surroundings import Palette
-from ..mujoco_private import filament
-from .filament_environment import environment, linear
-from .picture_options import Quality
+from ....robots.declared.surroundings import Palette
+from ...mujoco_private import filament
+from ..picture_options import Quality
+from .environment import environment, linear
 
 log = logging.getLogger(__name__)
 

@@ -15,10 +15,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.frames import Array, Bools
-from ..mujoco_private import filament
-from .filament_environment import linear, shown
-from .filament_light import upload
+from ....base.frames import Array, Bools
+from ...mujoco_private import filament
+from .environment import linear, shown
+from .light import upload
 
 _TYPES = mujoco.mjtGeom
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)

@@ -11,8 +11,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from ...base.frames import Array
-from ...robots.declared.surroundings import Palette, Rgb
+from ....base.frames import Array
+from ....robots.declared.surroundings import Palette, Rgb
 
 _SIDE, _LEVELS = 32, 6  # pixels of the sharpest level, and levels down to one pixel
 _SHARPEST, _BLUREST = 0.03, 0.9  # rad, standard deviation of the blur of the first and last level

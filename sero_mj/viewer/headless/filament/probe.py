@@ -20,7 +20,7 @@ from typing import Any
 
 from platformdirs import user_cache_path
 
-from .backend import library_files
+from ..backend import library_files
 
 log = logging.getLogger(__name__)
 
@@ -129,8 +129,8 @@ def draw_trial(width: int, height: int) -> None:
     """
     import mujoco
 
-    from ...base.errors import RenderError
-    from .filament_renderer import FilamentRenderer
+    from ....base.errors import RenderError
+    from .renderer import FilamentRenderer
 
     model = mujoco.MjModel.from_xml_string(
         "<mujoco><worldbody><geom size='.2' rgba='1 0 0 1'/></worldbody></mujoco>"

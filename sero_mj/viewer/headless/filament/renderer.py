@@ -1,7 +1,7 @@
 """`FilamentRenderer`: draws an `MjvScene` by Filament, in place of MuJoCo's classic renderer.
 
 It takes the same scene, with the same camera, geoms, lights and flags. Whether it can be made at
-all is to be asked first, see `filament_probe`: where Filament cannot draw, it ends the process.
+all is to be asked first, see `probe.py`: where Filament cannot draw, it ends the process.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from contextlib import contextmanager
 import mujoco
 import numpy as np
 
-from ...base.frames import Bools
-from ...robots.declared.surroundings import PALETTES
-from ..decor.geom_buffer import GEOM
-from ..decor.scene_writer import struct_view
-from ..mujoco_private import filament
-from .filament_geoms import GeomPool, seen_rgba
-from .filament_light import SceneLights, options_model
-from .film import Pixels
+from ....base.frames import Bools
+from ....robots.declared.surroundings import PALETTES
+from ...decor.geom_buffer import GEOM
+from ...decor.scene_writer import struct_view
+from ...mujoco_private import filament
+from ..film import Pixels
+from ..picture_options import Quality
 from .flat_triangles import blend, corners_of, is_flat
-from .picture_options import Quality
+from .geoms import GeomPool, seen_rgba
+from .light import SceneLights, options_model
 
 log = logging.getLogger(__name__)
 
