@@ -82,7 +82,8 @@ def test_a_click_on_an_arrow_shows_its_precise_numbers(served: Served, page: Vis
     page.until("player.state.arrowOn.every(isOn => isOn)")
     place = (
         "(lambda d, n: w.decor.view.project(d.rows['pos'][:n][(d.kinds[:n] == 1)"
-        " & (d.items[:n] == 1)].astype(float))[0])(w.decor.buffer, w.decor.buffer.count).tolist()"
+        " & (d.items[:n] == 1) & (d.rows['type'][:n] == 6)].astype(float))[0])"
+        "(w.decor.buffer, w.decor.buffer.count).tolist()"  # of boxes; a triangle's is its corner
     )
     seen = served.until(
         f"[(x, w.decor.view.height - y) for x, y in {place}"
