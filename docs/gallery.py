@@ -1,9 +1,9 @@
 """Makes a picture of every system and of every visual feature, and the page that shows them.
 
-`make gallery` writes `docs/pictures/gallery/*.webp` and `docs/gallery.md` from the list `SHOTS`, and
-`make gallery SHOTS="justin lwr"` only these pictures. A new robot, scene or feature gets an entry.
-It also writes `scenes/pictures/*.jpg`, which the start page shows: one of whatever is shipped, as
-in `SHOTS`, or else as it stands.
+`make gallery` writes `docs/pictures/gallery/*.webp` and `docs/gallery.md` from the list `SHOTS`,
+and `make gallery SHOTS="justin lwr"` only these pictures. A new robot, scene or feature gets an
+entry. It also writes `scenes/pictures/*.jpg`, which the start page shows: one of whatever is
+shipped, as in `SHOTS`, or else as it stands.
 """
 
 from __future__ import annotations
