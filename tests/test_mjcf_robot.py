@@ -449,3 +449,13 @@ def test_values_beyond_all_robots_are_taken_for_the_most_or_none(tmp_path):
         "limits of 1000 m or rad and more are taken for none: lift",
         "damping is taken for 1e+09, the most: lift",
     ]
+
+
+def test_a_negative_damping_as_it_was_identified_is_taken_for_none(tmp_path):
+    joint = '<joint name="wrist" damping="-0.0132" frictionloss="0.2"/>'
+    (tmp_path / "panda.xml").write_text(ALONE.format(f'{joint}<geom size="0.1"/>'))
+    robot = SerialRobot.from_model(str(tmp_path / "panda.xml"))
+    assert robot.dynamics.viscous_friction.tolist() == [0.0]
+    assert robot.dynamics.coulomb_friction.tolist() == [0.2]
+    _, lost = mjcf_tables("panda.xml", tmp_path)
+    assert lost == ["negative damping is taken for none: wrist"]

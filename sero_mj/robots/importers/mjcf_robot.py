@@ -234,10 +234,15 @@ def _leads_back(couplings: dict[str, Any], names: list[str], one: int, other: in
 
 
 def _bounded(values: Array, what: str, names: list[str], lost: list[str]) -> Array:
-    """Returns values of joints, (n,), clipped to the largest that a robot may have."""
+    """Returns values of joints, (n,), clipped to those that a robot may have.
+
+    Negative ones, which MuJoCo takes, were identified on a robot and written down as found.
+    """
     if (far := values > LARGEST).any():
         lost.append(f"{what} is taken for {LARGEST:g}, the most: {_some(names, far)}")
-    return np.minimum(values, LARGEST)
+    if (negative := values < 0).any():
+        lost.append(f"negative {what} is taken for none: {_some(names, negative)}")
+    return np.clip(values, 0.0, LARGEST)
 
 
 def _some(names: list[str], which: Bools) -> str:
