@@ -220,6 +220,33 @@ def test_its_geoms_are_where_they_were_with_their_meshes_and_materials(robot, pa
     np.testing.assert_allclose(one, other, atol=1e-6)
 
 
+def test_a_mesh_with_several_normals_at_a_vertex_keeps_them(tmp_path):
+    corners = [f"v {x} {y} {z}" for x in (0, 0.1) for y in (0, 0.2) for z in (0, 0.3)]
+    normals = [f"vn {x} {y} {z}" for x, y, z in np.concatenate([np.eye(3), -np.eye(3)])]
+    squares = [(5, 7, 8, 6), (3, 4, 8, 7), (2, 6, 8, 4), (1, 2, 4, 3), (1, 5, 6, 2), (1, 3, 7, 5)]
+    faces = [
+        "f " + " ".join(f"{corner}//{k + 1}" for corner in part)
+        for k, (a, b, c, d) in enumerate(squares)
+        for part in ((a, b, c), (a, c, d))
+    ]
+    (tmp_path / "box.obj").write_text("\n".join([*corners, *normals, *faces]))
+    (tmp_path / "arm.xml").write_text("""
+<mujoco><asset><mesh name="box" file="box.obj"/></asset>
+<worldbody><body><joint/><geom type="mesh" mesh="box"/></body></worldbody></mujoco>
+""")
+    alone = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    assert (alone.nmeshvert, alone.nmeshnormal) == (8, 6)
+    robot = SerialRobot.from_model(str(tmp_path / "arm.xml"))
+    model = World(Scene(robots=[robot])).model
+    a, b, c = np.moveaxis(model.mesh_vert[model.mesh_face], 1, 0)
+    across = np.cross(b - a, c - a)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    for k in range(3):
+        np.testing.assert_allclose(
+            model.mesh_normal[model.mesh_facenormal[:, k]], across, atol=1e-4
+        )
+
+
 def test_in_simulation_its_collision_geoms_touch_with_their_friction(robot):
     world = World(Scene(robots=[robot]), dynamic=True)
     model = world.model

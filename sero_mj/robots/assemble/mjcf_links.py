@@ -156,13 +156,23 @@ def _mesh(
         return name
     mirror = MIRROR.diagonal()[:3] if robot.mirrored else np.ones(3)
     faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
+    vertices = _rows(model.mesh_vert, model.mesh_vertadr, model.mesh_vertnum, mesh)
+    normals = _rows(model.mesh_normal, model.mesh_normaladr, model.mesh_normalnum, mesh)
+    corners = model.mesh_face[faces].ravel()
+    normal_of = model.mesh_facenormal[faces].ravel()
+    if scope != TOUCHING and (corners != normal_of).any():
+        # MuJoCo's compiler ignores `userfacenormal` and takes one normal for each vertex, so that
+        # vertices with several, as at the edges of an OBJ, are repeated.
+        _, first, parted = np.unique(
+            corners.astype(np.int64) * len(normals) + normal_of,
+            return_index=True,
+            return_inverse=True,
+        )
+        vertices, normals, corners = vertices[corners[first]], normals[normal_of[first]], parted
     arrays: dict[str, Any] = {
-        "uservert": _rows(model.mesh_vert, model.mesh_vertadr, model.mesh_vertnum, mesh).ravel(),
-        "usernormal": _rows(
-            model.mesh_normal, model.mesh_normaladr, model.mesh_normalnum, mesh
-        ).ravel(),
-        "userface": model.mesh_face[faces].ravel(),
-        "userfacenormal": model.mesh_facenormal[faces].ravel(),
+        "uservert": vertices.ravel(),
+        "usernormal": normals.ravel(),
+        "userface": corners,
     }
     if model.mesh_texcoordadr[mesh] >= 0:
         coordinates = _rows(
