@@ -478,6 +478,25 @@ def test_values_beyond_all_robots_are_taken_for_the_most_or_none(tmp_path):
     ]
 
 
+@pytest.mark.parametrize(
+    "keys, expected",
+    [
+        ('<key qpos="0.4"/>', [0.4]),
+        ('<key name="falling" qpos="0.4"/>', None),
+        ('<key qpos="0.4"/><key qpos="0.3"/>', None),
+        ('<key qpos="0.4"/><key name="home" qpos="0.3"/>', [0.3]),
+    ],
+)
+def test_the_only_key_frame_is_the_initial_pose_also_without_a_name(tmp_path, keys, expected):
+    text = ALONE.format('<joint/><geom size="0.1"/>')
+    keyed = text.replace("</mujoco>", f"<keyframe>{keys}</keyframe></mujoco>")
+    (tmp_path / "arm.xml").write_text(keyed)
+    tables, _ = mjcf_tables("arm.xml", tmp_path)
+    found = tables.get("joint_angles")
+    assert (found is None) == (expected is None)
+    assert expected is None or found.tolist() == expected
+
+
 def test_a_negative_damping_as_it_was_identified_is_taken_for_none(tmp_path):
     joint = '<joint name="wrist" damping="-0.0132" frictionloss="0.2"/>'
     (tmp_path / "panda.xml").write_text(ALONE.format(f'{joint}<geom size="0.1"/>'))

@@ -293,11 +293,16 @@ def _flange(tree: MjcfTree) -> tuple[int, Array]:
 
 
 def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -> dict[str, Any]:
-    """Returns the joint angles, and the frame of a free base, of a key frame, else of `qpos0`."""
+    """Returns the joint angles, and the frame of a free base, of a key frame, else of `qpos0`.
+
+    The key frame is the first with a name for it, or the only one if it has no name.
+    """
     model = tree.model
     qpos = model.qpos0
     keys = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_KEY, k) or "" for k in range(model.nkey)]
     named = [k for k, name in enumerate(keys) if name.rpartition("/")[2].lower() in _INITIAL_KEYS]
+    if keys == [""]:
+        named = [0]
     if named:
         qpos = model.key_qpos[named[0]]
     q = qpos[model.jnt_qposadr[tree.joints]].copy()
