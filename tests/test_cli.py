@@ -66,6 +66,10 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
             "--output: found 'x.svg'; expected a name that ends in .png, .jpg, .jpeg, .webp for a "
             "picture, or in .mp4, .webm, .gif for a film",
         ),
+        (
+            ["render", "lwr", "-o", "x.npy"],
+            "-o x.npy: '.npy' is for --pass; expected a name that ends in .png",
+        ),
         (["render", "lwr", "-o", "x.png", "--fps", "3"], "--duration and --fps are for films"),
         (["render", "lwr", "-o", "x.png", "--size", "12"], "expected WIDTHxHEIGHT, e.g. 1280x800"),
         (["render", "lwr", "-o", "x.png", "--camera", "top"], "no camera 'top'"),

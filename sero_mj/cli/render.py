@@ -94,7 +94,8 @@ class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOp
         ends = self.output.suffix.lower()
         if self.render_pass == "colour":
             if ends not in (*PICTURES, *FILMS):
-                raise ValueError(f"-o {self.output}: found '{ends}'; expected {_KINDS}")
+                expected = f"expected a name that ends in {_KINDS}"
+                raise ValueError(f"-o {self.output}: '{ends}' is for --pass; {expected}")
             return
         what = f"--pass {self.render_pass}"
         if ends not in PASS_ENDINGS:
