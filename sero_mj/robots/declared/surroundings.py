@@ -282,7 +282,7 @@ PALETTES = {
         haze=(0.93, 0.95, 0.97),
         headlight=(0.34, 0.28),
         key=0.52,
-        physical=PhysicalLight(sky=0.62, ground=0.88, softbox=0.3, key=0.48),
+        physical=PhysicalLight(sky=0.40, ground=0.55, softbox=0.3, key=0.72),
     ),
     "dark": Palette(
         sky=((0.11, 0.13, 0.16), (0.03, 0.04, 0.05)),
