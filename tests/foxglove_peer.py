@@ -20,24 +20,24 @@ from foxglove.websocket import ServerListener
 
 
 class Subscriptions(ServerListener):
-    """Topics to which clients have subscribed."""
+    """Channels to which clients have subscribed; one that is closed may end its late."""
 
     def __init__(self) -> None:
-        self.topics: set[str] = set()
+        self.channels: set[int] = set()
         self.changed = threading.Condition()
 
     def on_subscribe(self, client: Any, channel: Any) -> None:
         with self.changed:
-            self.topics.add(channel.topic)
+            self.channels.add(channel.id)
             self.changed.notify_all()
 
-    def wait_for(self, topic: str) -> bool:
+    def wait_for(self, channel: int) -> bool:
         with self.changed:
-            return self.changed.wait_for(lambda: topic in self.topics, 5.0)
+            return self.changed.wait_for(lambda: channel in self.channels, 5.0)
 
     def on_unsubscribe(self, client: Any, channel: Any) -> None:
         with self.changed:
-            self.topics.discard(channel.topic)
+            self.channels.discard(channel.id)
 
 
 def publish(channel: foxglove.Channel, data: bytes, rate: float = 0.0, count: int = 1) -> None:
@@ -69,7 +69,7 @@ def main() -> None:
             channels[topic] = foxglove.Channel(topic, schema=schema, message_encoding=encoding)
         done = True
         if command.get("wait"):
-            done = subscriptions.wait_for(topic)
+            done = subscriptions.wait_for(channels[topic].id())
         if "data" in command:
             numbers = {key: command[key] for key in ("rate", "count") if key in command}
             publish(channels[topic], bytes.fromhex(command["data"]), **numbers)

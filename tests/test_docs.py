@@ -218,7 +218,7 @@ def test_pages_show_pictures_and_lead_to_pages_that_exist() -> None:
     for page in PAGES:
         text = page.read_text("utf-8")
         for picture in re.findall(r"!\[.+?\]\((.+?)\)", text):
-            assert (page.parent / picture).stat().st_size > 20_000
+            assert (page.parent / picture).stat().st_size > 3_000
         for link in re.findall(r"(?<!!)\[[^\]]+\]\(([\w/.]+)\)", text):
             assert "_made/" in link or (page.parent / link).is_file(), f"{page.name}: {link}"
 
