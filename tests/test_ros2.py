@@ -179,7 +179,7 @@ def test_forces_commands_and_frames_come_with_the_joints(peer: Peer) -> None:
                 for event in ("force", "commanded_torques", "tf_tool")
             )
 
-        assert until(all_is_there)
+        assert until(all_is_there, 15.0)
         packet = source.latest()
         assert packet is not None
         values = packet.values
