@@ -286,6 +286,63 @@ def tool_flange(face: float, holes: Sequence[float], radius: float = 0.033) -> P
     }
 
 
+def pedestal(
+    column: Sequence[tuple],
+    foot: Sequence[tuple],
+    seam: tuple[float, float],
+    bolt: tuple[float, float, float, float],
+) -> Parts:
+    """Return a round column on a foot with six bolts, and the ring of the seam above it.
+
+    Args:
+        column: its (r, z) profile, see `fillet`, metres.
+        foot: likewise.
+        seam: radius and height of the ring, metres.
+        bolt: radius and half height of a bolt, radius of their circle, height of their middles.
+    """
+    radius, half, circle, height = bolt
+    angles = (np.arange(6) + 0.5) * np.pi / 3
+    bolts = [
+        drum(radius, half, Z, (circle * np.cos(a), circle * np.sin(a), height)) for a in angles
+    ]
+    return {
+        "white": [revolve(fillet(column), sides=40)],
+        "grey": [revolve(fillet(foot), sides=40), seam_ring(*seam), *bolts],
+    }
+
+
+def wrist_fork(collar: Sequence[tuple], cheek: Sequence[tuple], axis: np.ndarray) -> Parts:
+    """Return a collar about a roll axis, and a fork of two cheeks about z with caps, metres.
+
+    Args:
+        collar: its (r, z) profile along ``axis``, see `fillet`.
+        cheek: stations of a cheek, against ``axis``, see `loft`.
+        axis: unit vector from the middle of the fork to the collar.
+    """
+    sides = [1.0, -1.0]
+    cheeks = [
+        loft(cheek, (X, Z, -axis), 0.0345 * s * Z, edges=(0.004, 0.010), steps=4, sides=32)
+        for s in sides
+    ]
+    caps = (link_cap(0.017, 0.042, s * Z) for s in sides)
+    return merge({"white": [revolve(fillet(collar), axis, sides=32), *cheeks]}, *caps)
+
+
+def wrist_drum(radius: float, length: float, seam: float) -> Parts:
+    """Return the drum about y between the cheeks of `wrist_fork`, and a neck along z, metres.
+
+    Args:
+        radius: of the neck.
+        length: of the neck, from the axis of the drum.
+        seam: height of the ring above it.
+    """
+    neck = [(radius, 0.0), (radius, length, 0.002), (0.0, length)]
+    return {
+        "white": [drum(0.030, 0.0255, Y, edge=0.006, sides=32), revolve(fillet(neck), sides=32)],
+        "grey": [seam_ring(radius - 0.0015, seam)],
+    }
+
+
 def recolour(parts: Parts, colours: Mapping[str, str]) -> dict[str, list[trimesh.Trimesh]]:
     """Return a table of parts under other names of colours."""
     return merge(*({colours.get(name, name): items} for name, items in parts.items()))

@@ -29,9 +29,12 @@ from bodies import (
     link_cap,
     loft,
     merge,
+    pedestal,
     revolve,
     seam_ring,
     tool_flange,
+    wrist_drum,
+    wrist_fork,
     write_links,
 )
 
@@ -56,12 +59,8 @@ def base() -> Parts:
     top = SHOULDER - SEAM_1
     foot = [(0.165, 0.0), (0.165, 0.016, 0.004), (0.120, 0.020, 0.006), (COLUMN + 0.004, 0.052)]
     column = [(COLUMN, 0.040), (COLUMN, top - GAP, 0.002), (0.0, top - GAP)]
-    angles = (np.arange(6) + 0.5) * np.pi / 3
-    bolts = [drum(0.009, 0.006, Z, (0.145 * np.cos(a), 0.145 * np.sin(a), 0.018)) for a in angles]
-    return {
-        "white": [revolve(fillet(column), sides=40)],
-        "grey": [revolve(fillet(foot), sides=40), seam_ring(COLUMN - RING_INSET, top), *bolts],
-    }
+    seam = (COLUMN - RING_INSET, top)
+    return pedestal(column, foot, seam, (0.009, 0.006, 0.145, 0.018))
 
 
 def shoulder() -> Parts:
@@ -140,26 +139,12 @@ def wrist() -> Parts:
     """Return link 4 in its frame (metres): a collar about axis 4, and a fork about axis 5."""
     collar = [(0.0, 0.040), (0.040, 0.040, 0.003), (0.040, 0.066 - GAP, 0.002), (0.0, 0.066 - GAP)]
     cheek = [(-0.052, 0.036, 0.0075, 3.0), (0.0, 0.034, 0.0075, 3.0), (0.026, 0.020, 0.0065, 2.6)]
-    sides = [1.0, -1.0]
-    return merge(
-        {
-            "white": [
-                revolve(fillet(collar), -Y, sides=32),
-                *(loft(cheek, (X, Z, Y), 0.0345 * s * Z, edges=(0.004, 0.010), steps=4, sides=32)
-                  for s in sides),
-            ],
-        },
-        *(link_cap(0.017, 0.042, s * Z) for s in sides),
-    )  # fmt: skip
+    return wrist_fork(collar, cheek, -Y)
 
 
 def hand() -> Parts:
     """Return link 5 in its frame (metres): a drum about axis 5, and a neck along axis 6."""
-    neck = [(0.024, 0.0), (0.024, 0.032, 0.002), (0.0, 0.032)]
-    return {
-        "white": [drum(0.030, 0.0255, Y, edge=0.006, sides=32), revolve(fillet(neck), sides=32)],
-        "grey": [seam_ring(0.0225, 0.033)],
-    }
+    return wrist_drum(0.024, 0.032, 0.033)
 
 
 def flange() -> Parts:

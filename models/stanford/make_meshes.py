@@ -15,7 +15,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import numpy as np
 import trimesh
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -29,8 +28,11 @@ from bodies import (
     link_cap,
     loft,
     merge,
+    pedestal,
     revolve,
     seam_ring,
+    wrist_drum,
+    wrist_fork,
     write_links,
 )
 
@@ -54,12 +56,8 @@ def base() -> Parts:
     top = HEIGHT - SEAM_1
     foot = [(0.150, 0.0), (0.150, 0.014, 0.003), (0.105, 0.018, 0.006), (COLUMN + 0.004, 0.046)]
     column = [(COLUMN, 0.036), (COLUMN, top - GAP, 0.002), (0.0, top - GAP)]
-    angles = (np.arange(6) + 0.5) * np.pi / 3
-    bolts = [drum(0.008, 0.005, Z, (0.130 * np.cos(a), 0.130 * np.sin(a), 0.016)) for a in angles]
-    return {
-        "white": [revolve(fillet(column), sides=40)],
-        "grey": [revolve(fillet(foot), sides=40), seam_ring(COLUMN - RING_INSET, top), *bolts],
-    }
+    seam = (COLUMN - RING_INSET, top)
+    return pedestal(column, foot, seam, (0.008, 0.005, 0.130, 0.016))
 
 
 def shoulder() -> Parts:
@@ -135,26 +133,12 @@ def wrist() -> Parts:
     """Return link 4 in its frame (metres; the boom is along -y): a fork about axis 5."""
     collar = [(0.0, 0.024), (0.042, 0.024, 0.004), (0.042, 0.044 - GAP, 0.002), (0.0, 0.044 - GAP)]
     cheek = [(-0.036, 0.036, 0.0075, 3.0), (0.0, 0.034, 0.0075, 3.0), (0.026, 0.020, 0.0065, 2.6)]
-    sides = [1.0, -1.0]
-    return merge(
-        {
-            "white": [
-                revolve(fillet(collar), Y, sides=32),
-                *(loft(cheek, (X, Z, -Y), 0.0345 * s * Z, edges=(0.004, 0.010), steps=4, sides=32)
-                  for s in sides),
-            ],
-        },
-        *(link_cap(0.017, 0.042, s * Z) for s in sides),
-    )  # fmt: skip
+    return wrist_fork(collar, cheek, Y)
 
 
 def yoke() -> Parts:
     """Return link 5 in its frame (metres): a drum about axis 5, and a neck along axis 6."""
-    neck = [(0.025, 0.0), (0.025, 0.044, 0.002), (0.0, 0.044)]
-    return {
-        "white": [drum(0.030, 0.0255, Y, edge=0.006, sides=32), revolve(fillet(neck), sides=32)],
-        "grey": [seam_ring(0.0235, 0.0455)],
-    }
+    return wrist_drum(0.025, 0.044, 0.0455)
 
 
 def hand() -> Parts:
