@@ -169,7 +169,7 @@ def name_panels(
     shown = named.nonzero()[0]
     if not len(shown):
         return None
-    titles = frame_titles(world.frames.names)
+    titles = frame_titles(tuple(world.frames.names))
     found = labels_below(data.site_xpos[world.frames.site[shown]], [titles[i] for i in shown], view)
     if found is None:
         return None

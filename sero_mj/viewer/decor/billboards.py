@@ -122,11 +122,12 @@ class Billboards(Feature):
         cards = self._cards(frame)
         if cards is None:
             return
-        most = _room_for(cards.sizes, frame.view)
-        told = self._limbs.collapsed(cards.items, np.isinf(cards.share), most)
-        if told.any():
-            frame.cards.append(self._of_limbs(frame, cards.only(told)))
-            cards = cards.only(~told)
+        if len(self._limbs.names) > 1:
+            most = _room_for(cards.sizes, frame.view)
+            told = self._limbs.collapsed(cards.items, np.isinf(cards.share), most)
+            if told.any():
+                frame.cards.append(self._of_limbs(frame, cards.only(told)))
+                cards = cards.only(~told)
         if cards.texts:
             frame.cards.append(cards)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import takewhile
 
 from .picture_view import PictureView
@@ -90,7 +91,8 @@ def without_common_start(owners: Sequence[str]) -> list[str]:
     return _if_clear(list(owners), ["_".join(of_name[same:]) for of_name in words])
 
 
-def frame_titles(names: Sequence[str]) -> list[str]:
+@lru_cache(maxsize=16)  # asked for each frame
+def frame_titles(names: tuple[str, ...]) -> list[str]:
     """Returns the names of frames, `ROBOT/FRAME` or of their own, without robots' common words."""
     owners = list(dict.fromkeys(name.partition("/")[0] for name in names if "/" in name))
     short = dict(zip(owners, without_common_start(owners), strict=True))

@@ -50,7 +50,7 @@ class CardLimbs:
         """
         limb = self.of_joint[shown]
         told = np.zeros(len(shown), bool)
-        if len(np.unique(limb)) == 1:  # the most loaded ones say more
+        if len(shown) <= most or len(np.unique(limb)) == 1:  # of one limb the most loaded say more
             return told
         numbers, counts = np.unique(limb[~is_asked], return_counts=True)
         cards = len(shown)

@@ -27,7 +27,7 @@ def labels_of(world: WorldView, frame: Frame) -> dict[_Key, tuple[str, Array]]:
     """
     frames, buffer = world.frames, frame.buffer
     found: dict[_Key, tuple[str, Array]] = {}
-    titles = frame_titles(frames.names)
+    titles = frame_titles(tuple(frames.names))
     for i in frame.shown.frame_names.nonzero()[0].tolist():
         found["name", i] = titles[i], np.array(frame.data.site_xpos[frames.site[i]])
     parts, places = named_parts(world, frame.data, frame.toggles.part_names)
