@@ -26,11 +26,11 @@ from .program import PORT, Program, find_program, held_port
 
 log = logging.getLogger(__name__)
 
-_DONT_WAIT = getattr(socket, "MSG_DONTWAIT", 0)
+DONT_WAIT = getattr(socket, "MSG_DONTWAIT", 0)
 _SLICE = 0.02  # s, in which an interrupt and the end of the program are seen
 _BEHIND = 10  # steps, by which a program that keeps up may be
 _OLD = 0.02  # s, age of a command that is told
-_RECEIVE_BUFFER = 1 << 20  # bytes, so that a flood of strays does not push the answer out
+RECEIVE_BUFFER = 1 << 20  # bytes, so that a flood of strays does not push the answer out
 
 
 def _as_word(value: Any) -> Any:
@@ -150,7 +150,7 @@ class Link:
         self._socket = opened = socket.socket(type=socket.SOCK_DGRAM)
         weakref.finalize(self, opened.close)
         try:
-            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
             opened.connect((declared.host, self._port))
         except OSError as error:
             what = f"{declared.host}:{self._port}: {error.strerror or error}"
@@ -257,7 +257,7 @@ class Link:
         count = 0
         try:
             while True:
-                self._socket.recv(1, _DONT_WAIT)
+                self._socket.recv(1, DONT_WAIT)
                 count += 1
         except OSError:
             return count
@@ -277,7 +277,7 @@ class Link:
         assert self._socket is not None
         while True:
             try:
-                size = self._socket.recv_into(self.buffer, 0, _DONT_WAIT)
+                size = self._socket.recv_into(self.buffer, 0, DONT_WAIT)
             except OSError:
                 return
             self.why_silent = ""

@@ -11,7 +11,7 @@ import weakref
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from .datagrams import _DONT_WAIT, _RECEIVE_BUFFER, Link, Reachable
+from .datagrams import DONT_WAIT, RECEIVE_BUFFER, Link, Reachable
 from .franka_messages import HEAD, INCOMPATIBLE, MOST_BYTES, SUCCESS, Messages
 from .program import PORT, Program
 
@@ -102,7 +102,7 @@ class FciLink(Link):
         for opened in (self._listener, self._socket):
             weakref.finalize(self, opened.close)
             opened.setblocking(False)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self.port = int(self._listener.getsockname()[1])
         if declared.command:
             command = [part.replace(PORT, str(self.port)) for part in declared.command]
@@ -159,7 +159,7 @@ class FciLink(Link):
             return
         for _ in range(_MOST_AT_ONCE):
             try:
-                size, address = self._socket.recvfrom_into(self.buffer, 0, _DONT_WAIT)
+                size, address = self._socket.recvfrom_into(self.buffer, 0, DONT_WAIT)
             except ConnectionError:  # on Windows: a client's port is closed
                 continue
             except OSError:
