@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from sero_mj.viewer.decor.layout import (
     LEFT,
     RIGHT,
+    behind,
+    bends,
     columns,
     crossings,
     place_clear,
@@ -127,6 +129,32 @@ def test_crossing_is_as_two_lines_through_each_other() -> None:
     starts = np.array([[0.0, 0.0], [0.0, 10.0], [0.0, 20.0], [0.0, 40.0]])
     ends = np.array([[10.0, 10.0], [10.0, 0.0], [10.0, 20.0], [10.0, 30.0]])
     assert np.argwhere(crossings(starts, ends)).tolist() == [[0, 1], [1, 0]]
+
+
+@given(st.integers(1, 12), st.integers(0, 2**31))
+def test_leaders_bend_so_that_none_is_behind_another_panel(count, seed) -> None:
+    """Above or below a column; straight ones, and those with an end behind a panel, stay so."""
+    rng = np.random.default_rng(seed)
+    sizes = np.stack([rng.uniform(60, 120, count), np.full(count, 20.0)], axis=1)
+    centres = np.stack([200 + sizes[:, 0] / 2, 300 + 25.0 * np.arange(count)], axis=1)
+    starts = np.stack([np.full(count, 200.0), centres[:, 1]], axis=1)
+    ends = rng.uniform((150, 0), (300, 800), (count, 2))
+    low, high = centres - sizes / 2, centres + sizes / 2
+    turns = bends(starts, ends, centres, sizes, 3.0)
+    before = behind(starts, ends, low, high).any(axis=1)
+    assert (turns[~before] == starts[~before]).all()
+    assert not behind(starts, turns, low, high).any()
+    can_be_seen = (ends[:, 1] < low[0, 1]) | (ends[:, 1] > high[-1, 1])
+    assert not behind(turns, ends, low, high)[can_be_seen].any()
+    for way in (turns[:, 1] < starts[:, 1], turns[:, 1] > starts[:, 1]):
+        to_end = way & can_be_seen
+        assert not crossings(starts[to_end], turns[to_end]).any()
+
+
+def test_a_leader_is_behind_what_is_between_its_ends() -> None:
+    starts, ends = np.array([[0.0, 5.0], [50.0, 5.0]]), np.array([[100.0, 5.0], [60.0, 40.0]])
+    low, high = np.array([[-20.0, 0.0], [30.0, 0.0]]), np.array([[0.0, 10.0], [50.0, 10.0]])
+    assert behind(starts, ends, low, high).tolist() == [[False, True], [False, False]]
 
 
 def test_those_that_barely_cross_stay_as_they_are() -> None:

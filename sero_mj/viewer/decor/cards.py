@@ -17,7 +17,7 @@ from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.mounts import carrier
 from .geom_buffer import GeomBuffer, Kind
-from .layout import LEFT, RIGHT, columns, is_narrow, uncross, with_room
+from .layout import LEFT, RIGHT, bends, columns, is_narrow, uncross, with_room
 from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes
 from .picture_view import PictureView
 
@@ -36,6 +36,7 @@ NO_SHARE = -1.0  # comes after any known share
 _MORE = (1.25, 0.02)
 _NEW_ROOM = 0.5  # of a line's height, by which robots must be farther away from a new card
 _MARGIN = 0.5  # of a line's height
+_LANE = 0.2  # between leaders beside a column of cards, of a line's height
 _OF_LIMB = 2  # how many cards of joints the card of a limb stands for where there is little room
 _OF_LOADS = (Kind.BILLBOARD, Kind.LIMB)  # kinds of which the most loaded are shown
 _PLACED_BY = ("anchors", "sizes", "owners", "side", "rank")  # of `Cards`
@@ -95,12 +96,14 @@ class _Placed:
         note: how many are shown, in a list; empty if all are.
         centres: of those that are shown, (m, 2), pixels.
         starts: of their leaders, (m, 2), pixels.
+        bends: of their leaders, (m, 2), pixels; as `starts` where they are straight.
     """
 
     kept: Bools
     note: list[Panels]
     centres: Array
     starts: Array
+    bends: Array
 
 
 class CardLayout:
@@ -185,7 +188,8 @@ class CardLayout:
         if placed.note:
             groups = _only(groups, placed.kept)
         sizes = _of_all(groups, "sizes")
-        draw_leaders(buffer, view, placed.starts, _of_all(groups, "anchors"), leader_rgba)
+        anchors = _of_all(groups, "anchors")
+        draw_leaders(buffer, view, placed.starts, placed.bends, anchors, leader_rgba)
         panels = []
         first = 0
         for group in groups:
@@ -271,12 +275,13 @@ class CardLayout:
         for _ in range(_ROUNDS):
             centres = place(side, rank)
             starts = _starts(centres, sizes, anchors, side)
-            changed = uncross(starts, anchors, _MIN_GAIN * view.font.height)
+            turns = bends(starts, anchors, centres, sizes, _LANE * view.font.height)
+            changed = uncross(turns, anchors, _MIN_GAIN * view.font.height)
             if (changed == np.arange(len(keys))).all():
                 break
             side, rank = side[changed], rank[changed]
         self._places.update(zip(keys, zip(side.tolist(), rank.tolist(), strict=True), strict=True))
-        return _Placed(kept, note, centres, starts)
+        return _Placed(kept, note, centres, starts, turns)
 
     def _choose(
         self,

@@ -362,6 +362,64 @@ def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:
     return index
 
 
+def bends(starts: Array, ends: Array, centres: Array, sizes: Array, lane: float) -> Array:
+    """Returns where leaders bend so that they do not run behind other panels of their column.
+
+    Such a leader leaves its panel along the edge of the column, and turns to its joint where the
+    column ends: the farther its panel, the farther from the edge, so that leaders do not cross.
+
+    Args:
+        starts: of the leaders, on the edges of their panels, (k, 2), pixels.
+        ends: (k, 2), pixels.
+        centres: of the panels, (k, 2), pixels.
+        sizes: (k, 2), pixels.
+        lane: distance between leaders beside a column, pixels.
+
+    Returns:
+        (k, 2), pixels; the start of a straight leader.
+    """
+    low, high = centres - sizes / 2, centres + sizes / 2
+    is_behind = behind(starts, ends, low, high)
+    if not is_behind.any():
+        return starts
+    turns, outward = starts.copy(), np.sign(starts[:, 0] - centres[:, 0])
+    up = np.sign(ends[:, 1] - starts[:, 1])
+    in_column = (np.abs(starts[:, None, 0] - starts[:, 0]) < 1.0) & (outward[:, None] == outward)
+    for k in np.nonzero(is_behind.any(axis=1))[0]:
+        between = in_column[k] & (up[k] * (centres[:, 1] - centres[k, 1]) > 0)
+        between &= up[k] * (ends[k, 1] - centres[:, 1]) > 0
+        if between.any():
+            past = high[between, 1].max() if up[k] > 0 else low[between, 1].min()
+            turns[k] = starts[k, 0], past
+    # The nearest panel of a column has the innermost lane, on each of its two ways out.
+    is_bent = np.any(turns != starts, axis=1)
+    same = in_column & (up[:, None] == up) & is_bent[:, None] & is_bent
+    nearer = same & (up[:, None] * (centres[None, :, 1] - centres[:, None, 1]) >= 0)
+    turns[:, 0] += outward * lane * nearer.sum(axis=1)
+    return turns
+
+
+def behind(starts: Array, ends: Array, low: Array, high: Array) -> Bools:
+    """Returns which straight leaders (rows) run behind which panels but their own, (k, k) bool.
+
+    Args:
+        starts: (k, 2), pixels.
+        ends: (k, 2), pixels.
+        low: lower left pixels of the panels, (k, 2).
+        high: upper right pixels, (k, 2).
+    """
+    along = ends - starts
+    along = np.where(np.abs(along) < 1e-9, 1e-9, along)[:, None]
+    first, second = (
+        (edge + margin - starts[:, None]) / along for edge, margin in ((low, 1.0), (high, -1.0))
+    )
+    enters = np.minimum(first, second).max(axis=2)
+    leaves = np.maximum(first, second).min(axis=2)
+    is_behind = (enters < leaves) & (leaves > 0) & (enters < 1)
+    np.fill_diagonal(is_behind, False)
+    return np.asarray(is_behind)
+
+
 def crossings(starts: Array, ends: Array) -> Bools:
     """Returns which straight leaders cross, (k, k) bool.
 

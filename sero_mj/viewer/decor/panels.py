@@ -22,6 +22,7 @@ _TEXT_NEARER = 0.1
 BAR_RGBA = (0.93, 0.93, 0.93, 1.0)
 _UPPER_LEFT = np.array([-0.5, 0.5])
 _LEADER_BASE = 0.22  # of a line's height
+_BENT = 0.6  # width of a bent leader, of that of a straight one
 PADDING = 0.35  # of a line's height, on every side
 
 
@@ -268,30 +269,64 @@ def draw_leaders(
     buffer: GeomBuffer,
     view: PictureView,
     starts: Array,
+    bends: Array,
     ends: Array,
-    rgba: Array | tuple[float, ...],
+    rgba: tuple[float, ...],
 ) -> None:
-    """Draws leaders as thin triangles in the picture plane.
+    """Draws leaders as thin triangles in the picture plane; the first part of a bent one is a line.
+
+    Args:
+        buffer: where to.
+        view: of the picture.
+        starts: (k, 2), pixels.
+        bends: where they bend, (k, 2), pixels; as `starts` of a straight one.
+        ends: (k, 2), pixels.
+        rgba: colour.
+    """
+    base = max(_LEADER_BASE * view.font.height, 3.0)
+    is_bent = (bends != starts).any(axis=1)
+    _draw_tips(buffer, view, starts[~is_bent], ends[~is_bent], base, rgba)
+    if is_bent.any():
+        first, turn = starts[is_bent], bends[is_bent]
+        _draw_tips(buffer, view, turn, ends[is_bent], _BENT * base, rgba)
+        # A line is two triangles, one from each of its ends.
+        for one, other in ((first, turn), (turn, first)):
+            _draw_tips(buffer, view, one, other, _BENT * base, rgba, at_corner=True)
+
+
+def _draw_tips(
+    buffer: GeomBuffer,
+    view: PictureView,
+    starts: Array,
+    ends: Array,
+    base: float,
+    rgba: tuple[float, ...],
+    *,
+    at_corner: bool = False,
+) -> None:
+    """Draws triangles with a base at `starts` (k, 2), and their tips at `ends` (k, 2), pixels.
 
     Args:
         buffer: where to.
         view: of the picture.
         starts: middle of the base, (k, 2), pixels.
-        ends: the tip, (k, 2), pixels.
-        rgba: colour, (4,) or (k, 4).
+        ends: tip, (k, 2), pixels.
+        base: its length, pixels.
+        rgba: colour.
+        at_corner: the tip is half a base beside `ends`, as the corner of a line.
     """
     rows = buffer.take(len(starts), int(mujoco.mjtGeom.mjGEOM_TRIANGLE))
     if not len(rows):
         return
     depth = _LEADER_DEPTH * view.near
-    base = max(_LEADER_BASE * view.font.height, 3.0)
     along = ends - starts
     length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-3)
     along /= length[:, None]
     across = along[:, ::-1] * (1.0, -1.0)
     # By their corners, since lenses bend what is straight in the world.
     first = starts - across * (base / 2)
-    pixels = np.concatenate((first, first + across * base, first + along * length[:, None]))
+    tip = ends - across * (base / 2) if at_corner else ends
+    pixels = np.concatenate((first, first + across * base, tip))
     place_triangles(rows, *view.at(pixels, depth).reshape(3, -1, 3).swapaxes(1, 2))
     rows["rgba"] = rgba
     rows["emission"] = 1.0

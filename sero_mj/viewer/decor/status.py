@@ -28,6 +28,7 @@ _MARGIN = 0.5  # of a line's height
 SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
 _MAX_MORE = 3  # lines
 _MAX_AWAITED = 3  # sources
+_FEW_LINES = 20  # high is a picture in which only the first line of each of both is shown
 SHOWN_FOR = 5.0  # s for which a malformed or lost packet is shown
 
 
@@ -173,11 +174,13 @@ class Status(Feature):
 def _corner(
     lines: Sequence[str], rgba: tuple[float, float, float, float], view: PictureView
 ) -> Panels:
-    """Returns a panel with lines of text in the upper left corner."""
+    """Returns a panel in the upper left corner with lines of text; the first in a small picture."""
+    low, high = view.free
+    if high[1] - low[1] < _FEW_LINES * view.font.height:
+        lines = lines[:1]
     texts = [line.encode("ascii", "replace")[:99] for line in lines]
     widest = max(view.font.width(text) for text in texts)
     size = panel_sizes(np.array([widest]), len(texts), view)
     margin = _MARGIN * view.font.height
-    low, high = view.free
     corner = np.array([low[0] + margin, high[1] - margin])
     return Panels(corner + size * (0.5, -0.5), size, [texts], rgba)
