@@ -48,6 +48,7 @@ def test_above_it_numbers_lie_on_lines_between_computed_ones() -> None:
     assert {p["tag"][0] for p in packets} == {7.0}
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_packets_are_numbered_and_stamped_and_counters_wrap() -> None:
     ahead = PacketBuffer(parabola, PARABOLA, rate=100, sequence="n", time="t", time_scale=1e-6)

@@ -194,6 +194,7 @@ def test_a_longer_structure_carries_the_numbers_that_are_taken() -> None:
     np.testing.assert_allclose(values, [0.0, *POSITION, 0, 0, 0, 0, 0], atol=1e-13)
 
 
+@pytest.mark.thorough
 def test_constants_and_types_of_the_structure_are_kept() -> None:
     scene = scene_of("id: 1H=7, joints: 3h, 2M", {"lwr.joint_angles": "udp.joints * (0.1 * mrad)"})
     world, data = received(scene)

@@ -108,6 +108,7 @@ def test_wrong_points_are_named_and_left_out(points: Array) -> None:
     assert np.abs(found.camera.T_world_camera - by.T_world_camera)[:3, 3].max() < 0.02
 
 
+@pytest.mark.thorough
 def test_the_focal_length_is_found_where_there_are_no_intrinsics(points: Array) -> None:
     by = camera("none", (1280, 800))
     by.matrix[1, 1] = by.matrix[0, 0]
@@ -252,6 +253,7 @@ def test_the_command_prints_every_point_and_writes_the_camera(
     assert status == 2 and "--joint-angles is for one robot; 'justin' has justin_torso" in err
 
 
+@pytest.mark.thorough
 def test_the_pose_can_be_that_of_a_recording(
     tmp_path: Path,
     points: Array,

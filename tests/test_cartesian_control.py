@@ -282,6 +282,7 @@ def test_a_target_is_met_at_rest_near_a_stretched_elbow() -> None:
     assert rotation_angle(pose[:3, :3].T @ target.pose[:3, :3]) < 1e-4
 
 
+@pytest.mark.thorough
 def test_where_a_direction_is_nearly_blocked_the_arm_comes_to_rest_as_well() -> None:
     goal = np.array([-1.7056, -0.3836, 2.1033, -0.3642, 0.9774, 0.0418, 0.1892])
     loop = Loop(angles=goal)  # 2 % of the best manipulability
@@ -310,6 +311,7 @@ def test_torques_are_continuous_through_a_singularity() -> None:
     assert jump(1e-5) < 0.2 * jump(1e-4) < 0.5
 
 
+@pytest.mark.thorough
 def test_it_goes_through_a_singularity_with_bounded_torques_and_comes_back() -> None:
     loop = Loop()
     control = CartesianImpedance(stiffness=[1e3] * 3 + [10] * 3).make(loop.robot, 1e-3)

@@ -140,6 +140,7 @@ def test_values_that_begin_with_a_minus_need_no_equals_sign(capsys) -> None:
     assert "camera: found '-90,-20,-3'; expected a name or azimuth" in err
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_interrupting_a_film_keeps_what_was_filmed(tmp_path) -> None:
     film = tmp_path / "film.mp4"

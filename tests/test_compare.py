@@ -321,6 +321,7 @@ def test_the_film_lasts_as_long_as_the_runs(recorded: tuple[Path, Path], tmp_pat
     assert np.abs(frames[0].astype(int) - frames[-1]).max() > 40
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) -> None:
     from PIL import Image

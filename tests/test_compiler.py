@@ -35,6 +35,7 @@ def rows(compiler: Compiler, **changes: object) -> bytes:
     return simulation.rows.tobytes()
 
 
+@pytest.mark.thorough
 def test_a_run_with_a_used_compiler_is_bit_for_bit_one_with_a_new_one() -> None:
     compiler = Compiler()
     # Each leaves a payload on the flange and other friction in the joints.

@@ -378,6 +378,7 @@ def test_a_robot_file_with_estimated_dynamics_will_do(tmp_path: Any) -> None:
         sero_mj.make_environment(f"{folder}/reach")
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.parametrize("name", ["lwr/reach", "impedance_push"])
 def test_pictures_show_the_robot_and_change_as_it_moves(name: str) -> None:

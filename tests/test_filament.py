@@ -127,6 +127,7 @@ def test_arrows_have_their_declared_colours(
     assert (filament.min(axis=2) > np.maximum(classic.min(axis=2), 245)).sum() == 0
 
 
+@pytest.mark.thorough
 def test_doubles_look_as_in_the_classic_picture(
     world: World, data: mujoco.MjData, pair: tuple[HeadlessRenderer, HeadlessRenderer]
 ) -> None:

@@ -111,6 +111,7 @@ def test_films_of_other_kinds_and_rates_are_refused(tmp_path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_a_gif_and_a_webm_of_a_scene(lwr: SerialRobot, tmp_path) -> None:
     scene = Scene(robots=[lwr], view=VIEW)

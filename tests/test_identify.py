@@ -189,6 +189,7 @@ def command(*arguments: object) -> int:
     return int(ended.value.code or 0)
 
 
+@pytest.mark.thorough
 def test_the_command_writes_lines_and_a_figure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -122,6 +122,7 @@ def is_right(world: World, picked: Picked | None, kind: str, item: int) -> bool:
     return picked.kind in ("link", "object") and picked.index == index
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_picking_agrees_with_a_render_of_the_segmentation(world) -> None:
     asked, wrong, seen = compare(world, "150,-15,2.0")

@@ -206,6 +206,7 @@ def test_joints_are_searched_for_and_selected(world: World) -> None:
     assert any(kind == "tree" for kind, _ in ui.built)
 
 
+@pytest.mark.thorough
 def test_tables_show_the_joints_that_matter_and_files_all() -> None:
     robot = humanoid("body", show_arrows=True)
     logs = []

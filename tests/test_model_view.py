@@ -21,6 +21,7 @@ def red(pixels: np.ndarray) -> int:
     return int(((r > g + 25) & (r > b + 25)).sum())
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(bool(web_tools.MISSING), reason=f"needs {', '.join(web_tools.MISSING)}")
 def test_a_browser_shows_inertias_in_what_is_transparent(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr") as served:

@@ -68,6 +68,7 @@ def renderer(world):
         yield renderer
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_numbers_stay_sharp_over_a_moving_arm(renderer, world) -> None:
     first = posed(world, 0.5)

@@ -166,6 +166,7 @@ def kernel() -> Iterator[Kernel]:
         yield kernel
 
 
+@pytest.mark.thorough
 def test_a_page_comes_by_the_kernels_channel_even_while_it_is_busy(kernel: Kernel) -> None:
     shown = "viewer = sero_mj.view('lwr', web=True)\ndisplay(viewer)\n" + _MOVE.format(seconds=4)
     cell = kernel.begin(shown)
@@ -200,6 +201,7 @@ def test_a_page_comes_by_the_kernels_channel_even_while_it_is_busy(kernel: Kerne
     kernel.until(lambda: kernel.said["first"][-1][0] != "closed")
 
 
+@pytest.mark.thorough
 def test_a_cell_is_run_again_and_goes_on_while_none_runs(kernel: Kernel) -> None:
     for _ in range(2):
         kernel.run(_SHOW)
@@ -216,6 +218,7 @@ def test_a_cell_is_run_again_and_goes_on_while_none_runs(kernel: Kernel) -> None
         assert answer.status == 200
 
 
+@pytest.mark.thorough
 def test_a_kernel_that_ends_ends_its_viewers_without_complaints(kernel: Kernel) -> None:
     kernel.run(_SHOW)
     (url,) = re.findall(r"lwr is at (http\S+)", kernel.printed)

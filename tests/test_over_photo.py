@@ -200,6 +200,7 @@ def write_video(path: Path, pictures: list[Array], fps: float = 10.0) -> Path:
     return path
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_a_picture_and_a_film_are_as_large_and_as_long_as_what_is_below(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -90,6 +90,7 @@ def test_a_picture_saves_itself_and_stays_an_array(overlay: Any, tmp_path: Path)
         picture[..., 0].save(tmp_path / "plane.png")
 
 
+@pytest.mark.thorough
 def test_the_lwr_looks_the_same_as_an_overlay_and_as_a_scene() -> None:
     torques = [30.0, -80.0, 25.0, 60.0, -30.0, 25.0, -25.0]
     robot = sero_mj.SerialRobot.from_model("lwr", show_arrows=True, show_axes=True)

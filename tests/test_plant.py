@@ -258,6 +258,7 @@ def test_viscous_friction_is_before_the_sensor_as_well():
     assert plant.actual[2, 0] == pytest.approx(0.0, abs=2e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_nothing_drifts_in_a_minute_of_gravity_torques():
     plant = plant_of(make_lwr())

@@ -159,6 +159,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run.mcap"
 
 
+@pytest.mark.thorough
 def test_a_recording_is_exported_by_the_scene_in_it_also_when_it_is_torn(
     tmp_path: Path, whole: Path
 ) -> None:

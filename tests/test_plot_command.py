@@ -64,6 +64,7 @@ def test_joints_and_times_are_chosen(folder: Path, tmp_path: Path) -> None:
     assert 0.1 <= float(peak.split()[3]) <= 0.3
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_several_recordings_are_pages(folder: Path, tmp_path: Path) -> None:
     run = folder / "swing.mcap"

@@ -148,6 +148,7 @@ def test_a_node_holds_the_robot_in_lockstep(folder: Path) -> None:
     assert stamp - 0.011 < newest <= stamp == pytest.approx(0.099, abs=0.0015)
 
 
+@pytest.mark.thorough
 def test_names_are_those_of_the_robot_or_declared_ones(folder: Path) -> None:
     simulated(folder, "names", duration=0.06)
     assert (folder / "names").read_text().split() == ["A1", "A2", "E1", "A3", "A4", "A5", "A6"]

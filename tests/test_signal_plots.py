@@ -225,6 +225,7 @@ def test_samples_that_nobody_takes_are_few() -> None:
     assert take() is None
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.skipif(bool(NO_WINDOW), reason=f"needs {', '.join(NO_WINDOW)}")
 def test_a_window_opens_its_plots_for_what_a_program_plots(monkeypatch: pytest.MonkeyPatch) -> None:

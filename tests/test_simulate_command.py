@@ -155,6 +155,7 @@ def test_a_picture_shows_arrow_double_and_push(scenario: Path, tmp_path: Path) -
     assert np.abs(pictures[0] - pictures[1]).max() > 50
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_a_film_has_a_frame_for_every_thirtieth_of_a_second(scenario: Path, tmp_path: Path) -> None:
 

@@ -316,6 +316,7 @@ def test_shards_joined_are_the_table_of_one_run(
     assert "--merge: no file" in said
 
 
+@pytest.mark.thorough
 def test_a_job_of_slurm_runs_the_shards(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

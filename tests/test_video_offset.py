@@ -83,6 +83,7 @@ def write_video(
     renderer.close()
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.parametrize(("begin", "lens"), sampled([[13.0, "none"], [4.321, "barrel"]], 1))
 def test_the_beginning_of_a_video_is_found_within_one_frame(

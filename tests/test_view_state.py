@@ -208,6 +208,7 @@ def window(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Driven]:
         yield opened
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.live
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")

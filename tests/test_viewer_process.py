@@ -223,6 +223,7 @@ def test_it_ends_with_the_script_and_not_before(tmp_path: Path) -> None:
         assert script.stderr.read() == "" and not answers(url)
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(bool(NO_WINDOW), reason=f"needs {', '.join(NO_WINDOW)}")
 def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
@@ -282,6 +283,7 @@ time.sleep(100)
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="Linux and macOS")
 def test_it_ends_with_a_killed_script_of_which_copies_live_on(tmp_path: Path) -> None:
     script = subprocess.Popen(

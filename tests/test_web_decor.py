@@ -159,6 +159,7 @@ def check_arrows(page: Any, world: World, data: mujoco.MjData, time: float) -> i
     return count
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sign", sampled([1.0, -1.0], 1))
 def test_a_round_arrow_has_the_vertices_of_pythons_geoms(
     opened: Callable[..., Any], sign: float
@@ -174,6 +175,7 @@ def test_a_round_arrow_has_the_vertices_of_pythons_geoms(
     assert check_arrows(page, world, world.make_data(), 0.0) == 7
 
 
+@pytest.mark.thorough
 def test_round_arrows_turn_as_pythons_geoms_do(opened: Callable[..., Any]) -> None:
     scene = load_scene("impedance_push")
     page = opened(capture(scene, fps=10, seconds=3.0))
@@ -216,6 +218,7 @@ def shapes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     sys.modules.pop("all_shapes", None)
 
 
+@pytest.mark.thorough
 def test_every_type_of_geom_of_another_package_shows_without_javascript(
     opened: Callable[..., Any], shapes: Any
 ) -> None:

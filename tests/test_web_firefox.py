@@ -26,6 +26,7 @@ def firefox() -> Iterator[Firefox]:
         yield firefox
 
 
+@pytest.mark.thorough
 def test_a_file_plays_with_the_numbers_of_the_run(firefox: Firefox, tmp_path: Path) -> None:
     scene = sero_mj.load_scene("impedance_push")
     sero_mj.export_html(scene, tmp_path / "run.html", seconds=2.0, fps=10)

@@ -77,6 +77,7 @@ def test_a_handle_moves_the_target_and_the_robot_follows(browser: Any, tmp_path:
         visitor.close()
 
 
+@pytest.mark.thorough
 def test_a_long_press_pulls_and_two_fingers_zoom(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "impedance_push", settings=("run.duration=100",)) as served:
         visitor = Visitor(browser, served, has_touch=True)

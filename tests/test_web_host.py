@@ -519,6 +519,7 @@ def test_a_port_that_is_taken_is_told(home: None) -> None:
                 WebHost(mirror, port=wrong)  # type: ignore[arg-type]
 
 
+@pytest.mark.thorough
 def test_screenshots_and_films_are_made_of_pages_too(tmp_path: Path, home: None) -> None:
     with Mirror(load_scene("impedance_push")) as mirror, WebHost(mirror, folder=tmp_path) as page:
         said: list[str] = []

@@ -59,6 +59,7 @@ def test_a_second_browser_watches_and_takes_over(browser: Any, tmp_path: Path) -
         first.close()
 
 
+@pytest.mark.thorough
 def test_a_restarted_server_is_found_again(browser: Any, tmp_path: Path) -> None:
     port = free_port(socket.SOCK_STREAM)
     options: dict[str, Any] = {"settings": (POSE, TORQUES), "port": port}
@@ -115,6 +116,7 @@ def free_port(kind: socket.SocketKind) -> int:
         return int(free.getsockname()[1])
 
 
+@pytest.mark.thorough
 def test_a_finger_taps_once_and_two_zoom(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", settings=(POSE,)) as served:
         hand = Visitor(browser, served, has_touch=True)

@@ -188,6 +188,7 @@ SOFT = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", sampled(list(SOFT), 2))
 def test_soft_parts_move_as_in_our_pictures(opened: Callable[..., Any], name: str) -> None:
     model = mujoco.MjModel.from_xml_string(SOFT[name])

@@ -52,6 +52,7 @@ def test_the_wheel_works_from_another_directory(tmp_path: Path) -> None:
     assert "robot   lwr: 7 joints, craig DH, meshes" in done.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_the_source_distribution_has_all_that_the_readme_s_commands_need(tmp_path: Path) -> None:
     subprocess.run(

@@ -196,6 +196,7 @@ def test_a_screenshot_is_what_is_seen(window: Driven) -> None:
     assert pixels[:40].mean() > pixels[-200:].mean()  # the sky is up
 
 
+@pytest.mark.thorough
 def test_a_film_is_as_long_as_it_was_filmed(window: Driven) -> None:
     import av
 

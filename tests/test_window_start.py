@@ -108,6 +108,7 @@ def test_a_tile_opens_its_scene_and_what_is_wrong_is_told(display: str, tmp_path
         assert start.ask("[opened[-1], w.page.chosen.name]") == ["biped_stand", "biped_stand"]
 
 
+@pytest.mark.thorough
 def test_data_that_comes_is_a_button(display: str, tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))

@@ -173,6 +173,7 @@ def test_what_is_published_otherwise_is_told(peer: Peer) -> None:
         assert source.counters.received == 1
 
 
+@pytest.mark.thorough
 def test_a_router_that_comes_again_is_connected_to_again(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
