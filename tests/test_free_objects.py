@@ -134,7 +134,7 @@ def test_measures_say_where_it_has_gone() -> None:
 def test_only_a_body_has_a_mass() -> None:
     for fields, reason in (
         ({"shape": "axes", "mass": 1.0},
-         "mass: found 1 for axes; expected a shape that is a body, or a mesh"),
+         "mass: found 1 for axes; expected another shape, or a mesh"),
         ({"mjcf": "<mujoco/>", "friction": 0.5},
          "friction: found 0.5 for a piece of MJCF; expected it in its geoms"),
     ):  # fmt: skip

@@ -237,7 +237,7 @@ WRONG = {
     ],
     "[objects.box]\nshape = 'bix'\nsize = [nan, 1, 1]": [
         Problem("objects.box.shape", found="bix",
-                expected="'box', 'sphere', 'cylinder', 'capsule', 'ellipsoid' or 'axes'",
+                expected="'box', 'sphere', 'cylinder', 'capsule', 'ellipsoid', 'axes' or 'limb'",
                 available=["box"], file="s.toml", line=2),
         Problem("objects.box.size", found=[math.nan, 1, 1],
                 expected="finite numbers, no NaN or inf", file="s.toml", line=3),

@@ -14,6 +14,7 @@ from ...robots.declared.cartesian import WORLD
 from ...robots.declared.double import OUT_OF_SIGHT, fade_in
 from ...robots.declared.inputs import BLANKABLE
 from ...robots.declared.mounts import mount_pose
+from .limbs import Limbs
 from .model_torques import output_now
 from .route import FrameRoute, Origin, Route
 from .wiring import Wiring, wire
@@ -41,6 +42,7 @@ class Placer:
         placing = [route for route in wiring.frame_routes if route.to.key != "flange_check"]
         self._routes = {route.to.name: route for route in placing}
         self._checks = [route for route in wiring.frame_routes if route not in placing]
+        self._limbs = Limbs(world)
         later = {name for level in self._levels for name in level}
         self._at_once = [name for name in world.scene.frames if name not in later]
 
@@ -65,6 +67,7 @@ class Placer:
                 else:
                     self._place_received(data, name)
             pose_doubles(self._world, data)
+        self._limbs.place(data)
         follow(self._world.model, data)
         for route in self._checks:
             self._keep(data, route)

@@ -81,14 +81,7 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
         raise DeclarationError(scene.located(problems))
     for item in scene.objects:
         with collect(problems, f"objects.{item.name}"):
-            if dynamics is not None and item.is_free:
-                body = root.worldbody.add_body(name=moved_body(item.name), **pose(item.frame))
-                body.add_freejoint(name=moved_body(item.name))
-                _add_object(root, body, item, np.eye(4))
-            elif item.name in moved:
-                _add_object(root, _moved_body(root, item.name, item.frame), item, np.eye(4))
-            else:
-                _add_object(root, root.worldbody, item, item.frame)
+            _add_scene_object(root, item, moved, is_dynamic=dynamics is not None)
     unbuilt: set[str | None] = set()
     for name in mount_order(scene.robots):
         robot, count = scene.robots[name], len(problems)
@@ -375,6 +368,21 @@ def _look_axes(forward: Array) -> Array:
     return np.concatenate([right, np.cross(right, forward)])
 
 
+def _add_scene_object(
+    root: mujoco.MjSpec, item: Object, moved: Collection[str], *, is_dynamic: bool
+) -> None:
+    if is_dynamic and item.is_free:
+        body = root.worldbody.add_body(name=moved_body(item.name), **pose(item.frame))
+        body.add_freejoint(name=moved_body(item.name))
+        _add_object(root, body, item, np.eye(4))
+    elif item.shape == "limb":
+        _add_limb(root, item)
+    elif item.name in moved:
+        _add_object(root, _moved_body(root, item.name, item.frame), item, np.eye(4))
+    else:
+        _add_object(root, root.worldbody, item, item.frame)
+
+
 def _add_object(
     root: mujoco.MjSpec, body: mujoco.MjsBody, item: Object, T: Array, *, mirrored: bool = False
 ) -> None:
@@ -411,6 +419,30 @@ def _add_object(
         geom = body.add_geom(name=name, group=OBJECT_GROUP, **look, **pose(T))
         if item.friction is not None:
             set_friction(geom, item.friction)
+
+
+def limb_bodies(name: str) -> list[str]:
+    """Returns the names of the bodies of both links of a limb."""
+    return [f"limb-{name}", f"limb-{name}_1"]
+
+
+def _add_limb(root: mujoco.MjSpec, item: Object) -> None:
+    """Adds both links of a limb along the z axes of bodies that `data.drive.limbs` places."""
+    assert item.size is not None  # checked by Object
+    for k, (body, length, radius) in enumerate(
+        zip(limb_bodies(item.name), item.size[:2], item.size[2:], strict=True)
+    ):
+        link = root.worldbody.add_body(name=body, mocap=True, **pose(item.frame))
+        link.add_geom(
+            name=f"{item.name}_{k}" if k else item.name,
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0, 0, 0, 0, 0, length],
+            size=[radius, 0, 0],
+            rgba=item.rgba,
+            group=OBJECT_GROUP,
+            contype=0,
+            conaffinity=0,
+        )
 
 
 def _mass_shares(path: Path, scale: Any) -> Array:

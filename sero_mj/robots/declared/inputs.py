@@ -15,6 +15,7 @@ from .couplings import CoupledJoints
 from .robot import SerialRobot
 from .robot_parts import ARROW_QUANTITIES, VALUE_INPUTS
 from .scene import Scene, SceneToggles
+from .surroundings import Object
 
 # Contents of a source's slot.
 SOURCE_FIELDS = (
@@ -123,7 +124,7 @@ def list_inputs(scene: Scene) -> dict[str, Input]:
     for name in scene.frames:
         add(name, (4, 4), "frame", "frame")
         add(name, (1,), "toggle", "show_axes")
-    for name in [*(item.name for item in scene.objects if item.shape != "axes"), *scene.cameras]:
+    for name in [*(item.name for item in scene.objects if _can_be_moved(item)), *scene.cameras]:
         add(name, (4, 4), "pose", "frame")
     add(SCENE, (1,), "toggle", *SceneToggles.model_fields)
     return {item.target: item for item in inputs}
@@ -190,6 +191,10 @@ def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
             target, f"found {found}", expected=f"{sum(full)}{finite}: {each}{fewer}"
         ).error()
     return np.split(array, np.cumsum(counts)[:-1])
+
+
+def _can_be_moved(item: Object) -> bool:
+    return item.shape not in ("axes", "limb")
 
 
 def moving(scene: Scene) -> set[str]:

@@ -186,6 +186,9 @@ def _children_differ(children: list[Object]) -> list[Object]:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"two children have the name '{name}'")
+    for child in children:
+        if child.shape == "limb":
+            raise ValueError(f"{child.name}: found a limb; expected it among a scene's objects")
     return children
 
 

@@ -402,7 +402,7 @@ class Scene:
         return problems
 
     def _frame_problems(self) -> list[Problem]:
-        """Returns references of arrows and received frames to frames that do not exist."""
+        """Returns references of arrows, limbs and received frames to frames that do not exist."""
         frames = self.named_frames()
         wanted = []
         for name, arrow in self.arrows.items():
@@ -410,6 +410,7 @@ class Scene:
                 wanted.append((f"arrows.{name}.at", arrow.at))
             if arrow.expressed_in not in (None, WORLD):
                 wanted.append((f"arrows.{name}.expressed_in", arrow.expressed_in))
+        wanted += [(f"objects.{o.name}.reaches", o.reaches) for o in self.objects if o.reaches]
         wanted += [
             (f"frames.{name}.relative_to", frame.relative_to)
             for name, frame in self.frames.items()

@@ -32,6 +32,7 @@ SHAPE_SIZES = {
     "capsule": "radius, length between the two centres",
     "ellipsoid": "radius x, radius y, radius z",
     "axes": "length",
+    "limb": "length of its first link, of its second, radius of the first, of the second",
 }
 Rgb = tuple[float, float, float]
 Look = Literal["light", "dark"]
@@ -95,7 +96,8 @@ class Object(Declaration):
 
     Attributes:
         name: unique in its scene or robot.
-        shape: a primitive; `axes` shows coordinate axes at the object's frame.
+        shape: a primitive; `axes` shows coordinate axes at the object's frame; a `limb` is an arm
+            or leg of a person, two links from the origin of its frame to another one's.
         size: full lengths and radii in m, see `SHAPE_SIZES`.
         mesh: mesh file, relative to `directory`.
         mesh_scale: metres per unit of the mesh file.
@@ -104,6 +106,9 @@ class Object(Declaration):
             `mjcf.RootElement`, a dm_control composer entity.
         urdf: URDF file without joints relative to `directory`: a table, a tool; it is fixed.
         frame: pose in the world, or in the frame of a robot's link that a child is fixed to.
+        reaches: of a limb, the frame where it ends (`left/flange`). Its joint between the links is
+            on the side of its frame's x axis. Where its end is out of reach, it points there.
+        end: of a limb, where it ends in that frame, m.
         on: of a robot's child, the frame that it is fixed to: `base`, `link1`, ..., `flange`.
         rgba: colour; an MJCF piece has its own.
         mass: kg, of a solid of uniform density; a robot's child without a mass has water's density.
@@ -112,7 +117,9 @@ class Object(Declaration):
     """
 
     name: Name
-    shape: Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "axes"] | None = None
+    shape: Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "axes", "limb"] | None = (
+        None
+    )
     size: Vector | None = None
     mesh: MeshFile | None = None
     mesh_scale: float = Field(1.0, gt=0)
@@ -120,6 +127,8 @@ class Object(Declaration):
     urdf: Annotated[str | None, AfterValidator(_of_a_urdf)] = None
     frame: Frame = Field(default_factory=lambda: np.eye(4))
     rgba: Rgba = Field(default_factory=lambda: np.array([0.62, 0.66, 0.70, 1.0]))
+    reaches: str | None = None
+    end: Point = Field(default_factory=lambda: np.zeros(3))
     on: str = "flange"
     mass: float | None = Field(None, gt=0)
     friction: float | None = Field(None, ge=0)
@@ -138,6 +147,9 @@ class Object(Declaration):
         if len(given) != 1:
             found = " and ".join(given) or "none of them"
             raise ValueError(f"found {found}; expected exactly one of shape, mesh, mjcf, urdf")
+        if (self.shape == "limb") != (self.reaches is not None):
+            found = self.reaches or "none"
+            raise ValueError(f"reaches: found {found}; expected a frame of a limb, and of no other")
         self._check_solid()
         if self.shape is None:
             return self
@@ -149,14 +161,14 @@ class Object(Declaration):
     def _check_solid(self) -> None:
         """Refuses mass and friction for objects that have none or bring their own."""
         for key in ("mass", "friction"):
-            if getattr(self, key) is None or self.shape not in (None, "axes") or self.mesh:
+            if getattr(self, key) is None or self.shape not in (None, "axes", "limb") or self.mesh:
                 continue
             found = f"{key}: found {getattr(self, key):g}"
             if self.urdf is not None:
                 raise ValueError(f"{found} for a URDF, which stays where it is; expected none")
             if self.mjcf is not None:
                 raise ValueError(f"{found} for a piece of MJCF; expected it in its geoms")
-            raise ValueError(f"{found} for axes; expected a shape that is a body, or a mesh")
+            raise ValueError(f"{found} for {self.shape}; expected another shape, or a mesh")
 
     @property
     def is_free(self) -> bool:

@@ -1,0 +1,67 @@
+"""Limbs of people: two links from a fixed point to a frame that moves."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array
+from ...robots.assemble.mjcf import limb_bodies
+from ...robots.assemble.world_view import WorldView
+from ...robots.declared.double import OUT_OF_SIGHT
+
+
+class Limbs:
+    """The objects of shape `limb` of a world.
+
+    Args:
+        world: the compiled scene.
+    """
+
+    def __init__(self, world: WorldView) -> None:
+        self._world = world
+        self._limbs = [
+            (item, [int(world.model.body(name).mocapid[0]) for name in limb_bodies(item.name)])
+            for item in world.scene.objects
+            if item.shape == "limb" and world.has_sites  # else the model is somebody else's
+        ]
+
+    def place(self, data: mujoco.MjData) -> None:
+        """Places both links of all limbs, out of sight where what they reach for is."""
+        if not self._limbs:
+            return
+        mujoco.mj_kinematics(self._world.model, data)
+        for item, bodies in self._limbs:
+            assert item.size is not None and item.reaches is not None  # checked by Object
+            end = self._world.frame(data, item.reaches)[:3] @ [*item.end, 1.0]
+            begin, towards = item.frame[:3, 3], item.frame[:3, 0]
+            joint = middle_joint(begin, end, (item.size[0], item.size[1]), towards)
+            is_hidden = end[2] < OUT_OF_SIGHT[2] / 2
+            for body, start, along in (
+                (bodies[0], begin, joint - begin),
+                (bodies[1], joint, end - joint),
+            ):
+                data.mocap_pos[body] = OUT_OF_SIGHT if is_hidden else start
+                mujoco.mju_quatZ2Vec(data.mocap_quat[body], along)
+
+
+def middle_joint(begin: Array, end: Array, lengths: tuple[float, float], towards: Array) -> Array:
+    """Returns where the joint between two links is, (3,), m, by the law of cosines.
+
+    Args:
+        begin: where the first link begins, (3,), m.
+        end: where the second one ends, (3,), m; out of reach, the links point there, or are folded.
+        lengths: of both links, m.
+        towards: direction in which the joint is, (3,).
+    """
+    first, second = lengths
+    along = end - begin
+    distance = float(np.linalg.norm(along))
+    along = along / distance if distance > 0 else np.array([0.0, 0.0, 1.0])
+    side = towards - (towards @ along) * along
+    if np.linalg.norm(side) < 1e-9:  # any other, if it is the direction of the end
+        side = np.cross(along, np.eye(3)[np.abs(along).argmin()])
+    reached = float(np.clip(distance, max(abs(first - second), 1e-9), first + second))
+    share = (reached**2 + first**2 - second**2) / (2 * reached)
+    height = np.sqrt(max(first**2 - share**2, 0.0))
+    return np.asarray(begin + share * along + height * side / np.linalg.norm(side))
