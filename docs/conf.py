@@ -24,8 +24,9 @@ html_extra_path = ["_made/runs"]
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]
 html_title = f"sero-mj {version}"
-exclude_patterns = ["_made/README.md"]
+exclude_patterns = ["_made/README.md", "_made/wings.md"]
 myst_heading_anchors = 3
+myst_enable_extensions = ["colon_fence"]
 default_role = "code"
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings give shapes and units
@@ -97,7 +98,7 @@ def setup(app: object) -> None:
         "keys.md": _declarations(),
         "python.rst": _reference(),
         "structure.md": structure,
-        "wings.md": "# The wings\n" + re.split(r"\n\[CONTRIB", wings)[0],
+        "wings.md": "# The wings\n" + re.split(r"\n\[CONTRIB", wings)[0],  # in `inside.md`
     }
     for name, text in pages.items():
         file = made / name
