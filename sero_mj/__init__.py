@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from .data.record.recording import Recording as Recording
     from .data.record.replay import Replay as Replay
     from .load import load_scene as load_scene
+    from .robots.assemble.forward_kinematics import ForwardKinematics as ForwardKinematics
     from .robots.assemble.world import World as World
     from .robots.declared.cartesian import ReceivedFrame as ReceivedFrame
     from .robots.declared.cartesian import SmartArrow as SmartArrow
@@ -97,6 +98,7 @@ _HOME = {
     "Scene": "robots.declared.scene",
     "View": "robots.declared.surroundings",
     "SceneToggles": "robots.declared.scene",
+    "ForwardKinematics": "robots.assemble.forward_kinematics",
     "World": "robots.assemble.world",
     "Mirror": "data.drive.mirror",
     "load_scene": "load",

@@ -203,24 +203,16 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
     body = root.worldbody
     _add_geoms(body, geoms[0])
     body.add_site(name="base", group=SITE_GROUP)
-    table, bodies = robot.kinematics, [body]
-    at_zero, axes = table.link_transforms(np.zeros(robot.n)), table.axis_frames
-    centres = joint_centres(robot)
-    for i, carrier_index in enumerate(table.carriers.tolist()):
-        body = bodies[carrier_index].add_body(name=f"link{i + 1}", **pose(at_zero[i]))
-        bodies.append(body)
-        joint: dict[str, Any] = {"axis": axes[i, :3, 2], "pos": axes[i, :3, 3]}
-        if is_limited(robot, i):
-            joint |= {"range": position_range(robot, i), "limited": True}
-        kind = mujoco.mjtJoint.mjJNT_HINGE if table.revolute[i] else mujoco.mjtJoint.mjJNT_SLIDE
-        body.add_joint(name=robot.names[i], type=kind, **joint)
+    links, centres = add_links(body, robot), joint_centres(robot)
+    for i, body in enumerate(links):
         _add_geoms(body, geoms[i + 1])
         if inertia is not None:
             set_inertia(body, inertia, i + 1)
         body.add_site(name=f"frame{i + 1}", group=SITE_GROUP)
         # Site of arrows and billboards; its z is the joint's axis in both conventions.
         body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(centres[i]))
-    flange = bodies[robot.flange_link].add_body(name="flange", **pose(robot.T_n_flange))
+    carrying = [root.worldbody, *links][robot.flange_link]
+    flange = carrying.add_body(name="flange", **pose(robot.T_n_flange))
     flange.add_site(name="flange_frame", group=SITE_GROUP)
     wrong_children: list[Problem] = []
     for k, (child, T) in enumerate(zip(robot.children, robot.child_frames, strict=True)):
@@ -230,6 +222,21 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
     if wrong_children or problems:
         raise DeclarationError(wrong_children + problems)
     return root
+
+
+def add_links(base: mujoco.MjsBody, robot: SerialRobot) -> list[mujoco.MjsBody]:
+    """Adds the bodies of all links, with their joints, and returns them, (n,)."""
+    table, bodies = robot.kinematics, [base]
+    at_zero, axes = table.link_transforms(np.zeros(robot.n)), table.axis_frames
+    for i, carrier_index in enumerate(table.carriers.tolist()):
+        body = bodies[carrier_index].add_body(name=f"link{i + 1}", **pose(at_zero[i]))
+        bodies.append(body)
+        joint: dict[str, Any] = {"axis": axes[i, :3, 2], "pos": axes[i, :3, 3]}
+        if is_limited(robot, i):
+            joint |= {"range": position_range(robot, i), "limited": True}
+        kind = mujoco.mjtJoint.mjJNT_HINGE if table.revolute[i] else mujoco.mjtJoint.mjJNT_SLIDE
+        body.add_joint(name=robot.names[i], type=kind, **joint)
+    return bodies[1:]
 
 
 def _body_on(root: mujoco.MjSpec, label: str) -> mujoco.MjsBody:
