@@ -292,7 +292,8 @@ def test_a_robot_is_mirrored_recorded_and_played_again(
         assert until(is_connected)
         assert until(lambda: source.latest().values["stamp"][0] == sent)
         before = source.receive_trigger
-        with record_sources({"ros": source}, tmp_path / "run.mcap", scene=scene):
+        path = tmp_path / "run.mcap"
+        with record_sources({"ros": source}, path, scene=scene, signals_rate=1000.0):
             for k in range(20):
                 peer.joints(name=["elbow", "shoulder"], position=[k / 20, 1], effort=[2, 10])
             assert until(lambda: source.receive_trigger == before + 20)

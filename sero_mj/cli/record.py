@@ -86,7 +86,8 @@ class RecordOptions(SceneArgument, TriggerOptions):
         output: where to; with --trigger also a folder (default: this one).
         out: likewise.
         duration: seconds to record (default: until Ctrl-C).
-        signals_rate: decoded values per second and source; all packets are kept.
+        signals_rate: decoded values per second and source, for programs that cannot decode packets;
+            all packets are kept.
         overwrite: write over a file that exists.
         quiet: no progress line.
     """
@@ -94,7 +95,7 @@ class RecordOptions(SceneArgument, TriggerOptions):
     output: Annotated[Path | None, positional("OUT.mcap")] = None
     out: Annotated[Path | None, Option("OUT", ("-o", "--out"))] = None
     duration: Duration | None = None
-    signals_rate: Annotated[NotNegative, Option("HZ")] = 1000.0
+    signals_rate: Annotated[NotNegative, Option("HZ")] = 20.0
     overwrite: bool = False
     quiet: bool = False
 
