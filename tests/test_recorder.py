@@ -133,7 +133,7 @@ def test_what_packets_mean_is_there_for_the_good_ones(tmp_path: Path) -> None:
     assert len(packets_in(tmp_path / "a.mcap")) == 3
 
 
-@pytest.mark.parametrize(("rate", "batch"), [(1000.0, 1), (1000.0, 40), (100.0, 1), (20.0, 20)])
+@pytest.mark.parametrize(("rate", "batch"), [(1000.0, 1), (1000.0, 40), (100.0, 1), (50.0, 20)])
 def test_signals_are_thinned_to_their_rate_and_packets_are_not(
     tmp_path: Path, rate: float, batch: int
 ) -> None:
