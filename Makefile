@@ -7,13 +7,14 @@
 # make bench  benchmarks, as ratios
 # make foreign   robots of example-robot-data, robosuite and dm_control (350 MB from PyPI), compared
 # make gallery   docs/gallery.md and its pictures
-# make wheel  dist/*.whl, with models and scenes inside
+# make oldest   the quick tests with the oldest versions of packages that pyproject.toml allows
+# make wheel  dist/*.whl with models and scenes inside, its hash, and a list of what it depends on
 
 BIN := .venv/bin
 # Tests start some hundred programs; without compiled files each would compile all of ours anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test quick mutations lint docs bench foreign gallery wheel clean
+.PHONY: demo test quick mutations oldest lint docs bench foreign gallery wheel clean
 
 .venv/.run .venv/.test: pyproject.toml .ci/setup
 	@.ci/setup $(@:.venv/.%=%)
@@ -60,8 +61,26 @@ foreign: .venv/.test
 gallery: .venv/.run
 	$(BIN)/python docs/gallery.py $(SHOTS)
 
+# What a release is: sdist and wheel, their hashes, and all packages that an installation of the
+# wheel alone brings, with versions and licences (CycloneDX).
 wheel: .venv/.test
-	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+	rm -rf dist
+	$(BIN)/python -m pip install --quiet build cyclonedx-bom
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/python -m venv --clear .peers/wheel
+	.peers/wheel/bin/python -m pip install --quiet dist/*.whl
+	$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-reproducible \
+	  -o dist/sbom.json .peers/wheel/bin/python
+	cd dist && sha256sum *.whl *.tar.gz sbom.json > SHA256SUMS
+
+OLDEST := figures,fmu,foxglove,gltf,gymnasium,notebook,ros2,xacro,zenoh,camera
+oldest: .venv/.test
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python .peers/oldest
+	$(BIN)/uv pip install --quiet --python .peers/oldest/bin/python --resolution lowest-direct \
+	  --group dev --editable ".[$(OLDEST)]"
+	.peers/oldest/bin/python -m pytest -q -n auto -m "not gl and not slow and not live" \
+	  -W "ignore::DeprecationWarning" tests
 
 clean:
 	rm -rf .venv out build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -180,10 +180,13 @@ class PhotoCamera:
     def _undistort(self, pixels: Array) -> Array:
         cv2 = opencv()
         until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
-        undistort = cv2.undistortPoints
+        points, camera = pixels[:, None], (self.matrix, self.distortion)
         if self.model == "equidistant":
-            undistort = cv2.fisheye.undistortPoints
-        rays = undistort(pixels[:, None], self.matrix, self.distortion, criteria=until)
+            rays = cv2.fisheye.undistortPoints(points, *camera, criteria=until)
+        elif hasattr(cv2, "undistortPointsIter"):  # OpenCV 4 has it under a name of its own
+            rays = cv2.undistortPointsIter(points, *camera, np.eye(3), np.eye(3), until)
+        else:
+            rays = cv2.undistortPoints(points, *camera, criteria=until)
         return np.array(rays.reshape(-1, 2), np.float64)
 
     @cached_property
