@@ -88,7 +88,7 @@ DRAWN = """([width, height, time, hidden, hasShadows]) => {
     stage.chooseCamera(stage.run.eye.fixed);
     player.switches.shadows = hasShadows;
     player.draw();
-    for (const each of hidden) stage[each].visible = false;
+    for (const each of hidden) (stage[each] ?? stage.surroundings[each]).visible = false;
     stage.draw();
     const gl = stage.renderer.getContext(), bytes = new Uint8Array(4 * width * height);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);

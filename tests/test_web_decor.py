@@ -227,7 +227,7 @@ def test_every_type_of_geom_of_another_package_shows_without_javascript(
     camera = "200,-25,6.2,0,2.5,0"
     picture, covered = picture_of_decor(world, world.make_data(), camera)
     page = opened(capture(scene, camera=camera))
-    pixels = drawn(page, SIZE, 0.0)
+    pixels = drawn(page, SIZE, 0.0, ["backdrop"])
     assert page.said == []
     seen = pixels[..., 3] > 127
     for k, name in enumerate(shapes.SIZES):
@@ -277,7 +277,7 @@ def test_smart_arrows_show_with_their_heads(opened: Callable[..., Any]) -> None:
     _, covered = picture_of_decor(world, world.make_data(), camera)
     page = opened(capture(scene, camera=camera))
     page.evaluate("player.stage.robots.group.visible = false")
-    seen = drawn(page, SIZE, 0.0)[..., 3] > 127
+    seen = drawn(page, SIZE, 0.0, ["backdrop"])[..., 3] > 127
     assert covered.sum() > 800
     assert overlap(covered, seen) >= 0.93
 

@@ -568,4 +568,4 @@ def test_an_overlay_sends_the_places_of_its_joints(home: None) -> None:
         head = json.loads(
             client.state["run"][4:][: int.from_bytes(client.state["run"][:4], "little")]
         )
-        assert head["floor"] is not None
+        assert head["surroundings"]["floor"] is not None

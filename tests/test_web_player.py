@@ -32,13 +32,13 @@ SILHOUETTE = """([width, height, time]) => {
     stage.chooseCamera(-1);
     player.switches.shadows = false;
     player.draw();
-    const { robots, arrows, items, floor } = stage;
-    for (const each of [robots.depth, robots.ghosts, arrows.mesh, items.group, floor])
+    const { robots, arrows, items, surroundings: { floor, backdrop } } = stage;
+    for (const each of [robots.depth, robots.ghosts, arrows.mesh, items.group, floor, backdrop])
         each.visible = false;
     stage.draw();
     const gl = stage.renderer.getContext(), bytes = new Uint8Array(4 * width * height);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
-    for (const each of [robots.depth, robots.ghosts, arrows.mesh, items.group, floor])
+    for (const each of [robots.depth, robots.ghosts, arrows.mesh, items.group, floor, backdrop])
         each.visible = true;
     let digits = "";
     for (let y = height - 1; y >= 0; y--)

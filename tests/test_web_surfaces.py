@@ -91,7 +91,7 @@ def compare(page: Any, found: Any, data: mujoco.MjData, time: float = 0.0) -> tu
     """Overlap of the outlines, and how far colours are away where neither has an edge."""
     model = found.world.model
     picture, covered = classic(model, data, found.camera, SIZE)
-    pixels = drawn(page, SIZE, time, ["floor"])
+    pixels = drawn(page, SIZE, time, ["floor", "backdrop"])
     seen = pixels[..., 3] > 127
     both = covered & seen
     inside = both.copy()
@@ -234,7 +234,7 @@ def test_a_plane_is_seen_through_from_below(opened: Callable[..., Any]) -> None:
     <geom type="sphere" size=".2" pos="0 0 .4" rgba="0 .2 1 1"/></worldbody></mujoco>""")
     (data,) = rolled_out(model, 1, 0)
     page = opened(found := captured(model, [data], "60,35,2.2,0,0,.2"))
-    pixels = drawn(page, SIZE, 0.0, ["floor"])
+    pixels = drawn(page, SIZE, 0.0, ["floor", "backdrop"])
     alpha = pixels[..., 3]
     assert ((alpha > 60) & (alpha < 100)).sum() > 5000
     _, covered = classic(model, data, found.camera, SIZE)

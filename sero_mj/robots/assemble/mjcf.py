@@ -23,7 +23,7 @@ from ..declared.inputs import moving
 from ..declared.mounts import base_frames, carrier, mount_order
 from ..declared.robot import SerialRobot
 from ..declared.scene import Scene
-from ..declared.surroundings import PALETTES, Look, Object, Palette
+from ..declared.surroundings import KEY_DIRECTION, PALETTES, Look, Object, Palette
 from ..importers.mjcf_file import as_spec
 from .link_geometry import drawn_geoms, trim_geoms
 from .mjcf_dynamics import (
@@ -335,7 +335,7 @@ def _add_headlight(root: mujoco.MjSpec, palette: Palette) -> None:
 
 def _add_key_light(root: mujoco.MjSpec, palette: Palette, at: Array) -> None:
     root.worldbody.add_light(
-        name="key", pos=at, dir=[-0.35, 0.4, -1], type=_DIRECTIONAL,
+        name="key", pos=at, dir=KEY_DIRECTION, type=_DIRECTIONAL,
         diffuse=[palette.key] * 3, specular=[0.2] * 3, castshadow=True,
     )  # fmt: skip
 
@@ -344,7 +344,7 @@ def _add_sky(root: mujoco.MjSpec, palette: Palette) -> None:
     root.add_texture(
         name=SKY, type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=palette.sky[0], rgb2=palette.sky[1], width=64, height=384,
+        rgb1=palette.sky[1], rgb2=palette.sky[0], width=64, height=384,
     )  # fmt: skip
 
 
@@ -357,7 +357,9 @@ def _add_floor(
         rgb1=palette.tiles[0], rgb2=palette.tiles[1], markrgb=palette.tiles[2],
         width=256, height=256,
     )  # fmt: skip
-    floor = root.add_material(name="floor", texrepeat=[0.5 / tile] * 2, texuniform=True)
+    floor = root.add_material(
+        name="floor", texrepeat=[0.5 / tile] * 2, texuniform=True, specular=0, shininess=0
+    )
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
     # A floor that casts shadows shows artefacts of its own shadow map.
     root.worldbody.add_geom(

@@ -286,6 +286,8 @@ class Palette:
     physical: PhysicalLight
 
 
+KEY_DIRECTION = (-0.35, 0.4, -1.0)  # in which the light that casts shadows shines
+
 PALETTES = {
     # Chosen together with the key light so that a floor seen from above is just below white.
     "light": Palette(

@@ -19,8 +19,9 @@ from ..decor.ribbons import ribbon_shape
 from .capture import Capture, eye
 from .items import poses
 from .labels import labels_head
-from .model import Look, floor_height
+from .model import Look
 from .packing import Parts, rounded
+from .surroundings import surroundings_head
 
 VERSION = 1
 METRE_STEP = 5e-5  # m
@@ -55,7 +56,7 @@ def encode(capture: Capture, title: str) -> bytes:
         "grey": parts.moving(capture.grey, 1),
         "greyRgb": GREY,
         **_look(capture, look),
-        "floor": _floor(capture.world),
+        "surroundings": surroundings_head(capture.world),
         **capture.soft.head(parts, METRE_STEP),
         "joints": _joints(capture),
         "values": {
@@ -92,12 +93,6 @@ def _look(capture: Capture, look: Look) -> dict[str, Any]:
 
 def _finite(number: float) -> float | None:
     return float(number) if math.isfinite(number) else None
-
-
-def _floor(world: WorldView) -> float | None:
-    added = world.surroundings()
-    height = floor_height(world.model)
-    return height if height is not None or added is None else floor_height(added)
 
 
 def _index(capture: Capture, body: int) -> int:

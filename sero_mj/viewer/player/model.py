@@ -38,7 +38,7 @@ def visible_geoms(model: mujoco.MjModel) -> Ints:
     """Returns the ids of the geoms that MuJoCo draws unless told otherwise, without our floor."""
     shown = (model.geom_group < _GROUPS) & (geom_colours(model)[:, 3] > 0)
     shown &= model.geom_type <= _SDF
-    floor = _our_floor(model)
+    floor = our_floor(model)
     if floor is not None:
         shown[floor] = False
     found: Ints = shown.nonzero()[0]
@@ -72,18 +72,12 @@ def _colours(model: mujoco.MjModel, rgba: np.ndarray, material: np.ndarray) -> A
     return colours
 
 
-def _our_floor(model: mujoco.MjModel) -> int | None:
-    """The floor that scenes have, which a player draws in its own way; None for none."""
+def our_floor(model: mujoco.MjModel) -> int | None:
+    """Returns the geom of the floor that scenes have, which a player draws itself; None for none."""
     floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, _OUR_FLOOR)
     if floor < 0 or model.geom_type[floor] != _PLANE or model.geom_matid[floor] < 0:
         return None
     return floor if model.mat(model.geom_matid[floor]).name == _OUR_FLOOR else None
-
-
-def floor_height(model: mujoco.MjModel) -> float | None:
-    """Returns the height of the floor that a player draws in its own way, m; None for none."""
-    floor = _our_floor(model)
-    return None if floor is None else float(model.geom_pos[floor, 2])
 
 
 def _has_own_lights(model: mujoco.MjModel) -> bool:
@@ -219,9 +213,19 @@ class Look:
                     "texture": self._texture(int(model.mat_texid[material, _COLOUR])),
                     "repeat": rounded(model.mat_texrepeat[material]),
                     "uniform": bool(model.mat_texuniform[material]),
+                    **self._physical(material),
                 }
             )
         return self._known[key]
+
+    def _physical(self, material: int) -> dict[str, float]:
+        """Roughness and metallic of a material, if it has them."""
+        numbers = {"roughness": self._model.mat_roughness, "metallic": self._model.mat_metallic}
+        return {
+            name: round(float(each[material]), 3)
+            for name, each in numbers.items()
+            if each[material] >= 0
+        }
 
     def _geom(self, i: int) -> dict[str, Any]:
         """Shape, place, body, colour and material of a geom."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from ....base.frames import Array, Bools
 from ...mujoco_private import filament
-from .environment import linear, shown
+from ...sky_light import linear, shown
 from .light import upload
 
 _TYPES = mujoco.mjtGeom

@@ -10,8 +10,9 @@ import numpy as np
 
 from ....robots.declared.surroundings import Palette
 from ...mujoco_private import filament
+from ...sky_light import linear
 from ..picture_options import Quality
-from .environment import environment, linear
+from .environment import environment
 
 log = logging.getLogger(__name__)
 

@@ -79,18 +79,14 @@ export class RoundArrows {
     this.striped = new THREE.InstancedBufferAttribute(new Float32Array(count), 1);
     geometry.setAttribute("how", this.how);
     geometry.setAttribute("striped", this.striped);
-    const material = new THREE.MeshPhongMaterial({
-      flatShading: true, specular: 0x202020, side: THREE.DoubleSide,
-    });
+    const material = new THREE.MeshBasicMaterial({ side: THREE.DoubleSide });
     material.onBeforeCompile = (shader) => {
       shader.vertexShader = "attribute vec4 along; attribute vec3 across; attribute vec4 how;"
         + "attribute float striped; varying float dark;\n"
         + shader.vertexShader.replace("#include <begin_vertex>", PLACE);
       shader.fragmentShader = "varying float dark;\n" + shader.fragmentShader
         .replace("#include <color_fragment>", `#include <color_fragment>
-          diffuseColor.rgb = mix(diffuseColor.rgb, vec3(.08, .08, .09), step(.5, dark));`)
-        .replace("#include <emissivemap_fragment>",
-          "totalEmissiveRadiance += .45 * diffuseColor.rgb;");
+          diffuseColor.rgb = mix(diffuseColor.rgb, vec3(.08, .08, .09), step(.5, dark));`);
     };
     this.formula = PLACE;
     this.mesh = new THREE.InstancedMesh(geometry, material, count);

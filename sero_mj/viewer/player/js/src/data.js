@@ -10,8 +10,9 @@
  *   card: boolean, arrow: Arrow}} Joint */
 /** @typedef {{body: number, type: number, pos: number[], quat: number[], size: number[],
  *   rgba: number[], mesh?: number, material?: number, isBack?: boolean}} Geom */
-/** @typedef {{finish: number[], texture: number, repeat: number[], uniform: boolean}} Material
- *   finish: emission, specular, shininess, reflectance */
+/** @typedef {{finish: number[], texture: number, repeat: number[], uniform: boolean,
+ *   roughness?: number, metallic?: number}} Material
+ *   finish: emission, specular, shininess, reflectance; roughness in place of the last but one */
 /** @typedef {{cube: boolean, width: number, height: number, pixels: Uint8Array}} Texture
  *   pixels: RGBA, of a cube six faces one after the other */
 /** @typedef {{rgba: number[], material?: number, uv?: Float32Array}} Soft */
@@ -25,6 +26,10 @@
  *   ambient: number[], cutoff: number, exponent: number, shadow: boolean}} Lamp */
 /** @typedef {{ambient: number[], diffuse: number[], gloss: number, others: Lamp[]}} Lights of the
  *   model, with its headlight; gloss: how much brighter reflections of lamps are than surfaces */
+/** @typedef {{sky: number[][], tiles: number[][], haze: number[], key: number, bulb: number,
+ *   fill: number[], reflections: number[][]}} Palette colours as they are shown, light relative to white */
+/** @typedef {{looks: {light: Palette, dark: Palette}, towards: number[], floor: {height: number,
+ *   tile: number, far: number, haze: number} | null}} Surroundings */
 /** @typedef {{begin: number, end: number, text: string, kind: string}} Mark */
 /** @typedef {{positions: Float32Array, normals: Float32Array, triangles: Uint32Array,
  *   uv?: Float32Array}} MeshData */
@@ -212,7 +217,7 @@ export function decode(bytes) {
     greyRgb: /** @type {number[]} */ (head.greyRgb),
     meshes: /** @type {MeshData[]} */ (head.meshes.map((/** @type {any} */ m) => arrays.mesh(m))),
     geoms: /** @type {Geom[]} */ (head.geoms),
-    floor: /** @type {number | null} */ (head.floor),
+    surroundings: /** @type {Surroundings} */ (head.surroundings),
     reach: /** @type {number | null} */ (head.reach ?? null),
     materials: /** @type {Material[]} */ (head.materials ?? []),
     textures: /** @type {Texture[]} */ ((head.textures ?? []).map((/** @type {any} */ each) => arrays.texture(each))),

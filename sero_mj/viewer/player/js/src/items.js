@@ -10,7 +10,6 @@ const SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5, BOX = 6;
 const ARROW = 100, ARROW1 = 101, ARROW2 = 102, LINE = 103, LINEBOX = 104, TRIANGLE = 108;
 const VECTOR = 5; // kind of smart arrows, `Kind` in Python
 const UP = Math.PI / 2;
-const LIT = 0.45 / 0.35; // emission times this is as bright as round arrows, also where no lamp is
 
 /** @typedef {(size: number[]) => [number[], number]} Scale scale, and offset along z */
 /** @typedef {[THREE.BufferGeometry, Scale]} Shape */
@@ -83,16 +82,13 @@ function read({ positions, rotations, sizes, rgba }, k) {
 
 /** The material of a type of geoms. @param {number} type @param {boolean} isTransparent */
 function materialOf(type, isTransparent) {
-  const material = new THREE.MeshPhongMaterial({
-    specular: 0x202020, side: THREE.DoubleSide, transparent: isTransparent,
-  });
+  const material = new THREE.MeshBasicMaterial({ side: THREE.DoubleSide, transparent: isTransparent });
   material.onBeforeCompile = (shader) => {
     if (type === CAPSULE) stretch(shader);
-    shader.vertexShader = "attribute vec2 look; varying vec2 own;\n" + shader.vertexShader
+    shader.vertexShader = "attribute float look; varying float own;\n" + shader.vertexShader
       .replace("void main() {", "void main() { own = look;");
-    shader.fragmentShader = "varying vec2 own;\n" + shader.fragmentShader
-      .replace("#include <color_fragment>", "#include <color_fragment>\ndiffuseColor.a *= own.x;")
-      .replace("#include <emissivemap_fragment>", "totalEmissiveRadiance += own.y * diffuseColor.rgb;");
+    shader.fragmentShader = "varying float own;\n" + shader.fragmentShader
+      .replace("#include <color_fragment>", "#include <color_fragment>\ndiffuseColor.a *= own;");
   };
   material.customProgramCacheKey = () => `decor ${type === CAPSULE}`;
   return material;
@@ -108,7 +104,7 @@ class Solids {
     this.group = group;
     this.material = materialOf(type, isFaint);
     this.capacity = 0;
-    this.look = new THREE.InstancedBufferAttribute(new Float32Array(0), 2);
+    this.look = new THREE.InstancedBufferAttribute(new Float32Array(0), 1);
     this.mesh = this.#make(4);
     /** Which geoms its instances are. @type {number[]} */
     this.shown = [];
@@ -117,7 +113,7 @@ class Solids {
   /** @param {number} capacity */
   #make(capacity) {
     this.capacity = capacity;
-    this.look = new THREE.InstancedBufferAttribute(new Float32Array(2 * capacity), 2);
+    this.look = new THREE.InstancedBufferAttribute(new Float32Array(capacity), 1);
     this.shape.setAttribute("look", this.look);
     const mesh = new THREE.InstancedMesh(this.shape, this.material, capacity);
     mesh.setColorAt(0, colour);
@@ -149,7 +145,7 @@ class Solids {
       if (type === TRIANGLE) lean(matrix, size[2] / (size[0] || 1));
       mesh.setMatrixAt(i, matrix);
       mesh.setColorAt(i, colour);
-      look.setXY(i, geoms.rgba[4 * k + 3] / 255, Math.min(LIT * geoms.emission[k], 1));
+      look.setX(i, geoms.rgba[4 * k + 3] / 255);
       if (geoms.of[3 * k] !== VECTOR) return;
       const key = `${VECTOR} ${geoms.of[3 * k + 1]}`;
       if (!places.has(key)) places.set(key, own.clone());

@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { Mirror, mirrorOf } from "./mirror.js";
-import { backOf, ball, capsule, cylinder, finish, finishOf, isPlane, placesIn, planeOf, textureOf, texturesOf }
+import { backOf, ball, capsule, cylinder, finish, finishOf, isPlane, metallicOf, placesIn, planeOf, textureOf, texturesOf }
   from "./surfaces.js";
 
 /** @typedef {import("./data.js").Run} Run */
@@ -49,6 +49,7 @@ function merged(parts, run, texture) {
   const position = new Float32Array(3 * vertices), normal = new Int8Array(3 * vertices);
   const color = new Uint8Array(4 * vertices), body = new Uint16Array(vertices);
   const shine = new Uint8Array(4 * vertices), mirror = mirrorOf(run);
+  const metal = new Uint8Array(vertices);
   const spots = texture < 0 ? null : new Float32Array(3 * vertices);
   const index = new Uint32Array(corners), vector = new THREE.Vector3();
   const turn = new THREE.Matrix3();
@@ -57,7 +58,7 @@ function merged(parts, run, texture) {
     const shape = shapes[k], at = matrixOf(geom.pos, geom.quat), first = vertex;
     const { position: places, normal: normals } = shape.attributes;
     turn.setFromMatrix4(at);
-    const look = finishOf(run, geom);
+    const look = finishOf(run, geom), metallic = metallicOf(run, geom);
     if (geom === mirror?.geom) look[3] = Math.round(255 * Math.min(mirror.share, 1));
     for (const each of shape.index ? shape.index.array : []) index[corner++] = each + first;
     spots?.set(placesIn(run, geom, shape), 3 * vertex);
@@ -67,6 +68,7 @@ function merged(parts, run, texture) {
         .toArray(normal, 3 * vertex);
       color.set(geom.rgba, 4 * vertex);
       shine.set(look, 4 * vertex);
+      metal[vertex] = metallic;
       body[vertex] = geom.body;
     }
   });
@@ -83,15 +85,17 @@ function merged(parts, run, texture) {
   geometry.setAttribute("color", new THREE.BufferAttribute(color, 4, true));
   geometry.setAttribute("body", new THREE.BufferAttribute(body, 1));
   geometry.setAttribute("finish", new THREE.BufferAttribute(shine, 4, true));
+  geometry.setAttribute("metal", new THREE.BufferAttribute(metal, 1, true));
   if (spots) geometry.setAttribute("place", new THREE.BufferAttribute(spots, 3));
   return geometry.setIndex(new THREE.BufferAttribute(index, 1));
 }
 
 /** All bodies of a run. */
 export class Robots {
-  /** @param {Run} run */
-  constructor(run) {
+  /** @param {Run} run @param {import("./shading.js").SkyUniforms | null} sky null with other lights */
+  constructor(run, sky) {
     this.run = run;
+    this.sky = sky;
     this.group = new THREE.Group();
     this.matrices = run.bodies.map(() => new THREE.Matrix4());
     this.texels = new Float32Array(4 * TEXELS * run.bodies.length);
@@ -171,7 +175,7 @@ export class Robots {
     const picture = this.pictures[texture] ?? null;
     const isCube = texture >= 0 && this.run.textures[texture].cube;
     material.onBeforeCompile = (shader) => {
-      finish(shader, this.run, picture, isCube, isBehind ? null : this.mirror);
+      finish(shader, this.run, this.sky, picture, isCube, isBehind ? null : this.mirror);
       this.#pose(shader, isBehind);
     };
     material.customProgramCacheKey = () => `body ${isBehind} ${texture < 0 ? "" : isCube}`;

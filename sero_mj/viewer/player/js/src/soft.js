@@ -7,6 +7,7 @@ import { Tubes } from "./tubes.js";
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {import("./data.js").Skin} Skin */
 /** @typedef {import("./data.js").Flex} Flex */
+/** @typedef {import("./shading.js").SkyUniforms | null} Sky */
 
 /** @param {ArrayLike<number>} of @param {number} k */
 const at = (of, k) => new THREE.Vector3(of[3 * k], of[3 * k + 1], of[3 * k + 2]);
@@ -35,11 +36,11 @@ function inflate(shape, far) {
 
 /** A skin: its vertices are weighted means of where its bones would carry them. */
 class MovedSkin {
-  /** @param {Run} run @param {Skin} skin @param {THREE.Texture[]} textures */
-  constructor(run, skin, textures) {
+  /** @param {Run} run @param {Sky} sky @param {Skin} skin @param {THREE.Texture[]} textures */
+  constructor(run, sky, skin, textures) {
     this.skin = skin;
     const count = skin.positions.length / 3;
-    this.mesh = meshOf(count, skin.triangles, materialOf(run, skin, textures),
+    this.mesh = meshOf(count, skin.triangles, materialOf(run, sky, skin, textures),
       repeated(run, skin));
     // From the world at first to the bones.
     this.bind = skin.bones.map(({ pos, quat: [w, x, y, z] }) => new THREE.Matrix4().compose(
@@ -71,12 +72,12 @@ class MovedSkin {
 
 /** A flex: a cable of tubes, a cloth of two sides and a seam, or the shell of a solid. */
 class MovedFlex {
-  /** @param {Run} run @param {Flex} flex @param {THREE.Texture[]} textures */
-  constructor(run, flex, textures) {
+  /** @param {Run} run @param {Sky} sky @param {Flex} flex @param {THREE.Texture[]} textures */
+  constructor(run, sky, flex, textures) {
     this.flex = flex;
     const { count, triangles, edges, dim } = flex;
     const isFlat = flex.flat && { flatShading: true };
-    const material = materialOf(run, flex, textures, isFlat || {});
+    const material = materialOf(run, sky, flex, textures, isFlat || {});
     if (dim === 1) {
       this.tubes = new Tubes(material, edges.length / 2);
       this.mesh = this.tubes.mesh;
@@ -130,17 +131,17 @@ class MovedFlex {
 
 /** All of it. */
 export class SoftParts {
-  /** @param {Run} run */
-  constructor(run) {
+  /** @param {Run} run @param {Sky} sky null where other lights shine */
+  constructor(run, sky) {
     this.run = run;
     this.group = new THREE.Group();
     const textures = run.skins.length + run.flexes.length ? texturesOf(run) : [];
-    this.skins = run.skins.map((skin) => new MovedSkin(run, skin, textures));
-    this.flexes = run.flexes.map((flex) => new MovedFlex(run, flex, textures));
+    this.skins = run.skins.map((skin) => new MovedSkin(run, sky, skin, textures));
+    this.flexes = run.flexes.map((flex) => new MovedFlex(run, sky, flex, textures));
     for (const { mesh } of [...this.skins, ...this.flexes]) this.group.add(mesh);
     if (!run.tendons) return;
     const { rgba } = run.tendons;
-    const material = materialOf(run, { rgba: [255, 255, 255, 255 * rgba[0][3]] }, textures);
+    const material = materialOf(run, sky, { rgba: [255, 255, 255, 255 * rgba[0][3]] }, textures);
     this.tendons = new Tubes(material, rgba.length);
     rgba.forEach(([r, g, b], k) => this.tendons?.mesh.setColorAt(k, new THREE.Color(r, g, b)));
     this.group.add(this.tendons.mesh);

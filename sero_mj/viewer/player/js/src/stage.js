@@ -1,4 +1,4 @@
-/** The picture: camera, lights, floor, and what stands on it. */
+/** The picture: camera, surroundings, and what stands in them. */
 
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -8,12 +8,11 @@ import { Items } from "./items.js";
 import { Lamps } from "./lights.js";
 import { Robots, matrixOf } from "./robots.js";
 import { SoftParts } from "./soft.js";
+import { BACKDROP, Surroundings } from "./surroundings.js";
 
 /** @typedef {import("./data.js").Run} Run */
 
-const RADIANS = Math.PI / 180;
 const SLOW = 60; // ms a picture, above which shadows are left out, then the doubles' depth
-const FLOOR_RGB = { light: [0.8, 0.84, 0.88], dark: [0.22, 0.26, 0.31] };
 
 /** What draws on a canvas; raises an error without WebGL 2. @param {HTMLCanvasElement} canvas */
 export function rendererOf(canvas) {
@@ -35,82 +34,29 @@ export class Stage {
     const canvas = this.canvas = renderer.domElement;
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(run.eye.fovy, 1, 0.01,
-      run.reach ?? Math.max(100, 4 * run.eye.distance));
+      Math.max(100, 4 * run.eye.distance, run.reach ?? 0, 1.1 * (run.surroundings.floor?.far ?? 0)));
     this.camera.up.set(0, 0, 1);
+    this.camera.layers.enable(BACKDROP);
     this.orbit = new OrbitControls(this.camera, canvas);
     this.orbit.mouseButtons.MIDDLE = THREE.MOUSE.PAN;
     this.fixed = -1;
-    this.robots = new Robots(run);
+    this.surroundings = new Surroundings(run);
+    const sky = run.lights ? null : this.surroundings.uniforms;
+    this.robots = new Robots(run, sky);
     this.arrows = new RoundArrows(run);
     this.items = new Items();
-    this.soft = new SoftParts(run);
-    /** @type {Lamps | null} */
-    this.lamps = null;
+    this.soft = new SoftParts(run, sky);
+    this.lamps = run.lights && new Lamps(run.lights, this.scene, this.camera, 0.6 * run.eye.distance);
+    /** What casts shadows. */
+    this.sun = this.lamps ? this.lamps.sun : this.surroundings.sun;
     this.sites = run.joints.map(() => new THREE.Matrix4());
     this.own = run.joints.map((joint) => matrixOf(joint.pos, joint.quat));
-    this.ink = { value: new THREE.Color() };
-    this.sun = this.#lights();
-    this.floor = this.#floor();
-    this.scene.add(this.robots.group, this.arrows.mesh, this.items.group, this.soft.group, this.floor,
-      this.camera);
+    this.scene.add(this.robots.group, this.arrows.mesh, this.items.group, this.soft.group,
+      this.surroundings.group, this.camera);
     this.size = { width: 1, height: 1 };
     this.spent = 0; // ms of a picture, smoothed
     this.hasShadows = true;
     this.chooseCamera(run.eye.fixed);
-  }
-
-  #lights() {
-    const { lookAt: [x, y, z], azimuth } = this.run.eye, reach = 0.6 * this.run.eye.distance;
-    /** @type {THREE.Light[]} */
-    this.lights = [];
-    if (this.run.lights) {
-      this.lamps = new Lamps(this.run.lights, this.scene, this.camera, reach);
-      return this.lamps.sun;
-    }
-    const sky = new THREE.HemisphereLight(0xffffff, 0x9aa5b5, 1.25);
-    const head = new THREE.DirectionalLight(0xffffff, 0.9);
-    head.target.position.set(0, 0, -1);
-    this.camera.add(head, head.target);
-    const sun = new THREE.DirectionalLight(0xffffff, 1.35), angle = (azimuth + 135) * RADIANS;
-    sun.position.set(x + reach * Math.cos(angle), y + reach * Math.sin(angle), z + 1.5 * reach);
-    sun.target.position.set(x, y, z);
-    sun.castShadow = true;
-    sun.shadow.mapSize.set(1024, 1024);
-    Object.assign(sun.shadow.camera, {
-      left: -reach, right: reach, top: reach, bottom: -reach, near: 0.1, far: 5 * reach,
-    });
-    sun.shadow.bias = -0.0006;
-    sun.shadow.normalBias = 0.006;
-    this.scene.add(sky, sun, sun.target);
-    this.lights.push(sky, head, sun);
-    for (const light of this.lights) light.userData.full = light.intensity;
-    return sun;
-  }
-
-  #floor() {
-    const { lookAt: [x, y], distance } = this.run.eye, { ink } = this;
-    const size = 6 * distance, tile = distance > 6 ? 1 : 0.5;
-    const material = new THREE.MeshLambertMaterial({
-      transparent: true, depthWrite: false, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1,
-    });
-    material.onBeforeCompile = (shader) => {
-      shader.uniforms.ink = ink;
-      shader.vertexShader = "varying vec2 spot; varying vec2 away;\n" + shader.vertexShader.replace(
-        "#include <begin_vertex>", `#include <begin_vertex>
-        spot = (modelMatrix * vec4(position, 1.)).xy; away = position.xy;`);
-      shader.fragmentShader = "varying vec2 spot; varying vec2 away; uniform vec3 ink;\n"
-        + shader.fragmentShader.replace("#include <color_fragment>", `
-        vec2 tile = abs(fract(spot / ${tile.toFixed(3)} - .5) - .5) / fwidth(spot / ${tile.toFixed(3)});
-        float line = 1. - min(min(tile.x, tile.y), 1.);
-        diffuseColor.rgb = mix(ink, ink * .72, line * .5);
-        diffuseColor.a *= smoothstep(.36, .08, length(away) / ${size.toFixed(3)});`);
-    };
-    const floor = new THREE.Mesh(new THREE.PlaneGeometry(size, size), material);
-    floor.position.set(x, y, this.run.floor ?? 0);
-    floor.visible = this.run.floor !== null;
-    floor.receiveShadow = true;
-    floor.renderOrder = -1;
-    return floor;
   }
 
   /** Sees with a camera of the scene, or -1 for its view. @param {number} number */
@@ -170,12 +116,8 @@ export class Stage {
     else if (this.fixed < 0) this.camera.position.sub(this.orbit.target).multiplyScalar(this.back / before).add(this.orbit.target);
   }
 
-  /** @param {"light" | "dark"} look */
-  setLook(look) {
-    const [r, g, b] = FLOOR_RGB[look];
-    this.ink.value.setRGB(r, g, b);
-    for (const light of this.lights) light.intensity = light.userData.full * (look === "dark" ? 0.82 : 1);
-  }
+  /** @param {import("./view.js").Look} look */
+  setLook(look) { this.surroundings.setLook(look); }
 
   /**
    * Places everything.
@@ -194,7 +136,7 @@ export class Stage {
     this.items.place(geoms);
     this.soft.place(at, robots.matrices);
     this.lamps?.place(robots.matrices);
-    this.sun.castShadow = this.hasShadows;
+    if (this.sun) this.sun.castShadow = this.hasShadows;
     if (this.fixed >= 0) {
       const { body, pos, quat, fovy } = run.cameras[this.fixed];
       const pose = robots.matrices[body].clone().multiply(matrixOf(pos, quat));
@@ -205,11 +147,12 @@ export class Stage {
       }
     }
     this.camera.updateMatrixWorld();
+    this.surroundings.place(this.camera);
   }
 
   /** Draws. @returns {number} draw calls */
   draw() {
-    this.robots.reflect(this.renderer, this.scene, this.camera, this.sun.castShadow);
+    this.robots.reflect(this.renderer, this.scene, this.camera, this.hasShadows);
     this.renderer.render(this.scene, this.camera);
     return this.renderer.info.render.calls;
   }
@@ -276,6 +219,7 @@ export class Stage {
   dispose() {
     this.orbit.dispose();
     this.robots.dispose();
+    this.surroundings.dispose();
     this.scene.traverse((each) => {
       if (each instanceof THREE.Light && "shadow" in each) each.dispose();
       if (!(each instanceof THREE.Mesh || each instanceof THREE.LineSegments)) return;

@@ -1,12 +1,14 @@
 /** What surfaces look like: materials, textures, and the places in these, by MuJoCo's rules. */
 
 import * as THREE from "three";
+import { shade } from "./shading.js";
 
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {import("./data.js").Geom} Geom */
+/** @typedef {import("./shading.js").SkyUniforms} SkyUniforms */
 
 const PLANE = 0, SPHERE = 2, CAPSULE = 3, CYLINDER = 5, BOX = 6, MESH = 7; // mjtGeom
-const PLAIN = [0, 128, 128, 0]; // finish of what has no material
+const PLAIN = [0, 0.5, 0.5, 0]; // finish of what has no material
 const UP = Math.PI / 2;
 
 /** The textures of a run. @param {Run} run @returns {THREE.Texture[]} */
@@ -33,14 +35,24 @@ export const textureOf = (run, { material }) =>
   material === undefined ? -1 : run.materials[material].texture;
 
 /**
- * Emission, specular and shininess of 0 to 255, and nothing.
+ * Emission, specular and shininess of 0 to 255, and nothing; in the light of the sky roughness in
+ * place of shininess.
  * @param {Run} run @param {{material?: number}} of
  */
 export function finishOf(run, { material }) {
-  if (material === undefined) return [...PLAIN];
-  const [emission, specular, shininess] = run.materials[material].finish;
-  return [emission, specular, shininess, 0].map((each) => Math.round(255 * Math.min(each, 1)));
+  const own = material === undefined ? PLAIN : run.materials[material].finish;
+  const [emission, specular, shininess] = own;
+  const roughness = material === undefined ? -1 : run.materials[material].roughness ?? -1;
+  const smooth = run.lights ? shininess : roughness >= 0 ? roughness : roughnessOf(shininess);
+  return [emission, roughness >= 0 ? 0.5 : specular, smooth, 0].map((each) => Math.round(255 * Math.min(each, 1)));
 }
+
+/** How rough a surface is for a shininess, both 0 to 1; as `finish` of Filament in Python. */
+const roughnessOf = (/** @type {number} */ shininess) => (2 / (128 * Math.max(shininess, 0) + 2)) ** 0.25;
+
+/** How much a geom is of metal, 0 to 255. @param {Run} run @param {{material?: number}} of */
+export const metallicOf = (run, { material }) =>
+  material === undefined ? 0 : Math.round(255 * (run.materials[material].metallic ?? 0));
 
 /** Half the extents of a geom, as MuJoCo scales its shapes. @param {Geom} geom */
 function extentsOf({ type, size: [a, b, c] }) {
@@ -152,19 +164,21 @@ export const isPlane = ({ type }) => type === PLANE;
 /**
  * Lets a Phong shader have the finish of every vertex, and a texture.
  * @param {THREE.WebGLProgramParametersWithUniforms} shader @param {Run} run
+ * @param {SkyUniforms | null} sky null where other lights shine
  * @param {THREE.Texture | null} texture @param {boolean} isCube
  * @param {import("./mirror.js").Mirror | null} mirror
  */
-export function finish(shader, run, texture, isCube, mirror) {
+export function finish(shader, run, sky, texture, isCube, mirror) {
+  if (sky) shade(shader, sky, "surfaceOf(diffuseColor.rgb, shine.y, shine.z, own_metal)");
   if (mirror) reflect(shader, mirror);
   const { power, strength } = glossOf(run);
   const has = texture ? "varying vec3 spot;\n" : "";
   if (texture) shader.uniforms.picture = { value: texture };
-  shader.vertexShader = `attribute vec4 finish; varying vec4 shine;\n${has && "attribute vec3 place; "}${has}`
+  shader.vertexShader = `attribute vec4 finish; attribute float metal; varying vec4 shine; varying float own_metal;\n${has && "attribute vec3 place; "}${has}`
     + shader.vertexShader.replace("#include <beginnormal_vertex>",
-      `shine = finish;${has && " spot = place;"}\n#include <beginnormal_vertex>`);
+      `shine = finish; own_metal = metal;${has && " spot = place;"}\n#include <beginnormal_vertex>`);
   const sampler = isCube ? "uniform samplerCube picture;\n" : "uniform sampler2D picture;\n";
-  shader.fragmentShader = `varying vec4 shine;\n${has}${has && sampler}` + shader.fragmentShader
+  shader.fragmentShader = `varying vec4 shine; varying float own_metal;\n${has}${has && sampler}` + shader.fragmentShader
     .replace("#include <map_fragment>", !texture ? "" : isCube
       ? "diffuseColor *= textureCube(picture, spot);" : "diffuseColor *= texture2D(picture, spot.xy);")
     .replace("#include <lights_phong_fragment>", `BlinnPhongMaterial material;
@@ -172,7 +186,8 @@ export function finish(shader, run, texture, isCube, mirror) {
       material.specularShininess = ${power.toFixed(1)} * shine.z + 1.;
       material.specularColor = vec3(${strength.toFixed(3)} * shine.y / (material.specularShininess + 2.));
       material.specularStrength = 1.;`)
-    .replace("#include <emissivemap_fragment>", "totalEmissiveRadiance += shine.x * diffuseColor.rgb;");
+    .replace("#include <emissivemap_fragment>", sky ? "totalEmissiveRadiance += shine.x * toLight(diffuseColor.rgb);"
+      : "totalEmissiveRadiance += shine.x * diffuseColor.rgb;");
 }
 
 /**
@@ -194,19 +209,25 @@ function reflect(shader, { uniforms }) {
 
 /**
  * A material for what is no geom.
- * @param {Run} run @param {import("./data.js").Soft} of @param {THREE.Texture[]} textures
+ * @param {Run} run @param {SkyUniforms | null} sky @param {import("./data.js").Soft} of @param {THREE.Texture[]} textures
  * @param {object} [more]
  */
-export function materialOf(run, of, textures, more = {}) {
+export function materialOf(run, sky, of, textures, more = {}) {
   const [r, g, b, a] = of.rgba.map((each) => each / 255), number = textureOf(run, of);
   const [emission, specular, shininess] = finishOf(run, of).map((each) => each / 255);
   const gloss = glossOf(run), power = gloss.power * shininess + 1, color = new THREE.Color(r, g, b);
   const map = of.uv && number >= 0 ? { map: textures[number] } : {};
-  return new THREE.MeshPhongMaterial({
+  const material = new THREE.MeshPhongMaterial({
     color, emissive: color.clone().multiplyScalar(emission), shininess: power,
     specular: new THREE.Color().setScalar(gloss.strength * specular / (power + 2)),
     opacity: a, transparent: a < 1, ...map, ...more,
   });
+  const numbers = [specular, shininess, metallicOf(run, of) / 255].map((each) => each.toFixed(3));
+  const surface = `surfaceOf(diffuseColor.rgb, ${numbers.join(", ")})`;
+  if (!sky) return material;
+  material.onBeforeCompile = (shader) => shade(shader, sky, surface);
+  material.customProgramCacheKey = () => surface;
+  return material;
 }
 
 /** Places in a texture that is repeated. @param {Run} run @param {import("./data.js").Soft} of */

@@ -32,7 +32,11 @@ export function stretch(shader) {
 export class Tubes {
   /** @param {THREE.Material} material @param {number} count */
   constructor(material, count) {
-    material.onBeforeCompile = stretch;
+    const { onBeforeCompile: finish } = material;
+    material.onBeforeCompile = (shader, renderer) => {
+      stretch(shader);
+      finish(shader, renderer);
+    };
     this.mesh = new THREE.InstancedMesh(tube(), material, count);
     this.mesh.frustumCulled = false;
     this.mesh.castShadow = true;

@@ -1,0 +1,145 @@
+/** What is around a scene, as its file declares it for both looks: sky, floor, haze, and light. */
+
+import * as THREE from "three";
+import { shade } from "./shading.js";
+
+/** @typedef {import("./data.js").Run} Run */
+/** @typedef {import("./view.js").Look} Look */
+
+export const BACKDROP = 1; // layer of the sky, which planes do not reflect
+const SOFTNESS = 0.1; // m, half the width of a shadow's edge for a lamp with a radius of 1 m
+const MOST_BLUR = 4; // texels, beyond which the edge becomes grainy
+
+/** @param {number[]} rgb */
+const vector = (rgb) => new THREE.Vector3().fromArray(rgb);
+
+const SKY = `
+  varying vec3 way; uniform vec3 sky[2]; uniform vec3 haze; uniform float edge;
+  void main() {
+    float up = normalize(way).z; // the gradient is that of MuJoCo's skybox
+    vec3 rgb = mix(sky[0], sky[1], clamp(.5 + .7071 * up, 0., 1.));
+    gl_FragColor = vec4(mix(rgb, haze, clamp(-up / edge, 0., 1.)), 1.);
+  }`;
+
+// The colour of a checker with lines round every two tiles. Source of the filter: Quilez, Filtering
+// the checkerboard pattern, 2017.
+const TILES = `
+  vec3 tiled(vec2 at) {
+    vec2 wide = max(fwidth(at), 1e-4), whole = abs(fract(.5 * at) - .5);
+    vec2 odd = 2. * (abs(fract((at - .5 * wide) * .5) - .5) - abs(fract((at + .5 * wide) * .5) - .5)) / wide;
+    vec2 line = clamp((1. / 128. + .5 * wide - 2. * whole) / wide, 0., 1.) * min(vec2(1.), 1. / 64. / wide);
+    return mix(mix(tiles[0], tiles[1], .5 + .5 * odd.x * odd.y), tiles[2], max(line.x, line.y));
+  }`;
+
+/** Sky, floor and the light that comes from them. */
+export class Surroundings {
+  /** @param {Run} run */
+  constructor(run) {
+    this.run = run;
+    const { looks, floor } = run.surroundings;
+    const { reflections: levels } = looks.light;
+    this.uniforms = {
+      fill: { value: new THREE.Vector3() },
+      reflections: { value: new THREE.DataTexture(new Uint16Array(levels.length * levels[0].length),
+        levels[0].length, levels.length, THREE.RedFormat, THREE.HalfFloatType) },
+      sky: { value: [new THREE.Vector3(), new THREE.Vector3()] },
+      tiles: { value: [0, 0, 0].map(() => new THREE.Vector3()) },
+      haze: { value: new THREE.Vector3() },
+      edge: { value: 1e9 },
+    };
+    const { value: texture } = this.uniforms.reflections;
+    texture.minFilter = texture.magFilter = THREE.LinearFilter;
+    this.backdrop = this.#backdrop();
+    this.floor = this.#floor();
+    this.sun = run.lights ? null : this.#sun();
+    this.group = new THREE.Group().add(this.backdrop, this.floor);
+    if (this.sun) this.group.add(this.sun, this.sun.target);
+    this.far = floor ? floor.far : 0;
+  }
+
+  #backdrop() {
+    const shape = new THREE.BufferGeometry();
+    shape.setAttribute("position", new THREE.Float32BufferAttribute([-1, -1, 0, 3, -1, 0, -1, 3, 0], 3));
+    const sky = new THREE.Mesh(shape, new THREE.ShaderMaterial({
+      uniforms: this.uniforms, depthWrite: false, fragmentShader: SKY,
+      vertexShader: `varying vec3 way;
+        void main() {
+          vec2 at = vec2(position.x / projectionMatrix[0][0], position.y / projectionMatrix[1][1]);
+          way = vec3(at, -1.) * mat3(viewMatrix);
+          gl_Position = vec4(position.xy, 1., 1.);
+        }`,
+    }));
+    sky.layers.set(BACKDROP);
+    sky.frustumCulled = false;
+    sky.renderOrder = 0.5; // after what hides it, before what one sees through
+    return sky;
+  }
+
+  #floor() {
+    const { lights, surroundings: { floor } } = this.run;
+    const { far, haze, tile, height } = floor ?? { far: 1, haze: 1, tile: 1, height: 0 };
+    const material = new THREE.MeshPhongMaterial({
+      specular: 0, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1,
+    });
+    material.defines = { MATTE: "" };
+    material.onBeforeCompile = (shader) => {
+      Object.assign(shader.uniforms, { tiles: this.uniforms.tiles, haze: this.uniforms.haze });
+      shader.vertexShader = "varying vec2 spot;\n" + shader.vertexShader.replace("#include <begin_vertex>",
+        "#include <begin_vertex>\nspot = (modelMatrix * vec4(position, 1.)).xy;");
+      shader.fragmentShader = `varying vec2 spot; uniform vec3 tiles[3]; uniform vec3 haze;${TILES}\n`
+        + shader.fragmentShader
+          .replace("#include <color_fragment>", `diffuseColor.rgb = tiled(spot / ${tile.toFixed(6)});`)
+          .replace("#include <fog_fragment>", `gl_FragColor.rgb = mix(gl_FragColor.rgb, haze,
+            clamp((length(vViewPosition) - ${haze.toFixed(3)}) / ${(far - haze).toFixed(3)}, 0., 1.));`);
+      if (!lights) shade(shader, this.uniforms, "surfaceOf(diffuseColor.rgb, 0., 1., 0.)");
+    };
+    const mesh = new THREE.Mesh(new THREE.CircleGeometry(far, 64), material);
+    mesh.position.z = height;
+    mesh.visible = floor !== null;
+    mesh.frustumCulled = false;
+    mesh.receiveShadow = true;
+    mesh.renderOrder = 0.4;
+    return mesh;
+  }
+
+  #sun() {
+    const { lookAt, distance } = this.run.eye, reach = 0.6 * distance;
+    const sun = new THREE.DirectionalLight(0xffffff), way = vector(this.run.surroundings.towards).normalize();
+    sun.target.position.fromArray(lookAt);
+    sun.position.fromArray(lookAt).addScaledVector(way, -2 * reach);
+    sun.castShadow = true;
+    const side = 1024, { bulb } = this.run.surroundings.looks.light;
+    sun.shadow.mapSize.set(side, side);
+    sun.shadow.radius = Math.min(SOFTNESS * bulb / (2 * reach / side), MOST_BLUR);
+    Object.assign(sun.shadow.camera, {
+      left: -reach, right: reach, top: reach, bottom: -reach, near: 0.1, far: 5 * reach,
+    });
+    sun.shadow.bias = -0.0006;
+    sun.shadow.normalBias = 0.006;
+    return sun;
+  }
+
+  /** @param {Look} look */
+  setLook(look) {
+    const { uniforms, run } = this, { sky, tiles, haze, fill, reflections, key } = run.surroundings.looks[look];
+    uniforms.sky.value = sky.map(vector);
+    uniforms.tiles.value = tiles.map(vector);
+    uniforms.haze.value.fromArray(haze);
+    uniforms.fill.value.fromArray(fill);
+    const { value: texture } = uniforms.reflections;
+    /** @type {Uint16Array} */ (texture.image.data).set(reflections.flat().map(THREE.DataUtils.toHalfFloat));
+    texture.needsUpdate = true;
+    if (this.sun) this.sun.intensity = Math.PI * key; // three divides by pi
+  }
+
+  /** Places them round what the camera sees. @param {THREE.Camera} camera */
+  place(camera) {
+    const { x, y, z } = camera.position, { floor } = this;
+    if (!floor.visible) return;
+    floor.position.set(x, y, floor.position.z);
+    this.uniforms.edge.value = z > floor.position.z ? (z - floor.position.z) / this.far : 1e9;
+  }
+
+  /** Frees its texture. */
+  dispose() { this.uniforms.reflections.value.dispose(); }
+}

@@ -1,0 +1,73 @@
+"""The surroundings of a page: the palettes of both looks, and the floor.
+
+A page is shaded as Filament's pictures are, of the same light, see `sky_light.py`.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...robots.assemble.world_view import WorldView
+from ...robots.declared.surroundings import KEY_DIRECTION, PALETTES, Palette
+from ..sky_light import LEVELS, SkyLight
+from .model import our_floor
+from .packing import rounded
+
+_END = 0.77  # of the distance to which a scene is drawn, where floors end; seen with MuJoCo 4.0.0
+_ELEVATIONS = 33  # of reflections, equally far apart in their sines, from -1 to 1
+
+
+def surroundings_head(world: WorldView) -> dict[str, Any]:
+    """Returns what the head of a page has of the surroundings of a world."""
+    return {
+        "looks": _looks(),
+        "towards": rounded(KEY_DIRECTION),
+        "floor": _floor(world),
+    }
+
+
+@cache
+def _looks() -> dict[str, dict[str, Any]]:
+    return {look: _look(palette) for look, palette in PALETTES.items()}
+
+
+def _look(palette: Palette) -> dict[str, Any]:
+    """A palette, with its light relative to white, for each linear colour channel alike.
+
+    `fill` is (a, b, c) of `SkyLight.irradiance`; `reflections` has a row for every roughness.
+    """
+    light, up = SkyLight(palette), np.linspace(-1.0, 1.0, _ELEVATIONS)
+    return {
+        "sky": palette.sky,
+        "tiles": palette.tiles,
+        "haze": palette.haze,
+        "key": palette.physical.key,
+        "bulb": palette.physical.bulb,
+        "fill": rounded(light.irradiance(), 4),
+        "reflections": [rounded(light.reflected(up, level), 3) for level in range(LEVELS)],
+    }
+
+
+def _floor(world: WorldView) -> dict[str, float] | None:
+    """Height and edge of the tiles, where it ends, and where haze begins, m; None for no floor."""
+    shown = world.model
+    for model in (shown, world.surroundings()):
+        geom = None if model is None else our_floor(model)
+        if model is not None and geom is not None:
+            return _floor_of(model, geom, _END * float(shown.vis.map.zfar * shown.stat.extent))
+    return None
+
+
+def _floor_of(model: mujoco.MjModel, geom: int, far: float) -> dict[str, float]:
+    repeat = float(model.mat_texrepeat[model.geom_matid[geom], 0])
+    haze = (1.0 - float(model.vis.map.haze)) * far
+    return {
+        "height": round(float(model.geom_pos[geom, 2]), 6),
+        "tile": round(1.0 / repeat, 6),
+        "far": round(far, 3),
+        "haze": round(haze, 3),
+    }
