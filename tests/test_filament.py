@@ -22,12 +22,12 @@ from sero_mj.robots.declared.surroundings import PALETTES
 from sero_mj.viewer.headless import renderer_choice
 from sero_mj.viewer.headless.filament import probe as filament_probe
 from sero_mj.viewer.headless.filament.environment import environment
-from sero_mj.viewer.sky_light import linear, shown
 from sero_mj.viewer.headless.filament.flat_triangles import blend
 from sero_mj.viewer.headless.filament.geoms import glow
 from sero_mj.viewer.headless.filament.probe import filament_problem, reason_of
 from sero_mj.viewer.headless.filament.renderer import FilamentRenderer
 from sero_mj.viewer.headless.over import PhotoRenderer
+from sero_mj.viewer.sky_light import linear, shown
 
 pytestmark = pytest.mark.gl
 

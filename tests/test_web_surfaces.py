@@ -282,5 +282,5 @@ def test_a_scene_of_ours_has_no_more_in_its_head_than_before() -> None:
 
     data = encode(capture(load_scene("lwr")), "lwr")
     head = json.loads(data[4 : 4 + int.from_bytes(data[:4], "little")])
-    for key in ("materials", "textures", "skins", "flexes", "lights", "soft", "tendons"):
+    for key in ("textures", "skins", "flexes", "lights", "soft", "tendons"):
         assert key not in head

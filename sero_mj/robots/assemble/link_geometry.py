@@ -13,7 +13,16 @@ from ...base.frames import MIRROR, Array
 from ..declared.robot import SerialRobot
 from ..declared.robot_parts import LinkGeometry
 from ..declared.shapes import SHELL, LinkShape, generate_shapes, trims
-from .mjcf_elements import MESH, Hull, geom_type, half_sizes, mesh_assets, pose, shape_geom
+from .mjcf_elements import (
+    MESH,
+    Hull,
+    finish_material,
+    geom_type,
+    half_sizes,
+    mesh_assets,
+    pose,
+    shape_geom,
+)
 from .mjcf_links import drawn_links, touching_links
 
 Geom = dict[str, Any]
@@ -75,6 +84,7 @@ def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
     geoms = _declared(root, robot, "collisions", "touching-", problems, "always")
     for geom in (geom for link in geoms for geom in link):
         del geom["rgba"]
+        geom.pop("material", None)
     if problems:
         raise DeclarationError(problems)
     return geoms
@@ -94,9 +104,10 @@ def _declared(
         for k, part in enumerate(parts):
             rgba = None if part.color is None else robot.colors[part.color]
             if part.shape == "generated":
+                finish = finish_material(root, part.finish)
                 for shape in generated(robot)[i]:
                     look = shape.rgba if rgba is None else rgba
-                    geoms[i].append({"rgba": look, **shape_geom(shape, shrink)})
+                    geoms[i].append({"rgba": look, **finish, **shape_geom(shape, shrink)})
                 continue
             placed = part.model_copy(
                 update={
@@ -127,7 +138,7 @@ def part_geoms(
     Raises:
         DeclarationError: the file cannot be read.
     """
-    at = pose(part.frame)
+    at = pose(part.frame) | finish_material(root, part.finish)
     if part.shape is not None:
         assert part.size is not None  # checked by LinkGeometry
         size = half_sizes(part.shape, part.size)

@@ -37,7 +37,15 @@ from .mjcf_dynamics import (
     set_inertia,
     set_up_dynamics,
 )
-from .mjcf_elements import MESH, SITE_GROUP, geom_type, half_sizes, mesh_assets, pose
+from .mjcf_elements import (
+    MESH,
+    SITE_GROUP,
+    finish_material,
+    geom_type,
+    half_sizes,
+    mesh_assets,
+    pose,
+)
 from .rigid_urdf import urdf_piece
 from .robot_dynamics import RobotDynamics, declared_inertia
 
@@ -422,6 +430,7 @@ def _add_object(
     for k, look in enumerate(looks):
         if look.get("rgba") is None or "rgba" in item.model_fields_set:
             look["rgba"] = item.rgba
+        look.update(finish_material(root, item.finish))
         if item.mass is not None:
             look.setdefault("mass", item.mass)
         name = f"{item.name}_{k}" if k else item.name

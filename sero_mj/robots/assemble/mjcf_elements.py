@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from ...base.frames import Array
 from ..declared.shapes import LinkShape
+from ..declared.surroundings import FINISHES, FinishName
 from ..importers.mesh_files import Rgba, read_mesh
 from ..importers.mjcf_file import add_file
 
@@ -73,6 +74,25 @@ def hull_asset(spec: mujoco.MjSpec, name: str, corners: Array) -> str:
     """Adds a mesh of vertices (k, 3), m, to the assets and returns its name."""
     spec.add_mesh(name=name, uservert=corners.ravel(), inertia=_CONVEX)
     return name
+
+
+def finish_material(spec: mujoco.MjSpec, finish: FinishName) -> dict[str, str]:
+    """Returns the attribute of geoms with a finish; its material is added once.
+
+    Args:
+        spec: receives the material.
+        finish: plastic is what geoms without a material are of.
+    """
+    if finish == "plastic":
+        return {}
+    if spec.material(finish) is None:
+        look = FINISHES[finish]
+        # This colour is MuJoCo's for "none", so that a geom of the same colour keeps it.
+        spec.add_material(
+            name=finish, rgba=[0.5, 0.5, 0.5, 1], roughness=look.roughness, metallic=look.metallic,
+            specular=look.specular, shininess=look.shininess,
+        )  # fmt: skip
+    return {"material": finish}
 
 
 # Declared sizes are full lengths, MuJoCo's are half lengths; radii are the same.

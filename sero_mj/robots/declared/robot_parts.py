@@ -12,7 +12,7 @@ from ...base.declaration import Declaration, Frame, Name, Vector, numbers, of_sh
 from ...base.errors import Problem, nearest
 from ...base.frames import Array, frame_from
 from .dh import COLUMNS, Column
-from .surroundings import MeshFile, Object, check_shape_size
+from .surroundings import FinishName, MeshFile, Object, check_shape_size
 
 # Packets choose them by their number, so new ones come last.
 ArrowQuantity = Literal[
@@ -238,6 +238,7 @@ class LinkGeometry(Declaration):
         shape: a primitive instead; `generated` for the generated shapes of a link without files.
         size: of that, full lengths and radii in m, see `SHAPE_SIZES`.
         color: one of the robot's `colors`.
+        finish: of the surface: `plastic`, `metal` or `rubber`.
         frame: T_link_geometry, in the frame of the link.
         scale: metres per unit of the mesh file, one number or along x, y and z; None for the
             robot's `mesh_scale`.
@@ -247,6 +248,7 @@ class LinkGeometry(Declaration):
     shape: Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "generated"] | None = None
     size: Vector | None = None
     color: str | None = None
+    finish: FinishName = "plastic"
     frame: Frame = Field(default_factory=lambda: np.eye(4))
     scale: Annotated[
         Array | None, BeforeValidator(_scales, json_schema_input_type=float | list[float] | None)

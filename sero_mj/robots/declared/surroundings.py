@@ -36,6 +36,7 @@ SHAPE_SIZES = {
 }
 Rgb = tuple[float, float, float]
 Look = Literal["light", "dark"]
+FinishName = Literal["plastic", "metal", "rubber"]
 
 
 def _inside(file: str) -> str:
@@ -111,6 +112,7 @@ class Object(Declaration):
         end: of a limb, where it ends in that frame, m.
         on: of a robot's child, the frame that it is fixed to: `base`, `link1`, ..., `flange`.
         rgba: colour; an MJCF piece has its own.
+        finish: of the surface of a shape or mesh: `plastic`, `metal` or `rubber`.
         mass: kg, of a solid of uniform density; a robot's child without a mass has water's density.
         friction: coefficient of friction of all its contacts in simulation; 0.3 when None.
         directory: base folder of the files, set by the reader of the declaration.
@@ -129,6 +131,7 @@ class Object(Declaration):
     rgba: Rgba = Field(default_factory=lambda: np.array([0.62, 0.66, 0.70, 1.0]))
     reaches: str | None = None
     end: Point = Field(default_factory=lambda: np.zeros(3))
+    finish: FinishName = "plastic"
     on: str = "flange"
     mass: float | None = Field(None, gt=0)
     friction: float | None = Field(None, ge=0)
@@ -151,6 +154,10 @@ class Object(Declaration):
             found = self.reaches or "none"
             raise ValueError(f"reaches: found {found}; expected a frame of a limb, and of no other")
         self._check_solid()
+        if "finish" in self.model_fields_set and (self.shape in (None, "axes") and not self.mesh):
+            what = "axes" if self.shape else "MJCF" if self.mjcf is not None else "a URDF"
+            found = f"finish: found '{self.finish}' for {what}"
+            raise ValueError(f"{found}; expected it of a shape that is a body, or of a mesh")
         if self.shape is None:
             return self
         if self.size is None and self.shape == "axes":
@@ -306,6 +313,34 @@ PALETTES = {
         key=0.55,
         physical=PhysicalLight(sky=16.0, ground=16.0, softbox=0.6, key=0.42),
     ),
+}
+
+
+@dataclass(frozen=True)
+class Finish:
+    """How a surface reflects light, whatever its colour.
+
+    Attributes:
+        roughness: 0 for a mirror to 1, of renderers of physical quantities; squared it is the
+            width of a microfacet lobe.
+        metallic: share of the light that is reflected as by a metal, in its colour.
+        specular: strength of highlights in the classic renderer, 0 to 1.
+        shininess: sharpness of those, 0 to 1.
+    """
+
+    roughness: float
+    metallic: float
+    specular: float
+    shininess: float
+
+
+# Plastic is what MuJoCo shows without a material. Surroundings are plain and have one lamp: a metal
+# that reflects all light would be dark almost everywhere, so about half is scattered, as by blasted
+# aluminium. Roughness is chosen by eye, satin for metal and dull for rubber; shininess follows from
+# it, (2 / roughness^4 - 2) / 128, see `filament/geoms.py`.
+FINISHES: dict[str, Finish] = {
+    "metal": Finish(roughness=0.42, metallic=0.45, specular=0.8, shininess=0.45),
+    "rubber": Finish(roughness=0.9, metallic=0.0, specular=0.1, shininess=0.01),
 }
 
 

@@ -26,7 +26,6 @@ from .surroundings import surroundings_head
 VERSION = 1
 METRE_STEP = 5e-5  # m
 ROTATION_STEP = 1 / 16384  # of a component of a unit quaternion
-_GLOW = float(np.float32(0.35))  # emission of decor that does not say otherwise
 
 
 def encode(capture: Capture, title: str) -> bytes:
@@ -254,9 +253,7 @@ def _items(capture: Capture, parts: Parts) -> dict[str, Any]:
     sizes = np.zeros((*rows.shape, 3))
     quaternions[visible], sizes[visible] = poses(rows[visible])
     colours = np.round(np.clip(rows["rgba"], 0, 1) * 255)
-    glow = [float(item.rows["emission"].max()) for item in items]
-    shines = {} if set(glow) == {_GLOW} else {"glow": rounded(glow, 3)}
-    return shines | {
+    return {
         "of": [[int(each.kind), each.item, _type(each)] for each in items],
         "visible": parts.moving(visible, 1),
         "positions": parts.moving(rows["pos"].reshape(count), METRE_STEP),

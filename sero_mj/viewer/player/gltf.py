@@ -15,6 +15,7 @@ from .capture import Capture
 from .model import field_corners, geom_colours, mesh_corners
 
 _FLOAT, _UINT = 5126, 5125
+_METALLIC, _ROUGHNESS = 0.1, 0.5  # of surfaces that do not say
 _GAMMA = 2.2  # glTF's colours are linear
 _UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # glTF's y points up, ours is z
 _RADIAL, _MIDDLE = 24, 1.0
@@ -70,9 +71,10 @@ def write_glb(captured: Capture, path: Path) -> None:
     bodies: list[list[int]] = [[] for _ in captured.bodies]
     for i in captured.geoms.tolist():
         key = (int(model.geom_dataid[i]), model.geom_size[i].tobytes(), int(model.geom_type[i]),
-               colours[i].tobytes())  # fmt: skip
+               colours[i].tobytes(), int(model.geom_matid[i]))  # fmt: skip
         if key not in meshes:
-            meshes[key] = _mesh(blob, _corners(model, i), colours[i], equal)
+            look = np.append(colours[i], _metal(model, i))
+            meshes[key] = _mesh(blob, _corners(model, i), look, equal)
         if meshes[key] < 0:
             continue
         w, x, y, z = model.geom_quat[i].tolist()
@@ -138,33 +140,47 @@ def _add_body(
     return number
 
 
+def _metal(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
+    """Metallic and roughness of a geom, by its material where that has them."""
+    material = int(model.geom_matid[geom])
+    if material < 0:
+        return _METALLIC, _ROUGHNESS
+    metallic, roughness = model.mat_metallic[material], model.mat_roughness[material]
+    return (
+        float(metallic) if metallic >= 0 else _METALLIC,
+        float(roughness) if roughness >= 0 else _ROUGHNESS,
+    )
+
+
 def _mesh(
-    blob: _Blob, corners: tuple[Array, Array, Any] | None, rgba: Array, known: dict[bytes, int]
+    blob: _Blob, corners: tuple[Array, Array, Any] | None, look: Array, known: dict[bytes, int]
 ) -> int:
     """The number of a mesh, added unless there is an equal one; -1 for an unknown shape."""
     if corners is None:
         return -1
-    parts = [*corners, np.asarray(rgba, float)]
+    parts = [*corners, look]
     digest = hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts))
     key = digest.digest()
     if key not in known:
-        known[key] = _add_mesh(blob, corners, rgba)
+        known[key] = _add_mesh(blob, corners, look)
     return known[key]
 
 
-def _add_mesh(blob: _Blob, corners: tuple[Array, Array, Any], rgba: Array) -> int:
+def _add_mesh(blob: _Blob, corners: tuple[Array, Array, Any], look: Array) -> int:
+    """Adds a mesh; its look is red, green, blue, opacity, metallic and roughness."""
     import pygltflib
 
     points, normals, index = corners
+    *rgb, opacity, metallic, roughness = map(float, look)
     gltf = blob.gltf
     gltf.materials.append(
         pygltflib.Material(
             pbrMetallicRoughness=pygltflib.PbrMetallicRoughness(
-                baseColorFactor=[*(np.asarray(rgba[:3], float) ** _GAMMA).tolist(), float(rgba[3])],
-                metallicFactor=0.1,
-                roughnessFactor=0.5,
+                baseColorFactor=[*(each**_GAMMA for each in rgb), opacity],
+                metallicFactor=metallic,
+                roughnessFactor=roughness,
             ),
-            alphaMode="BLEND" if rgba[3] < 1 else "OPAQUE",
+            alphaMode="BLEND" if opacity < 1 else "OPAQUE",
         )
     )
     primitive = pygltflib.Primitive(

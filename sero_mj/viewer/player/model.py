@@ -73,7 +73,7 @@ def _colours(model: mujoco.MjModel, rgba: np.ndarray, material: np.ndarray) -> A
 
 
 def our_floor(model: mujoco.MjModel) -> int | None:
-    """Returns the geom of the floor that scenes have, which a player draws itself; None for none."""
+    """Returns the geom of the floor of scenes, which a player draws itself; None for none."""
     floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, _OUR_FLOOR)
     if floor < 0 or model.geom_type[floor] != _PLANE or model.geom_matid[floor] < 0:
         return None

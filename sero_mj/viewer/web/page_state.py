@@ -152,7 +152,6 @@ class PageState:
             rows["pos"].astype(np.float32),
             rotations.astype(np.float32),
             sizes.astype(np.float32),
-            rows["emission"].astype(np.float32),
             np.round(np.clip(rows["rgba"], 0, 1) * 255).astype(np.uint8),
         ]
         self._sections.put("items", b"".join(part.tobytes() for part in parts))

@@ -238,8 +238,7 @@ export function decode(bytes) {
       values: /** @type {Float64Array | undefined} */ (
         head.arrows.values ? arrays.get(head.arrows.values) : torques),
     },
-    items: { of: /** @type {[number, number, number][]} */ (head.items.of),
-      glow: /** @type {number[] | undefined} */ (head.items.glow), ...(items || null) },
+    items: { of: /** @type {[number, number, number][]} */ (head.items.of), ...(items || null) },
     labels: head.labels ? {
       texts: /** @type {string[]} */ (head.labels.texts), at: moving(head.labels.at),
       positions: moving(head.labels.positions, metre),

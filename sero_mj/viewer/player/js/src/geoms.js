@@ -3,7 +3,6 @@
 /** @typedef {import("./data.js").Run} Run */
 
 const ARROWS = [1, 5]; // kinds of joints' arrows and smart arrows, `Kind` in Python
-const GLOW = 0.35; // emission of decor that does not say otherwise
 
 /** As many geoms as `count` says. */
 export class Geoms {
@@ -15,7 +14,6 @@ export class Geoms {
   /** Quaternions, w first. */
   rotations = new Float32Array();
   sizes = new Float32Array();
-  emission = new Float32Array();
   /** 0 to 255. */
   rgba = new Uint8Array();
 
@@ -28,7 +26,6 @@ export class Geoms {
     this.positions = new Float32Array(3 * capacity);
     this.rotations = new Float32Array(4 * capacity);
     this.sizes = new Float32Array(3 * capacity);
-    this.emission = new Float32Array(capacity);
     this.rgba = new Uint8Array(4 * capacity);
   }
 }
@@ -55,6 +52,5 @@ export function geomsAt({ items, frames }, frame, hasArrows, to) {
       to.rotations[4 * i + c] = rotations[(4 * k + c) * frames + frame];
       to.rgba[4 * i + c] = Math.round(255 * colours[(4 * k + c) * frames + frame]);
     }
-    to.emission[i] = items.glow?.[k] ?? GLOW;
   });
 }

@@ -37,6 +37,9 @@ function shapeOf(geom, run) {
   }
 }
 
+/** The opacity of doubles is that with which MuJoCo blends them, twice. @param {number[]} rgba */
+const blendedTwice = ([r, g, b, a]) => [r, g, b, Math.round(255 * (1 - (1 - a / 255) ** 2))];
+
 /**
  * Geoms as one geometry, in the frames of their bodies, with a group for each part of them.
  * @param {Geom[][]} parts @param {Run} run @param {number} texture that all of them have; -1 for none
@@ -58,6 +61,7 @@ function merged(parts, run, texture) {
     const shape = shapes[k], at = matrixOf(geom.pos, geom.quat), first = vertex;
     const { position: places, normal: normals } = shape.attributes;
     turn.setFromMatrix4(at);
+    const rgba = run.bodies[geom.body].double < 0 ? geom.rgba : blendedTwice(geom.rgba);
     const look = finishOf(run, geom), metallic = metallicOf(run, geom);
     if (geom === mirror?.geom) look[3] = Math.round(255 * Math.min(mirror.share, 1));
     for (const each of shape.index ? shape.index.array : []) index[corner++] = each + first;
@@ -66,7 +70,7 @@ function merged(parts, run, texture) {
       vector.fromBufferAttribute(places, i).applyMatrix4(at).toArray(position, 3 * vertex);
       vector.fromBufferAttribute(normals, i).applyMatrix3(turn).multiplyScalar(127).round()
         .toArray(normal, 3 * vertex);
-      color.set(geom.rgba, 4 * vertex);
+      color.set(rgba, 4 * vertex);
       shine.set(look, 4 * vertex);
       metal[vertex] = metallic;
       body[vertex] = geom.body;

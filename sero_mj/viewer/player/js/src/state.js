@@ -7,7 +7,7 @@ import { Reader, fill } from "./sections.js";
 /** @typedef {import("./data.js").Run} Run */
 
 const TURN = 1 / 16384; // of a component of a unit quaternion
-const BYTES_OF_GEOM = 12 + 12 + 16 + 12 + 4 + 4;
+const BYTES_OF_GEOM = 12 + 12 + 16 + 12 + 4;
 
 /** The state. */
 export class State {
@@ -101,7 +101,6 @@ export class State {
     reader.take(geoms.positions.subarray(0, 3 * count));
     reader.take(geoms.rotations.subarray(0, 4 * count));
     reader.take(geoms.sizes.subarray(0, 3 * count));
-    reader.take(geoms.emission.subarray(0, count));
     reader.take(geoms.rgba.subarray(0, 4 * count));
     return true;
   }
