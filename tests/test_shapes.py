@@ -9,7 +9,7 @@ from math import pi
 import mujoco
 import numpy as np
 import pytest
-from conftest import examples
+from conftest import examples, raises_with
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -18,11 +18,13 @@ from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.robots.assemble.link_geometry import trim_geoms
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.dh import DhTable
+from sero_mj.robots.declared.double import Double
 from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.robot_parts import LinkGeometry
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.declared.scene_file import read_scene_file
 from sero_mj.robots.declared.shapes import generate_shapes
-from sero_mj.robots.declared.surroundings import Object
+from sero_mj.robots.declared.surroundings import FINISHES, Object
 
 ANGLES = st.sampled_from([0.0, pi / 2, -pi / 2, pi]) | st.floats(-pi, pi)
 # From a watch to a crane; shorter steps than 1 um are not drawn, so none are asked for here.
@@ -420,3 +422,38 @@ def test_child_may_have_the_name_of_a_link_mesh():
     child = Object(name="link0_0", mesh="base_white.stl", directory=str(meshes))
     world = World(Scene(robots=[SerialRobot.from_model("lwr", children=[child])]))
     assert world.model.geom("lwr/link0_0").type[0] == mujoco.mjtGeom.mjGEOM_MESH
+
+
+def test_a_finish_is_a_material_of_links_and_objects_which_doubles_lack() -> None:
+    ball = Object(name="ball", **BALL, finish="rubber")
+    robot = SerialRobot.from_model("lwr")
+    double = Double(name="wanted", of="lwr")
+    model = World(Scene(robots=[robot], doubles=[double], objects=[ball])).model
+    of = {}
+    for i in range(model.ngeom):
+        material = model.geom_matid[i]
+        of.setdefault(model.mat(material).name if material >= 0 else "", []).append(i)
+    names = {name.rpartition("/")[2] for name in of}
+    assert names == {"", "floor", "metal", "rubber"}
+    assert of["rubber"] == [model.geom("ball").id]
+    metal = next(geoms for name, geoms in of.items() if name.endswith("metal"))
+    assert len(metal) == 2  # base and flange of the robot, and not of the double
+    look = FINISHES["metal"]
+    material = model.geom_matid[metal[0]]
+    assert model.mat_metallic[material] == pytest.approx(look.metallic)
+    assert model.mat_roughness[material] == pytest.approx(look.roughness)
+    np.testing.assert_allclose(model.geom_rgba[metal], [robot.colors["steel"]] * 2, rtol=1e-6)
+    assert model.geom_rgba[of["rubber"][0]] == pytest.approx(ball.rgba)
+
+
+def test_a_finish_that_does_not_exist_is_refused_with_the_nearest() -> None:
+    with raises_with(key="finish", found="metall"):
+        LinkGeometry(shape="sphere", size=[1], finish="metall")
+    with pytest.raises(DeclarationError, match="did you mean 'metal'"):
+        LinkGeometry(shape="sphere", size=[1], finish="metall")
+
+
+@pytest.mark.parametrize("what", [{"shape": "axes"}, PIECE])
+def test_what_has_no_surface_of_ours_has_no_finish(what) -> None:
+    with pytest.raises(DeclarationError, match="finish: found 'metal' for"):
+        Object(name="a", **what, finish="metal")

@@ -301,3 +301,37 @@ def test_a_robot_alone_is_a_still_page(browser: Any, tmp_path: Path) -> None:
     assert page.said == []
     assert not page.locator("#bar").is_visible()
     page.context.close()
+
+
+def test_the_camera_of_a_file_follows_as_that_of_a_film(browser: Any, tmp_path: Path) -> None:
+    scene = load_scene("drive_home")
+    found = capture(scene, fps=FPS, seconds=2.0, follow="lwr/flange")
+    write_page(found, tmp_path / "run.html")
+    with (
+        Mirror(scene) as mirror,
+        HeadlessRenderer(mirror.world, 64, 64, follow="lwr/flange") as renderer,
+    ):
+        looked_at = []
+        for frame in range(2 * FPS + 1):
+            mirror.advance(frame / FPS)
+            renderer.render(mirror.data)
+            looked_at.append(renderer.camera.lookat.copy())
+    assert np.ptp(looked_at, axis=0).max() > 0.3
+    one = browser.new_page()
+    one.goto(f"{(tmp_path / 'run.html').as_uri()}#t=0")
+    one.locator("html[data-ready]").wait_for(state="attached")
+    places = """times => times.map((t) => { player.seek(t); player.draw();
+        const { orbit, camera } = player.stage;
+        return [orbit.target.toArray(), camera.position.toArray()]; })"""
+    times = [0.0, 1.0, 1.5, 0.5]
+    seen = np.array(one.evaluate(places, times))
+    # The time line of a page begins with the first frame, as that of the film does.
+    wanted = np.array([looked_at[round(t * FPS)] for t in times])
+    np.testing.assert_allclose(seen[:, 0] - seen[0, 0], wanted - wanted[0], atol=2e-4)
+    turned = """() => { const { camera, orbit } = player.stage;
+        camera.position.applyAxisAngle(camera.up, .5); orbit.update(); }"""
+    one.evaluate(turned)
+    again = np.array(one.evaluate(places, times))
+    np.testing.assert_allclose(np.diff(again, axis=0), np.diff(seen, axis=0), atol=1e-6)
+    assert np.linalg.norm(again[0, 1] - seen[0, 1]) > 0.1  # as its user has turned it
+    one.close()

@@ -15,6 +15,11 @@ from model_pages import captured, classic, drawn, overlap, page_of, rolled_out
 from PIL import Image
 from web_tools import MISSING
 
+from sero_mj import HeadlessRenderer
+from sero_mj.load import load_scene
+from sero_mj.viewer.headless.filament.probe import filament_problem
+from sero_mj.viewer.player.capture import capture
+
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 
 SIZE = (480, 360)
@@ -284,3 +289,26 @@ def test_a_scene_of_ours_has_no_more_in_its_head_than_before() -> None:
     head = json.loads(data[4 : 4 + int.from_bytes(data[:4], "little")])
     for key in ("textures", "skins", "flexes", "lights", "soft", "tendons"):
         assert key not in head
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("look", ["light", "dark"])
+def test_a_page_looks_as_filaments_picture_of_the_scene(
+    opened: Callable[..., Any], look: Any
+) -> None:
+    if (problem := filament_problem()) is not None:
+        pytest.skip(problem)
+    scene = load_scene("lwr")
+    scene.view.look = look
+    found = capture(scene)
+    with HeadlessRenderer(found.world, *SIZE, renderer="filament") as renderer:
+        picture = np.array(renderer.render(found.world.make_data())).astype(int)
+    page = opened(found)
+    page.evaluate("look => player.stage.setLook(look)", look)
+    pixels = drawn(page, SIZE, 0.0, shadows=True)[..., :3].astype(int)
+    assert page.said == []
+    away = np.abs(picture - pixels).max(axis=-1)
+    assert np.median(away) <= 4 and np.percentile(away, 90) <= 9
+    robot = np.asarray(classic(found.world.model, found.world.make_data(), found.camera, SIZE)[1])
+    shares = pixels[robot].mean() / picture[robot].mean()
+    assert shares == pytest.approx(1.0, abs=0.07)  # there is no occlusion on pages

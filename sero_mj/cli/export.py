@@ -63,7 +63,6 @@ class ExportOptions(SceneArgument, ShownOptions):
     def _check_output(self) -> Self:
         if (self.file is None) == (self.output is None):
             raise ValueError("-o OUT: expected one file to write, .html, .glb or .xml")
-        self.refuse(("follow",), " is for windows, pictures and films; a page holds all poses")
         if self.end is not None:
             if self.seconds is not None:
                 raise ValueError("--to and --seconds say the same; give one of them")
@@ -71,6 +70,8 @@ class ExportOptions(SceneArgument, ShownOptions):
                 raise ValueError(f"--to: found {self.end:g}; expected more than --from, s")
         if self.path.suffix.lower() == ".xml":
             self.refuse(_OfRuns, f" is for pages and animations; {self.path} is MJCF")
+        if self.path.suffix.lower() != ".html":
+            self.refuse(("follow",), f" is for cameras; {self.path} has none")
         return self
 
     @property
@@ -106,7 +107,7 @@ def run(options: ExportOptions) -> int:
         with progress_bar("collecting", quiet=options.quiet) as update:
             found = capture(
                 scene, seconds=options.length, begin=options.begin or 0.0, fps=options.fps,
-                camera=options.camera, on_progress=update,
+                camera=options.camera, follow=options.follow, on_progress=update,
             )  # fmt: skip
     except BaseException:
         if is_new:

@@ -21,7 +21,7 @@ from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 from ...robots.declared.scene import Scene
-from ..camera import find_camera
+from ..camera import find_camera, followed
 from ..decor.billboards import Line, joint_formats
 from ..decor.draw import Decor
 from ..decor.feature import Frame
@@ -29,7 +29,8 @@ from ..decor.geom_buffer import GEOM, GeomBuffer, Kind
 from ..decor.legend import SCALE
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
-from ..framing import Framing, needed_aspect
+from ..following import Follower
+from ..framing import Framing, declared_data, needed_aspect
 from ..headless.picture_options import DEFAULT_SIZE
 from ..sampling import known_poses, sampled_states
 from ..session.torque_history import joint_name
@@ -113,6 +114,8 @@ class Capture:
         copies: G more bodies, of doubles; poses, opacity and greyness have them after the B.
         needed: width over height of a picture that the camera needs, see `needed_aspect`; that of
             the declared pose when None.
+        path: by how far the free camera has moved with what it follows, (F, 3), m; None where it
+            follows nothing.
     """
 
     world: WorldView
@@ -141,6 +144,7 @@ class Capture:
     meanings: Mapping[str, str] = field(default_factory=dict)
     copies: Sequence[CopiedBody] = ()
     needed: float | None = None
+    path: Array | None = None
 
     @property
     def frames(self) -> int:
@@ -383,6 +387,7 @@ def capture(
     begin: float = 0.0,
     fps: float = DEFAULT_FPS,
     camera: str | None = None,
+    follow: str | None = None,
     wait: float = 2.0,
     marks: Sequence[Mark] = (),
     on_progress: Callable[[int, int], None] | None = None,
@@ -395,6 +400,7 @@ def capture(
         begin: time of the first frame, s; 0 for live sources.
         fps: frames per second.
         camera: see `find_camera`.
+        follow: what the free camera moves with, see `Follower`; what the view does when None.
         wait: how long to wait for the first packet of every source, s.
         marks: on the time line.
         on_progress: called with the number of frames until now, and of all frames.
@@ -407,19 +413,27 @@ def capture(
         count = _frame_count(mirror, seconds, begin, fps)
         first = find_camera(world, camera)
         framing, capturer = Framing(world, first, camera), FrameCapturer(world, first)
-        if not mirror.is_live:
+        follower, path = None, list[Array]()
+        if (name := followed(world, first, follow)) is not None:
+            follower = Follower(world, name, declared_data(world))
+        elif not mirror.is_live:
             framing.hold(first, known_poses(mirror, begin, begin + count / fps), DEFAULT_SIZE)
         data, frames = world.make_data(), list[CapturedFrame]()
         silent = mirror.wait(wait)
         for state in sampled_states(mirror, count, fps, begin):
             restore(world, data, state)
-            if not frames:
+            if follower is not None:
+                path.append(follower.displacement(data))
+            elif not frames:
                 framing.fit(first, data)
             frames.append(capturer.take(data))
             if on_progress is not None:
                 on_progress(len(frames), count)
-    needed = framing.needed
-    return capturer.result(frames, fps=fps, begin=begin, marks=marks, silent=silent, needed=needed)
+    found = capturer.result(
+        frames, fps=fps, begin=begin, marks=marks, silent=silent, needed=framing.needed
+    )
+    found.path = np.cumsum(path, axis=0) if path else None
+    return found
 
 
 def capture_pose(

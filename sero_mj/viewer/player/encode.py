@@ -48,6 +48,7 @@ def encode(capture: Capture, title: str) -> bytes:
         "steps": [METRE_STEP, ROTATION_STEP],
         "eye": eye(capture),
         "cameras": _cameras(capture),
+        **({} if capture.path is None else {"follow": parts.moving(capture.path, METRE_STEP)}),
         "bodies": _bodies(capture),
         "positions": parts.moving(capture.positions.reshape(frames, -1), METRE_STEP),
         "rotations": parts.moving(capture.rotations.reshape(frames, -1), ROTATION_STEP),

@@ -48,8 +48,8 @@ def export_html(
         title: of the page; the scene's name when empty.
         marks: on the time line.
         meanings: of labels on cards, by label: the file that `A` is, say.
-        **keywords: of `capture`: `seconds` and `begin` (s), `fps`, `camera`, `wait` (s),
-            `on_progress`.
+        **keywords: of `capture`: `seconds` and `begin` (s), `fps`, `camera`, `follow`,
+            `wait` (s), `on_progress`.
 
     Returns:
         names of the sources without data; their robots have the declared pose.

@@ -208,6 +208,8 @@ export function decode(bytes) {
     begin: /** @type {number} */ (head.begin),
     frames,
     eye: /** @type {Eye} */ (head.eye),
+    /** By how far the free camera has moved with what it follows, m. */
+    follow: head.follow ? moving(head.follow, metre) : null,
     cameras: /** @type {Camera[]} */ (head.cameras),
     bodies: /** @type {{name: string, joint: number, double: number, moves: boolean}[]} */ (head.bodies),
     positions: moving(head.positions, metre),

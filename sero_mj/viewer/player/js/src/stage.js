@@ -40,6 +40,8 @@ export class Stage {
     this.orbit = new OrbitControls(this.camera, canvas);
     this.orbit.mouseButtons.MIDDLE = THREE.MOUSE.PAN;
     this.fixed = -1;
+    /** By how far the camera has moved with what it follows, m. */
+    this.followed = [0, 0, 0];
     this.surroundings = new Surroundings(run);
     const sky = run.lights ? null : this.surroundings.uniforms;
     this.robots = new Robots(run, sky);
@@ -65,6 +67,7 @@ export class Stage {
     this.fixed = number < cameras.length ? number : -1;
     this.orbit.enabled = true;
     if (this.fixed >= 0) return;
+    this.followed = [0, 0, 0];
     this.look(eye);
   }
 
@@ -81,12 +84,23 @@ export class Stage {
     this.orbit.update();
   }
 
-  /** Moves the free camera. @param {number[]} way m */
+  /** Moves the free camera with what it follows. @param {number[]} way m */
   shift(way) {
+    this.followed = this.followed.map((each, k) => each + way[k]);
     const moved = new THREE.Vector3().fromArray(way);
     this.camera.position.add(moved);
     this.orbit.target.add(moved);
     this.orbit.update();
+  }
+
+  /** Follows what the file says; the user turns the camera all the same. @param {number} at frame */
+  #follow(at) {
+    const { follow, frames } = this.run;
+    if (!follow) return;
+    const before = Math.floor(at), after = Math.min(before + 1, frames - 1), part = at - before;
+    const now = [0, 1, 2].map((c) => follow[c * frames + before] * (1 - part) + follow[c * frames + after] * part);
+    if (this.fixed < 0) this.shift(now.map((each, k) => each - this.followed[k]));
+    else this.followed = now;
   }
 
   /** What the free camera sees, with the distance of wide pictures. */
@@ -146,8 +160,9 @@ export class Stage {
         this.camera.updateProjectionMatrix();
       }
     }
+    this.#follow(at);
     this.camera.updateMatrixWorld();
-    this.surroundings.place(this.camera);
+    this.surroundings.place(this.camera, this.followed);
   }
 
   /** Draws. @returns {number} draw calls */

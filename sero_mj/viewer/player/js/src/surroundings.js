@@ -36,6 +36,8 @@ export class Surroundings {
   /** @param {Run} run */
   constructor(run) {
     this.run = run;
+    /** Half the side of what has shadows, m. */
+    this.reach = 0.6 * run.eye.distance;
     const { looks, floor } = run.surroundings;
     const { reflections: levels } = looks.light;
     this.uniforms = {
@@ -103,10 +105,7 @@ export class Surroundings {
   }
 
   #sun() {
-    const { lookAt, distance } = this.run.eye, reach = 0.6 * distance;
-    const sun = new THREE.DirectionalLight(0xffffff), way = vector(this.run.surroundings.towards).normalize();
-    sun.target.position.fromArray(lookAt);
-    sun.position.fromArray(lookAt).addScaledVector(way, -2 * reach);
+    const reach = this.reach, sun = new THREE.DirectionalLight(0xffffff);
     sun.castShadow = true;
     const side = 1024, { bulb } = this.run.surroundings.looks.light;
     sun.shadow.mapSize.set(side, side);
@@ -117,6 +116,14 @@ export class Surroundings {
     sun.shadow.bias = -0.0006;
     sun.shadow.normalBias = 0.006;
     return sun;
+  }
+
+  /** @param {THREE.DirectionalLight} sun @param {number[]} moved m */
+  #aim(sun, moved) {
+    const { eye, surroundings } = this.run;
+    sun.target.position.fromArray(eye.lookAt).add(vector(moved));
+    sun.position.copy(sun.target.position)
+      .addScaledVector(vector(surroundings.towards).normalize(), -2 * this.reach);
   }
 
   /** @param {Look} look */
@@ -132,8 +139,12 @@ export class Surroundings {
     if (this.sun) this.sun.intensity = Math.PI * key; // three divides by pi
   }
 
-  /** Places them round what the camera sees. @param {THREE.Camera} camera */
-  place(camera) {
+  /**
+   * Places them round what the camera sees.
+   * @param {THREE.Camera} camera @param {number[]} moved with what it follows, m
+   */
+  place(camera, moved) {
+    if (this.sun) this.#aim(this.sun, moved);
     const { x, y, z } = camera.position, { floor } = this;
     if (!floor.visible) return;
     floor.position.set(x, y, floor.position.z);
