@@ -10,8 +10,21 @@ export const BACKDROP = 1; // layer of the sky, which planes do not reflect
 const SOFTNESS = 0.1; // m, half the width of a shadow's edge for a lamp with a radius of 1 m
 const MOST_BLUR = 4; // texels, beyond which the edge becomes grainy
 
+// The five places at which three looks up shadows, which it computes anew and turns for every pixel:
+// without that, pictures take a tenth less time in software, and edges have no grain.
+const chunks = THREE.ShaderChunk, disk = /vec2 vogelDiskSample\([^{]*{[^}]*}/;
+chunks.shadowmap_pars_fragment = chunks.shadowmap_pars_fragment.replace(disk,
+  `const vec2 DISK[5] = vec2[5](vec2(0.3162, 0.0000), vec2(-0.4039, 0.3700), vec2(0.0618, -0.7044), vec2(0.5091, 0.6640), vec2(-0.9342, -0.1652));
+  vec2 vogelDiskSample(int k, int count, float phi) { return DISK[k]; }`);
+
 /** @param {number[]} rgb */
 const vector = (rgb) => new THREE.Vector3().fromArray(rgb);
+
+/** Colours as they are shown as light. @param {number[]} rgb */
+function lightOf([r, g, b]) {
+  const { r: x, g: y, b: z } = new THREE.Color(r, g, b).convertSRGBToLinear();
+  return new THREE.Vector3(x, y, z);
+}
 
 const SKY = `
   varying vec3 way; uniform vec3 sky[2]; uniform vec3 haze; uniform float edge;
@@ -93,7 +106,7 @@ export class Surroundings {
           .replace("#include <color_fragment>", `diffuseColor.rgb = tiled(spot / ${tile.toFixed(6)});`)
           .replace("#include <fog_fragment>", `gl_FragColor.rgb = mix(gl_FragColor.rgb, haze,
             clamp((length(vViewPosition) - ${haze.toFixed(3)}) / ${(far - haze).toFixed(3)}, 0., 1.));`);
-      if (!lights) shade(shader, this.uniforms, "surfaceOf(diffuseColor.rgb, 0., 1., 0.)");
+      if (!lights) shade(shader, this.uniforms, "Surface(diffuseColor.rgb, vec3(0.), 1.)");
     };
     const mesh = new THREE.Mesh(new THREE.CircleGeometry(far, 64), material);
     mesh.position.z = height;
@@ -130,7 +143,7 @@ export class Surroundings {
   setLook(look) {
     const { uniforms, run } = this, { sky, tiles, haze, fill, reflections, key } = run.surroundings.looks[look];
     uniforms.sky.value = sky.map(vector);
-    uniforms.tiles.value = tiles.map(vector);
+    uniforms.tiles.value = tiles.map((rgb) => this.run.lights ? vector(rgb) : lightOf(rgb));
     uniforms.haze.value.fromArray(haze);
     uniforms.fill.value.fromArray(fill);
     const { value: texture } = uniforms.reflections;
