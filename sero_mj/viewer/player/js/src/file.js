@@ -89,7 +89,7 @@ export class Player {
     const joints = byId("joint");
     joints.hidden = !own;
     run.joints.forEach((joint, j) => joints.append(made("option", joint.name, { value: String(j) })));
-    for (const speed of SPEEDS) byId("speed").append(made("option", `${speed}×`, { value: String(speed) }));
+    for (const speed of SPEEDS) byId("speed").append(made("option", `x ${speed}`, { value: String(speed) }));
     /** @type {HTMLSelectElement} */ (byId("speed")).value = "1";
     byId("time").setAttribute("max", String(run.frames - 1));
     this.ticks.update(ticksOf(run, clock.end), 0, clock.end);
@@ -263,8 +263,7 @@ export class Player {
   /** What of the page says what is on. */
   #show() {
     const { clock, run, switches } = this;
-    byId("play").textContent = clock.isPlaying ? "❚❚" : "▶";
-    byId("play").setAttribute("aria-label", clock.isPlaying ? "Pause" : "Play");
+    byId("play").textContent = clock.isPlaying ? "pause" : "play";
     byId("loop").setAttribute("aria-pressed", String(clock.isLooping));
     for (const button of document.querySelectorAll("[data-switch]")) {
       button.setAttribute("aria-pressed", String(switches[/** @type {HTMLElement} */ (button).dataset.switch ?? ""]));
@@ -275,7 +274,7 @@ export class Player {
     time.style.setProperty("--done", `${100 * clock.at / Math.max(run.frames - 1, 1)}%`);
     this.ticks.tell(clock.time);
     time.setAttribute("aria-valuetext", [`${seconds} s`, this.ticks.told].filter(Boolean).join(", "));
-    byId("now").textContent = `${seconds} s`;
+    byId("now").textContent = `${seconds} s / ${(run.begin + clock.end).toFixed(2)} s`;
     const notes = run.notes.texts[run.notes.at[clock.frame]];
     if (byId("notes").textContent !== notes) byId("notes").textContent = notes;
     byId("notes").hidden = !switches.legend || !notes;
