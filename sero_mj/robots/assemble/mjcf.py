@@ -460,6 +460,7 @@ def _add_limb(root: mujoco.MjSpec, item: Object) -> None:
             group=OBJECT_GROUP,
             contype=0,
             conaffinity=0,
+            **finish_material(root, item.finish),
         )
 
 
