@@ -339,8 +339,8 @@ class Finish:
 # aluminium. Roughness is chosen by eye, satin for metal and dull for rubber; shininess follows from
 # it, (2 / roughness^4 - 2) / 128, see `filament/geoms.py`.
 FINISHES: dict[str, Finish] = {
-    "metal": Finish(roughness=0.42, metallic=0.45, specular=0.8, shininess=0.45),
-    "rubber": Finish(roughness=0.9, metallic=0.0, specular=0.1, shininess=0.01),
+    "metal": Finish(roughness=0.42, metallic=0.45, specular=0.8, shininess=0.49),
+    "rubber": Finish(roughness=0.9, metallic=0.0, specular=0.1, shininess=0.008),
 }
 
 
