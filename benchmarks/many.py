@@ -27,7 +27,7 @@ from sero_mj import make_environment
 from sero_mj.base.paths import find_scenario
 from sero_mj.study.sweep import Sweep, Vary
 from sero_mj.study.variant import VariantRunner
-from sero_mj.study.workers import available_cpus
+from sero_mj.study.workers import Processes, available_cpus
 
 ENVIRONMENTS = (
     ("lwr/reach", {}),
@@ -115,7 +115,7 @@ def main() -> None:
 
     ways = {("1", "no"): one_by_one}
     for jobs in dict.fromkeys((1, 2, available_cpus())):
-        ways[str(jobs), "yes"] = lambda jobs=jobs: sum(1 for _ in sweep.run(jobs))
+        ways[str(jobs), "yes"] = lambda jobs=jobs: sum(1 for _ in sweep.run(Processes(jobs)))
     found = {way: best_of(call, 1) for way, call in ways.items()}
     for way, rate in found.items():
         rates.add_row(*way, f"{rate:.1f}", f"{rate / found['1', 'no']:.1f}")

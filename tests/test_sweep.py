@@ -23,6 +23,7 @@ from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.study.sweep import Sweep, Vary, full_grid, latin_hypercube
 from sero_mj.study.sweep_results import SweepTable, plot_sweep, summarise_sweep
+from sero_mj.study.workers import Processes
 
 SCENARIO = """
 [robots.lwr]
@@ -214,7 +215,7 @@ def test_results_do_not_depend_on_how_many_run_at_once(file: Path, tmp_path: Pat
     runs = sweep(file, f"{STIFFNESS}=log:50:9000", "run.seed=0:99", samples=7)
     for jobs in (1, 3):
         with SweepTable(runs, tmp_path / f"{jobs}.csv") as table:
-            for number, found in runs.run(jobs):
+            for number, found in runs.run(Processes(jobs)):
                 table.add(number, found)
     assert (tmp_path / "1.csv").read_bytes() == (tmp_path / "3.csv").read_bytes()
     rows = read(tmp_path / "3.csv")
@@ -232,7 +233,7 @@ def test_a_process_that_is_killed_costs_its_variant_only(file: Path) -> None:
     )
     before = children()
     results: dict[int, Any] = {}
-    for number, found in runs.run(2):
+    for number, found in runs.run(Processes(2)):
         results[number] = found
         if len(results) == 2:
             victim = (children() - before).pop()

@@ -10,6 +10,7 @@
     ├── SimulationError       a simulation that cannot go on
     ├── CsvError              a table of comma-separated values that cannot be read or written
     ├── PluginError           an entry point of another package that cannot be loaded
+    ├── ClusterError          a cluster that cannot be reached, or whose workers differ
     ├── RenderError           no picture can be made (no GL, no room for the file)
     └── UsageError            a command line that asks for something impossible
 
@@ -341,6 +342,20 @@ class SimulationError(_ProblemError, RuntimeError):
 
 class RenderError(_ProblemError, RuntimeError):
     """No picture can be made: no software or hardware GL, or no place to write to."""
+
+
+class ClusterError(_ProblemError, ConnectionError):
+    """A cluster that cannot be reached, or whose workers differ from this machine.
+
+    Attributes:
+        address: of its scheduler.
+        reason: what stood in the way and what would help.
+    """
+
+    def __init__(self, address: str, reason: Problem | str) -> None:
+        super().__init__(reason, address)
+        self.address = address
+        self.reason = str(self.problem)
 
 
 def about_fault(error: Exception, kind: type) -> str:

@@ -111,7 +111,7 @@ def writing() -> Iterator[None]:
 
 @contextlib.contextmanager
 def progress_bar(
-    what: str, *, quiet: bool, stays: bool = False
+    what: str, *, quiet: bool, stays: bool = False, note: Callable[[], str] | None = None
 ) -> Iterator[Callable[[int, int], None]]:
     """Shows progress on a terminal; yields a function of the amount done and the total.
 
@@ -119,9 +119,16 @@ def progress_bar(
         what: label of the bar.
         quiet: whether nothing is shown.
         stays: whether the bar stays visible at the end.
+        note: says more, behind the bar, with how many are done per second.
     """
     from rich import progress as bars
     from rich.console import Console
+    from rich.text import Text
+
+    class Note(bars.ProgressColumn):
+        def render(self, task: bars.Task) -> Text:
+            speed = "" if task.speed is None else f"{task.speed:.1f}/s, "
+            return Text(f"{speed}{note()}" if note else "")
 
     console = Console(stderr=True)
     bar = bars.Progress(
@@ -129,6 +136,7 @@ def progress_bar(
         bars.BarColumn(),
         bars.MofNCompleteColumn(),
         bars.TimeRemainingColumn(),
+        *([] if note is None else [Note()]),
         console=console,
         disable=quiet or not (stays or console.is_terminal),
         transient=not stays,

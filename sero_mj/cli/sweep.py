@@ -7,7 +7,7 @@ import shlex
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, model_validator
 
@@ -24,6 +24,7 @@ from ._arguments import (
 from .shared_options import Figure, JsonOptions, Settings
 
 if TYPE_CHECKING:
+    from ..study.engine import Engine
     from ..study.sweep import Sweep
     from ..study.sweep_results import SweepSummary, SweepTable
 
@@ -35,13 +36,16 @@ examples:
   sero-mj sweep my.toml --vary run.seed=0:9999 --samples 10000 -o noise.csv --resume
   sero-mj sweep my.toml --vary run.elastic=true,false --vary 'run.timestep=0.001,0.0005' --grid
   sero-mj sweep my.toml --vary run.seed=0:9999 --samples 10000 --print-sbatch 40 > noise.sbatch
+  sero-mj sweep my.toml --vary run.seed=0:9999 --samples 10000 -o noise.csv \\
+      --engine dask --scheduler tcp://head:8786
 
 KEY is anything that `simulate --set` takes. VALUES is a range LOW:HIGH, evenly in orders of
 magnitude with log:LOW:HIGH, whole numbers with int:LOW:HIGH, or a list A,B,C. Samples are a Latin
 hypercube, none of them twice, or with --grid all values with all others, as are lists with fewer
 combinations than --samples. A variant that is unstable or cannot be built is a row with its
 error. Rows are written as they come: what was interrupted goes on with --resume. On several
-machines each runs a shard of the variants, into a table of its own; --merge joins these. Exits with
+machines each runs a shard of the variants, into a table of its own; --merge joins these. Workers of
+a Dask cluster take variants with --engine dask; it needs `pip install 'sero-mj[dask]'`. Exits with
 1 when not every variant held.
 """
 ORDER = 25  # in the help of `sero-mj`
@@ -72,6 +76,10 @@ class SweepOptions(JsonOptions):
         samples: how many variants; with --grid how many values of every range.
         grid: all values with all others.
         jobs: how many at once (default: one per core).
+        engine: where: processes of this machine, or workers of a Dask cluster.
+        scheduler: of Dask: tcp://HOST:PORT, its file .json, or a file .toml with a table of
+            dask-jobqueue, [slurm] say.
+        ship: a file or folder that workers need besides what the scenario names; may be repeated.
         seed: of the samples.
         settings: set anything in all variants: run.duration=2; may be repeated.
         out: a row for each variant.
@@ -91,6 +99,9 @@ class SweepOptions(JsonOptions):
     samples: Count = 20
     grid: bool = False
     jobs: Annotated[Count | None, Option("J")] = None
+    engine: Literal["local", "dask"] = "local"
+    scheduler: Annotated[str | None, Option("ADDRESS")] = None
+    ship: Annotated[list[Path], Option("PATH")] = []
     seed: Annotated[Seed, Option("S")] = 0
     settings: Settings = []
     out: Annotated[Path | None, ending(".csv"), Option("OUT.csv", ("-o", "--out"))] = None
@@ -115,6 +126,17 @@ class SweepOptions(JsonOptions):
             raise ValueError(f"{option}: expected a file for the rows, -o OUT.csv")
         return self
 
+    @model_validator(mode="after")
+    def _check_engine(self) -> Self:
+        if self.engine == "dask" and self.scheduler is None:
+            raise ValueError("--engine dask: expected its --scheduler, tcp://HOST:PORT say")
+        if self.engine == "dask" and self.jobs is not None:
+            raise ValueError("--jobs and --engine dask: expected one of them")
+        if self.engine == "local" and (self.scheduler is not None or self.ship):
+            option = "--ship" if self.scheduler is None else "--scheduler"
+            raise ValueError(f"{option}: expected --engine dask as well")
+        return self
+
 
 def run(options: SweepOptions) -> int:
     """Runs; returns 0, or 1 when not every variant held."""
@@ -137,7 +159,7 @@ def run(options: SweepOptions) -> int:
     if options.print_sbatch is not None:
         print(_sbatch(options.print_sbatch, options), end="")
         return 0
-    wanted = sweep.shard(*options.shard or (1, 1))
+    wanted, engine = sweep.shard(*options.shard or (1, 1)), _engine(sweep, options)
     with SweepTable(
         sweep, options.out, resume=options.resume, overwrite=options.overwrite
     ) as table:
@@ -146,7 +168,11 @@ def run(options: SweepOptions) -> int:
         before = len(table.rows)
         begin = time.perf_counter()
         todo = [number for number in wanted if number not in table.rows]
-        is_whole = not todo if options.merge else _run_variants(sweep, table, todo, options)
+        is_whole = (
+            not todo
+            if options.merge
+            else _run_variants(sweep, table, todo, engine, quiet=options.quiet)
+        )
     seconds = time.perf_counter() - begin
     summary = summarise_sweep(table.rows, sweep.columns)
     if options.plot is not None:
@@ -204,26 +230,49 @@ srun {same} \\
 """
 
 
-def _run_variants(sweep: Sweep, table: SweepTable, todo: list[int], options: SweepOptions) -> bool:
+def _run_variants(
+    sweep: Sweep, table: SweepTable, todo: list[int], engine: Engine, *, quiet: bool
+) -> bool:
     """Runs what is left to do; returns whether all was done."""
     from contextlib import closing
 
-    from ..study.workers import available_cpus
+    count, failed = len(table.rows) + len(todo), 0
 
-    count = len(table.rows) + len(todo)
-    jobs = min(options.jobs or available_cpus(), max(len(todo), 1))
+    def note() -> str:
+        many = engine.workers
+        about = f"{many} {'worker' if many == 1 else 'workers'}"
+        return f"{about}, {failed} with an error" if failed else about
+
     with (
-        progress_bar("variants", quiet=options.quiet) as update,
-        closing(sweep.run(jobs, todo)) as results,
+        progress_bar("variants", quiet=quiet, note=note) as update,
+        closing(sweep.run(engine, todo)) as results,
     ):
         update(len(table.rows), count)
         try:
             for number, result in results:
                 table.add(number, result)
+                failed += bool(result["error"])
                 update(len(table.rows), count)
         except KeyboardInterrupt:
             return False
     return True
+
+
+def _engine(sweep: Sweep, options: SweepOptions) -> Engine:
+    """What runs the variants."""
+    if options.scheduler is None:
+        from ..study.workers import Processes, available_cpus
+
+        return Processes(options.jobs or available_cpus())
+    from ..study.cluster import Cluster
+
+    choices = [
+        {vary.key: value}
+        for vary in sweep.varied
+        for value in vary.values
+        if not isinstance(value, bool | int | float)
+    ]
+    return Cluster(options.scheduler, options.ship, choices)
 
 
 def _print(

@@ -21,8 +21,9 @@ from ..base.frames import Array
 from ..simulate.log_output import files_of
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
-from .variant import VariantRunner, outcome_columns
-from .workers import Result, run_in_processes
+from .engine import Engine, Result, Work
+from .variant import outcome_columns
+from .workers import Processes
 
 _TRIED = 20  # variants that are read in advance: if none is valid, a key is wrong
 MAX_VARIANTS = 200_000  # their values and results are kept in memory, not their logs
@@ -287,30 +288,20 @@ class Sweep:
         """The numbers of the variants of one of several shards, counted from 1."""
         return range(number - 1, len(self.variants), of)
 
-    def run(self, jobs: int = 1, numbers: Collection[int] | None = None) -> Generator[Result]:
+    def run(
+        self, engine: Engine | None = None, numbers: Collection[int] | None = None
+    ) -> Generator[Result]:
         """Runs variants; yields number and result as they are ready.
 
         Args:
-            jobs: how many at once; 1 runs them in this process.
+            engine: where; None is in this process, `Processes(4)` in four of their own.
             numbers: of the variants; None for all.
         """
         wanted = range(len(self.variants)) if numbers is None else numbers
         todo = [(number, self.variants[number]) for number in wanted]
-        size = self._batch_size(len(todo), jobs)
-        batches = [todo[first : first + size] for first in range(0, len(todo), size)]
-        if jobs > 1:
-            yield from run_in_processes(batches, jobs, self.file, self.fixed)
-            return
-        runner = VariantRunner(self.file, self.fixed)
-        for batch in batches:
-            results = runner.run([values for _, values in batch])
-            yield from zip((number for number, _ in batch), results, strict=True)
-
-    def _batch_size(self, count: int, jobs: int) -> int:
-        """How many variants are run together: few enough for memory, and for all jobs."""
         run, joints = self.base.run, sum(robot.n for robot in self.base.scene.robots.values())
         most = int(np.clip(_BATCH_STEPS // ((run.steps + 1) * joints), 1, _BATCH))
-        return min(most, max(math.ceil(count / (2 * jobs)), 1))  # so that results come meanwhile
+        yield from (engine or Processes()).run(Work(self.file, self.fixed, todo, most))
 
 
 def _plain(value: Any) -> Any:

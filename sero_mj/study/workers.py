@@ -1,4 +1,4 @@
-"""Batches of variants of a sweep side by side in processes.
+"""`Processes`: batches of variants of a sweep side by side on this machine.
 
 Why processes: controllers, sensors, the observer and events of a run are Python code between steps
 of MuJoCo, which threads would serialize. `mujoco.rollout` runs steps in threads but takes all
@@ -13,7 +13,7 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -22,13 +22,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .engine import Result, Variant, Work, killed
+
 if TYPE_CHECKING:
     from .variant import VariantRunner
 
-Variant = tuple[int, Mapping[str, Any]]
-Result = tuple[int, dict[str, Any]]
-
-_KILLED = "its process was killed, or ran out of memory; expected an answer"
 _runner: VariantRunner  # of a worker process
 
 
@@ -68,21 +66,41 @@ def _run(variants: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return _runner.run(variants)
 
 
-def run_in_processes(
-    batches: Iterable[Sequence[Variant]], jobs: int, file: Path, fixed: Mapping[str, Any]
-) -> Generator[Result]:
-    """Runs variants in so many processes; results come as their batches are ready.
+class Processes:
+    """An `Engine` of processes on this machine; one alone is this process itself.
 
-    The variants of a process that ends (no memory left, say) are run anew one by one, in another
-    one; that it ends with one alone is an error of this variant. In a script, call it below
-    `if __name__ == "__main__":`, for new processes read the script.
+    In a script, call it below `if __name__ == "__main__":`, for new processes read the script.
 
     Args:
-        batches: number and values of each variant of a batch.
-        jobs: how many at once.
-        file: the scenario's.
-        fixed: dotted keys that are set in all of them.
+        jobs: how many run at once.
     """
+
+    def __init__(self, jobs: int = 1) -> None:
+        self.workers = jobs
+
+    def run(self, work: Work) -> Generator[Result]:
+        """Runs variants; results come as their batches are ready.
+
+        The variants of a process that ends (no memory left, say) are run anew one by one, in
+        another one; that it ends with one alone is an error of this variant.
+        """
+        count = len(work.variants)
+        size = work.size(count, self.workers)
+        batches = [work.variants[first : first + size] for first in range(0, count, size)]
+        if (jobs := min(self.workers, count)) > 1:
+            yield from _run_in_processes(batches, jobs, work.file, work.fixed)
+            return
+        from .variant import VariantRunner
+
+        runner = VariantRunner(work.file, work.fixed)
+        for batch in batches:
+            results = runner.run([values for _, values in batch])
+            yield from zip((number for number, _ in batch), results, strict=True)
+
+
+def _run_in_processes(
+    batches: Sequence[Sequence[Variant]], jobs: int, file: Path, fixed: Mapping[str, Any]
+) -> Generator[Result]:
     context = get_context("spawn")  # a fork would inherit broken threads and OpenGL
     child_end, own_end = context.Pipe(duplex=False)
 
@@ -112,7 +130,7 @@ def run_in_processes(
                 try:
                     results = future.result()
                 except BrokenProcessPool:
-                    pool, results = new_pool(), [{"held": False, "error": _KILLED, "ended": 0.0}]
+                    pool, results = new_pool(), [killed()]
                     if len(batch) > 1:
                         todo.extend([each] for each in batch)
                         batch, results = [], []
