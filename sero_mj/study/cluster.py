@@ -81,12 +81,12 @@ class Cluster:
         Raises:
             ClusterError: the scheduler cannot be reached or is gone, or workers differ.
         """
-        files = files_read(work.file, work.fixed, self._choices)
-        own = [file for file in files if not is_installed(file)]
-        archive = pack(list(dict.fromkeys([*own, *self._shipped])))
         with _quiet(), self._client() as client:
             from .cluster_worker import ScenarioFiles
 
+            files = files_read(work.file, work.fixed, self._choices)
+            own = [file for file in files if not is_installed(file)]
+            archive = pack(list(dict.fromkeys([*own, *self._shipped])))
             name = f"sero-mj-{uuid.uuid4().hex[:12]}"
             models = digest_of_models(files)
             files_there = ScenarioFiles(name, archive, work.file, work.fixed, models)
@@ -117,9 +117,7 @@ class Cluster:
             if isinstance(error, ValueError):
                 reason = str(error)
             expected = "that of a running `dask scheduler`, which prints it"
-            raise ClusterError(
-                self._scheduler, Problem("--scheduler", reason, expected=expected)
-            ) from None
+            raise ClusterError(self._scheduler, Problem("", reason, expected=expected)) from None
         with _closed(client):
             yield client
 

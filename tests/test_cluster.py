@@ -1,0 +1,334 @@
+"""Sweeps on a Dask cluster: processes with folders of their own, killed, late, missing, differing."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from conftest import raises_with
+
+from sero_mj.base.errors import ClusterError, UsageError
+from sero_mj.base.paths import models_dir
+from sero_mj.simulate.external_control.library import HEADER
+from sero_mj.study import cluster, cluster_worker
+from sero_mj.study.cluster import Cluster
+from sero_mj.study.engine import KILLED, Work
+from sero_mj.study.scenario_inputs import files_in, files_read, pack, unpack
+from sero_mj.study.sweep import Sweep, Vary
+
+pytest.importorskip("distributed")
+
+# Its robot is beside its folder, its motion is named from the root of the file system.
+SCENARIO = """
+[robots.lwr]
+model = "../robots/arm"
+[run]
+duration = 0.2
+[controllers.lwr]
+kind = "joint_impedance"
+stiffness = 800.0
+[sensors.lwr]
+angles = { noise = 1e-5 }
+[targets.lwr]
+kind = "recorded"
+file = "MOTION"
+[expect.it_follows]
+measure = "position_error"
+below = 0.05
+"""
+LAW = """
+#include <signal.h>
+#include <unistd.h>
+#include "sero_mj_controller.h"
+void control(struct sero_mj_robot *r) {
+  for (int i = 0; i < r->n; i++)
+    r->torques_out[i] = 800.0 * (r->target_angles[i] - r->angles[i]) +
+      40.0 * (r->target_velocities[i] - r->velocities[i]) + r->gravity[i];
+}
+void fatal(struct sero_mj_robot *r) { if (r->time > 0.05) kill(getpid(), SIGKILL); control(r); }
+"""
+# A machine without the disk of the one that began the sweep.
+NO_DISK = """
+import os, sys
+forbidden = os.environ["FORBIDDEN"]
+def check(event, arguments):
+    if event in ("open", "ctypes.dlopen") and isinstance(arguments[0], str):
+        if os.path.abspath(arguments[0]).startswith(forbidden):
+            raise PermissionError(arguments[0])
+sys.addaudithook(check)
+"""
+SWEEP = ["--vary", "controllers.lwr.stiffness=log:50:90000", "--vary", "run.seed=0:99"]
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scenario with its files in several folders."""
+    folder = tmp_path_factory.mktemp("client")
+    shutil.copytree(models_dir() / "lwr", folder / "robots" / "arm")
+    motion = folder / "motions" / "still.csv"
+    motion.parent.mkdir()
+    rows = [f"{k / 100},0,0.6,0,{-1.2 + 0.001 * k},0,1.2,0\n" for k in range(30)]
+    motion.write_text("time,a,b,c,d,e,f,g\n" + "".join(rows))
+    path = folder / "study" / "follow.toml"
+    path.parent.mkdir()
+    path.write_text(SCENARIO.replace("MOTION", str(motion)))
+    return path
+
+
+class Machines:
+    """A scheduler and workers, each with a folder of its own."""
+
+    def __init__(self, folder: Path, forbidden: Path) -> None:
+        self._folder, self._processes = folder, [subprocess.Popen(["true"])]
+        (folder / "guard").mkdir()
+        (folder / "guard" / "sitecustomize.py").write_text(NO_DISK)
+        self._environment = os.environ | {
+            "PYTHONPATH": str(folder / "guard"), "FORBIDDEN": str(forbidden), "TMPDIR": str(folder),
+            "OMP_NUM_THREADS": "1", "DASK_DISTRIBUTED__WORKER__MEMORY__TERMINATE": "False",
+        }  # fmt: skip
+        self.file = folder / "scheduler.json"
+        self.scheduler = self._started(
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+            "--scheduler-file", str(self.file),
+        )  # fmt: skip
+        wait_for(self.file.is_file)
+
+    def add_worker(self) -> subprocess.Popen[bytes]:
+        """Starts one, with the process that starts it anew when it dies."""
+        options = ["--nthreads", "1", "--nworkers", "1", "--no-dashboard"]
+        return self._started("worker", "--scheduler-file", str(self.file), *options)
+
+    def _started(self, what: str, *options: str) -> subprocess.Popen[bytes]:
+        home = self._folder / f"{what}{len(self._processes)}"
+        home.mkdir()
+        with open(home / "log", "wb") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-m", f"distributed.cli.dask_{what}", *options],
+                cwd=home, env=self._environment, stdout=log, stderr=log, start_new_session=True,
+            )  # fmt: skip
+        self._processes.append(process)
+        return process
+
+    def pids(self) -> list[int]:
+        """The processes that run variants."""
+        nannies = [str(process.pid) for process in self._processes[2:]]
+        found = subprocess.run(
+            ["pgrep", "-f", "spawn_main", "-P", ",".join(nannies)],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        return [int(pid) for pid in found.stdout.split()]
+
+    def end(self) -> None:
+        for process in self._processes:
+            process.poll()
+            if process.returncode is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+
+
+@contextmanager
+def machines(folder: Path, forbidden: Path, workers: int) -> Iterator[Machines]:
+    found = Machines(folder, forbidden)
+    try:
+        for _ in range(workers):
+            found.add_worker()
+        yield found
+    finally:
+        found.end()
+
+
+def wait_for(happens: Callable[[], object], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not happens():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+
+
+def started(file: Path, *options: object) -> subprocess.Popen[str]:
+    """The command, in the scenario's folder."""
+    command = [sys.executable, "-m", "sero_mj", "sweep", file.name, *map(str, options)]
+    return subprocess.Popen(command, cwd=file.parent, stderr=subprocess.PIPE, text=True,
+                            stdout=subprocess.DEVNULL)  # fmt: skip
+
+
+def swept(file: Path, *options: object) -> tuple[int, str]:
+    """Exit status and what the command says on stderr."""
+    process = started(file, *options)
+    _, said = process.communicate(timeout=110)
+    return process.returncode, said
+
+
+@pytest.mark.slow
+def test_the_table_is_that_of_one_machine(file: Path, tmp_path: Path) -> None:
+    here, there = tmp_path / "here.csv", tmp_path / "there.csv"
+    with machines(tmp_path, file.parents[1], 2) as found:
+        sweep = [*SWEEP, "--samples", 12]
+        done = swept(file, *sweep, "-o", here, "--jobs", 1)
+        assert done == (1, "")  # not all hold
+        _, said = swept(file, *sweep, "-o", there, "--engine", "dask", "--scheduler", found.file)
+        assert "differs" not in said and "gone" not in said
+        assert there.read_bytes() == here.read_bytes()
+        rows = here.read_text()
+        assert ",true,,0.2" in rows and ",false,,0.2" in rows and "SimulationError" in rows
+        assert not list(tmp_path.rglob("follow.toml"))  # removed afterwards
+
+
+@pytest.mark.thorough
+def test_a_variant_that_kills_its_workers_is_a_row_and_costs_no_other(
+    file: Path, tmp_path: Path
+) -> None:
+    if shutil.which("cc") is None:
+        pytest.skip("needs a C compiler")
+    for name, function in (("good", "control"), ("bad", "fatal")):
+        (tmp_path / "law.c").write_text(LAW.replace("fatal", "f_") if name == "good" else
+                                        LAW.replace("control(struct", "c_(struct")
+                                        .replace("control(r)", "c_(r)").replace("fatal", "control"))
+        subprocess.run(["cc", "-O2", "-shared", "-fPIC", "-I", str(HEADER.parent), "law.c", "-o",
+                        str(file.parent / f"{name}.so")], cwd=tmp_path, check=True)  # fmt: skip
+    scenario = file.parent / "library.toml"
+    text = SCENARIO.replace("joint_impedance", "library").replace("stiffness = 800.0", "")
+    scenario.write_text(text.replace("MOTION", str(file.parents[1] / "motions" / "still.csv")))
+    seeds = "run.seed=0,1,2,3,4,5,6,7"
+    sweep = ["--vary", "controllers.lwr.file=good.so,bad.so", "--vary", seeds, "--grid"]
+    here, there = tmp_path / "here.csv", tmp_path / "there.csv"
+    one_bad = [*sweep, "--shard", "1/1"]
+    with machines(tmp_path, file.parents[1], 2) as found:
+        swept(scenario, *one_bad, "-o", here, "--jobs", 2)
+        engine = ["--engine", "dask", "--scheduler", found.file]
+        _, said = swept(scenario, *one_bad, "-o", there, *engine)
+    assert said == ""
+    assert there.read_bytes() == here.read_bytes()
+    assert there.read_text().count(KILLED) == 8
+
+
+@pytest.mark.thorough
+def test_workers_that_are_killed_cost_nothing(file: Path, tmp_path: Path) -> None:
+    here, there = tmp_path / "here.csv", tmp_path / "there.csv"
+    sweep = ["--vary", "run.seed=0:999", "--samples", "96", "--set", "run.duration=2"]
+    swept(file, *sweep, "-o", here)
+    with machines(tmp_path, file.parents[1], 2) as found:
+        process = started(file, *sweep, "-o", there, "--engine", "dask", "--scheduler", found.file)
+        for rows in (1, 30):
+            wait_for(lambda rows=rows: there.exists() and there.read_bytes().count(b"\n") > rows)
+            os.kill(found.pids()[0], signal.SIGKILL)
+        found.add_worker()  # one that joins late
+        _, said = process.communicate(timeout=110)
+    assert said == ""
+    assert KILLED not in there.read_text()
+    assert there.read_bytes() == here.read_bytes()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("how", ["Ctrl+C", "no scheduler"])
+def test_what_was_stopped_goes_on(file: Path, tmp_path: Path, how: str) -> None:
+    here, there = tmp_path / "here.csv", tmp_path / "there.csv"
+    sweep = ["--vary", "run.seed=0:999", "--samples", "96", "--set", "run.duration=2"]
+    swept(file, *sweep, "-o", here)
+    with machines(tmp_path, file.parents[1], 2) as found:
+        process = started(file, *sweep, "-o", there, "--engine", "dask", "--scheduler", found.file)
+        wait_for(lambda: there.exists() and there.read_bytes().count(b"\n") > 1)
+        if how == "Ctrl+C":
+            process.send_signal(signal.SIGINT)
+        else:
+            found.scheduler.kill()
+        begin = time.monotonic()
+        _, said = process.communicate(timeout=60)
+        assert time.monotonic() - begin < 20
+        if how == "Ctrl+C":
+            assert process.returncode == 130
+            assert "variants to go; the same with --resume goes on" in said
+            wait_for(lambda: not list(tmp_path.rglob("follow.toml")))
+            engine = ["--engine", "dask", "--scheduler", found.file]
+        else:
+            assert process.returncode == 2
+            assert "the scheduler is gone; what has come is kept" in said
+            engine = ["--jobs", 2]
+        known = there.read_bytes().count(b"\n")
+        assert 1 < known < 97
+        swept(file, *sweep, "-o", there, "--resume", *engine)
+    assert there.read_bytes() == here.read_bytes()
+
+
+@pytest.mark.thorough
+@pytest.mark.timeout(400)
+def test_ten_thousand_short_variants(file: Path, tmp_path: Path) -> None:
+    there = tmp_path / "there.csv"
+    sweep = ["--vary", "run.seed=0:99999", "--samples", "10000", "--set", "run.duration=0.02"]
+    with machines(tmp_path, file.parents[1], 4) as found:
+        process = started(file, *sweep, "-o", there, "--engine", "dask", "--scheduler", found.file)
+        _, said = process.communicate(timeout=390)
+    assert said == ""
+    assert there.read_bytes().count(b"\n") == 10_001
+
+
+# --- what is told
+
+
+@pytest.fixture
+def work(file: Path) -> Work:
+    sweep = Sweep(file, (Vary.parse("run.seed=0:9"),), 2)
+    return Work(file, {}, list(enumerate(sweep.variants)))
+
+
+def test_a_scheduler_that_is_not_there_is_told(
+    work: Work, monkeypatch: pytest.MonkeyPatch, free_udp_port: int
+) -> None:
+    monkeypatch.setattr(cluster, "PATIENCE", 0.3)
+    address = f"tcp://127.0.0.1:{free_udp_port}"
+    with raises_with(
+        ClusterError,
+        address=address,
+        reason="no scheduler answers within 0 s; expected that of a running `dask scheduler`, "
+        "which prints it",
+    ):
+        next(Cluster(address).run(work))
+
+
+@pytest.mark.thorough
+def test_a_worker_with_other_packages_is_told(
+    work: Work, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = cluster_worker.versions()
+    monkeypatch.setattr(cluster_worker, "versions", lambda: {**own, "numpy": "1.0"})
+    with machines(tmp_path, file.parents[1], 1) as found:
+        with pytest.raises(ClusterError) as caught:
+            list(Cluster(str(found.file)).run(work))
+    assert f"differs: numpy is {own['numpy']}, and 1.0 here" in caught.value.reason
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "contents", "message"),
+    [
+        ("head:8786", None, "--scheduler: found 'head:8786'; expected tcp://HOST:PORT"),
+        ("no.json", None, "--scheduler: no file 'no.json'"),
+    ],
+)
+def test_a_scheduler_that_cannot_be_is_told(scheduler: str, contents: None, message: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        Cluster(scheduler)
+    assert message in str(caught.value)
+
+
+def test_files_keep_their_places_to_each_other(file: Path, tmp_path: Path) -> None:
+    files = files_read(file, {})
+    names = {each.relative_to(file.parents[1]).as_posix() for each in files}
+    assert {"study/follow.toml", "robots/arm/robot.toml", "motions/still.csv"} <= names
+    assert "robots/arm/meshes/base_grey.stl" in names
+    extra = tmp_path / "extra" / "gains.txt"
+    extra.parent.mkdir()
+    extra.write_text("1 2 3")
+    unpack(pack([*files, *files_in(extra.parent)]), tmp_path / "root")
+    there = Path(f"{tmp_path}/root{file}")
+    motion = Path(f"{tmp_path}/root{file.parents[1]}/motions/still.csv")
+    assert f'"{motion}"' in there.read_text()
+    assert motion.is_file() and Path(f"{tmp_path}/root{extra}").read_text() == "1 2 3"
+    with pytest.raises(UsageError, match="--ship: no file or folder"):
+        files_in(tmp_path / "none")
