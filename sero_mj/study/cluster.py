@@ -197,10 +197,12 @@ class _Run:
         """Takes in workers where results will be the same; raises ClusterError if none is left."""
         from .cluster_worker import differences_on_worker
 
-        with self._scheduler():
+        try:
             told = self._client.run(
                 differences_on_worker, self._files.name, workers=new, on_error="return"
             )
+        except OSError:
+            return  # one of them is gone: the others are asked again
         differing = {}
         for worker, found in told.items():
             if isinstance(found, KeyError | OSError):
