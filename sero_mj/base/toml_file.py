@@ -7,6 +7,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -130,11 +131,15 @@ def key_lines(path: Path) -> dict[str, int]:
     and multi-line values are handled as in TOML. An entry of an array has the line of its begin;
     any other key inside a value has that of its statement.
     """
-    lines: dict[str, int] = {}
     try:
-        text = _as_text(read_file(path, _MAX_BYTES))
+        return dict(_lines_of(_as_text(read_file(path, _MAX_BYTES))))
     except (OSError, UnicodeDecodeError):
-        return lines
+        return {}
+
+
+@lru_cache(maxsize=16)  # all variants of a sweep read the same files
+def _lines_of(text: str) -> dict[str, int]:
+    lines: dict[str, int] = {}
     table = ""
     entries: Counter[str] = Counter()  # of arrays of tables
     for number, statement in _statements(text):
