@@ -269,7 +269,49 @@ def test_ten_thousand_short_variants(file: Path, tmp_path: Path) -> None:
     assert there.read_bytes().count(b"\n") == 10_001
 
 
+@pytest.mark.thorough
+def test_workers_are_jobs_of_a_batch_system(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    programs = {
+        "sbatch": f'cp "$1" {tmp_path}/job.sh; setsid bash {tmp_path}/job.sh >/dev/null 2>&1 &\n'
+        'echo "Submitted batch job $!"',
+        "scancel": f'kill -TERM -- "-$1"; echo $1 >> {tmp_path}/cancelled',
+    }
+    for name, text in programs.items():
+        (tmp_path / name).write_text(f"#!/bin/bash\n{text}\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    queue = tmp_path / "cluster.toml"
+    settings = 'cores = 1\nmemory = "1GB"\nwalltime = "00:10:00"\ninterface = "lo"'
+    queue.write_text(f"[slurm]\njobs = 1\n{settings}\n")
+    out = tmp_path / "out.csv"
+    sweep = [*SWEEP, "--samples", 4, "-o", out, "--engine", "dask", "--scheduler", queue]
+    status, said = swept(file, *sweep)
+    assert status == 1, said
+    assert out.read_bytes().count(b"\n") == 5
+    assert "#SBATCH -t 00:10:00" in (tmp_path / "job.sh").read_text()
+    wait_for((tmp_path / "cancelled").is_file)
+
+
 # --- what is told
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[slurm]\n[pbs]\n", "found 'slurm, pbs'; expected one table of slurm, pbs, lsf, sge"),
+        ("jobs = ", "cannot be read"),
+    ],
+)
+def test_a_batch_system_that_cannot_be_is_told(
+    work: Work, tmp_path: Path, text: str, message: str
+) -> None:
+    queue = tmp_path / "cluster.toml"
+    queue.write_text(text)
+    with pytest.raises(UsageError) as caught:
+        next(Cluster(str(queue)).run(work))
+    assert message in str(caught.value)
 
 
 @pytest.fixture
@@ -302,13 +344,13 @@ def test_a_worker_with_other_packages_is_told(
 
 
 @pytest.mark.parametrize(
-    ("scheduler", "contents", "message"),
+    ("scheduler", "message"),
     [
-        ("head:8786", None, "--scheduler: found 'head:8786'; expected tcp://HOST:PORT"),
-        ("no.json", None, "--scheduler: no file 'no.json'"),
+        ("head:8786", "--scheduler: found 'head:8786'; expected tcp://HOST:PORT"),
+        ("no.json", "--scheduler: no file 'no.json'"),
     ],
 )
-def test_a_scheduler_that_cannot_be_is_told(scheduler: str, contents: None, message: str) -> None:
+def test_a_scheduler_that_cannot_be_is_told(scheduler: str, message: str) -> None:
     with pytest.raises(UsageError) as caught:
         Cluster(scheduler)
     assert message in str(caught.value)

@@ -119,16 +119,16 @@ def progress_bar(
         what: label of the bar.
         quiet: whether nothing is shown.
         stays: whether the bar stays visible at the end.
-        note: says more, behind the bar, with how many are done per second.
+        note: says more, behind the bar.
     """
     from rich import progress as bars
     from rich.console import Console
+    from rich.table import Column
     from rich.text import Text
 
     class Note(bars.ProgressColumn):
         def render(self, task: bars.Task) -> Text:
-            speed = "" if task.speed is None else f"{task.speed:.1f}/s, "
-            return Text(f"{speed}{note()}" if note else "")
+            return Text(note() if note else "")
 
     console = Console(stderr=True)
     bar = bars.Progress(
@@ -136,7 +136,7 @@ def progress_bar(
         bars.BarColumn(),
         bars.MofNCompleteColumn(),
         bars.TimeRemainingColumn(),
-        *([] if note is None else [Note()]),
+        *([] if note is None else [Note(Column(no_wrap=True))]),
         console=console,
         disable=quiet or not (stays or console.is_terminal),
         transient=not stays,

@@ -236,22 +236,24 @@ def _run_variants(
     """Runs what is left to do; returns whether all was done."""
     from contextlib import closing
 
-    count, failed = len(table.rows) + len(todo), 0
+    before, failed, begin = len(table.rows), 0, time.perf_counter()
+    count = before + len(todo)
 
     def note() -> str:
+        rate = (len(table.rows) - before) / (time.perf_counter() - begin)
         many = engine.workers
-        about = f"{many} {'worker' if many == 1 else 'workers'}"
-        return f"{about}, {failed} with an error" if failed else about
+        about = f"{rate:.1f}/s, {many} {'worker' if many == 1 else 'workers'}"
+        return f"{about}, {failed} failed" if failed else about
 
     with (
         progress_bar("variants", quiet=quiet, note=note) as update,
         closing(sweep.run(engine, todo)) as results,
     ):
-        update(len(table.rows), count)
+        update(before, count)
         try:
             for number, result in results:
                 table.add(number, result)
-                failed += bool(result["error"])
+                failed += not result["held"]
                 update(len(table.rows), count)
         except KeyboardInterrupt:
             return False

@@ -141,7 +141,7 @@ class _Run:
         self._of: dict[str, deque[str]] = {}  # worker to keys, that which it runs first
         self._refused: set[str] = set()
         self._done: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._count = 0
+        self._count, self._has_warned = 0, False
 
     @property
     def workers(self) -> int:
@@ -212,12 +212,13 @@ class _Run:
                 differing[worker] = repr(found) if is_error else "; ".join(found)
                 continue
             self._of[worker] = deque()
-            if threads[worker] > 1:
-                log.warning(
-                    "worker %s has %d threads, and runs one batch at a time; more run by: "
-                    "dask worker --nworkers %d --nthreads 1", worker, threads[worker],
-                    threads[worker],
-                )  # fmt: skip
+        wide = [worker for worker in told if threads[worker] > 1]
+        if wide and not self._has_warned:
+            self._has_warned = True
+            log.warning(
+                "worker %s has %d threads, and runs one batch at a time; more run by: "
+                "dask worker --nworkers %d --nthreads 1", wide[0], *2 * [threads[wide[0]]],
+            )  # fmt: skip
         self._refused |= set(differing)
         for worker, text in differing.items():
             if not self._of or not self._count:
@@ -346,7 +347,10 @@ def _job_queue(file: Path) -> Iterator[Any]:
     try:
         made = getattr(dask_jobqueue, _QUEUES[kinds[0]])(**settings)
     except (TypeError, ValueError) as error:
-        raise UsageError(Problem(kinds[0], f"cannot be taken: {error}", str(file))) from None
+        first = str(error).partition(". ")[0]  # the rest tells of its insides
+        expected = f"what dask_jobqueue.{_QUEUES[kinds[0]]} takes, and jobs"
+        problem = Problem(kinds[0], f"cannot be taken: {first}", str(file), expected=expected)
+        raise UsageError(problem) from None
     with made as cluster:
         cluster.scale(jobs=jobs)
         yield cluster
