@@ -108,6 +108,7 @@ def test_a_page_holds_all_poses_that_it_plays(justin: World, monkeypatch) -> Non
     monkeypatch.setattr(capture_file, "known_poses", lambda *times: [pose])
     scene = load_scene("justin")
     scene.routes = {}  # moved by hand, so it is not live
+    scene.view.follow = None  # else the camera follows instead
     page = capture_file.capture(scene, seconds=0.1, fps=10.0)
     assert page.camera.distance > scene.view.distance
     for size in SIZES:
