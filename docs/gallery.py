@@ -79,33 +79,6 @@ model = "lwr"
 joint_angles = [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0]
 """
 
-POSITION_MODE = """
-[robots.left]
-model = "lwr"
-base_frame = { xyz = [0.0, 0.25, 1.0], rpy_deg = [-60, 0, 0] }
-joint_angles = [0.3, 0.7, 0.0, 1.3, 0.0, -0.6, 0.0]
-[robots.right]
-model = "lwr"
-base_frame = { xyz = [0.0, -0.25, 1.0], rpy_deg = [60, 0, 0] }
-joint_angles = [-0.3, 0.7, 0.0, 1.3, 0.0, -0.6, 0.0]
-[doubles.left_command]
-of = "left"
-joint_angles = [0.1, 0.85, 0.0, 1.0, 0.0, -0.3, 0.0]
-[doubles.right_command]
-of = "right"
-joint_angles = [-0.45, 0.55, 0.0, 1.6, 0.0, -0.6, 0.0]
-[objects.column]
-shape = "box"
-size = [0.16, 0.36, 1.1]
-frame = { xyz = [-0.02, 0.0, 0.55] }
-rgba = [0.42, 0.44, 0.48, 1.0]
-[view]
-look_at = [0.2, 0.0, 1.15]
-azimuth_deg = -160
-elevation_deg = -12
-distance = 2.4
-"""
-
 GROUP = """
 [groups.robot]
 model = "{model}"
@@ -205,8 +178,10 @@ joint_angles = [0.828, 1.721, -2.029]
 [routes]
 "right.flange_check" = "left/flange"
 """, camera="60,-40,1.4", group=FEATURES),
-    Shot("position_mode", "Position mode: doubles at commanded poses", POSITION_MODE,
-         group=FEATURES),
+    Shot("position_mode", "Position mode: doubles at commanded poses", "haptic_device", {
+        "left_command.joint_angles": [-1.2, 0.95, 2.2, 1.25, -1.1, 0.9, 1.1],
+        "right_command.joint_angles": [1.2, 1.15, -2.4, 0.9, 1.1, 1.0, -1.0],
+    }, camera="120,-12,2.3", group=FEATURES),
     Shot("dark", "Dark, for slides", LWR + '[view]\nlook = "dark"\n', {
         "lwr.show_arrows": True, "lwr.show_billboards": True,
     }, holds_itself=True, group=FEATURES),
@@ -214,13 +189,23 @@ joint_angles = [0.828, 1.721, -2.029]
 
 
 def scene_of(shot: Shot) -> Scene:
-    """Returns the scene of a picture, its robots held against gravity where that is wanted."""
+    """Returns the scene of a picture, its robots held against gravity where that is wanted.
+
+    A live scene of which no script sends the packets is as it is declared.
+    """
     if "\n" not in shot.scene:
-        return _held(load_scene(shot.scene, shot.overrides), shot, shot.scene)
+        scene = _held(load_scene(shot.scene, shot.overrides), shot, shot.scene)
+        if _is_live(scene) and shot.played_by is None:
+            scene.sources, scene.routes = {}, {}
+        return scene
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"{shot.name}.toml"
         file.write_text(shot.scene, "utf-8")
         return _held(load_scene(file, shot.overrides), shot, str(file))
+
+
+def _is_live(scene: Scene) -> bool:
+    return any(source.is_live for source in wire(scene).sources.values())
 
 
 def _held(scene: Scene, shot: Shot, name: str) -> Scene:
@@ -267,16 +252,15 @@ def start_scene_of(shot: Shot) -> Scene:
 
     Numbers and legends would be too small there.
     """
-    scene = scene_of(shot)
-    is_live = any(source.is_live for source in wire(scene).sources.values())
-    if is_live and not shot.played_by:
+    is_as_shipped = "\n" not in shot.scene and not shot.overrides and shot.played_by is None
+    if is_as_shipped and _is_live(load_scene(shot.scene)):
         poses = {
             f"{name}.joint_angles": POSE if _is_lwr(robot) else np.zeros(robot.n).tolist()
-            for name, robot in scene.robots.items()
+            for name, robot in load_scene(shot.scene).robots.items()
+            if robot.joint_angles is None
         }
-        still = replace(shot, overrides={**shot.overrides, **poses}, holds_itself=True)
-        scene = scene_of(still)
-        scene.sources, scene.routes = {}, {}
+        shot = replace(shot, overrides=poses, holds_itself=True)
+    scene = scene_of(shot)
     scene.toggles.legend = False
     for robot in scene.robots.values():
         robot.show_billboards = False
