@@ -15,6 +15,7 @@ from sero_mj.viewer.decor.layout import (
     place_clear,
     spread,
     spread_around,
+    tangle,
     uncross,
     with_room,
 )
@@ -131,24 +132,40 @@ def test_crossing_is_as_two_lines_through_each_other() -> None:
     assert np.argwhere(crossings(starts, ends)).tolist() == [[0, 1], [1, 0]]
 
 
-@given(st.integers(1, 12), st.integers(0, 2**31))
-def test_leaders_bend_so_that_none_is_behind_another_panel(count, seed) -> None:
-    """Above or below a column; straight ones, and those with an end behind a panel, stay so."""
-    rng = np.random.default_rng(seed)
-    sizes = np.stack([rng.uniform(60, 120, count), np.full(count, 20.0)], axis=1)
+def column(count: int, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Starts of leaders, centres and sizes of panels that stand one above the other."""
+    sizes = np.stack([widths, np.full(count, 20.0)], axis=1)
     centres = np.stack([200 + sizes[:, 0] / 2, 300 + 25.0 * np.arange(count)], axis=1)
-    starts = np.stack([np.full(count, 200.0), centres[:, 1]], axis=1)
+    return np.stack([np.full(count, 200.0), centres[:, 1]], axis=1), centres, sizes
+
+
+@given(st.integers(1, 12), st.integers(0, 2**31))
+def test_bent_leaders_are_no_more_tangled_than_straight_ones(count, seed) -> None:
+    rng = np.random.default_rng(seed)
+    starts, centres, sizes = column(count, rng.uniform(60, 120, count))
     ends = rng.uniform((150, 0), (300, 800), (count, 2))
     low, high = centres - sizes / 2, centres + sizes / 2
     turns = bends(starts, ends, centres, sizes, 3.0)
-    before = behind(starts, ends, low, high).any(axis=1)
-    assert (turns[~before] == starts[~before]).all()
+    clear = ~behind(starts, ends, low, high).any(axis=1)
+    assert (turns[clear] == starts[clear]).all()
     assert not behind(starts, turns, low, high).any()
-    can_be_seen = (ends[:, 1] < low[0, 1]) | (ends[:, 1] > high[-1, 1])
-    assert not behind(turns, ends, low, high)[can_be_seen].any()
-    for way in (turns[:, 1] < starts[:, 1], turns[:, 1] > starts[:, 1]):
-        to_end = way & can_be_seen
-        assert not crossings(starts[to_end], turns[to_end]).any()
+    straight = tangle(starts, starts, ends, low, high)
+    assert tangle(starts, turns, ends, low, high) <= straight + int((~clear).sum())
+
+
+def test_leaders_bend_beside_a_column_above_or_below_what_it_tells_of() -> None:
+    starts, centres, sizes = column(5, np.array([90.0, 80.0, 110.0, 70.0, 100.0]))
+    low, high = centres - sizes / 2, centres + sizes / 2
+    for y in (100.0, 700.0):
+        far = np.arange(5) if y > 400 else np.arange(5)[::-1]  # the farther, the more to the right
+        ends = np.stack([230.0 + 8.0 * far, np.full(5, y)], axis=1)
+        assert behind(starts, ends, low, high).any()
+        turns = bends(starts, ends, centres, sizes, 3.0)
+        assert (turns != starts).any(axis=1).sum() == 4
+        assert not behind(starts, turns, low, high).any()
+        assert not behind(turns, ends, low, high).any()
+        beside = 200.0 - turns[(turns != starts).any(axis=1), 0]
+        assert sorted(beside) == [3.0, 6.0, 9.0, 12.0]
 
 
 def test_a_leader_is_behind_what_is_between_its_ends() -> None:

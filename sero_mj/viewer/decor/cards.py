@@ -17,7 +17,16 @@ from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.mounts import carrier
 from .geom_buffer import GeomBuffer, Kind
-from .layout import LEFT, RIGHT, bends, columns, is_narrow, uncross, with_room
+from .layout import (
+    LEFT,
+    RIGHT,
+    bends,
+    columns,
+    is_narrow,
+    tangle,
+    uncross,
+    with_room,
+)
 from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes
 from .picture_view import PictureView
 
@@ -40,7 +49,7 @@ _LANE = 0.2  # between leaders beside a column of cards, of a line's height
 _OF_LIMB = 2  # how many cards of joints the card of a limb stands for where there is little room
 _OF_LOADS = (Kind.BILLBOARD, Kind.LIMB)  # kinds of which the most loaded are shown
 _PLACED_BY = ("anchors", "sizes", "owners", "side", "rank")  # of `Cards`
-_ROUNDS = 4  # of placing and uncrossing; panels of several sizes can need more than one
+_ROUNDS = 8  # of placing and uncrossing; panels of several sizes can need more than one
 # Dark on a light scene, light on a dark one.
 LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)}
 
@@ -272,16 +281,25 @@ class CardLayout:
             )
             return centres + low
 
+        lane, least_gain = _LANE * view.font.height, _MIN_GAIN * view.font.height
+        best: tuple[int, Ints, Array, _Placed] | None = None
         for _ in range(_ROUNDS):
             centres = place(side, rank)
             starts = _starts(centres, sizes, anchors, side)
-            turns = bends(starts, anchors, centres, sizes, _LANE * view.font.height)
-            changed = uncross(turns, anchors, _MIN_GAIN * view.font.height)
+            turns = bends(starts, anchors, centres, sizes, lane)
+            tangled = tangle(starts, turns, anchors, centres - sizes / 2, centres + sizes / 2)
+            if best is None or tangled < best[0]:
+                best = tangled, side, rank, _Placed(kept, note, centres, starts, turns)
+            changed = uncross(starts, anchors, least_gain)
             if (changed == np.arange(len(keys))).all():
+                changed = uncross(turns, anchors, least_gain)
+            if not tangled or (changed == np.arange(len(keys))).all():
                 break
             side, rank = side[changed], rank[changed]
+        assert best is not None
+        _, side, rank, placed = best
         self._places.update(zip(keys, zip(side.tolist(), rank.tolist(), strict=True), strict=True))
-        return _Placed(kept, note, centres, starts, turns)
+        return placed
 
     def _choose(
         self,

@@ -396,7 +396,32 @@ def bends(starts: Array, ends: Array, centres: Array, sizes: Array, lane: float)
     same = in_column & (up[:, None] == up) & is_bent[:, None] & is_bent
     nearer = same & (up[:, None] * (centres[None, :, 1] - centres[:, None, 1]) >= 0)
     turns[:, 0] += outward * lane * nearer.sum(axis=1)
+    tangled = tangle(starts, turns, ends, low, high)
+    for k in np.nonzero(is_bent)[0] if tangled > 1 else ():
+        straight = turns.copy()
+        straight[k] = starts[k]
+        fewer = tangle(starts, straight, ends, low, high)
+        if fewer + 1 < tangled:  # one that would cross several others stays straight
+            turns, tangled = straight, fewer
     return turns
+
+
+def tangle(starts: Array, bends: Array, ends: Array, low: Array, high: Array) -> int:
+    """Returns how often leaders cross each other, or run behind panels but their own.
+
+    Args:
+        starts: (k, 2), pixels.
+        bends: (k, 2), pixels; the start of a straight leader.
+        ends: (k, 2), pixels.
+        low: lower left pixels of the panels, (k, 2).
+        high: upper right pixels, (k, 2).
+    """
+    k = len(starts)
+    crossing = crossings(np.concatenate([starts, bends]), np.concatenate([bends, ends]))
+    of_leaders = np.asarray(crossing.reshape(2, k, 2, k).any(axis=(0, 2)))
+    np.fill_diagonal(of_leaders, False)
+    is_behind = behind(starts, bends, low, high) | behind(bends, ends, low, high)
+    return int(of_leaders.sum()) // 2 + int(is_behind.sum())
 
 
 def behind(starts: Array, ends: Array, low: Array, high: Array) -> Bools:
