@@ -14,6 +14,7 @@ from runs import record_run, simulated, sine_run, two_joints
 
 from sero_mj.base.errors import CsvError, UsageError
 from sero_mj.cli import main
+from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.simulate.runs.run_log import RunLog
 from sero_mj.study.align import align, at_times, find_shift
 from sero_mj.study.compare import as_json, compare, compare_scene, exceeded, write_csv
@@ -351,3 +352,32 @@ def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) 
     assert more[2] > same[2] + 100
     assert more[1] < 20
     assert less[1] > same[1] + 100
+
+
+def test_a_joint_that_is_measured_as_commanded_has_nothing_to_explain(tmp_path, capsys) -> None:
+    """Even if its constant torque looks like a sensor that is stuck."""
+    scene = tmp_path / "crane.toml"
+    scene.write_text(
+        '[robots.crane]\ndh_convention = "craig"\ntorque_limits = [120, 120, 60]\n'
+        "dh_params = [[0, 0, 0, 0.35], [1.5708, 0, 0, 0], [0, 0.4, 0, 0]]\n"
+        '[sources.udp]\nkind = "udp"\nport = 32123\nstructure = "3F3F3F"\n[routes]\n'
+        '"crane.joint_angles" = "udp.values0"\n"crane.torques" = "udp.values1"\n'
+        '"crane.commanded_torques" = "udp.values2"\n'
+    )
+    t = np.arange(1500) / 500
+    commanded = np.stack([20 * np.cos(t), -70 * np.cos(t), np.full_like(t, -25.0)], axis=1)
+    measured = commanded * [0.9, 1.0, 1.0] + [0.0, 4.0, 0.0]
+    angles = np.stack([0.8 * np.sin(t), 0.6 + 0.3 * np.sin(2 * t), np.full_like(t, -0.9)], axis=1)
+    path = tmp_path / "crane.mcap"
+    with RecordingWriter(path, about={}) as writer:
+        writer.add_source(
+            "udp", kind="udp", declared={"structure": "3F3F3F"}, size=72,
+            events={"values0": (3,), "values1": (3,), "values2": (3,)},
+        )  # fmt: skip
+        rows = np.ascontiguousarray(np.hstack([angles, measured, commanded])).view(np.uint8)
+        writer.write_rows("udp", rows, writer.clock.monotonic_ns / 1e9 + t)
+    assert command(path, "--scene", scene) == 0
+    lines = capsys.readouterr().out.partition("what explains")[2].splitlines()
+    told = {line.split()[0]: line for line in lines if line.startswith("  J")}
+    assert "no difference found" in told["J3"]
+    assert "no difference found" not in told["J1"] + told["J2"]

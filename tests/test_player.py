@@ -16,11 +16,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from commands import run_command as run_in_folder
+from runs import simulated
 
 from sero_mj.base.errors import RenderError, UsageError
 from sero_mj.load import load_scene
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.declared.surroundings import Object
+from sero_mj.study import run_report
 from sero_mj.study.run_marks import marks_of
 from sero_mj.viewer.player import capture as capture_module
 from sero_mj.viewer.player import gltf as gltf_module
@@ -210,6 +212,15 @@ def test_a_report_is_a_page_a_figure_json_and_a_test_for_each_expectation(tmp_pa
     assert suite.get("tests") == str(len(outcomes)) and suite.get("failures") == "1"
     (failed,) = (case for case in suite if case.find("failure") is not None)
     assert failed.get("name") == "it_comes_back"
+
+
+@pytest.mark.thorough
+def test_a_report_without_matplotlib_lacks_its_figure_only(tmp_path, monkeypatch, caplog) -> None:
+    monkeypatch.setattr(run_report, "find_spec", lambda _: None)
+    run_report.write_report(simulated(800.0), tmp_path, {})
+    made = {file.name for file in tmp_path.iterdir()}
+    assert made == {"index.html", "report.json", "junit.xml"}
+    assert "pip install 'sero-mj[figures]'" in caplog.text
 
 
 @pytest.mark.thorough

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
+import numpy as np
 from pydantic import model_validator
 
 from ..base.declaration import expecting
@@ -155,7 +156,11 @@ def _compared(
         return pair, explanations, [*_parted(pair, explanations), *_about_model(found)]
     pair = pair_with_commands(a, name)
     found = torque_residuals(a, name)
-    return pair, explain_run(a, name, found), _about_model(found)
+    # Where measured torques are the commanded ones, there is no difference to explain.
+    differs = np.any(pair.difference("torques") != 0, axis=0)
+    joints = {joint for joint, is_one in zip(pair.robot.names, differs, strict=True) if is_one}
+    told = [each for each in explain_run(a, name, found) if joints & {*each.joints}]
+    return pair, told, _about_model(found)
 
 
 def _about_model(found: TorqueResiduals) -> list[str]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import logging
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as xml
@@ -13,8 +15,11 @@ from ..simulate.simulated_scene import simulated_scene
 from ..simulate.simulation import Simulation
 from ..viewer.player.capture import capture
 from ..viewer.player.page import write_page
+from .figure import NO_MATPLOTLIB
 from .plot import plot_run, spans_of
 from .run_marks import marks_of_run
+
+log = logging.getLogger(__name__)
 
 PAGE, FIGURE, JSON, JUNIT = "index.html", "torques.png", "report.json", "junit.xml"
 
@@ -29,7 +34,8 @@ def write_report(
 ) -> None:
     """Writes a report of a run.
 
-    Every expectation is a test case; a run that could not go on is one with an error.
+    Every expectation is a test case; a run that could not go on is one with an error. The figure
+    is left out, with a warning, where matplotlib is not installed.
 
     Args:
         simulation: as far as it has come.
@@ -49,16 +55,19 @@ def write_report(
         tree.write(folder / JUNIT, encoding="utf-8", xml_declaration=True)
     except OSError as problem:
         raise UsageError(f"cannot write {problem.filename}: {problem.strerror}") from problem
+    seconds = max(simulation.time, 1e-3)
+    run = capture(simulated_scene(simulation), seconds=seconds, fps=fps, wait=0.0)
+    run.marks = marks_of_run(simulation)
+    write_page(run, folder / PAGE, simulation.scenario.name)
+    if find_spec("matplotlib") is None:
+        log.warning("no %s: %s", folder / FIGURE, NO_MATPLOTLIB)
+        return
     plot_run(
         simulation.log,
         folder / FIGURE,
         findings=simulation.findings(),
         spans=spans_of(simulation.scenario),
     )
-    seconds = max(simulation.time, 1e-3)
-    run = capture(simulated_scene(simulation), seconds=seconds, fps=fps, wait=0.0)
-    run.marks = marks_of_run(simulation)
-    write_page(run, folder / PAGE, simulation.scenario.name)
 
 
 def _junit(
