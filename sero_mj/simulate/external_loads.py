@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..base.declaration import numbers
 from ..base.errors import Problem, UnknownName
-from ..base.frames import Array
+from ..base.frames import Array, Bools, Ints
 from ..robots.assemble.mjcf_dynamics import PAYLOAD
 from ..robots.assemble.parts import robots_of_bodies
 from ..robots.assemble.world import World
 from ..robots.declared.dynamics import inertia_problem, principal_moments, tensors_from
+from .rows import ManyRows
 
 
 class Push:
@@ -23,7 +26,10 @@ class Push:
     Attributes:
         force: (3,), N.
         torque: (3,), Nm.
+        at: (3,), where in the frame they act, m.
         body: of the frame, in the model.
+        site: of the frame itself.
+        axes: the site in whose axes force and torque are given; None for the world's.
     """
 
     def __init__(
@@ -36,13 +42,13 @@ class Push:
         at: ArrayLike,
     ) -> None:
         self.frame, self.expressed_in = frame, expressed_in
-        self.force, self.torque, self._at = (
+        self.force, self.torque, self.at = (
             _three(name, value)
             for name, value in (("force", force), ("torque", torque), ("at", at))
         )
-        self._site = _site(world, frame)
-        self.body = int(world.model.site_bodyid[self._site])
-        self._axes = None if expressed_in == "world" else _site(world, expressed_in)
+        self.site = _site(world, frame)
+        self.body = int(world.model.site_bodyid[self.site])
+        self.axes = None if expressed_in == "world" else _site(world, expressed_in)
 
     def apply(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array) -> None:
         """Adds its joint torques.
@@ -53,8 +59,8 @@ class Push:
             torques: (nv,), Nm or N, to which they are added.
         """
         force, torque = self.force, self.torque
-        if self._axes is not None:
-            axes = data.site_xmat[self._axes].reshape(3, 3)
+        if self.axes is not None:
+            axes = data.site_xmat[self.axes].reshape(3, 3)
             force, torque = axes @ force, axes @ torque
         mujoco.mj_applyFT(model, data, force, torque, self.point(data), self.body, torques)
 
@@ -64,10 +70,90 @@ class Push:
         Args:
             data: with its kinematics.
         """
-        point: Array = data.site_xpos[self._site]
-        if self._at.any():
-            point = point + data.site_xmat[self._site].reshape(3, 3) @ self._at
+        point: Array = data.site_xpos[self.site]
+        if self.at.any():
+            point = point + data.site_xmat[self.site].reshape(3, 3) @ self.at
         return point
+
+
+class PushRows:
+    """The pushes of many rows, whose joint torques are computed together, as `Push.apply` does.
+
+    MuJoCo is asked for no row by itself: to copy a row's `MjData` takes twice as long as its step.
+    Sums and products are those of `mj_applyFT` in its order, so that the torques are the same.
+
+    Args:
+        rows: in which they act.
+        pushes: the row and the push, of all that act.
+    """
+
+    def __init__(self, rows: ManyRows, pushes: Sequence[tuple[int, Push]]) -> None:
+        model = rows.model
+        self._rows, self._pushes = rows, [push for _, push in pushes]
+        self._of: Ints = np.array([row for row, _ in pushes], np.intp)
+        self._pushed_rows = np.unique(self._of)
+        # Of a row with one push there is nothing to sum up.
+        self._is_single = len(self._pushed_rows) == len(pushes)
+        bodies = [push.body for push in self._pushes]
+        self._sites: Ints = np.array([push.site for push in self._pushes], np.intp)
+        self._roots: Ints = model.body_rootid[bodies].astype(np.intp)
+        self._moved: Bools = np.array([_moving(model, body) for body in bodies])
+        self._places = rows.bind("site_xpos")
+        self._centers, self._motions = rows.bind("subtree_com"), rows.bind("cdof")
+        ats = np.array([push.at for push in self._pushes])
+        is_off = bool(ats.any())
+        self._off: Array | None = ats[..., None] if is_off else None
+        turned = [k for k, push in enumerate(self._pushes) if push.axes is not None]
+        self._turned: Ints = np.array(turned, np.intp)
+        self._axes: Ints = np.array([self._pushes[k].axes for k in turned], np.intp)
+        # Bound only where needed: what is bound is copied in every step.
+        self._turns = rows.bind("site_xmat") if is_off or turned else None
+
+    def write(self, torques: Array) -> None:
+        """Writes their torques on the joints.
+
+        Args:
+            torques: (m, nv), Nm or N: zeros.
+        """
+        rows, of, sites = self._rows, self._of, self._sites
+        rows.look_ahead(self._pushed_rows)
+        forces = np.array([(push.force, push.torque) for push in self._pushes])
+        points = self._places[of, sites]
+        if self._turns is not None:
+            turns = self._turns.reshape(len(self._turns), -1, 3, 3)
+            if self._off is not None:
+                points += (turns[of, sites] @ self._off)[..., 0]
+            if len(self._turned):
+                axes = turns[of[self._turned], self._axes]
+                for k in range(2):  # one by one, as `Push.apply` does
+                    forces[self._turned, k] = (axes @ forces[self._turned, k, :, None])[..., 0]
+        arms = (points - self._centers[of, self._roots])[:, None]
+        motions = self._motions[of]
+        axes, lines = motions[..., :3], motions[..., 3:]
+        # Columns of the Jacobian of the point: v + w x r.
+        lines += axes[..., _NEXT] * arms[..., _LAST] - axes[..., _LAST] * arms[..., _NEXT]
+        lines *= forces[:, None, 0]
+        found = np.add.reduce(lines, axis=-1)
+        axes *= forces[:, None, 1]
+        found += np.add.reduce(axes, axis=-1)
+        found *= self._moved
+        if self._is_single:
+            torques[of] = found
+        else:
+            np.add.at(torques, of, found)
+
+
+_NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # axes behind and before x, y, z, of a cross product
+
+
+def _moving(model: mujoco.MjModel, body: int) -> Bools:
+    """Which degrees of freedom move a body, (nv,)."""
+    found: Bools = np.zeros(model.nv, bool)
+    while body:
+        first = model.body_dofadr[body]
+        found[first : first + model.body_dofnum[body]] = first >= 0
+        body = int(model.body_parentid[body])
+    return found
 
 
 def _three(name: str, value: ArrayLike) -> Array:

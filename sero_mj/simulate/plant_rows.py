@@ -13,7 +13,7 @@ from ..base.errors import Problem, SimulationError, UnknownName
 from ..base.frames import Array, RowIndex
 from ..robots.assemble.parts import RobotPart
 from ..robots.assemble.world import World
-from .external_loads import Push, attach_payload, detach_payload
+from .external_loads import Push, PushRows, attach_payload, detach_payload
 from .joint_model import JointModel
 from .rows import ManyRows, OneRow
 from .sensors import Sensors
@@ -73,6 +73,8 @@ class PlantRows:
         self.has_pushes = False
         self.pushed: Array = np.zeros((*rows.shape, world.model.nv))
         self.pushes: dict[RowIndex, list[Push]] = {row: [] for row in rows.indices}
+        self._acting: PushRows | None = None  # of many rows, those of the last step
+        self._changed = False  # whether others act in the next one
 
     def row(self, row: RowIndex) -> PlantRow:
         """The robots of a row by themselves."""
@@ -158,14 +160,23 @@ class PlantRows:
         """Joint torques of all pushes, (nv,), Nm; None without pushes."""
         if not self.has_pushes:
             return None
-        self.rows.applied[...] = self.pushed[...] = 0.0
-        acting = {row: pushes for row, pushes in self.pushes.items() if pushes}
+        rows = self.rows
+        rows.applied[...] = self.pushed[...] = 0.0
+        if isinstance(rows, ManyRows):
+            if self._changed:
+                pushes = [(row, push) for row in rows.indices for push in self.pushes[row]]
+                self._acting = PushRows(rows, pushes) if pushes else None
+                self._changed = False
+            self.has_pushes = self._acting is not None
+            if self._acting is not None:
+                self._acting.write(self.pushed)
+            return self.pushed
+        (acting,) = self.pushes.values()
         self.has_pushes = bool(acting)
-        self.rows.look_ahead([*acting])
-        for row, pushes in acting.items():
-            model, data, torques = self.rows.model_of(row), self.rows.data_of(row), self.pushed[row]
-            for push in pushes:
-                push.apply(model, data, torques)
+        if acting:
+            rows.look_ahead()
+            for push in acting:
+                push.apply(rows.model, rows.data, self.pushed)
         return self.pushed
 
 
@@ -248,7 +259,7 @@ class PlantRow:
     def add_push(self, push: P) -> P:
         """Lets a push act until `release`, see `push`."""
         self._plant.pushes[self.index].append(push)
-        self._plant.has_pushes = True
+        self._plant.has_pushes = self._plant._changed = True
         return push
 
     def release(self, push: Push) -> None:
@@ -256,6 +267,7 @@ class PlantRow:
         pushes = self._plant.pushes[self.index]
         if push in pushes:
             pushes.remove(push)
+            self._plant._changed = True
 
     def attach_payload(
         self,

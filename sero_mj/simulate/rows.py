@@ -175,6 +175,11 @@ class ManyRows:
         self._broken_at: dict[RowIndex, tuple[float, Array]] = {}
         self.unstable[:] = False
 
+    def bind(self, field: str) -> Array:
+        """An array of `MjData` of all rows, (m, ...), as `step` and `look_ahead` leave it."""
+        found: Array = self.batch.bind(field)
+        return found
+
     def drop(self, k: RowIndex) -> None:
         """Excludes row k from further steps until the next `begin`."""
         which = self._which.copy()
@@ -200,9 +205,9 @@ class ManyRows:
         self._choose(self._which & ~broken)
         return not broken.any()
 
-    def look_ahead(self, rows: Sequence[RowIndex] = ()) -> None:
+    def look_ahead(self, rows: Sequence[RowIndex] | Ints = ()) -> None:
         """Computes kinematics and bias torques of rows, unless `step` has done so for all."""
-        if rows:
+        if len(rows):
             self.batch.forward(rows, stage=_VELOCITY)
 
     def data_of(self, row: RowIndex) -> mujoco.MjData:
