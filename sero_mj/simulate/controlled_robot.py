@@ -244,22 +244,36 @@ class ControlledRobot(RobotControl):
         return mass, *slopes
 
     def observe(self, measured: Array) -> Array:
-        """Estimates the external torques after further steps, (n,), Nm or N.
+        """Estimates the external torques after further steps, see `observe`."""
+        return observe(self._observer, measured[..., self.joints])
 
-        The observer gets the mean of the measured torques: that is what changed the momentum
-        meanwhile.
 
-        Args:
-            measured: (steps, 3, n), angles, velocities and torques of all robots of the plant in
-                these steps.
+def observe(observer: MomentumObserver, measured: Array) -> Array:
+    """Estimates the external torques of a robot after further steps, (n,), Nm or N.
 
-        Returns:
-            the estimate, which stands until the next; the same array every time.
-        """
-        angles, velocities, _ = measured[-1, :, self.joints]
-        mean = np.add.reduce(measured[:, 2, self.joints]) / len(measured)
-        self._observer.model.update(angles, velocities)
-        return self._observer.update_with(velocities, mean)
+    The observer gets the mean of the measured torques: that is what changed the momentum meanwhile.
+
+    Args:
+        observer: of the robot, or of it in many rows, which are then an axis behind that of steps.
+        measured: (steps, 3, n), its angles, velocities and torques in these steps.
+
+    Returns:
+        the estimate, which stands until the next; the same array every time.
+    """
+    angles, velocities = measured[-1, ..., 0, :], measured[-1, ..., 1, :]
+    mean = np.add.reduce(measured[..., 2, :]) / len(measured)
+    observer.model.update(angles, velocities)
+    return observer.update_with(velocities, mean)
+
+
+def join_observers(each: Sequence[ControlledRobot], model: RobotModel) -> MomentumObserver:
+    """One observer for a robot in all rows of a plant.
+
+    Args:
+        each: the robot in every row, at one step.
+        model: of one of them, for itself.
+    """
+    return MomentumObserver.joined([one._observer for one in each], ModelRows(model, len(each)))
 
 
 def _hanging(

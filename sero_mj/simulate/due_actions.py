@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 
@@ -21,6 +22,11 @@ class DueActions:
         """Plans an action for a time, s."""
         self._due.append((max(round(time / self._timestep), 0), action))
         self._due.sort(key=lambda entry: entry[0])
+
+    @property
+    def next(self) -> float:
+        """The row at which the next action is due; infinite if none is left."""
+        return self._due[self._next][0] if self._next < len(self._due) else math.inf
 
     def act(self, k: int) -> None:
         """Runs the actions that are due at row k, before the step after it."""

@@ -61,6 +61,11 @@ class EventSchedule:
         for push, forces in self._varying:
             push.force[:], push.torque[:] = forces[k]
 
+    @property
+    def next(self) -> float:
+        """The next row at which `before` changes anything; infinite for none."""
+        return 0 if self._varying else self._due.next
+
     def after(self, k: int) -> None:
         """Writes the poses of carried objects into row k of the log."""
         for name, (robot, grasp) in self._carried.items():

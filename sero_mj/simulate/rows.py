@@ -96,9 +96,9 @@ class OneRow:
         self.is_ahead = False
         self.look_ahead()
 
-    def is_touching(self, row: RowIndex) -> bool:
-        """Whether there were contacts in the last step."""
-        return bool(self.data.ncon)
+    def touching(self) -> Sequence[RowIndex]:
+        """The rows in which there were contacts in the last step."""
+        return self.indices if self.data.ncon else ()
 
     def read_inner_forces(self, couplings: Ints, dofs_with_friction: Ints, out: Array) -> None:
         """Writes the forces of couplings, then of Coulomb friction, that acted in the step.
@@ -237,9 +237,9 @@ class ManyRows:
         self.batch.set_models([*self._models.values()])
         self.look_ahead([row])
 
-    def is_touching(self, row: RowIndex) -> bool:
-        """Whether a row had contacts in the last step."""
-        return bool(self._contacts[row])
+    def touching(self) -> Sequence[RowIndex]:
+        """The rows in which there were contacts in the last step."""
+        return self._contacts.nonzero()[0].tolist() if self._contacts.any() else ()
 
     def read_inner_forces(self, couplings: Ints, dofs_with_friction: Ints, out: Array) -> None:
         """See `OneRow`; out is (m, k)."""

@@ -1,7 +1,8 @@
 """`RunBatch`: runs of equal robots that are simulated together; a run by itself is a batch of one.
 
-In every step MuJoCo, drives, sensors and the log are asked once for all runs, controllers and
-events run by run. A run in a batch is the same as one by itself, to rounding.
+In every step MuJoCo, drives, sensors, the log, and controllers and observers of a kind that has a
+form for many are asked once for all runs; others run by run, and events when they are due. A run in
+a batch is the same as one by itself, to rounding.
 """
 
 from __future__ import annotations
@@ -20,14 +21,15 @@ from ..robots.declared.joint_speeds import joint_speeds
 from ..robots.declared.robot import SerialRobot
 from ..robots.declared.scene import Scene
 from .control.compiler import Compiler, fingerprint
+from .control.observer import MomentumObserver
 from .control.robot_model import RobotModel
 from .control.whole_body import WholeBody
-from .controlled_robot import ControlledRobot, RobotControl, join
+from .controlled_robot import ControlledRobot, RobotControl, join, join_observers, observe
 from .drives import Drives
 from .plant import Plant
 from .plant_rows import PlantRow, PlantRows
 from .rows import ManyRows, OneRow
-from .runs.run_log import ACTUAL, DRIVEN, MEASURED, RunLayout
+from .runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, RunLayout
 from .scenario import Scenario
 from .sensors import Sensors
 
@@ -44,11 +46,20 @@ class BatchedRun(Protocol):
     controlled: list[ControlledRobot]
     times: Array
     step: int
+    observed_every: int
     error: SimulationError | None
 
     @property
-    def time(self) -> float:
-        """Until when it has been simulated, s."""
+    def prepares(self) -> bool:
+        """Whether `prepare` has to be called for every row of the log."""
+
+    @property
+    def wakes(self) -> float:
+        """Else the next row for which it has to be; infinite for none."""
+
+    @property
+    def finishes(self) -> bool:
+        """Whether `finish` has to be called for every row of the log."""
 
     def robot_model(self, robot: SerialRobot) -> RobotModel:
         """A new model of a robot for its controller."""
@@ -59,8 +70,14 @@ class BatchedRun(Protocol):
     def prepare(self, k: int) -> None:
         """Applies controllers and events for the step after row k of the log."""
 
+    def write_contacts(self, k: int) -> None:
+        """Writes the forces of the contacts that there are into row k of the log."""
+
     def finish(self, k: int) -> None:
         """Completes the step before row k of the log."""
+
+    def observe(self, k: int) -> None:
+        """Estimates the external torques of row k and those after it."""
 
 
 def batch_key(scenario: Scenario) -> object:
@@ -168,31 +185,41 @@ class RunBatch:
         log: Array = np.zeros((len(self.plant.rows.indices), steps + 1, width))
         # Views (T, m, signals, n): those of all robots lie in a row.
         by_time = log.swapaxes(0, 1) if self.plant.rows.shape else log[0]
-        self._measured, self._actual, self._driven = (
+        self._measured, self._actual, self._driven, self._estimated = (
             by_time[..., runs[0].layout.block(signals)].reshape(
                 *by_time.shape[:-1], len(signals), -1
             )
-            for signals in (MEASURED, ACTUAL, DRIVEN)
+            for signals in (MEASURED, ACTUAL, DRIVEN, ESTIMATED)
         )
         self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
         self._driven[0, ..., 0, :] = self.plant.actual[..., 2, :]  # what holds it at rest
         for run in runs:
             row = run.plant.index
             run.open_log(log[0 if row is ... else row, :, : run.layout.width])
-        self._joined = self._join({run.plant.index: run for run in runs})
+        self._join({run.plant.index: run for run in runs})
 
-    def _join(self, runs: dict[RowIndex, BatchedRun]) -> list[RobotControl]:
-        """Joins the controllers of robots in all rows where their kind supports it."""
+    def _join(self, runs: dict[RowIndex, BatchedRun]) -> None:
+        """Joins controllers, where their kind supports it, and observers of robots in all rows."""
         plant, rows = self.plant, self.plant.rows
+        self._joined: list[RobotControl] = []
+        self._observers: list[tuple[slice, MomentumObserver]] = []
         # What mounted robots know of each other is asked for row by row.
         if isinstance(rows, OneRow) or WholeBody.is_needed(plant.world):
-            return []
+            return
         first = next(iter(runs.values()))  # stands in for runs that could not be made
-        found = []
+        self._observed_every = first.observed_every
+        at_once = (
+            len({(run.observed_every, run.layout.block(ESTIMATED).start) for run in runs.values()})
+            == 1
+        )
         for number, robot in enumerate(first.controlled):
             each = [runs.get(index, first).controlled[number] for index in rows.indices]
-            found.append(join(each, plant, self.drive, first.robot_model(robot.robot)))
-        return [one for one in found if one is not None]
+            one = join(each, plant, self.drive, first.robot_model(robot.robot))
+            if one is not None:
+                self._joined.append(one)
+            if at_once:
+                observer = join_observers(each, first.robot_model(robot.robot))
+                self._observers.append((robot.joints, observer))
 
     def advance(self, to_step: int) -> None:
         """Simulates all active runs up to a step, see `Simulation.advance`.
@@ -208,9 +235,13 @@ class RunBatch:
         if isinstance(rows, ManyRows):
             indices = {run.plant.index for run in going}
             rows.begin(np.array([index in indices for index in rows.indices]))
+        self._finished = first - 1  # the last row of the log that is complete
+        self._sort(going)
         try:
             self._make_steps(going, first, to_step + 1)
         finally:
+            for run in going:
+                run.step = self._finished
             written = self._driven[first : to_step + 1]
             written[..., 1, :] = written[..., 0, :] != written[..., 1, :]  # saturated, or not
 
@@ -223,11 +254,7 @@ class RunBatch:
         for k in range(first, stop):
             if not going:
                 return
-            for run in going[:]:
-                try:
-                    run.prepare(k - 1)
-                except SimulationError as error:
-                    self._end(going, run, error)
+            self._prepare(going, k - 1)
             if joined and going:
                 time = float(going[0].times[k - 1])
                 for control in joined:
@@ -242,13 +269,57 @@ class RunBatch:
             if plant.failed:
                 self._end_failed(going)
             measured[k], actual[k], driven[k] = plant.measured, plant.actual, self.drive
-            for run in going:
-                run.finish(k)
+            self._finish(k)
             speeds = actual[k, ..., 1, :]
             if np.vdot(speeds, speeds) > slow or (
                 motor_speeds is not None and np.vdot(motor_speeds, motor_speeds) > slow
             ):
                 self._stop_runaways(going, speeds)
+
+    def _sort(self, going: list[BatchedRun]) -> None:
+        """Finds what each run is to be asked for: a call for all of them costs as much as a step.
+
+        Runs that have ended stay in these lists.
+        """
+        self._by_row = {run.plant.index: run for run in going}
+        self._busy = [run for run in going if run.prepares]
+        self._resting = [run for run in going if not run.prepares]
+        self._wakes: float = 0  # the next row for which one of those has something to do
+        self._finishing = [run for run in going if run.finishes]
+        self._observing = [] if self._observers else going[:]
+
+    def _prepare(self, going: list[BatchedRun], k: int) -> None:
+        """Applies controllers and events of those runs that have any for the step after row k."""
+        asked = self._busy
+        if is_waking := k >= self._wakes:
+            asked = asked + [run for run in self._resting if run.wakes <= k]
+        for run in asked:
+            if run.error is None:
+                try:
+                    run.prepare(k)
+                except SimulationError as error:
+                    self._end(going, run, error)
+        if is_waking:
+            self._wakes = min((run.wakes for run in self._resting), default=np.inf)
+
+    def _finish(self, k: int) -> None:
+        """Completes row k of the log, where measured, actual and driven torques are already."""
+        for row in self.plant.rows.touching():
+            touching = self._by_row.get(row)
+            if touching is not None and touching.error is None:
+                touching.write_contacts(k)
+        for run in self._finishing:
+            if run.error is None:
+                run.finish(k)
+        for run in self._observing:
+            if k % run.observed_every == 0 and run.error is None:
+                run.observe(k)
+        if self._observers and k % self._observed_every == 0:
+            begin = k - self._observed_every + 1
+            for joints, observer in self._observers:
+                estimate = observe(observer, self._measured[begin : k + 1, ..., joints])
+                self._estimated[k : k + self._observed_every, ..., 0, joints] = estimate
+        self._finished = k
 
     def _end(self, going: list[BatchedRun], run: BatchedRun, error: SimulationError) -> None:
         if self._raises:
@@ -257,7 +328,7 @@ class RunBatch:
             self.plant.rows.drop(run.plant.index)
         self.drive[run.plant.index] = 0.0
         going.remove(run)
-        run.error = error
+        run.error, run.step = error, self._finished
 
     def _end_not_finite(self, going: list[BatchedRun]) -> None:
         """Ends the runs whose controllers ask for torques that are not finite."""
@@ -289,7 +360,8 @@ class RunBatch:
         for run in going[:]:
             own = speeds[run.plant.index]
             if (own > self._fastest).any():
-                self._end(going, run, self._runaway_error(run.time, own))
+                time = float(run.times[self._finished])
+                self._end(going, run, self._runaway_error(time, own))
 
     def _runaway_error(self, time: float, speeds: Array) -> SimulationError:
         joints = [(robot, j) for robot in self.robots.values() for j in range(robot.n)]

@@ -57,6 +57,7 @@ class Simulation:
         times: (steps + 1,), of the rows, s.
         controlled: the robots with their controllers, in the order of `robots`.
         step: how many steps have been made.
+        observed_every: steps between two estimates of the external torques.
         error: what has ended it, of one that is simulated `together` with others; else None.
         whole_body: what the controllers of mounted robots know of each other; None where none is.
         hand: pulls them by hand; None without.
@@ -105,7 +106,7 @@ class Simulation:
         world, run = self.plant.world, scenario.run
         self.whole_body = WholeBody(world) if WholeBody.is_needed(world) else None
         every = min(OBSERVED_EVERY, 0.5 / run.observer_gain)
-        self._observed_every = max(round(every / run.timestep), 1)
+        self.observed_every = max(round(every / run.timestep), 1)
         self._contacts = None
         if scenario.has_surroundings:
             self._contacts = Contacts(world, self.plant.model)
@@ -229,7 +230,7 @@ class Simulation:
                     self.robot_model,
                     self._plans[name],
                     self._batch.drive[row],
-                    self._observed_every,
+                    self.observed_every,
                 ),
             ).values()
         )
@@ -400,6 +401,22 @@ class Simulation:
             if close is not None:
                 close()
 
+    @property
+    def prepares(self) -> bool:
+        """Whether `prepare` has to be called for every row of the log."""
+        acts = self.drag_force or self.live or self.whole_body
+        return acts is not None or not all(robot.is_joined for robot in self.controlled)
+
+    @property
+    def wakes(self) -> float:
+        """Else the next row for which it has to be; infinite for none."""
+        return self._schedule.next
+
+    @property
+    def finishes(self) -> bool:
+        """Whether `finish` has to be called for every row of the log."""
+        return bool(self._free or self._after or self._logged)
+
     def prepare(self, k: int) -> None:
         """Applies controllers and events for the step after row k of the log."""
         for act in self._before:
@@ -411,26 +428,21 @@ class Simulation:
                 robot.command(k, float(self.times[k]))
 
     def finish(self, k: int) -> None:
-        """Writes row k of the log, except for the columns that the batch writes.
+        """Writes row k of the log, except for the columns that have methods of their own.
 
         Args:
             k: the row, in which measured, actual and driven torques are.
         """
         if self._free:
             self._write_free(k)
-        if self._contacts is not None and self.plant.rows.is_touching(self.plant.index):
-            self._write_contacts(k, self._contacts.update(self.plant.model, self.plant.data))
         for act in self._after:
             act(k)
         if self._logged:
             self._write_logged(k)
-        if k % self._observed_every == 0:
-            self._observe(k)
-        self.step = k
 
-    def _observe(self, k: int) -> None:
+    def observe(self, k: int) -> None:
         """Estimates the external torques of row k and those after it."""
-        every, measured = self._observed_every, self._measured
+        every, measured = self.observed_every, self._measured
         if self.whole_body is not None:
             self.whole_body.update(measured[k, 0], self.plant.qpos)
         for robot in self.controlled:
@@ -446,7 +458,7 @@ class Simulation:
         Returns:
             how many were forgotten.
         """
-        dropped = max(self.step + 1 - keep, 0) // self._observed_every * self._observed_every
+        dropped = max(self.step + 1 - keep, 0) // self.observed_every * self.observed_every
         if not dropped:
             return 0
         kept, timestep = self.step + 1 - dropped, self.scenario.run.timestep
@@ -509,8 +521,14 @@ class Simulation:
             if wanted is not None and name in self.layout.targets:
                 self.rows[k, self.layout.columns[event_of(name, "target_angles")]] = wanted
 
-    def _write_contacts(self, k: int, forces: Array) -> None:
-        columns = self.layout.columns
+    def write_contacts(self, k: int) -> None:
+        """Writes the forces of the contacts that there are into row k."""
+        if self._contacts is None:
+            return
+        columns, forces = (
+            self.layout.columns,
+            self._contacts.update(self.plant.model, self.plant.data),
+        )
         for name, force in zip(self.robots, forces, strict=True):
             self.rows[k, columns[event_of(name, "contact_force")]] = force
 

@@ -62,6 +62,11 @@ class ModelRows:
             model.write_task_space(*row)
             position[...], rotation[...] = model.flange_position, model.flange_rotation
 
+    def write_momentum(self, momentum: Array, slope: Array) -> None:
+        """See `RobotModel`; (m, n) each."""
+        for model, *row in zip(self._each(), momentum, slope, strict=True):
+            model.write_momentum(*row)
+
     def _each(self, which: Iterable[int] | None = None) -> Iterator[RobotModel]:
         """The model, moved to where each of some of the robots, or of all, is."""
         for row in range(self.rows[0]) if which is None else which:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Self
+
 import numpy as np
 
 from ...base.errors import Problem
 from ...base.frames import Array
 from .controller import Sensed
+from .model_rows import ModelRows
 from .robot_model import RobotModel
 
 
@@ -31,8 +35,9 @@ class MomentumObserver:
     step. r is solved for at the end of the step, so every gain is stable.
 
     Args:
-        model: for itself, or shared with a controller that updates it.
-        gain: k, 1/s, one number or (n,); its inverse is the time constant.
+        model: for itself, or shared with a controller that updates it; of many equal robots, which
+            are then the first axis of all.
+        gain: k, 1/s, one number or (n,), or (m, n); its inverse is the time constant.
         timestep: s between two calls.
         motor_side: whether torques are those of the motors.
 
@@ -45,16 +50,16 @@ class MomentumObserver:
 
     def __init__(
         self,
-        model: RobotModel,
+        model: RobotModel | ModelRows,
         gain: float | Array,
         timestep: float,
         *,
         motor_side: bool = False,
     ) -> None:
-        n = model.n
+        shape = (*model.rows, model.n)
         self.model = model
-        gains: Array = np.array(np.broadcast_to(gain, n), float)
-        for name, value in zip(model.joint_names, gains, strict=True):
+        gains: Array = np.array(np.broadcast_to(gain, shape), float)
+        for name, value in zip(model.joint_names, np.atleast_2d(gains).min(axis=0), strict=True):
             if not value > 0.0:
                 raise Problem(
                     "",
@@ -62,12 +67,28 @@ class MomentumObserver:
                     found=value,
                     expected="a positive one, 1/s",
                 ).error()
-        self.external: Array = np.zeros(n)
-        self._timestep = timestep
+        self.external: Array = np.zeros(shape)
+        self._timestep, self._gains = timestep, gains
         self._scale: Array = gains / (1.0 + gains * timestep)
         self._motors: Array | None = model.motor_inertia.copy() if motor_side else None
-        self._sum: Array = np.zeros(n)
-        self._before: Array | None = None  # C^T dq - g of the last step
+        self._sum, self._momentum, self._own, self._before = np.zeros((4, *shape))
+        self._has_begun = False  # whether `_before` has C^T dq - g of the last step
+
+    @classmethod
+    def joined(cls, each: Sequence[Self], model: ModelRows) -> Self:
+        """One for all rows that is the same as these, of one timestep, and goes on as they would.
+
+        Args:
+            each: of the rows; none of them has begun, or all have.
+            model: of all of them.
+        """
+        first = each[0]
+        gains = np.array([one._gains for one in each])
+        made = cls(model, gains, first._timestep, motor_side=first._motors is not None)
+        made._has_begun = first._has_begun
+        for key in ("external", "_sum", "_before"):
+            getattr(made, key)[:] = [getattr(one, key) for one in each]
+        return made
 
     def update(self, sensed: Sensed) -> Array:
         """Takes one step and returns `external`.
@@ -85,16 +106,15 @@ class MomentumObserver:
             velocities: (n,), those that the model was updated with.
             torques: (n,), Nm or N, of the step that led there.
         """
-        model = self.model
-        momentum = model.link_momentum()
+        momentum, own = self._momentum, self._own
+        self.model.write_momentum(momentum, own)
         if self._motors is not None:
-            momentum = momentum + self._motors * velocities
-        own: Array = model.transposed_coriolis() - model.gravity()
-        if self._before is None:
-            self._sum[:] = momentum
+            momentum += self._motors * velocities
+        if not self._has_begun:
+            self._sum[:], self._has_begun = momentum, True
         else:
             self._sum += ((own + self._before) * 0.5 + torques) * self._timestep
             self.external[:] = (momentum - self._sum) * self._scale
             self._sum += self.external * self._timestep
-        self._before = own
+        self._own, self._before = self._before, own
         return self.external

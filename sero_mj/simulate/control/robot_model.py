@@ -298,6 +298,16 @@ class RobotModel:
         mj_rne(self._weightless, self._swapped, 0, self._momentum)
         return self._momentum
 
+    def write_momentum(self, momentum: Array, slope: Array) -> None:
+        """Writes what a momentum observer takes.
+
+        Args:
+            momentum: M_link(q) dq, (n,), to be written.
+            slope: C(q, dq)^T dq - g(q), (n,), likewise: how it changes without any torques.
+        """
+        momentum[...] = self.link_momentum()
+        np.subtract(self.transposed_coriolis(), self.gravity(), slope)
+
     def mass(self) -> Array:
         """M(q), (n, n), kg m2 (kg), with the motors' inertia on its diagonal."""
         if not self._has_mass:
