@@ -108,6 +108,7 @@ class ControlledRobot(RobotControl):
         plant: that it is in.
         drives: between its controller and the plant; None where there are none.
         make_model: of what its controller knows of it; not kept.
+        observer_model: the same for its observer; it is moved before it is asked.
         plan: its target at every step.
         drive: see `RobotControl`.
         observed_every: steps between two estimates of the external torques.
@@ -127,6 +128,7 @@ class ControlledRobot(RobotControl):
         plant: PlantRow,
         drives: Drives | None,
         make_model: Callable[[SerialRobot], RobotModel],
+        observer_model: RobotModel,
         plan: Plan,
         drive: Array,
         observed_every: int,
@@ -145,7 +147,7 @@ class ControlledRobot(RobotControl):
         if plan.moves:
             self.moving = [(planned, plan.rows)]
         self._observer = MomentumObserver(
-            make_model(robot),
+            observer_model,
             scenario.run.observer_gain,
             self._timestep * observed_every,
         )

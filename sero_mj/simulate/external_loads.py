@@ -130,8 +130,11 @@ class PushRows:
         arms = (points - self._centers[of, self._roots])[:, None]
         motions = self._motions[of]
         axes, lines = motions[..., :3], motions[..., 3:]
-        # Columns of the Jacobian of the point: v + w x r.
-        lines += axes[..., _NEXT] * arms[..., _LAST] - axes[..., _LAST] * arms[..., _NEXT]
+        # Columns of the Jacobian of the point: v + w x r. `np.cross` takes twice as long.
+        (x, y, z), (rx, ry, rz) = np.moveaxis(axes, -1, 0), np.moveaxis(arms, -1, 0)
+        lines[..., 0] += y * rz - z * ry
+        lines[..., 1] += z * rx - x * rz
+        lines[..., 2] += x * ry - y * rx
         lines *= forces[:, None, 0]
         found = np.add.reduce(lines, axis=-1)
         axes *= forces[:, None, 1]
@@ -141,9 +144,6 @@ class PushRows:
             torques[of] = found
         else:
             np.add.at(torques, of, found)
-
-
-_NEXT, _LAST = [1, 2, 0], [2, 0, 1]  # axes behind and before x, y, z, of a cross product
 
 
 def _moving(model: mujoco.MjModel, body: int) -> Bools:

@@ -109,6 +109,7 @@ class RunBatch:
         drive: (m, 2, n), torques, Nm or N: commanded, and asked for before the limits; without the
             axis of the runs where there is one, as all that follows.
         gains: (m, n), factors of the commanded torques, after the limits: those of faulty drives.
+        observer_models: what the observers of all runs know of a robot, by its name.
     """
 
     def __init__(
@@ -142,6 +143,7 @@ class RunBatch:
         shape = self.plant.rows.shape
         self.drive: Array = np.zeros((*shape, 2, self.plant.n))
         self.gains: Array = np.ones((*shape, self.plant.n))
+        self.observer_models: dict[str, RobotModel] = {}
         self._runs: list[ref[BatchedRun]] = []  # a run that nobody has any more is not simulated
         self._limit_speeds(run.runaway_speed)
 
@@ -218,7 +220,7 @@ class RunBatch:
             if one is not None:
                 self._joined.append(one)
             if at_once:
-                observer = join_observers(each, first.robot_model(robot.robot))
+                observer = join_observers(each, self.observer_models[robot.robot.name])
                 self._observers.append((robot.joints, observer))
 
     def advance(self, to_step: int) -> None:

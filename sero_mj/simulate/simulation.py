@@ -228,6 +228,7 @@ class Simulation:
                     self.plant,
                     self.drives,
                     self.robot_model,
+                    self._observer_model(standing[name]),
                     self._plans[name],
                     self._batch.drive[row],
                     self.observed_every,
@@ -306,6 +307,18 @@ class Simulation:
         if self.whole_body is not None:
             model.follow(self.whole_body.mounting(robot.name), robot.base_frame)
         return model
+
+    def _observer_model(self, robot: SerialRobot) -> RobotModel:
+        """What its observer knows of a robot; runs of a batch share it, as it takes long to make.
+
+        What mounted robots know of each other is of one run.
+        """
+        if self.whole_body is not None:
+            return self.robot_model(robot)
+        shared = self._batch.observer_models
+        if robot.name not in shared:
+            shared[robot.name] = self.robot_model(robot)
+        return shared[robot.name]
 
     def _make_layout(self, plans: dict[str, Plan]) -> RunLayout:
         events = self._schedule.log_events()

@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...base.frames import MIRROR, Array, Bools, Ints, rotation_about
+from ...base.frames import MIRROR, Array, Bools, Ints
 from .joint_tree import JointTree
 
 Convention = Literal["craig", "standard"]
@@ -104,15 +104,17 @@ class DhTable(JointTree):
         theta = self.theta + np.where(self.revolute, q, 0.0)
         d = self.d + np.where(self.revolute, 0.0, q)
         ca, sa = np.cos(self.alpha), np.sin(self.alpha)
-        rot_x, rot_z = rotation_about(0, self.alpha), rotation_about(2, theta)
+        c, s = np.cos(theta), np.sin(theta)
         T = np.zeros((*q.shape, 4, 4))
         T[..., 3, 3] = 1.0
         if self.convention == "craig":
-            T[..., :3, :3] = rot_x @ rot_z
+            T[..., 0, 0], T[..., 0, 1] = c, -s
+            T[..., 1, 0], T[..., 1, 1], T[..., 1, 2] = ca * s, ca * c, -sa
+            T[..., 2, 0], T[..., 2, 1], T[..., 2, 2] = sa * s, sa * c, ca
             T[..., 0, 3], T[..., 1, 3], T[..., 2, 3] = self.a, -sa * d, ca * d
         else:
-            T[..., :3, :3] = rot_z @ rot_x
-            T[..., 0, 3] = self.a * np.cos(theta)
-            T[..., 1, 3] = self.a * np.sin(theta)
-            T[..., 2, 3] = d
+            T[..., 0, 0], T[..., 0, 1], T[..., 0, 2] = c, -s * ca, s * sa
+            T[..., 1, 0], T[..., 1, 1], T[..., 1, 2] = s, c * ca, -c * sa
+            T[..., 2, 1], T[..., 2, 2] = sa, ca
+            T[..., 0, 3], T[..., 1, 3], T[..., 2, 3] = self.a * c, self.a * s, d
         return T

@@ -91,12 +91,6 @@ class RobotModel:
         self.velocity_limits: Array = np.full(n, np.inf)
         self._model = skeleton(model, ids, site, body)
         self._data = mujoco.MjData(self._model)
-        # mj_rne reads velocities from cvel and cdof_dot. They stay zero in `_data`, so there it
-        # gives gravity alone; in the others gravity is zero.
-        self._weightless = copy.copy(self._model)
-        self._weightless.opt.gravity[:] = 0.0
-        self._moving = mujoco.MjData(self._weightless)
-        self._swapped = mujoco.MjData(self._weightless)
         mj_fwdKinematics(self._model, self._data)
         self._take_views()
 
@@ -104,8 +98,6 @@ class RobotModel:
         """Views into MuJoCo's arrays: to look one up costs as much as to compute with it."""
         n, data = self.n, self._data
         self._qpos: Array = data.qpos
-        self._qvel: Array = self._moving.qvel
-        self._qacc: Array = self._moving.qacc
         self._gravity, self._coriolis, self._transposed, self._momentum = np.zeros((4, n))
         self._velocities: Array = np.zeros(n)
         self._mass: Array = np.zeros((n, n))
@@ -114,17 +106,31 @@ class RobotModel:
         self._linear, self._angular = self._jacobian[:3], self._jacobian[3:]
         self.flange_position: Array = data.site_xpos[0]
         self.flange_rotation: Array = data.site_xmat[0].reshape(3, 3)
-        moving, swapped = self._moving, self._swapped
         self._cinert, self._cdof = data.cinert, data.cdof
-        self._moving_cinert, self._moving_cdof = moving.cinert, moving.cdof
-        self._moving_cdof_dot = moving.cdof_dot
-        self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
-        self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
+        self._can_move = False
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
         self._mounting: Mounting | None = None
         self._base: Array | None = None  # T_world_base, where it is known and does not move
         self._loads: list[tuple[Array, Array, Array]] = []
         self._of_base: list[tuple[Array, Array, Array, Array]] = []
+
+    def _make_moving(self) -> None:
+        """Makes the data of robots that move; not before, as it takes as long as 500 steps.
+
+        mj_rne reads velocities from cvel and cdof_dot. They stay zero in `_data`, so there it gives
+        gravity alone; in the others gravity is zero.
+        """
+        self._weightless = copy.copy(self._model)
+        self._weightless.opt.gravity[:] = 0.0
+        self._moving = moving = mujoco.MjData(self._weightless)
+        self._swapped = swapped = mujoco.MjData(self._weightless)
+        self._qvel: Array = moving.qvel
+        self._qacc: Array = moving.qacc
+        self._moving_cinert, self._moving_cdof = moving.cinert, moving.cdof
+        self._moving_cdof_dot = moving.cdof_dot
+        self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
+        self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
+        self._can_move = True
 
     @property
     def skeleton(self) -> mujoco.MjModel:
@@ -265,6 +271,8 @@ class RobotModel:
         """
         # C(q, dq) v is linear in both and the same when they change places, so with c(x) =
         # C(q, x) x it is c((dq + v) / 2) - c((dq - v) / 2): two passes of Newton and Euler.
+        if not self._can_move:
+            self._make_moving()
         qvel = self._qvel
         self._moving_cinert[...], self._moving_cdof[...] = self._cinert, self._cdof
         self._qacc[...] = accelerations
@@ -377,6 +385,8 @@ class RobotModel:
 
     def _move(self) -> None:
         if not self._is_moving:
+            if not self._can_move:
+                self._make_moving()
             self._moving_cinert[...], self._moving_cdof[...] = self._cinert, self._cdof
             self._qvel[...] = self._velocities
             mj_comVel(self._weightless, self._moving)
