@@ -43,6 +43,7 @@ _NAMES_AND_VALUES = re.compile(
     r"(?P<ends>=|(?(header)\]\]?[ \t]*+(?=[\n#]|\Z)|=))?",
     re.DOTALL | re.MULTILINE,
 )
+_MAX_KEPT = 100_000  # characters of a text whose tables are kept for when it is read again
 _MAX_ROWS = 300  # of an array whose entries are told apart; looking takes the square of it
 
 
@@ -80,11 +81,29 @@ def parse_toml(text: str) -> dict[str, Any]:
     Raises:
         ValueError: it is invalid, or too large or deeply nested for the memory; says where.
     """
+    if len(text) > _MAX_KEPT:
+        return _parse(text)
+    return {key: _copied(value) for key, value in _parse_and_keep(text).items()}
+
+
+def _parse(text: str) -> dict[str, Any]:
     _check_counts(text)
     try:
         return tomllib.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
+
+
+# Each variant of a sweep reads the same files: to copy the tables takes a tenth of parsing.
+_parse_and_keep = lru_cache(8)(_parse)
+
+
+def _copied(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _copied(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_copied(each) for each in value]
+    return value
 
 
 def _check_counts(text: str) -> None:

@@ -268,6 +268,11 @@ def observe(observer: MomentumObserver, measured: Array) -> Array:
     return observer.update_with(velocities, mean)
 
 
+def _are_same(moving: Sequence[tuple[Array, Array]]) -> bool:
+    """Whether all rows get the same at every step."""
+    return all(rows is moving[0][1] for _, rows in moving)
+
+
 def join_observers(each: Sequence[ControlledRobot], model: RobotModel) -> MomentumObserver:
     """One observer for a robot in all rows of a plant.
 
@@ -312,9 +317,13 @@ def join(
     if first._joint_stiffness is not None:
         home = np.tile(first.robot.home, (len(each), 1))
         made.hanging = _hanging(first._joint_stiffness, controller, models, home)
-    for one, planned in zip(each, made.target.planned, strict=True):
-        planned[...] = one.target.planned
-        made.moving += [(planned[: rows.shape[1]], rows) for _, rows in one.moving]
+    planned = made.target.planned
+    for one, own in zip(each, planned, strict=True):
+        own[...] = one.target.planned
+        made.moving += [(own[: rows.shape[1]], rows) for _, rows in one.moving]
         one.is_joined = True
+    if made.moving and len(made.moving) == len(each) and _are_same(made.moving):
+        _, rows = made.moving[0]
+        made.moving = [(planned[:, : rows.shape[1]], rows)]
     made.sense()
     return made

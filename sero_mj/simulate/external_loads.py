@@ -91,9 +91,8 @@ class PushRows:
         model = rows.model
         self._rows, self._pushes = rows, [push for _, push in pushes]
         self._of: Ints = np.array([row for row, _ in pushes], np.intp)
-        self._pushed_rows = np.unique(self._of)
         # Of a row with one push there is nothing to sum up.
-        self._is_single = len(self._pushed_rows) == len(pushes)
+        self._is_single = len(np.unique(self._of)) == len(pushes)
         bodies = [push.body for push in self._pushes]
         self._sites: Ints = np.array([push.site for push in self._pushes], np.intp)
         self._roots: Ints = model.body_rootid[bodies].astype(np.intp)
@@ -116,7 +115,7 @@ class PushRows:
             torques: (m, nv), Nm or N: zeros.
         """
         rows, of, sites = self._rows, self._of, self._sites
-        rows.look_ahead(self._pushed_rows)
+        rows.look_ahead()
         forces = np.array([(push.force, push.torque) for push in self._pushes])
         points = self._places[of, sites]
         if self._turns is not None:

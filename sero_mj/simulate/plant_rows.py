@@ -340,10 +340,8 @@ class PlantRow:
 
     def flange(self, robot: str) -> Array:
         """T_world_flange now, (4, 4), m: the true one, in an array of its own."""
-        self.rows.look_ahead([self.index])
-        frame, body, data = np.eye(4), self._part(robot).flange_body, self.data
-        frame[:3, :3] = data.xmat[body].reshape(3, 3)
-        frame[:3, 3] = data.xpos[body]
+        frame = np.eye(4)
+        frame[:3, 3], frame[:3, :3] = self.rows.pose_of(self.index, self._part(robot).flange_body)
         return frame
 
     def _part(self, robot: str) -> RobotPart:

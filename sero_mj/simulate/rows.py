@@ -65,11 +65,16 @@ class OneRow:
         warned = self._warned
         return not (warned[_ACCELERATION] or warned[_SPEED] or warned[_POSITION])
 
-    def look_ahead(self, rows: Sequence[RowIndex] = (...,)) -> None:
+    def look_ahead(self) -> None:
         """Computes kinematics and bias torques of the state, if not done yet."""
         if not self.is_ahead:
             mj_step1(self.model, self.data)
             self.is_ahead = True
+
+    def pose_of(self, row: RowIndex, body: int) -> tuple[Array, Array]:
+        """Position (3,), m, and rotation (3, 3) of a body now."""
+        self.look_ahead()
+        return self.data.xpos[body], self.data.xmat[body].reshape(3, 3)
 
     def data_of(self, row: RowIndex) -> mujoco.MjData:
         """`data`."""
@@ -146,6 +151,7 @@ class ManyRows:
         self._constrained: Array = self.batch.bind("qfrc_constraint")
         self._constraints, self._frictions = self.batch.bind("nefc"), self.batch.bind("nf")
         self._contacts = self.batch.bind("ncon")
+        self._bound: dict[str, Array] = {}
         self._warnings = self.batch.warning
         self._models: dict[RowIndex, mujoco.MjModel] = dict.fromkeys(range(m), model)
         self.data, self._scratch = mujoco.MjData(model), mujoco.MjData(model)
@@ -162,7 +168,7 @@ class ManyRows:
         """
         mujoco.mj_getState(model, data, self.batch.state[k], _STATE)
         if self._models[k] is self.model:
-            self.look_ahead([k])
+            self.batch.forward([k], stage=_VELOCITY)
             return False
         self._models[k] = self.model
         self.refresh(k)
@@ -171,14 +177,17 @@ class ManyRows:
     def begin(self, which: Bools) -> None:
         """Selects the rows of the next steps, (m,)."""
         self._choose(which)
+        self.is_ahead = False
         self._before: Array = self.batch.state.copy()
         self._broken_at: dict[RowIndex, tuple[float, Array]] = {}
         self.unstable[:] = False
 
     def bind(self, field: str) -> Array:
         """An array of `MjData` of all rows, (m, ...), as `step` and `look_ahead` leave it."""
-        found: Array = self.batch.bind(field)
-        return found
+        if field not in self._bound:
+            self._bound[field] = self.batch.bind(field)
+            self.is_ahead = False  # it is not written before the next call
+        return self._bound[field]
 
     def drop(self, k: RowIndex) -> None:
         """Excludes row k from further steps until the next `begin`."""
@@ -193,6 +202,7 @@ class ManyRows:
     def step(self) -> bool:
         """Simulates a step of the selected rows; returns whether their motion is stable."""
         self.batch.step(self._ids, stage=self._stage)
+        self.is_ahead = self._stage == _VELOCITY
         if not self._warnings.any():
             return True
         broken = self._warnings[:, _UNSTABLE].any(axis=(1, 2))
@@ -205,10 +215,20 @@ class ManyRows:
         self._choose(self._which & ~broken)
         return not broken.any()
 
-    def look_ahead(self, rows: Sequence[RowIndex] | Ints = ()) -> None:
-        """Computes kinematics and bias torques of rows, unless `step` has done so for all."""
-        if len(rows):
-            self.batch.forward(rows, stage=_VELOCITY)
+    def look_ahead(self) -> None:
+        """Computes kinematics and bias torques of the selected rows, if not done yet.
+
+        All at once, whoever asks: the next step goes on from there.
+        """
+        if not self.is_ahead:
+            self.batch.forward(self._ids, stage=_VELOCITY)
+            self.is_ahead = True
+
+    def pose_of(self, row: RowIndex, body: int) -> tuple[Array, Array]:
+        """Position (3,), m, and rotation (3, 3) of a body now."""
+        positions, rotations = self.bind("xpos"), self.bind("xmat")
+        self.look_ahead()
+        return positions[row, body], rotations[row, body].reshape(3, 3)
 
     def data_of(self, row: RowIndex) -> mujoco.MjData:
         """Data of a row after its last step or `look_ahead`; valid until the next call."""
@@ -235,7 +255,7 @@ class ManyRows:
     def refresh(self, row: RowIndex) -> None:
         """Lets a row's own model, which was changed, be that of its next steps."""
         self.batch.set_models([*self._models.values()])
-        self.look_ahead([row])
+        self.batch.forward([row], stage=_VELOCITY)
 
     def touching(self) -> Sequence[RowIndex]:
         """The rows in which there were contacts in the last step."""

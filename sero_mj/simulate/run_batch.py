@@ -22,6 +22,7 @@ from ..robots.declared.robot import SerialRobot
 from ..robots.declared.scene import Scene
 from .control.compiler import Compiler, fingerprint
 from .control.observer import MomentumObserver
+from .control.plan import Plan
 from .control.robot_model import RobotModel
 from .control.whole_body import WholeBody
 from .controlled_robot import ControlledRobot, RobotControl, join, join_observers, observe
@@ -110,6 +111,7 @@ class RunBatch:
             axis of the runs where there is one, as all that follows.
         gains: (m, n), factors of the commanded torques, after the limits: those of faulty drives.
         observer_models: what the observers of all runs know of a robot, by its name.
+        plans: targets of its runs, by robot and all that they depend on.
     """
 
     def __init__(
@@ -144,6 +146,7 @@ class RunBatch:
         self.drive: Array = np.zeros((*shape, 2, self.plant.n))
         self.gains: Array = np.ones((*shape, self.plant.n))
         self.observer_models: dict[str, RobotModel] = {}
+        self.plans: dict[object, Plan] = {}
         self._runs: list[ref[BatchedRun]] = []  # a run that nobody has any more is not simulated
         self._limit_speeds(run.runaway_speed)
 

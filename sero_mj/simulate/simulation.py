@@ -13,7 +13,7 @@ from ..base.frames import Array, frame, rotation_from_quat
 from ..data.receive.structure import Structure
 from ..robots.declared.mounts import base_frames, unmounted
 from ..robots.declared.robot import SerialRobot
-from .control.compiler import Compiler
+from .control.compiler import Compiler, fingerprint
 from .control.controller import ControllerDeclaration
 from .control.plan import Plan, make_plan
 from .control.robot_model import RobotModel
@@ -166,6 +166,7 @@ class Simulation:
         assert isinstance(plant, Plant)
         plant.sensors.seed = seed
         plant.reset(joint_angles)
+        self._batch.plans.clear()
         if self.drives is not None:
             self.drives.reset()
         self._plan(joint_angles)
@@ -206,15 +207,20 @@ class Simulation:
             robot, target = standing[name], self.scenario.targets.get(name)
             if self.live is not None:  # the plan is replaced, but keeps its columns in the log
                 return make_plan(robot, None, times[:1], self.compiler, angles[name])
-            return make_plan(
-                robot,
-                target,
-                times,
-                self.compiler,
-                angles[name],
-                needs_target=getattr(controller, "needs_target", True),
-                needs_pose=getattr(controller, "needs_pose", False),
-            )
+            needs_target = getattr(controller, "needs_target", True)
+            needs_pose = getattr(controller, "needs_pose", False)
+            known, key = self._batch.plans, fingerprint([name, target, needs_target, needs_pose])
+            if key not in known:
+                known[key] = make_plan(
+                    robot,
+                    target,
+                    times,
+                    self.compiler,
+                    angles[name],
+                    needs_target=needs_target,
+                    needs_pose=needs_pose,
+                )
+            return known[key]
 
         self._plans = self._of_robots("targets", plan)
         self._schedule = EventSchedule(self.scenario, self.plant, run.steps, self._batch.gains[row])

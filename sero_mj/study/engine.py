@@ -14,6 +14,7 @@ from typing import Any, Protocol
 Variant = tuple[int, Mapping[str, Any]]  # its number and values
 Result = tuple[int, dict[str, Any]]  # its number and outcomes, by column
 
+_ENOUGH = 24  # variants that are run together; what a step costs however many is little of it then
 KILLED = "its process was killed, or ran out of memory; expected an answer"
 
 
@@ -45,7 +46,9 @@ class Work:
             left: how many are still to be run.
             workers: how many take some of them.
         """
-        return min(self.most, max(-(-left // (2 * max(workers, 1))), 1))
+        workers = max(workers, 1)
+        enough = min(-(-left // workers), _ENOUGH)
+        return min(self.most, max(-(-left // (2 * workers)), enough, 1))
 
 
 class Engine(Protocol):

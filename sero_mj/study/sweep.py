@@ -27,8 +27,8 @@ from .workers import Processes
 
 _TRIED = 20  # variants that are read in advance: if none is valid, a key is wrong
 MAX_VARIANTS = 200_000  # their values and results are kept in memory, not their logs
-# Variants that are run together, and steps and joints of theirs: 100 MB of logs.
-_BATCH, _BATCH_STEPS = 32, 1_000_000
+# Variants that are run together, and steps and joints of theirs: 250 MB of logs.
+_BATCH, _BATCH_STEPS = 64, 2_500_000
 _SCALES = ("log", "int")
 _WHOLE = ("run.seed",)  # keys that take whole numbers only
 _EXAMPLE = "expected KEY=LOW:HIGH, log:LOW:HIGH, int:LOW:HIGH or a list A,B,C"
