@@ -1,15 +1,17 @@
 """Measures environments: one against a bare `mj_step` loop, many against one; and sweeps likewise.
 
-    .venv/bin/python benchmarks/many.py
+    .venv/bin/python benchmarks/many.py [environments] [sweeps]
 
 The bare loop steps the same model as often as the environment does for one action. Many are
 stepped together, and one by itself, for a whole episode with its beginning. Variants of a sweep are
-run one by one, and as many together as `sero-mj sweep` does. Rows are of one run, the fastest of
-several, so that a busy machine disturbs little.
+run one by one in a kept process, and as many together as `sero-mj sweep` does, in new processes.
+Rows are of one run, the fastest of several, so that a busy machine disturbs little; of one process
+also by its own time, of which MuJoCo's steps are what no sweep can be faster than.
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 
@@ -20,11 +22,14 @@ choose_backend()
 import gymnasium
 import mujoco
 import numpy as np
+from mujoco.batch import Batch
 from rich.console import Console
 from rich.table import Table
 
 from sero_mj import make_environment
 from sero_mj.base.paths import find_scenario
+from sero_mj.simulate.scenario_file import read_scenario
+from sero_mj.simulate.simulation import Simulation
 from sero_mj.study.sweep import Sweep, Vary
 from sero_mj.study.variant import VariantRunner
 from sero_mj.study.workers import Processes, available_cpus
@@ -35,7 +40,12 @@ ENVIRONMENTS = (
     ("lwr/hold", {}),
     ("impedance_push", {}),
 )
-VARIANTS = 48
+SWEEPS = {
+    "impedance_push": "controllers.lwr.stiffness=log:100:5000",
+    "payload": "disturbances.load.mass=1:5",
+    "hand_guiding": "controllers.lwr.damping=0:5",
+}
+VARIANTS, ALONE = 64, 4
 TOGETHER = (
     ("sero_mj/lwr-reach-v0", {}),
     ("sero_mj/lwr-reach-v0", {"action": "impedance"}),
@@ -46,12 +56,14 @@ ROBOTS = 64
 EPISODE = 250  # steps
 
 
-def best_of(call: Callable[[], int], times: int = 5) -> float:
+def best_of(
+    call: Callable[[], int], times: int = 5, clock: Callable[[], float] = time.perf_counter
+) -> float:
     """Calls per second, in the fastest of several."""
     rates = []
     for _ in range(times):
-        begin = time.perf_counter()
-        rates.append(call() / (time.perf_counter() - begin))
+        begin = clock()
+        rates.append(call() / (clock() - begin))
     return max(rates)
 
 
@@ -85,7 +97,56 @@ def whole_episode(environment: gymnasium.Env | gymnasium.vector.VectorEnv) -> in
     return EPISODE * (shape[0] if len(shape) > 1 else 1)
 
 
-def main() -> None:
+def stepping(name: str, rows: int) -> float:
+    """Seconds that the physics of a run take in a batch of MuJoCo, of one of so many rows."""
+    simulation = Simulation(read_scenario(find_scenario(name)))
+    model, run = simulation.plant.model, simulation.scenario.run
+    batch = Batch(model, rows, 1, persistent=True)
+    steps, velocities, applied = 500, batch.bind("qvel"), batch.bind("qfrc_applied")
+    batch.bind("qpos")[:] = simulation.plant.qpos
+    holding = simulation.plant.data.qfrc_bias.copy()  # at rest
+
+    def step() -> int:
+        for _ in range(steps):
+            np.subtract(holding, 10.0 * velocities, out=applied)
+            batch.step()
+        return steps * rows
+
+    return run.steps * run.substeps / best_of(step, 3, time.process_time)
+
+
+def sweeps() -> Table:
+    """Variants a second, one by one and together."""
+    table = Table(
+        "scenario", "processes", "together", "variants/s", "times one", "per CPU s", "times one",
+        "of that MuJoCo",
+    )  # fmt: skip
+    for name, key in SWEEPS.items():
+        sweep = Sweep(find_scenario(name), (Vary.parse(key),), VARIANTS)
+        runner = VariantRunner(sweep.file, {})
+
+        def one_by_one(sweep: Sweep = sweep, runner: VariantRunner = runner) -> int:
+            return sum(len(runner.run([values])) for values in sweep.variants[:ALONE])
+
+        def together(jobs: int, sweep: Sweep = sweep) -> int:
+            return sum(1 for _ in sweep.run(Processes(jobs)))
+
+        one_by_one()  # compiles what all of them need
+        alone = best_of(one_by_one, 3)
+        of_cpu = best_of(one_by_one, 3, time.process_time)
+        table.add_row(name, "1", "no", f"{alone:.2f}", "1.0", f"{of_cpu:.2f}", "1.0")
+        for jobs in dict.fromkeys((1, 2, available_cpus())):
+            row = [f"{(rate := best_of(lambda: together(jobs), 2)):.2f}", f"{rate / alone:.1f}"]
+            if jobs == 1:
+                rate = best_of(lambda: together(1), 2, time.process_time)
+                share = 100 * rate * stepping(name, VARIANTS)
+                row += [f"{rate:.2f}", f"{rate / of_cpu:.1f}", f"{share:.0f} %"]
+            table.add_row(name, str(jobs), "yes", *row)
+    return table
+
+
+def environments() -> list[Table]:
+    """Steps a second of environments."""
     table = Table("environment", "action", "steps/s", "bare loop", "times its time")
     for name, options in ENVIRONMENTS:
         environment = make_environment(name, **options)
@@ -102,27 +163,16 @@ def main() -> None:
         together.close()
         action = str(options.get("action", "torque"))
         robots.add_row(name, action, f"{own:.0f}", f"{all_:.0f}", f"{all_ / own:.1f}")
-    sweep = Sweep(
-        find_scenario("impedance_push"),
-        (Vary.parse("controllers.lwr.stiffness=log:100:5000"),),
-        VARIANTS,
-    )
-    rates = Table("processes", "together", "variants/s", "times one")
-    runner = VariantRunner(sweep.file, {})
+    return [table, robots]
 
-    def one_by_one() -> int:
-        return sum(len(runner.run([values])) for values in sweep.variants)
 
-    ways = {("1", "no"): one_by_one}
-    for jobs in dict.fromkeys((1, 2, available_cpus())):
-        ways[str(jobs), "yes"] = lambda jobs=jobs: sum(1 for _ in sweep.run(Processes(jobs)))
-    found = {way: best_of(call, 1) for way, call in ways.items()}
-    for way, rate in found.items():
-        rates.add_row(*way, f"{rate:.1f}", f"{rate / found['1', 'no']:.1f}")
+def main() -> None:
+    parts = sys.argv[1:] or ["environments", "sweeps"]
     console = Console()
-    console.print(table)
-    console.print(robots)
-    console.print(rates)
+    if "environments" in parts:
+        console.print(*environments(), sep="\n")
+    if "sweeps" in parts:
+        console.print(sweeps())
 
 
 if __name__ == "__main__":

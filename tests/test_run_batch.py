@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from conftest import raises_with, sampled
@@ -12,8 +13,11 @@ from sero_mj import SerialRobot
 from sero_mj.base.errors import DeclarationError, SimulationError, UsageError
 from sero_mj.base.paths import find_scenario
 from sero_mj.robots.declared.scene import Scene
+from sero_mj.robots.declared.surroundings import Object
 from sero_mj.simulate.control.compiler import Compiler
 from sero_mj.simulate.control.controller import Sensed, Target
+from sero_mj.simulate.external_loads import Push, PushRows
+from sero_mj.simulate.rows import ManyRows
 from sero_mj.simulate.run_batch import batch_key
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario
@@ -153,6 +157,57 @@ def test_several_robots_mounted_ones_and_contacts(name: str, steps: int) -> None
     if name in ("biped_stand", "table_contact"):
         forces = [v for e, v in runs[1].log.signals.items() if e.endswith("contact_force")]
         assert max(np.abs(force).max() for force in forces) > 1.0
+
+
+def test_pushes_of_many_rows_are_those_of_mujoco_to_the_bit() -> None:
+    rng = np.random.default_rng(0)
+    given: list[dict[str, Any]] = [
+        {"frame": "lwr/flange"},
+        {"frame": "lwr/link4", "at": [0.1, -0.05, 0.2], "torque": [1.0, -2.0, 0.5]},
+        {"frame": "lwr/link6", "expressed_in": "lwr/flange"},
+        {"frame": "lwr/link2", "at": [0.0, 0.1, 0.0], "expressed_in": "lwr/link3"},
+    ]
+    world = Compiler().world(scenario().scene)
+    rows = ManyRows(world.physics_model(), 3)
+    model, data = rows.model, mujoco.MjData(rows.model)
+    rows.qpos[:] = rng.uniform(-1.0, 1.0, rows.qpos.shape)
+    force, torques, expected = rng.standard_normal(3), np.zeros((2, 3, model.nv)), None
+    torques, expected = torques
+    pushes = [
+        (row, Push(world, **{"force": force, "torque": np.zeros(3), "expressed_in": "world",
+                             "at": np.zeros(3), **each}))
+        for row, each in ((2, given[0]), (0, given[1]), (0, given[2]), (2, given[3]))
+    ]  # fmt: skip
+    PushRows(rows, pushes).write(torques)
+    for row, push in pushes:
+        data.qpos[:] = rows.qpos[row]
+        mujoco.mj_forward(model, data)
+        push.apply(model, data, expected[row])
+    assert np.array_equal(torques, expected)
+    assert (np.abs(torques).max(axis=1) > 0.1).tolist() == [True, False, True]
+
+
+def test_pushes_and_carried_objects_of_runs_that_begin_at_other_times() -> None:
+    weight = Object(name="weight", shape="sphere", size=[0.05], frame={"xyz": [0.5, 0.0, 0.1]})
+    robot = SerialRobot.from_model("lwr", joint_angles=HOME)
+    scene = Scene(robots=[robot], objects=[weight], floor=False)
+
+    def carrying(begin: float, **others: Any) -> Scenario:
+        load = {**LOAD["load"], "object": "weight", "begin": begin}
+        controllers = {"lwr": SOFT}
+        return Scenario(
+            scene, controllers=controllers, duration=0.15, disturbances={"load": load, **others}
+        )
+
+    runs = check([carrying(0.02), carrying(0.06, **PUSH), carrying(0.04, **WIGGLE)])
+    frames = np.array([run.log.signals["weight_frame"][-1] for run in runs])
+    assert np.ptp(frames[:, :3, 3], axis=0).max() > 1e-3
+
+
+def test_targets_that_move_alike_or_not() -> None:
+    fast = {"lwr": {"kind": "sine", "amplitude_deg": 5.0, "frequency": 4.0}}
+    check([scenario(targets=SWING), scenario(targets=SWING, controller=STIFF)])
+    check([scenario(targets=SWING), scenario(targets=fast), scenario()])
 
 
 class Broken:

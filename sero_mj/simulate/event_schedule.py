@@ -37,7 +37,8 @@ class EventSchedule:
         self.gains[:] = 1.0
         self._due = DueActions(self.scenario.run.timestep)
         self._varying: list[tuple[Push, Array]] = []  # with force and torque at every step
-        self._carried: dict[str, tuple[str, Array]] = {}  # object to robot and T_flange_object
+        # By object: its robot, T_flange_object, and its columns in the log.
+        self._carried: dict[str, tuple[str, Array, slice]] = {}
         self._objects: dict[str, Array] = {}  # T_world_object of objects that are picked up
         self._columns: dict[str, slice] = {}
         self._log: Array = np.zeros((0, 0))
@@ -68,9 +69,9 @@ class EventSchedule:
 
     def after(self, k: int) -> None:
         """Writes the poses of carried objects into row k of the log."""
-        for name, (robot, grasp) in self._carried.items():
-            self._objects[name] = self.plant.flange(robot) @ grasp
-            self._log[k, self._columns[event_of(name, "frame")]] = self._objects[name].ravel()
+        for name, (robot, grasp, columns) in self._carried.items():
+            self._objects[name] = pose = self.plant.flange(robot) @ grasp
+            self._log[k, columns] = pose.ravel()
 
     def log_events(self) -> dict[str, str]:
         """Further columns of the log: forces as they act, and objects that are carried."""
@@ -130,7 +131,8 @@ class EventSchedule:
                 grasp = payload.grasp
                 if grasp is None:
                     grasp = np.linalg.inv(self.plant.flange(payload.robot)) @ self._objects[name]
-                self._carried[name] = (payload.robot, np.asarray(grasp))
+                columns = self._columns[event_of(name, "frame")]
+                self._carried[name] = payload.robot, np.asarray(grasp), columns
 
         def put_down() -> None:
             self.plant.detach_payload(payload.robot)
