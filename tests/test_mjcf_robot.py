@@ -3,12 +3,15 @@
 import logging
 from importlib.util import find_spec
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from sero_mj.base.errors import DeclarationError
+from sero_mj.base.errors import DeclarationError, SeroError
 from sero_mj.data.drive.wiring import wire
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
@@ -505,3 +508,35 @@ def test_a_negative_damping_as_it_was_identified_is_taken_for_none(tmp_path):
     assert robot.dynamics.coulomb_friction.tolist() == [0.2]
     _, lost = mjcf_tables("panda.xml", tmp_path)
     assert lost == ["negative damping is taken for none: wrist"]
+
+
+WORDS = ["0", "-1", "nan", "1e400", "", "a", "free", "ball", "mesh", "left knee", "tiled", "../x"]
+
+
+@given(st.data())
+def test_mutated_files_raise_nothing_but_sero_errors(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "mutated.xml"
+    text = TWO_LEGS
+    for _ in range(data.draw(st.integers(1, 3))):
+        kind = data.draw(st.sampled_from(["cut", "word", "element"]))
+        if kind == "cut":
+            start = data.draw(st.integers(0, max(len(text) - 1, 0)))
+            text = text[:start] + text[start + data.draw(st.integers(1, 60)) :]
+            continue
+        root = ElementTree.fromstring(TWO_LEGS)
+        each = data.draw(st.sampled_from([*root.iter()]))
+        if kind == "word" and each.attrib:
+            name = data.draw(st.sampled_from(sorted(each.attrib)))
+            each.set(name, data.draw(st.sampled_from(WORDS)))
+        else:
+            each[:] = data.draw(st.permutations([*each]))[1:]
+        text = ElementTree.tostring(root, encoding="unicode")
+    path.write_text(text, encoding="utf-8")
+    try:
+        world = World(load_scene(path))
+    except SeroError as error:
+        assert str(error)
+    else:
+        mujoco.mj_forward(world.model, world.make_data())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
 import threading
@@ -9,6 +10,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 from recordings import DECLARED, EVENTS, moving
+from websockets.exceptions import ConnectionClosed
 
 from sero_mj.base import paths
 from sero_mj.base.errors import SeroError, UsageError
@@ -285,3 +288,63 @@ def test_lists_of_files_are_checked(message: str | bytes, text: str) -> None:
     with pytest.raises(UsageError) as told:
         uploads.read_list(message)
     assert str(told.value).startswith(text)
+
+
+class Uploading:
+    """A connection over which a browser says some things and then leaves."""
+
+    def __init__(self, said: list[str | bytes]) -> None:
+        self.left, self.answers = said, list[dict[str, str]]()
+
+    async def recv(self) -> str | bytes:
+        if not self.left:
+            raise ConnectionClosed(None, None)
+        return self.left.pop(0)
+
+    async def send(self, text: str) -> None:
+        self.answers.append(json.loads(text))
+
+
+# Few names, so that some are both files and folders.
+PATHS = st.sampled_from(["a.toml", "a.toml/b", "b", "b/c.urdf", "b/../c", "/c", "", "d.mcap"])
+PARTS = st.lists(st.one_of(st.binary(max_size=5), st.text(max_size=3)), max_size=4)
+
+
+@given(
+    st.lists(st.tuples(PATHS, st.binary(max_size=9)), max_size=4, unique_by=lambda each: each[0]),
+    st.integers(-1, 1),
+    PARTS,
+    st.booleans(),
+)
+def test_whatever_a_browser_uploads_is_kept_whole_or_not_at_all(
+    tmp_path_factory: pytest.TempPathFactory,
+    files: list[tuple[str, bytes]],
+    longer: int,
+    said: list[bytes | str],
+    honest: bool,
+) -> None:
+    """An honest browser says what it has listed, another one something else, of other lengths."""
+    folder = tmp_path_factory.mktemp("uploaded")
+    listed = [
+        {"path": path, "size": len(content) + (0 if honest else longer)} for path, content in files
+    ]
+    if honest:  # empty files have no message
+        said = [content for _, content in files if content]
+    line, opened = Uploading([json.dumps(listed), *said]), list[Path]()
+    with patch.object(uploads, "make_temporary_folder", lambda: folder):
+        asyncio.run(uploads.take_files(line, opened.append))
+    is_refused = any("error" in answer for answer in line.answers)
+    assert len(opened) + is_refused <= 1
+    if not opened:
+        assert not any(folder.rglob("*")) or not folder.exists()
+        return
+    assert opened[0].is_file()
+    assert opened[0].is_relative_to(folder)
+    kept = {
+        path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()
+    }
+    assert {name: path.stat().st_size for name, path in kept.items()} == {
+        each["path"]: each["size"] for each in listed
+    }
+    if honest:
+        assert all(kept[path].read_bytes() == content for path, content in files)
