@@ -5,6 +5,9 @@
 # make lint   style and types
 # make docs   out/docs/index.html
 # make bench  benchmarks, as ratios
+# make peers  docs/peers.md: the same work by Pinocchio, viser, MeshCat, rerun and others (4 GB from PyPI)
+# make robustness   out/robustness/index.html: fuzzing, faults, a run of 10 minutes; QUICK=1 in short,
+#             SECONDS=86400 for a day, SEED=N for the cases of another run
 # make foreign   robots of example-robot-data, robosuite and dm_control (350 MB from PyPI), compared
 # make gallery   docs/gallery.md and its pictures
 # make oldest   the quick tests with the oldest versions of packages that pyproject.toml allows
@@ -14,7 +17,7 @@ BIN := .venv/bin
 # Tests start some hundred programs; without compiled files each would compile all of ours anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test quick mutations oldest lint docs bench foreign gallery wheel clean
+.PHONY: demo test quick mutations oldest lint docs bench peers robustness foreign gallery wheel clean
 
 .venv/.run .venv/.test: pyproject.toml .ci/setup
 	@.ci/setup $(@:.venv/.%=%)
@@ -51,6 +54,13 @@ bench: .venv/.test
 	$(BIN)/python benchmarks/many.py
 	$(BIN)/python benchmarks/learn.py
 	$(BIN)/python benchmarks/web.py
+
+peers: .venv/.test
+	$(BIN)/python benchmarks/peers.py
+
+robustness: .venv/.test
+	$(BIN)/python benchmarks/robustness.py $(if $(QUICK),--quick) \
+	  $(if $(SECONDS),--seconds $(SECONDS)) $(if $(SEED),--seed $(SEED))
 
 foreign: .venv/.test
 	$(BIN)/python -m pip install --quiet --group foreign

@@ -1,0 +1,440 @@
+"""Measures what sero-mj withstands: fuzzing, faults, a long run; writes out/robustness/index.html.
+
+    make robustness                              a run of 10 minutes (--seconds 86400: of a day)
+    .venv/bin/python benchmarks/robustness.py --quick      the short form, as in CI
+
+Fuzzing and faults are tests, named in one table below; here they are run by their names with a seed
+(`--seed`, else one of its own), and counted: tests, and cases that Hypothesis made. The page also
+has the limits of files, as the code has them. Fails if a test fails, or the long run loses packets
+or grows. Needs Linux and a C compiler; tests that need a browser are skipped without one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import html
+import io
+import os
+import platform
+import random
+import re
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+ROOT = Path(__file__).resolve().parent.parent
+OUT = ROOT / "out" / "robustness"
+QUICK_SECONDS = 20.0
+WARM = 0.25  # of the long run, before growth counts: history and caches fill up
+MOST_GROWTH = 1.25  # of memory from then on
+RECEIVED = 0.999  # of all packets, at least
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is attacked, and the tests that do it.
+
+    Attributes:
+        title: what is attacked.
+        tests: their names as pytest has them, below tests/.
+        in_quick: whether the short form runs them.
+    """
+
+    title: str
+    tests: tuple[str, ...]
+    in_quick: bool = True
+
+
+FUZZED = (
+    Target("packets of any bytes", (
+        "test_hostile_packets.py",
+        "test_structure.py::test_any_float32_is_applied_or_counted",
+        "test_matrices.py::test_any_bytes_are_applied_whole_or_counted",
+        "test_matrices.py::test_any_numbers_are_applied_or_blanked_or_counted",
+        "test_joined_packets.py::test_any_bytes_are_taken_or_counted",
+    )),
+    Target("messages of KUKA FRI, UR RTDE, Franka FCI, foxglove_bridge", (
+        "test_fri_iiwa.py::test_random_bytes_are_a_packet_or_an_error",
+        "test_fri_iiwa.py::test_a_damaged_message_is_a_packet_or_an_error",
+        "test_rtde.py::test_random_bytes_end_a_connection_and_nothing_else",
+        "test_franka.py::test_random_bytes_end_a_connection_and_nothing_else",
+        "test_foxglove.py::test_whatever_comes_the_next_message_is_read",
+    )),
+    Target("structures and routes as text", (
+        "test_structure.py::test_no_string_at_all_raises_anything_else",
+        "test_route.py::test_any_text_is_a_route_or_a_problem",
+        "test_route_checks.py::test_any_words_make_a_route_or_a_problem",
+        "test_expression.py::test_any_words_have_a_meaning_or_are_refused",
+    )),
+    Target("recordings (MCAP)", (
+        "test_recording_faults.py::test_cut_off_anywhere_it_has_the_packets_before",
+        "test_recording_faults.py::test_damage_anywhere_is_told_and_never_invents_a_packet",
+        "test_hostile_recordings.py",
+        "test_bags.py::test_damaged_bags_are_errors_or_end_early",
+    )),
+    Target("TOML", (
+        "test_paths.py::test_any_tables_are_read_or_refused_as_a_declaration",
+        "test_paths.py::test_any_text_is_read_or_refused_as_a_declaration",
+        "test_paths.py::test_any_bytes_are_read_or_refused_as_a_declaration",
+        "test_hostile_files.py",
+    )),
+    Target("URDF", ("test_urdf.py::test_mutated_files_raise_nothing_but_declaration_errors",)),
+    Target("MJCF", ("test_mjcf_robot.py::test_mutated_files_raise_nothing_but_sero_errors",)),
+    Target("X3D and VRML", (
+        "test_vrml.py::test_a_mutated_file_is_read_or_told_to_be_wrong",
+        "test_vrml.py::test_long_nonsense_takes_no_longer_than_its_length",
+        "test_vrml.py::test_uses_of_uses_and_protos_of_protos_end",
+    )),
+    Target("meshes", (
+        "test_mesh_files.py::test_damaged_files_raise_nothing_but_declaration_errors",
+        "test_mesh_files.py::test_what_is_no_mesh_is_refused",
+    )),
+    Target("the page's websocket", (
+        "test_web_host.py::test_whatever_a_browser_says_the_page_goes_on",
+        "test_dom_widgets.py::test_whatever_a_browser_says_a_widget_returns_values_of_its_kind",
+        "test_web_guard.py::test_messages_that_are_too_long_end_their_connection",
+        "test_web_guard.py::test_requests_that_are_none_are_refused",
+    )),
+    Target("uploads to the start page", (
+        "test_start_page.py::test_no_path_leads_out_of_the_folder",
+        "test_start_page.py::test_whatever_a_browser_uploads_is_kept_whole_or_not_at_all",
+    )),
+    Target("shared memory and shared files", (
+        "test_shm.py::test_it_is_shrunk_and_grown_all_the_time_while_it_is_read",
+        "test_shm_writers.py::test_a_torn_packet_is_never_applied",
+        "test_shared_arrays.py::test_an_array_is_read_once_and_whole_or_not_at_all",
+        "test_view_state.py::test_switches_come_back_from_their_text",
+    )),
+    Target("a page and a window, at random", (
+        "test_web_monkey.py", "test_window_monkey.py",
+    ), in_quick=False),
+)  # fmt: skip
+
+FAULTS = (
+    Target("kill -9", (
+        "test_recorder.py::test_a_killed_process_leaves_a_file_that_all_can_read",
+        "test_shm_writers.py::test_a_writer_that_is_killed_in_the_middle_of_a_packet_is_replaced",
+        "test_sweep.py::test_a_process_that_is_killed_costs_its_variant_only",
+        "test_viewer_process.py::"
+        "test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along",
+        "test_web_guard.py::test_a_page_that_is_ended_leaves_no_files",
+    )),
+    Target("full disk", (
+        "test_recorder.py::test_a_full_disk_ends_the_recording_with_an_error",
+        "test_recording_faults.py::"
+        "test_a_full_disk_ends_the_recording_and_leaves_a_file_that_all_can_read",
+        "test_recording_faults.py::test_a_disk_that_was_full_before_is_told",
+    )),
+    Target("lost network", (
+        "test_rtde.py::test_who_goes_away_is_connected_to_again",
+        "test_franka.py::test_a_robot_that_goes_away_is_connected_to_again",
+        "test_foxglove.py::test_who_goes_away_says_why",
+        "test_fri_controller.py::test_the_network_fails_the_same_way_for_one_seed",
+        "test_status_command.py::test_a_source_that_has_gone_quiet_is_told",
+    )),
+    Target("clock jumps", (
+        "test_udp_lossless.py::test_arrivals_stay_in_order_where_the_wall_clock_is_set",
+        "test_udp_lossless.py::test_time_stamps_give_delay_and_jitter_and_tell_a_restart",
+    )),
+    Target("suspended process", (
+        "test_viewer_process.py::test_it_is_shown_without_any_call_and_no_call_waits_for_it",
+        "test_rtde_robot.py::test_a_client_that_sleeps_is_silent_until_it_answers_again",
+    )),
+)  # fmt: skip
+
+# Of what, in which module of sero_mj, the constant, its unit.
+LIMITS = (
+    ("a file of TOML", "base.toml_file", "_MAX_BYTES", "bytes"),
+    ("a file of URDF", "robots.importers.urdf", "_MAX_BYTES", "bytes"),
+    ("joints of a URDF that move", "robots.importers.urdf", "_MAX_JOINTS", ""),
+    ("a file of MJCF", "robots.importers.mjcf_file", "_MAX_BYTES", "bytes"),
+    ("a mesh or texture of MJCF", "robots.importers.mjcf_file", "MOST_ASSET_BYTES", "bytes"),
+    ("a file of X3D or VRML, unpacked", "robots.importers.vrml", "MOST_BYTES", "bytes"),
+    ("a mesh that MuJoCo reads", "robots.importers.mesh_files", "MOST_MESH_BYTES", "bytes"),
+    ("any other mesh", "robots.importers.mesh_files", "MOST_CONVERTED_BYTES", "bytes"),
+    ("a chunk of a recording, unpacked", "data.record._mcap_reader", "MAX_CHUNK_BYTES", "bytes"),
+    ("a file of a camera", "viewer.photo.camera_file", "_MAX_BYTES", "bytes"),
+    ("a packet", "data.receive.language", "MAX_PACKET_BYTES", "bytes"),
+    ("packets that wait, where none may be lost", "data.receive.mailbox", "QUEUE_BYTES", "bytes"),
+    ("a message of a browser", "viewer.web.server", "_LONGEST_MESSAGE", "bytes"),
+    ("files of an upload, together", "viewer.web.uploads", "MOST_BYTES", "bytes"),
+    ("files of an upload", "viewer.web.uploads", "MOST_FILES", ""),
+    ("the log of a run", "simulate.simulation", "MAX_BYTES", "bytes"),
+    ("a simulated run", "simulate.scenario", "_LONGEST", "s"),
+    ("the history of a live view", "viewer.session.live_history", "_MAX_BYTES", "bytes"),
+)
+
+
+@dataclass
+class Outcome:
+    """What came of a target."""
+
+    title: str
+    tests: Counter[str] = field(default_factory=Counter)  # by passed, skipped, failed
+    cases: int = 0  # that Hypothesis made
+    seconds: float = 0.0
+    failed: list[str] = field(default_factory=list)
+    skipped: list[str] = field(default_factory=list)
+
+
+def run_tests(kind: str, targets: Sequence[Target], seed: int, profile: str) -> list[Outcome]:
+    """Runs the tests of all targets in one process of pytest.
+
+    Raises:
+        SystemExit: pytest did not run, or a name is none of a test.
+    """
+    junit = OUT / f"{kind}.xml"
+    junit.unlink(missing_ok=True)
+    names = [f"tests/{test}" for target in targets for test in target.tests]
+    command = [
+        sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *dict.fromkeys(names),
+        f"--junit-xml={junit}", f"--hypothesis-seed={seed}", f"--hypothesis-profile={profile}",
+        "--hypothesis-show-statistics",
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False)
+    (OUT / f"{kind}.txt").write_text(done.stdout + done.stderr)
+    if done.returncode not in (0, 1) or not junit.exists():
+        raise SystemExit(
+            f"pytest ended with {done.returncode}:\n{(done.stdout + done.stderr)[-2000:]}"
+        )
+    made = cases_made(done.stdout)
+    found = [*ET.parse(junit).iter("testcase")]
+    return [outcome_of(target, found, made) for target in targets]
+
+
+def cases_made(text: str) -> dict[str, int]:
+    """How many cases every test of Hypothesis had, by its name as pytest has it.
+
+    Args:
+        text: what pytest prints with `--hypothesis-show-statistics`.
+    """
+    made: dict[str, int] = {}
+    name = ""
+    for line in text.splitlines():
+        if head := re.match(r"tests/(\S+\.py::.+):$", line):
+            name = head[1].partition("[")[0]
+        elif name and (counted := re.search(r"(\d+) passing, (\d+) failing", line)):
+            made[name] = made.get(name, 0) + int(counted[1]) + int(counted[2])
+    return made
+
+
+def outcome_of(target: Target, found: Sequence[ET.Element], made: dict[str, int]) -> Outcome:
+    """What came of the tests of a target.
+
+    Args:
+        target: its tests.
+        found: the elements `testcase` of a file of JUnit.
+        made: see `cases_made`.
+    """
+    outcome = Outcome(target.title)
+    for case in found:
+        file = f"{case.get('classname', '').rpartition('.')[2]}.py"
+        name = f"{file}::{case.get('name', '').partition('[')[0]}"
+        if file not in target.tests and name not in target.tests:
+            continue
+        tags = {element.tag for element in case}
+        what = "failed" if tags & {"failure", "error"} else "passed"
+        what = "skipped" if "skipped" in tags else what
+        outcome.tests[what] += 1
+        outcome.seconds += float(case.get("time", "0"))
+        if what == "failed":
+            outcome.failed.append(f"{file}::{case.get('name')}")
+        if what == "skipped":
+            outcome.skipped.append(str(case[0].get("message", "")))
+    outcome.cases = sum(
+        count for name, count in made.items()
+        if name in target.tests or name.partition("::")[0] in target.tests
+    )  # fmt: skip
+    return outcome
+
+
+def grown(rows: Sequence[dict[str, Any]], key: str) -> float:
+    """A quantity at the end of a long run over that after its warm-up; medians of some seconds."""
+    import numpy as np
+
+    few = max(len(rows) // 10, 3)
+    start = int(WARM * len(rows))
+    values = [float(row[key]) for row in rows]
+    return float(np.median(values[-few:]) / np.median(values[start : start + few]))
+
+
+def problems_of(rows: Sequence[dict[str, Any]], sent: int, judged: bool) -> list[str]:
+    """What is wrong with a long run.
+
+    Args:
+        rows: what `soak` gave.
+        sent: how many packets were sent.
+        judged: whether it was long enough for memory to tell anything.
+    """
+    found = []
+    received = int(rows[-1]["received"])
+    if received < RECEIVED * sent:
+        found.append(f"received {received} of {sent} packets; expected {RECEIVED:.1%}")
+    for key in ("handles", "threads"):
+        if rows[-1][key] > rows[0][key]:
+            found.append(f"{key}: {rows[0][key]} at first, {rows[-1][key]} at last")
+    if judged and (growth := grown(rows, "memory")) > MOST_GROWTH:
+        found.append(f"memory grew by {growth:.2f}; expected at most {MOST_GROWTH}")
+    return found
+
+
+def picture_of(rows: Sequence[dict[str, Any]]) -> str:
+    """Memory, handles and threads, and latencies over time, as the address of a picture."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    times = [row["time"] for row in rows]
+    figure, axes = plt.subplots(3, 1, figsize=(8, 6.5), sharex=True, layout="constrained")
+    axes[0].plot(times, [row["memory"] for row in rows])
+    axes[0].set(ylabel="memory, MiB", ylim=(0, None))
+    for key in ("handles", "threads"):
+        axes[1].plot(times, [row[key] for row in rows], label=key)
+    axes[1].set(ylabel="number", ylim=(0, None))
+    for key in ("p50", "p99"):
+        values = [float("nan") if row[key] is None else row[key] for row in rows]
+        axes[2].plot(times, values, label=f"{key[1:]} %")
+    axes[2].set(ylabel="packet to state, ms", yscale="log", xlabel="time, s")
+    for each in axes[1:]:
+        each.legend(loc="upper left", frameon=False)
+    for each in axes:
+        each.grid(alpha=0.3)
+    made = io.BytesIO()
+    figure.savefig(made, format="png", dpi=110)
+    plt.close(figure)
+    (OUT / "soak.png").write_bytes(made.getvalue())
+    return f"data:image/png;base64,{base64.b64encode(made.getvalue()).decode()}"
+
+
+def limit_text(value: float, unit: str) -> str:
+    """A limit for people."""
+    if unit == "bytes":
+        return f"{value / 1e6:,.0f} MB" if value >= 1e6 else f"{value:,.0f} bytes"
+    return f"{value:,.0f} {unit}".strip()
+
+
+def limits() -> list[tuple[str, str]]:
+    """What is limited, and to how much."""
+    return [
+        (what, limit_text(getattr(import_module(f"sero_mj.{module}"), name), unit))
+        for what, module, name, unit in LIMITS
+    ]
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of HTML."""
+    cells = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
+    body = "".join(
+        f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows
+    )
+    return f"<table><tr>{cells}</tr>{body}</table>"
+
+
+def outcomes_table(outcomes: Sequence[Outcome]) -> str:
+    """Targets, with how many tests and cases came to what."""
+    rows = [
+        [
+            each.title,
+            str(sum(each.tests.values())),
+            f"{each.cases:,}" if each.cases else "",
+            ", ".join(f"{count} {what}" for what, count in sorted(each.tests.items())),
+            f"{each.seconds:.1f} s",
+            "; ".join([*each.failed, *dict.fromkeys(each.skipped)]),
+        ]
+        for each in outcomes
+    ]
+    return table(["what", "tests", "cases of Hypothesis", "outcome", "time", "which"], rows)
+
+
+_PAGE = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>What sero-mj withstands</title>
+<style>
+body {{ font: 15px/1.45 system-ui, sans-serif; max-width: 62rem; margin: 2rem auto;
+padding: 0 1rem }}
+table {{ border-collapse: collapse }} td, th {{ text-align: left; padding: .25rem .8rem .25rem 0;
+border-bottom: 1px solid #ddd; vertical-align: top }} td {{ white-space: nowrap }}
+td:last-child {{ white-space: normal }} img {{ max-width: 100% }} .bad {{ color: #a00 }}
+</style>
+<h1>What sero-mj withstands</h1>
+<p>{about}</p>
+<p class="{state}">{verdict}</p>
+<h2>Fuzzing</h2><p>Seed {seed}: <code>make robustness SEED={seed}</code> makes the same cases.</p>
+{fuzzed}
+<h2>Faults</h2>{faults}
+<h2>A long run</h2><p>{soak}</p><img src="{picture}" alt="memory, handles, threads, latencies">
+<h2>Limits</h2><p>What is larger is refused, with what was found and the limit; of what
+waits or is kept, the oldest goes.</p>
+{limits}
+</html>
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, help="of the long run (default 600, --quick 20)")
+    parser.add_argument("--seed", type=int, default=random.randrange(2**31))
+    parser.add_argument("--quick", action="store_true", help="fewer cases, without monkeys")
+    options = parser.parse_args()
+    seconds = options.seconds or (QUICK_SECONDS if options.quick else 600.0)
+    if seconds < 10.0:
+        parser.error(f"--seconds: found {seconds:g}; expected at least 10, to pause in between")
+    from soak import RATE, soak
+
+    OUT.mkdir(parents=True, exist_ok=True)
+    begin = time.monotonic()
+    profile = "quarter" if options.quick else "everything"
+    chosen = [target for target in FUZZED if target.in_quick or not options.quick]
+    print(f"fuzzing, seed {options.seed} ...", flush=True)
+    fuzzed = run_tests("fuzzing", chosen, options.seed, profile)
+    print("faults ...", flush=True)
+    faults = run_tests("faults", FAULTS, options.seed, profile)
+    print(f"a run of {seconds:g} s ...", flush=True)
+    rows = list(soak(seconds))
+    problems = [f"{each.title}: {name}" for each in [*fuzzed, *faults] for name in each.failed]
+    empty = [each.title for each in [*fuzzed, *faults] if not each.tests]
+    problems += [f"{title}: no test was run" for title in empty]
+    problems += problems_of(rows, int(RATE * seconds), judged=seconds >= 300.0)
+    ages = sorted(row["p99"] for row in rows if row["p99"] is not None)
+    about = (
+        f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z} · {platform.platform()} · "
+        f"{os.cpu_count()} cores · Python {platform.python_version()} · "
+        f"{'short form' if options.quick else 'long form'} · {time.monotonic() - begin:.0f} s"
+    )
+    told = (
+        f"{seconds:g} s at {RATE} packets/s beside a client of the page: {rows[-1]['received']:,} "
+        f"of {int(RATE * seconds):,} packets received, {rows[-1]['states']:,} states sent. Memory: "
+        f"{rows[0]['memory']:.0f} MiB at first, {rows[-1]['memory']:.0f} at last, "
+        f"{grown(rows, 'memory'):.2f} times that after a quarter of the time; until then history "
+        "and caches fill up. From a packet to its state sent: 99 % within "
+        f"{ages[len(ages) // 2]:.0f} ms in the median second. After a third the sender is silent "
+        "for 2 s and then sends all at once; after two thirds the process that shows is suspended "
+        "for 2 s."
+    )
+    page = _PAGE.format(
+        about=html.escape(about),
+        state="bad" if problems else "good",
+        verdict=html.escape("; ".join(problems) or "Nothing failed."),
+        seed=options.seed,
+        fuzzed=outcomes_table(fuzzed),
+        faults=outcomes_table(faults),
+        soak=html.escape(told),
+        picture=picture_of(rows),
+        limits=table(["what", "at most"], limits()),
+    )
+    (OUT / "index.html").write_text(page)
+    print(f"written: {OUT / 'index.html'}")
+    sys.exit("\n".join(problems) or 0)
+
+
+if __name__ == "__main__":
+    main()
