@@ -16,10 +16,13 @@ import json
 import os
 import platform
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
@@ -31,6 +34,10 @@ choose_backend()
 
 import numpy as np
 from worlds import WORLDS, make_world
+
+from sero_mj import World
+from sero_mj.load import load_scene
+from sero_mj.viewer.camera import find_camera
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "peers"))
@@ -169,7 +176,7 @@ WORKS = {
     "first_scene": Work(
         "From the start of Python to a picture of the same scene",
         "The same, where MuJoCo reads what sero-mj has made of the URDF: with floor, lights and "
-        "shadows.",
+        "shadows, seen from the same side.",
         ("ours", "bare_mujoco"),
         why={"bare_mujoco": "ours reads the URDF, checks it and compiles the scene first"},
     ),
@@ -185,10 +192,10 @@ WORKS = {
     "packet_to_pixel": Work(
         "From a UDP packet to pixels",
         "A packet is sent, received, applied, and a picture of 640 x 480 drawn, of the same scene "
-        "with the same lights. Ours checks and counts packets on a thread of its own, and draws "
-        "arrows.",
+        "with the same lights from the same side. Ours checks and counts packets on a thread of "
+        "its own.",
         ("ours", "bare_mujoco"),
-        why={"bare_mujoco": "no arrows, no thread, no check of packets"},
+        why={"bare_mujoco": "no thread, no check of packets, no arrows or labels to lay out"},
     ),
     "packets": Work(
         "Packets a second without loss",
@@ -215,7 +222,7 @@ WORKS = {
     ),
     "environments": Work(
         "Step of an environment, 64 robots together",
-        "The same, by `gymnasium.make_vec`, per robot.",
+        "The same, by `gymnasium.make_vec`, per robot; ours on all cores, as it does by default.",
         ("ours", "with_gymnasium"),
         unit="times mj_step",
     ),
@@ -236,6 +243,9 @@ def prepare() -> None:
         write_urdf(world.model, flange, FOLDER / f"robot{joints}.urdf")
         poses = np.random.default_rng(0).uniform(-1.0, 1.0, (1000, joints))
         np.save(FOLDER / f"poses{joints}.npy", poses)
+    view = find_camera(World(load_scene(FOLDER / "robot7.urdf")))
+    camera = [*view.lookat, view.distance, view.azimuth, view.elevation]
+    np.save(FOLDER / "camera7.npy", camera)
     export = ["export", str(FOLDER / "robot7.urdf"), str(FOLDER / "scene7.xml"), "--quiet"]
     subprocess.run(
         [sys.executable, "-m", "sero_mj", *export], check=True, stdout=subprocess.DEVNULL
@@ -268,42 +278,65 @@ def run(name: str, work: str, browser: Any) -> Iterator[dict[str, Any]]:
 
     Raises:
         RuntimeError: it failed; its last line.
+        OSError: a program that it needs is missing.
     """
     command = [python_of(PEERS[name]), str(HERE / "peers" / f"{name}.py"), str(FOLDER), work]
-    if work.startswith("show_window"):
+    is_window = work.startswith("show_window")
+    if is_window:
         command = ["xvfb-run", "-a", "-s", "-screen 0 1600x1000x24", *command]
-    backend = "glfw" if work.startswith("show_window") else os.environ["MUJOCO_GL"]
+    backend = {"MUJOCO_GL": "glfw" if is_window else os.environ["MUJOCO_GL"]}
     begin, told, pages = time.time(), 0, []
     with (FOLDER / "stderr.txt").open("w+") as errors, subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True,
-        env=os.environ | {"MUJOCO_GL": backend},
+        env=os.environ | backend, start_new_session=True,
     ) as process:  # fmt: skip
         assert process.stdin is not None and process.stdout is not None
-        for line in process.stdout:
-            if not line.startswith("{"):
-                continue
-            found = json.loads(line)
-            if "url" not in found:
-                told += 1
+        late = threading.Timer(TIMEOUT, os.killpg, [process.pid, signal.SIGKILL])
+        late.start()
+        try:
+            for line in process.stdout:
+                found = json.loads(line) if line.startswith("{") else {}
                 if "at" in found:
                     found["seconds"] = found["at"] - begin
-                yield found
-                continue
-            pages.append(browser.new_page(viewport={"width": 480, "height": 320}))
-            pages[-1].goto(found["url"], wait_until="commit")
-            if found["until"]:
-                pages[-1].wait_for_function(found["until"])
-            if work.startswith("show"):
-                pages[-1].wait_for_timeout(1e3 * SETTLE)
-            process.stdin.write("\n")
-            process.stdin.flush()
-        process.wait(TIMEOUT)
+                if "seconds" in found:
+                    told += 1
+                    yield found
+                if "url" in found:
+                    pages.append(open_page(browser, found["url"], found["until"]))
+                    if work.startswith("show"):
+                        pages[-1].wait_for_timeout(1e3 * SETTLE)
+                    process.stdin.write("\n")
+                    process.stdin.flush()
+            process.wait()
+        finally:
+            late.cancel()
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)  # all that it has started, too
+            for page in pages:
+                page.close()
         errors.seek(0)
         last = (errors.read().strip() or f"ended with {process.returncode}").splitlines()[-1]
-    for page in pages:
-        page.close()
     if not told:
         raise RuntimeError(last)
+
+
+def open_page(browser: Any, url: str, until: str) -> Any:
+    """A page of the browser, when a function of it is true.
+
+    Raises:
+        RuntimeError: it never is.
+    """
+    from playwright.sync_api import Error
+
+    page = browser.new_page(viewport={"width": 480, "height": 320})
+    try:
+        page.goto(url, wait_until="commit")
+        if until:
+            page.wait_for_function(until, timeout=1e3 * TIMEOUT)
+    except Error as error:
+        page.close()
+        raise RuntimeError(str(error).splitlines()[0]) from error
+    return page
 
 
 @dataclass
@@ -344,7 +377,7 @@ def measure(key: str, rounds: int, browser: Any) -> dict[str, Row]:
                     one.slow += [found["slow"]] if "slow" in found else []
                     one.version = f"{found['package']} {found['version']}"
                     results[name] = np.array(found.get("result", []))
-            except RuntimeError as error:
+            except (RuntimeError, OSError) as error:
                 row.problem = str(error)
     ours = results.get("ours", np.zeros(0))
     scale = float(np.abs(ours).max(initial=1.0))
@@ -417,13 +450,14 @@ def page_of(found: dict[str, dict[str, Row]], rounds: int, busy: Sequence[float]
         {row.version for rows in found.values() for row in rows.values() if row.version}
     )
     loads = " to ".join(f"{load:.1f}" for load in sorted({round(each, 1) for each in busy}))
+    how = "one round" if rounds == 1 else f"the median of {rounds} rounds"
     head = f"""# Beside its peers
 
-How long the same work takes with sero-mj and with other packages, measured in one run in turns, the
-median of {rounds} rounds. `make peers` measures anew and writes this page; no figure here is by
-hand. Where there is a result (poses, matrices, torques), all have the same to 1e-6. Pictures are
-drawn in software, without a GPU, which slows all that draws. Load is the average number of
-processes that wanted a core; above the number of cores, times of pictures are too long for all.
+How long the same work takes with sero-mj and with other packages, measured in one run in turns
+({how}). `make peers` measures anew and writes this page; no figure here is by hand. Where
+there is a result (poses, matrices, torques), all have the same to 1e-6. Pictures are drawn in
+software, without a GPU, which slows all that draws. Load is the average number of processes that
+wanted a core; above the number of cores, times of pictures are too long for all.
 
 {date.today().isoformat()} · {machine()}, load {loads} · {", ".join(versions)}
 """
