@@ -245,8 +245,7 @@ class RunBatch:
         try:
             self._make_steps(going, first, to_step + 1)
         finally:
-            for run in going:
-                run.step = self._finished
+            self._sort([])  # a run that is given up afterwards ends with its last reference
             written = self._driven[first : to_step + 1]
             written[..., 1, :] = written[..., 0, :] != written[..., 1, :]  # saturated, or not
 
@@ -324,6 +323,9 @@ class RunBatch:
             for joints, observer in self._observers:
                 estimate = observe(observer, self._measured[begin : k + 1, ..., joints])
                 self._estimated[k : k + self._observed_every, ..., 0, joints] = estimate
+        for run in self._by_row.values():  # what controllers and hooks call the time
+            if run.error is None:
+                run.step = k
         self._finished = k
 
     def _end(self, going: list[BatchedRun], run: BatchedRun, error: SimulationError) -> None:
