@@ -81,7 +81,7 @@ if not _has_display():
 
 _register_with_gymnasium()
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOME = {
     "ReceivedFrame": "robots.declared.cartesian",

@@ -288,6 +288,7 @@ def test_of_a_bag_of_which_nothing_is_whole_it_is_said(kind: str, why: str, tmp_
             open_recording(damaged(bag, tmp_path / "none", 0.0))
 
 
+@pytest.mark.thorough
 def test_a_folder_without_metadata_is_its_only_file(tmp_path: Path, capsys: Any) -> None:
     for kind in ("mcap", "db3"):
         bag = write_bag(tmp_path / kind, {"/joint_states": states()}, kind)
@@ -452,6 +453,7 @@ def described(path: Path, more: dict[str, Any] | None = None) -> Path:
     return write_bag(path, topics)
 
 
+@pytest.mark.thorough
 def test_commands_for_runs_find_the_robot_of_a_bag(tmp_path: Path, capsys: Any) -> None:
     own = described(tmp_path / "own")
     plot = ["plot", str(own), "-o", str(tmp_path / "own.pdf")]

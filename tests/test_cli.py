@@ -267,6 +267,7 @@ def test_render_sets_fields_over_the_scenes(capsys, tmp_path) -> None:
     assert (np.abs(a - b).max(axis=2) > 60).sum() > 200
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_a_click_in_a_picture_brings_up_what_it_would_in_a_window(capsys, caplog, tmp_path) -> None:
     plain, clicked = tmp_path / "plain.png", tmp_path / "clicked.png"

@@ -356,6 +356,7 @@ def test_a_scheduler_that_cannot_be_is_told(scheduler: str, message: str) -> Non
     assert message in str(caught.value)
 
 
+@pytest.mark.thorough
 def test_files_keep_their_places_to_each_other(file: Path, tmp_path: Path) -> None:
     files = files_read(file, {})
     names = {each.relative_to(file.parents[1]).as_posix() for each in files}

@@ -124,6 +124,7 @@ def test_joint_motions_are_followed_by_the_robot_s_own_control(
     np.testing.assert_allclose(desired[-1] - HOME, [expected, *[0.0] * 6], atol=2e-4)
 
 
+@pytest.mark.thorough
 def test_violations_end_the_motion_by_a_reflex_until_the_client_recovers(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

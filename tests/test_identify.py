@@ -71,6 +71,7 @@ def log_of(seed: int, moved: tuple[int, ...] = tuple(range(7)), loop: bool = Fal
     return excited(seed, moved=moved, loop=loop)[0].log
 
 
+@pytest.mark.thorough
 def test_a_simulated_robots_figures_are_found_within_three_standard_errors() -> None:
     distances: list[float] = []
     for seed in range(4):

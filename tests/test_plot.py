@@ -71,6 +71,7 @@ def share_of(pixels: np.ndarray, colour: str) -> float:
     return float((np.abs(pixels - wanted).max(axis=-1) < 12).mean())
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_every_panel_has_its_lines_in_their_colours(tmp_path: Path, figures: list[Figure]) -> None:
     log = simulated().log

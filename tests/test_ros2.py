@@ -384,6 +384,7 @@ def test_descriptions_that_are_none_are_told(
     assert (status, said in error) == (2, True), error
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("address", "said"),
     [

@@ -52,6 +52,7 @@ def test_a_file_plays_with_the_numbers_of_the_run(firefox: Firefox, tmp_path: Pa
     assert firefox.faults == []
 
 
+@pytest.mark.thorough
 def test_a_live_page_shows_what_comes_and_takes_clicks_and_keys(
     firefox: Firefox, tmp_path: Path
 ) -> None:

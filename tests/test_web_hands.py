@@ -52,6 +52,7 @@ def test_sliders_links_and_the_clipboard(browser: Any, tmp_path: Path) -> None:
         visitor.close()
 
 
+@pytest.mark.thorough
 def test_a_handle_moves_the_target_and_the_robot_follows(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", settings=(POSE,), control="joint") as served:
         visitor = Visitor(browser, served)

@@ -303,6 +303,7 @@ def test_a_robot_alone_is_a_still_page(browser: Any, tmp_path: Path) -> None:
     page.context.close()
 
 
+@pytest.mark.thorough
 def test_the_camera_of_a_file_follows_as_that_of_a_film(browser: Any, tmp_path: Path) -> None:
     scene = load_scene("drive_home")
     found = capture(scene, fps=FPS, seconds=2.0, follow="lwr/flange")

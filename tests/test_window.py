@@ -258,6 +258,7 @@ def test_a_simulation_is_paused_stepped_scrubbed_and_reset(display: str, tmp_pat
         assert not window.ask("clicks")  # the time line is not the picture
 
 
+@pytest.mark.thorough
 def test_a_recording_is_scrubbed_and_its_end_is_the_end(display: str, tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
     make_recording(recording, seconds=2.0)
