@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from unittest.mock import patch
@@ -332,7 +333,9 @@ def test_whatever_a_browser_uploads_is_kept_whole_or_not_at_all(
         said = [content for _, content in files if content]
     line, opened = Uploading([json.dumps(listed), *said]), list[Path]()
     with patch.object(uploads, "make_temporary_folder", lambda: folder):
-        asyncio.run(uploads.take_files(line, opened.append))
+        # On a thread of its own: Playwright keeps a loop running on that of tests.
+        with ThreadPoolExecutor(1) as thread:
+            thread.submit(asyncio.run, uploads.take_files(line, opened.append)).result()
     is_refused = any("error" in answer for answer in line.answers)
     assert len(opened) + is_refused <= 1
     if not opened:
