@@ -332,10 +332,12 @@ def test_whatever_a_browser_uploads_is_kept_whole_or_not_at_all(
     if honest:  # empty files have no message
         said = [content for _, content in files if content]
     line, opened = Uploading([json.dumps(listed), *said]), list[Path]()
-    with patch.object(uploads, "make_temporary_folder", lambda: folder):
-        # On a thread of its own: Playwright keeps a loop running on that of tests.
-        with ThreadPoolExecutor(1) as thread:
-            thread.submit(asyncio.run, uploads.take_files(line, opened.append)).result()
+    # On a thread of its own: Playwright keeps a loop running on that of tests.
+    with (
+        patch.object(uploads, "make_temporary_folder", lambda: folder),
+        ThreadPoolExecutor(1) as thread,
+    ):
+        thread.submit(asyncio.run, uploads.take_files(line, opened.append)).result()
     is_refused = any("error" in answer for answer in line.answers)
     assert len(opened) + is_refused <= 1
     if not opened:
