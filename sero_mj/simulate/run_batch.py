@@ -240,7 +240,6 @@ class RunBatch:
         if isinstance(rows, ManyRows):
             indices = {run.plant.index for run in going}
             rows.begin(np.array([index in indices for index in rows.indices]))
-        self._finished = first - 1  # the last row of the log that is complete
         self._sort(going)
         try:
             self._make_steps(going, first, to_step + 1)
@@ -326,7 +325,6 @@ class RunBatch:
         for run in self._by_row.values():  # what controllers and hooks call the time
             if run.error is None:
                 run.step = k
-        self._finished = k
 
     def _end(self, going: list[BatchedRun], run: BatchedRun, error: SimulationError) -> None:
         if self._raises:
@@ -335,7 +333,7 @@ class RunBatch:
             self.plant.rows.drop(run.plant.index)
         self.drive[run.plant.index] = 0.0
         going.remove(run)
-        run.error, run.step = error, self._finished
+        run.error = error
 
     def _end_not_finite(self, going: list[BatchedRun]) -> None:
         """Ends the runs whose controllers ask for torques that are not finite."""
@@ -367,7 +365,7 @@ class RunBatch:
         for run in going[:]:
             own = speeds[run.plant.index]
             if (own > self._fastest).any():
-                time = float(run.times[self._finished])
+                time = float(run.times[run.step])
                 self._end(going, run, self._runaway_error(time, own))
 
     def _runaway_error(self, time: float, speeds: Array) -> SimulationError:
