@@ -333,6 +333,7 @@ os._exit(0)
     assert {each.name: each.read_bytes() for each in folder.iterdir()} == before
 
 
+@pytest.mark.thorough
 def test_what_a_cut_bag_has_is_told_by_commands_for_runs(
     tmp_path: Path, capsys: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -501,6 +502,7 @@ def test_meshes_that_a_described_robot_lacks_are_told_once(
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
 def test_check_and_status_take_a_bag_as_view_does(kind: str, tmp_path: Path, capsys: Any) -> None:
     name = "drive.bag" if kind == "bag" else "drive"

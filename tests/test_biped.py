@@ -141,6 +141,7 @@ def test_it_stands_on_both_feet_also_when_it_is_pushed() -> None:
     np.testing.assert_allclose(left_torques, right_torques, atol=0.05)  # a mirror image
 
 
+@pytest.mark.thorough
 def test_in_the_declared_pose_it_is_balanced_over_its_soles() -> None:
     mass, middle = middle_of(bodies_of(standing(), 0))
     assert mass == pytest.approx(42.57, abs=0.01)

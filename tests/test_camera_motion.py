@@ -167,6 +167,7 @@ def test_a_jump_in_time_is_followed_at_once(justin: World) -> None:
         assert follower.displacement(data)[0] == pytest.approx(x - before)
 
 
+@pytest.mark.thorough
 def test_a_window_follows_what_the_view_of_its_scene_says(justin: World) -> None:
     navigator, data = Navigator(justin), justin.make_data()
     assert navigator.following == "justin"

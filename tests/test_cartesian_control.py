@@ -128,6 +128,7 @@ def total_energy(loop: Loop, control: CartesianImpedanceController, pose: Array)
     return float(0.5 * dq @ loop.robot.mass() @ dq) + spring_energy(control, pose)
 
 
+@pytest.mark.thorough
 @settings(deadline=None, max_examples=examples(6))
 @given(seeds, st.floats(0, 1.5), st.sampled_from(["world", "flange"]))
 def test_without_null_space_spring_it_never_makes_energy(

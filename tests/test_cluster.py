@@ -166,6 +166,7 @@ def swept(file: Path, *options: object) -> tuple[int, str]:
     return process.returncode, said
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_the_table_is_that_of_one_machine(file: Path, tmp_path: Path) -> None:
     here, there = tmp_path / "here.csv", tmp_path / "there.csv"

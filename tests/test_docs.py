@@ -200,6 +200,7 @@ def test_everything_in_the_documentation_works_as_it_stands(page: Path, tmp_path
     assert all((tmp_path / file).stat().st_size > 100 for file in wanted)
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.slow
 def test_the_demo_writes_a_film_and_a_picture_and_says_where(tmp_path: Path) -> None:

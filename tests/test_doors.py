@@ -188,6 +188,7 @@ print(np.abs(log.of("lwr", "joint_angles") - log.of("lwr", "target_angles")).max
     assert 'kind = "nod"' in run(tmp_path, "", "list", "--fields", "scenarios")
 
 
+@pytest.mark.thorough
 def test_a_controller_is_chosen_and_tuned_while_a_robot_is_played_with(pd: Path) -> None:
     printed = run(pd, """
 import sero_mj

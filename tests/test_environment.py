@@ -404,6 +404,7 @@ def test_pictures_show_the_robot_and_change_as_it_moves(name: str) -> None:
 LONG = {"run.duration": 4.6}  # as long as its expectations need
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_a_picture_is_of_the_state_now_however_long_drawing_takes() -> None:
     still = sero_mj.make_environment("impedance_push", overrides=LONG)

@@ -193,6 +193,7 @@ def test_pictures_for_two_eyes_are_those_of_the_classic_renderer(
         assert apart[1].mean() == pytest.approx(apart[0].mean(), rel=0.3)
 
 
+@pytest.mark.thorough
 def test_a_photo_shows_through_and_the_robot_hides_decor(world: World, data: mujoco.MjData) -> None:
     from photos import camera
 

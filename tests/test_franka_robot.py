@@ -340,6 +340,7 @@ def test_without_a_client_a_run_ends_in_lockstep_and_goes_on_in_real_time(
     assert abs(signal_of(simulation, "joint_angles")[-1] - HOME).max() < 1e-6
 
 
+@pytest.mark.thorough
 def test_ctrl_c_ends_the_run_and_its_program(tmp_path: Path) -> None:
     file = tmp_path / "scenario.toml"
     text = SCENARIO.format(python=sys.executable, client=CLIENT, mode="watches", version=10,

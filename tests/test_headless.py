@@ -357,6 +357,7 @@ def test_what_is_rendered_leaves_the_model_as_it_was(world) -> None:
     assert state() == before
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["lwr_udp", "haptic_position", "justin_push", "lwr_hit_hand"])
 @pytest.mark.parametrize("size", sampled([(390, 844), (640, 480), (600, 600), (1280, 800)], 1))
 def test_robots_are_in_pictures_of_any_shape(name: str, size: tuple[int, int]) -> None:

@@ -332,6 +332,7 @@ def test_the_haptic_device_moves_the_arms_of_space_justin() -> None:
         np.testing.assert_array_equal(felt, [44.0, 45.0, 46.0, np.nan])
 
 
+@pytest.mark.thorough
 def test_packets_of_the_sender_are_played() -> None:
     sender = import_script(scenes_dir() / "justin_sender.py")
     scene = load_scene("justin")

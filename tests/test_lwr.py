@@ -180,6 +180,7 @@ def test_scene_without_joints_exports_without_a_key_frame(tmp_path):
     assert mujoco.MjModel.from_xml_path(str(path)).nkey == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "kg", "told"),
     [

@@ -98,6 +98,7 @@ def test_a_schema_is_printed_or_written(capsys: Any, tmp_path: Path) -> None:
     assert out == f"{file}\n" and json.loads(file.read_text()) == schema_of("scene")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("n", [1, 2, 6, 7, 64])
 def test_a_new_robot_is_right_and_moves_from_packets(
     n: int, capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -132,6 +132,7 @@ def drawn_alone(world: World, data: mujoco.MjData, by: PhotoCamera, *, decor: bo
     return pixels
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.parametrize("lens", ["none", "barrel"])
 def test_the_robot_hides_decor_and_is_not_drawn_and_the_floor_neither(lens: str) -> None:

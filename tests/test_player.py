@@ -197,6 +197,7 @@ def test_the_bundle_is_what_its_sources_make(tmp_path: Path, node_modules: Path)
         assert made == shipped.read_bytes(), f"run npm run build in {JS.name}/"
 
 
+@pytest.mark.thorough
 def test_a_report_is_a_page_a_figure_json_and_a_test_for_each_expectation(tmp_path: Path) -> None:
     setting = "expect.it_comes_back.below=0.00001"
     status, said = run_command(

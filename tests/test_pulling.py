@@ -281,6 +281,7 @@ def display() -> Iterator[str]:
         yield name
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 def test_a_drag_with_control_pulls_in_a_window(display: str, tmp_path: Path) -> None:

@@ -111,6 +111,7 @@ def test_a_film_ends_with_a_viewer_that_is_killed(tmp_path: Path) -> None:
     assert not [path for path in tmp_path.iterdir() if ".part" in path.name]
 
 
+@pytest.mark.thorough
 def test_a_film_that_is_ended_by_kill_leaves_no_part_of_a_file(tmp_path: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "sero_mj", *LONG, "-o", "long.mp4"],

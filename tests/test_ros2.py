@@ -363,6 +363,7 @@ def test_whatever_robot_a_network_has_is_shown(
         publisher.join()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("text", "said"),
     sampled(

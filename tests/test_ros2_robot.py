@@ -164,6 +164,7 @@ def test_positions_go_to_springs_of_the_robot(folder: Path) -> None:
     assert by_robot == pytest.approx(by_node, abs=1e-9)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("mode", "said"),
     [
@@ -178,6 +179,7 @@ def test_commands_that_are_none_are_not_applied(folder: Path, mode: str, said: s
         simulated(folder, mode, **settings)
 
 
+@pytest.mark.thorough
 def test_the_run_may_go_on_without_commands(folder: Path) -> None:
     settings = {"patience": 0.1, "on_silence": "hold"}
     ages = simulated(folder, "silent", **settings).log.signals["lwr_command_age"].ravel()

@@ -294,6 +294,7 @@ def test_torques_come_on_top_of_gravity(folder: Path) -> None:
     np.testing.assert_allclose(commanded - model.gravity(), [3, 0, 0, 0, 0, 0], atol=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("mode", "said"),
     [
@@ -507,6 +508,7 @@ def test_a_port_in_use_and_a_client_that_never_comes_are_told(folder: Path) -> N
         simulated(folder, "reads", first_patience=4.0)
 
 
+@pytest.mark.thorough
 def test_an_interrupt_ends_the_run_and_the_program(folder: Path) -> None:
     (folder / "client.py").write_text(
         "import os, pathlib, time\n"

@@ -432,6 +432,7 @@ def test_tables_of_simulations_and_of_packets_are_the_runs_they_were_written_fro
         read_run_table(table, load_scene(str(path)), "upd")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "arguments",
     [["compare", "{csv}", "{mcap}", "--tolerance-torque", "1e-6"], ["compare", "{csv}"],

@@ -111,6 +111,7 @@ def test_what_may_be_lost_or_unread_is_said_so() -> None:
         assert told["lost"] == why
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_json_has_the_same(scene: Callable[[], tuple[Path, int]]) -> None:
     file, port = scene()

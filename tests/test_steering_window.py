@@ -33,6 +33,7 @@ def pixel(window: Driven, point: str) -> tuple[int, int]:
     return round(x), round(SIZE[1] - bottom - y)
 
 
+@pytest.mark.thorough
 def test_a_dragged_handle_moves_the_target_and_the_robot_follows(
     display: str, tmp_path: Path
 ) -> None:

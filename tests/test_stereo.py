@@ -106,6 +106,7 @@ def picture(
         return np.asarray(renderer.render(data)).astype(int)
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_numbers_are_at_the_same_pixels_for_both_eyes_and_as_without_stereo() -> None:
     one = picture(None)

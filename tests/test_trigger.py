@@ -103,6 +103,7 @@ def test_what_holds_is_told_with_joint_and_value() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_models_of_robots_are_signals() -> None:
     of = scene()
     lwr = SerialRobot.from_model("lwr", inputs=["joint_velocities"])

@@ -106,6 +106,7 @@ def test_a_picture_has_all_that_was_set_before(viewer: Viewer) -> None:
         viewer.set("mine.joint_angle", np.zeros(7))
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(bool(NO_BROWSER), reason=f"needs {', '.join(NO_BROWSER)}")
 def test_a_browser_sees_it_live_while_nothing_is_called(viewer: Viewer, browser: Any) -> None:
     states: list[str] = []

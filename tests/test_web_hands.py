@@ -18,6 +18,7 @@ pytestmark = [
 CAMERA = "w.view_state().camera"
 
 
+@pytest.mark.thorough
 def test_sliders_links_and_the_clipboard(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", settings=(POSE,)) as served:
         visitor = Visitor(browser, served, size=(1000, 640))

@@ -20,6 +20,7 @@ pytestmark = [
 ]
 
 
+@pytest.mark.thorough
 def test_a_second_browser_watches_and_takes_over(browser: Any, tmp_path: Path) -> None:
     settings = (POSE, TORQUES, "lwr.show_arrows=true")
     with Served(tmp_path, "lwr", settings=settings) as served:
@@ -140,6 +141,7 @@ def test_a_finger_taps_once_and_two_zoom(browser: Any, tmp_path: Path) -> None:
         hand.close()
 
 
+@pytest.mark.thorough
 def test_a_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "impedance_push", settings=("run.duration=100",)) as served:
         visitor = Visitor(browser, served, has_touch=True)

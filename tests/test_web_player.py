@@ -136,6 +136,7 @@ def test_the_status_is_backed_and_above_cards(page: Any) -> None:
     assert most > over > cards
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("look", "scheme", "shown"), [
     ("dark", "light", "dark"), ("light", "dark", "light"), (None, "dark", "dark"),
 ])  # fmt: skip
@@ -245,6 +246,7 @@ def test_the_robot_covers_the_pixels_that_it_covers_in_our_pictures(
     assert (seen & wanted & free).sum() / ((seen | wanted) & free).sum() >= 0.99
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_a_phone_shows_all_in_its_width(browser: Any, file: Path, scheme: str) -> None:
     phone = {"viewport": {"width": 390, "height": 844}, "color_scheme": scheme, "has_touch": True}

@@ -110,6 +110,7 @@ def compare(page: Any, found: Any, data: mujoco.MjData, time: float = 0.0) -> tu
     return overlap(covered, seen), away
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("geom", "look"),
     # A picture that is there once, `flat`, is one that is there 1 x 1 times.
@@ -246,6 +247,7 @@ def test_a_plane_is_seen_through_from_below(opened: Callable[..., Any]) -> None:
     assert overlap(covered, alpha > 30) >= OUTLINE
 
 
+@pytest.mark.thorough
 def test_a_plane_reflects(opened: Callable[..., Any]) -> None:
     model = mujoco.MjModel.from_xml_string(f"""<mujoco>{BARE}
     <asset><material name="wet" rgba=".1 .1 .3 1" reflectance=".6"/></asset><worldbody>
@@ -291,6 +293,7 @@ def test_a_scene_of_ours_has_no_more_in_its_head_than_before() -> None:
         assert key not in head
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.parametrize("look", ["light", "dark"])
 def test_a_page_looks_as_filaments_picture_of_the_scene(

@@ -74,6 +74,7 @@ def pixel(window: Driven, joint: int) -> tuple[float, float]:
     return x, SIZE[1] - bottom - y
 
 
+@pytest.mark.thorough
 def test_a_key_switches_what_the_table_says(window: Driven) -> None:
     assert not window.ask("w.toggles.arrows.any()")
     window.key("a")
@@ -150,6 +151,7 @@ def test_a_double_click_of_the_right_button_centres_the_view(window: Driven) -> 
     assert pixel(window, 5) == pytest.approx((320, picture[1] / 2), abs=40)
 
 
+@pytest.mark.thorough
 def test_a_frame_is_followed(window: Driven) -> None:
     x, y = pixel(window, 5)
     window.tool("mousemove", round(x), round(y))
@@ -167,6 +169,7 @@ def test_a_frame_is_followed(window: Driven) -> None:
     window.ask("w.data.qpos.__setitem__(0, 0.0)")
 
 
+@pytest.mark.thorough
 def test_the_help_is_shown_and_goes_with_a_click(window: Driven) -> None:
     window.key("F1")
     window.until("w.shows_help")
@@ -211,6 +214,7 @@ def test_a_film_is_as_long_as_it_was_filmed(window: Driven) -> None:
     assert frames / 30 == pytest.approx(window.ask("w.tools['pictures'].capture.seconds"), abs=0.3)
 
 
+@pytest.mark.thorough
 def test_the_window_takes_another_size(window: Driven) -> None:
     window.tool("search", "--name", "lwr - sero-mj", "windowsize", 500, 400)
     window.until("w.gl.size == (500, 400)")
@@ -438,6 +442,7 @@ print("done")
 """
 
 
+@pytest.mark.thorough
 def test_a_loop_of_ones_own_moves_the_robot(display: str, tmp_path: Path) -> None:
     assert run_script(_LOOP, tmp_path, display) == "done\n"
 

@@ -46,6 +46,7 @@ def test_faults_begin_beside_the_button_of_the_panel(window: Driven) -> None:
     assert beside >= window.ask("places['panel'][2]")
 
 
+@pytest.mark.thorough
 def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Driven) -> None:
     window.tool("mousemove", SIZE[0] - 5, 5)
     window.settle()

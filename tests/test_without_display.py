@@ -47,6 +47,7 @@ def run_on_server(code: str, folder: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.parametrize(
     "code",
@@ -110,6 +111,7 @@ assert not [name for name in sys.modules if name.startswith("dm_control.")]
     assert (tmp_path / "out" / "lwr.mp4").stat().st_size > 3000
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_a_picture_after_mujocos_own_renderer_has_failed_is_refused(tmp_path: Path) -> None:
     """MuJoCo itself would end the process (134)."""
