@@ -79,7 +79,7 @@ export class Player {
     if (run.silent.length) about.push(`no data from ${run.silent.join(", ")}`);
     byId("about").textContent = about.join(" · ");
     byId("about").classList.toggle("failed", failed.length > 0);
-    const names = { arrows: "arrows", numbers: "numbers", doubles: "doubles", shadows: "shadows" };
+    const names = { arrows: "arrows", numbers: "billboards", doubles: "doubles", shadows: "shadows" };
     for (const [key, name] of Object.entries(names)) {
       if (!this.#has(key)) continue;
       const button = made("button", name, { type: "button", "aria-pressed": String(this.switches[key]), "data-switch": key });

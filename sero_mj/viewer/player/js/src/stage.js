@@ -162,7 +162,7 @@ export class Stage {
     }
     this.#follow(at);
     this.camera.updateMatrixWorld();
-    this.surroundings.place(this.camera, this.followed);
+    this.surroundings.place(this.camera, this.followed, robots.matrices);
   }
 
   /** Draws. @returns {number} draw calls */

@@ -7,7 +7,8 @@ import { shade } from "./shading.js";
 /** @typedef {import("./data.js").Geom} Geom */
 /** @typedef {import("./shading.js").SkyUniforms} SkyUniforms */
 
-const PLANE = 0, SPHERE = 2, CAPSULE = 3, CYLINDER = 5, BOX = 6, MESH = 7; // mjtGeom
+const PLANE = 0, SPHERE = 2, CAPSULE = 3, CYLINDER = 5, BOX = 6; // mjtGeom
+export const MESH = 7;
 const PLAIN = [0, 0.5, 0.5, 0]; // finish of what has no material
 const UP = Math.PI / 2;
 
@@ -55,7 +56,7 @@ export const metallicOf = (run, { material }) =>
   material === undefined ? 0 : Math.round(255 * (run.materials[material].metallic ?? 0));
 
 /** Half the extents of a geom, as MuJoCo scales its shapes. @param {Geom} geom */
-function extentsOf({ type, size: [a, b, c] }) {
+export function extentsOf({ type, size: [a, b, c] }) {
   if (type === SPHERE) return [a, a, a];
   return type === CAPSULE || type === CYLINDER ? [a, a, b] : [a, b, c];
 }

@@ -1,6 +1,7 @@
 /** What is around a scene, as its file declares it for both looks: sky, floor, haze, and light. */
 
 import * as THREE from "three";
+import { Occlusion } from "./occlusion.js";
 import { shade } from "./shading.js";
 
 /** @typedef {import("./data.js").Run} Run */
@@ -65,6 +66,7 @@ export class Surroundings {
     const { value: texture } = this.uniforms.reflections;
     texture.minFilter = texture.magFilter = THREE.LinearFilter;
     this.backdrop = this.#backdrop();
+    this.occlusion = new Occlusion(run, floor?.height ?? 0);
     this.floor = this.#floor();
     this.sun = run.lights ? null : this.#sun();
     this.group = new THREE.Group().add(this.backdrop, this.floor);
@@ -106,7 +108,9 @@ export class Surroundings {
           .replace("#include <color_fragment>", `diffuseColor.rgb = tiled(spot / ${tile.toFixed(6)});`)
           .replace("#include <fog_fragment>", `gl_FragColor.rgb = mix(gl_FragColor.rgb, haze,
             clamp((length(vViewPosition) - ${haze.toFixed(3)}) / ${(far - haze).toFixed(3)}, 0., 1.));`);
-      if (!lights) shade(shader, this.uniforms, "Surface(diffuseColor.rgb, vec3(0.), 1.)");
+      if (lights) return;
+      shade(shader, this.uniforms, "Surface(diffuseColor.rgb, vec3(0.), 1.)");
+      this.occlusion.shade(shader);
     };
     const mesh = new THREE.Mesh(new THREE.CircleGeometry(far, 64), material);
     mesh.position.z = height;
@@ -155,8 +159,10 @@ export class Surroundings {
   /**
    * Places them round what the camera sees.
    * @param {THREE.Camera} camera @param {number[]} moved with what it follows, m
+   * @param {THREE.Matrix4[]} matrices poses of bodies
    */
-  place(camera, moved) {
+  place(camera, moved, matrices) {
+    this.occlusion.place(matrices);
     if (this.sun) this.#aim(this.sun, moved);
     const { x, y, z } = camera.position, { floor } = this;
     if (!floor.visible) return;
@@ -164,6 +170,9 @@ export class Surroundings {
     this.uniforms.edge.value = z > floor.position.z ? (z - floor.position.z) / this.far : 1e9;
   }
 
-  /** Frees its texture. */
-  dispose() { this.uniforms.reflections.value.dispose(); }
+  /** Frees its textures. */
+  dispose() {
+    this.uniforms.reflections.value.dispose();
+    this.occlusion.dispose();
+  }
 }
