@@ -65,6 +65,7 @@ def test_packets_that_are_skipped_are_skipped() -> None:
     assert ahead.at(0.7) == parabola(0.7)
 
 
+@pytest.mark.slow
 def test_idle_time_is_used_but_no_more_than_there_is() -> None:
     made: list[float] = []
 
@@ -83,6 +84,7 @@ def test_idle_time_is_used_but_no_more_than_there_is() -> None:
     assert len(made) == 251  # a quarter of a second ahead, no more
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [1000, 5000, 10_000])
 def test_an_lwr_is_played_at_an_exact_rate(rate: int) -> None:
     packets = MotionPackets(load_scene("lwr_udp"))

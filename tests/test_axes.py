@@ -167,6 +167,7 @@ def tips_picked(world: World, rotations, eye) -> list[int]:
     return counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_every_frame_at_one_place_is_picked_at_its_own_tips(seed: int) -> None:
     rng = np.random.default_rng(seed)

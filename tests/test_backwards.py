@@ -70,6 +70,7 @@ COMMANDED = SineMotion(arm("lwr")).at(T + LEAD)[0]
 TORQUES = InverseDynamics(arm("lwr")).torques(POSITION, VELOCITY, ACCELERATION)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("structure", "origin"),
     [
@@ -90,6 +91,7 @@ def test_what_is_sent_gives_the_joint_angles_back(structure: str, origin: str) -
     np.testing.assert_allclose(angles(world, data, "lwr"), POSITION, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_one_event_of_many_parts_carries_everything() -> None:
     routes = {
         "lwr.joint_angles": "udp.values0[0:3] * deg",
@@ -114,6 +116,7 @@ def test_one_event_of_many_parts_carries_everything() -> None:
     assert are_frames(layout.decode(MotionPackets(scene).at(T))["matrices0"]).all()
 
 
+@pytest.mark.slow
 def test_where_routes_want_different_things_the_robot_gets_its_motion() -> None:
     routes = {
         "lwr.billboard_values": "udp.values0",
@@ -140,6 +143,7 @@ def test_two_senders_together_give_the_motion() -> None:
     np.testing.assert_allclose(shown(world, data, "goal.joint_angles"), COMMANDED, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_outputs_beside_events_are_known() -> None:
     routes = {
         "leader.joint_angles": "udp.values0",
@@ -155,6 +159,7 @@ def test_outputs_beside_events_are_known() -> None:
     np.testing.assert_allclose(shown(world, data, "goal.joint_angles"), COMMANDED, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_outputs_of_a_robot_that_another_source_moves_are_known() -> None:
     routes = {
         "leader.joint_angles": "other.values0",

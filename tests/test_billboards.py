@@ -634,6 +634,7 @@ def test_torques_of_the_model_are_called_so() -> None:
     assert labels(buffer.rows[: buffer.count])[2] == "E1  model     2.0 Nm"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lines", [1, 2, 3])
 @pytest.mark.parametrize("size", [(360, 270), (270, 360), (640, 480)])
 def test_cards_of_several_lines_cover_each_other_in_no_small_picture(

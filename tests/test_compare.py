@@ -240,6 +240,7 @@ def command(*arguments: object) -> int:
     return int(ended.value.code or 0)
 
 
+@pytest.mark.slow
 def test_the_command_is_0_for_the_same_and_1_beyond_a_tolerance(
     recorded: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

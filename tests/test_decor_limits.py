@@ -66,6 +66,7 @@ def test_noise_does_not_turn_a_round_arrow(axis, sign):
     assert np.abs(R - R[0]).max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lines", "own"),
     [

@@ -110,6 +110,7 @@ def test_settings_are_set_for_once_and_checked_against_the_world(
     assert problem.key == "decor.temperature.full" and problem.found == 80.0
 
 
+@pytest.mark.slow
 def test_it_is_listed_with_its_package(installed: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "sero_mj", "list"],

@@ -48,6 +48,7 @@ def during(begin: float, end: float | None, **fault: Any) -> dict[str, Any]:
     return {**fault, "begin": begin, "end": end}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fault",
     [

@@ -172,6 +172,7 @@ def in_python(folder: Path) -> dict[str, np.ndarray]:
     return signals(Simulation(declared.scenario))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
 def test_logs_are_those_of_the_law_in_python(
     folder: Path, version: int, in_python: dict[str, np.ndarray]
@@ -201,6 +202,7 @@ def test_a_unit_that_another_tool_has_made_is_run(
         assert values == pytest.approx(in_python[key], abs=1e-9), key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
 def test_inputs_may_be_mapped_and_parameters_set(folder: Path, version: int) -> None:
     names = ["q", "velocities", "target_angles", "gravity"]
@@ -211,6 +213,7 @@ def test_inputs_may_be_mapped_and_parameters_set(folder: Path, version: int) -> 
     assert not np.allclose(stiff, soft["lwr_commanded_torques"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "settings", "key", "said"),
     [

@@ -184,6 +184,7 @@ def test_guesses_of_any_mixture_fit(letters: str, order: str) -> None:
         assert guess.about
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.integers(5, 8), min_size=2, max_size=3),

@@ -208,6 +208,7 @@ def test_a_pose_that_a_program_keeps_setting_cannot_be_moved_by_hand() -> None:
     assert found() == (False, False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("link", [3, 5, 7])
 def test_a_dragged_link_comes_along_and_lets_go(link: int) -> None:
     mirror = lwr_mirror(joint_angles=BENT)

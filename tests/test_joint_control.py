@@ -113,6 +113,7 @@ def test_gains_that_a_time_step_cannot_hold_are_refused_with_the_joint() -> None
     assert not np.abs(angles[-1] - START).max() < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize(("ratio", "overshoot"), [(0.7, 0.046), (0.4, 0.254), (1.0, 0.0)])
 def test_a_small_step_overshoots_as_its_ratio_says(
@@ -162,6 +163,7 @@ def test_an_impedance_never_makes_energy(seed: int, ratio: float) -> None:
         assert last < first
 
 
+@pytest.mark.slow
 def test_gravity_compensation_does_not_drift_in_a_minute() -> None:
     loop = Loop()
     control, target = GravityCompensation().make(loop.robot, 1e-3), Target(7)

@@ -132,6 +132,7 @@ BESIDE = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_what_the_grammar_makes_is_read() -> None:
     grammar = Grammar(blocks("ebnf")[0], seed=11)
     read = 0

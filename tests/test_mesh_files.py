@@ -63,6 +63,7 @@ def test_a_box_is_a_box_in_every_format(tmp_path: Path, ending: str) -> None:
         assert piece.contents == path.read_bytes()
 
 
+@pytest.mark.slow
 def test_an_stl_in_ascii_and_one_with_too_many_faces_are_converted(tmp_path: Path) -> None:
     path = tmp_path / "ascii.stl"
     path.write_text(trimesh.exchange.stl.export_stl_ascii(BOX), encoding="ascii")
@@ -247,6 +248,7 @@ def corrupted(contents: bytes, data: st.DataObject) -> bytes:
     return contents
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["stl", "obj", "ply", "glb", "dae", "wrl"])
 @given(data=st.data())
 def test_damaged_files_raise_nothing_but_declaration_errors(

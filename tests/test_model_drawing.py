@@ -215,6 +215,7 @@ def test_pictures_have_red_inertias_in_a_transparent_arm(touching: Mirror) -> No
     assert some > few + 100 and many > 1.5 * some
 
 
+@pytest.mark.slow
 def test_check_boxes_of_a_page_are_undone_and_copied(page: WebHost, client: PageClient) -> None:  # noqa: F811
     assert client.state["shading"] == {"transparent": False, "wireframe": False}
     page.clock.pause()

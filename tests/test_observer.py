@@ -90,6 +90,7 @@ def test_on_the_motor_side_friction_is_taken_for_an_outer_torque_on_the_link_sid
     assert np.abs(motor[200:]).max() > 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [5.0, 25.0, 100.0])
 def test_it_converges_with_the_time_constant_one_over_gain(gain: float) -> None:
     model, sensed = lwr_model(), Sensed(7)

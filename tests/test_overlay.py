@@ -371,6 +371,7 @@ def test_a_drawn_frame_costs_little() -> None:
     assert best < 4e-3  # s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["acrobot", "cheetah", "hopper", "humanoid", "humanoid_CMU"])
 def test_models_of_others_have_arrows_that_move(name: str) -> None:
     suite = pytest.importorskip(f"dm_control.suite.{name}", reason="dm-control is not installed")

@@ -153,6 +153,7 @@ def energy(plant: Plant) -> float:
     return float(plant.data.energy.sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elastic", [False, True])
 def test_energy_stays_without_motors_and_friction(elastic):
     drifts = []

@@ -201,6 +201,7 @@ for limit in map(int, sys.argv[3:]):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk_bytes", [4000, 200])
 def test_a_full_disk_ends_the_recording_and_leaves_a_file_that_all_can_read(
     tmp_path: Path, chunk_bytes: int

@@ -79,6 +79,7 @@ def recorded(
     yield path, shown
 
 
+@pytest.mark.slow
 def test_it_shows_the_same_frames_as_the_live_run(recorded: tuple[Path, list[tuple]]) -> None:
     path, shown = recorded
     robot = SerialRobot.from_model("lwr", show_arrows=True, show_billboards=True)
@@ -142,6 +143,7 @@ def test_speed_seeking_and_standing_still(
         assert replay.receiving
 
 
+@pytest.mark.slow
 def test_none_is_lost_when_none_may_be(
     recorded: tuple[Path, list[tuple]], lwr: SerialRobot
 ) -> None:

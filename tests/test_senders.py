@@ -40,6 +40,7 @@ def taken(packets: list[tuple[float, int, bytes]], batch: int, **fields: str) ->
     return intake
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch", [1, 7, 256])
 @pytest.mark.parametrize("pause", [0.02, 0.3, 3.0])
 @pytest.mark.parametrize("fields", [{}, {"sequence": "n"}, {"sequence": "n", "time": "t"}])

@@ -110,6 +110,7 @@ def test_signals_are_put_into_plots_and_taken_out_of_them() -> None:
     assert tool.shown.said[-1] == ("8 plots are as many as there can be", True)  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_a_signal_of_a_run_shows_the_past_as_soon_as_it_is_chosen() -> None:
     scene = load_scene("impedance_push")
     with Mirror(scene) as mirror:

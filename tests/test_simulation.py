@@ -98,6 +98,7 @@ def noisy(**fields: Any) -> Any:
     return scenario(sensors=sensors, disturbances={"push": PUSH}, duration=0.6, **fields)
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_run_bit_for_bit_however_it_is_cut() -> None:
     whole = ran(noisy()).rows
     again = Simulation(noisy())
@@ -149,6 +150,7 @@ def found(fault: dict[str, Any], **fields: Any) -> list[tuple[str, str]]:
     return [(finding.joint, finding.kind) for finding in simulation.findings()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "finding"),
     [

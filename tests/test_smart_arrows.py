@@ -95,6 +95,7 @@ def test_an_arrow_whose_head_would_be_inside_a_link_ends_at_its_point() -> None:
     assert drawn(0, 40.0, 0)["pos"] == pytest.approx(flange, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("at", "expressed_in"),
     [

@@ -144,6 +144,7 @@ FAULTS = {"received": 99, "age": 0.1, "size": 56, "malformed": 9, "wrong_size": 
           "duplicates": 2, "restarts": 4, "link_age": 0.5, "senders": 3}  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("counts", [FAULTS, {**FAULTS, "malformed": 0}])
 @pytest.mark.parametrize("size", [(640, 480), (800, 600), (1280, 800)])
 @pytest.mark.parametrize("distance", [1.2, 2.0, 3.5])

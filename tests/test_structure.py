@@ -291,6 +291,7 @@ def test_a_signalling_nan_is_decoded_without_a_warning() -> None:
     assert np.isnan(Structure("1F", is_double=False).decode(packet)["values0"]).all()
 
 
+@pytest.mark.slow
 @given(items_lists, st.booleans(), st.data())
 def test_floats_are_decoded_as_struct_does(
     items: Items, column_major: bool, data: st.DataObject

@@ -149,6 +149,7 @@ def test_values_that_are_none_are_told(option: str, message: str) -> None:
 # --- variants
 
 
+@pytest.mark.slow
 def test_a_row_says_what_a_simulation_by_hand_does(file: Path) -> None:
     runs = sweep(file, f"{STIFFNESS}=200:3000", samples=3)
     for number, found in runs.run():
@@ -286,6 +287,7 @@ def test_what_was_interrupted_goes_on(file: Path, tmp_path: Path) -> None:
     assert whole.read_bytes() == broken.read_bytes()
 
 
+@pytest.mark.slow
 def test_shards_joined_are_the_table_of_one_run(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -242,6 +242,7 @@ def test_an_address_that_is_not_of_this_machine_is_told(host: str) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fields", "message"),
     [

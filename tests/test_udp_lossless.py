@@ -73,6 +73,7 @@ def test_arrivals_stay_in_order_where_the_wall_clock_is_set(
         assert np.all(np.diff(arrivals) >= 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not LINUX, reason="counts what the kernel drops")
 def test_every_packet_is_handed_on_in_order_and_none_is_lost() -> None:
     count = 30_000

@@ -265,6 +265,7 @@ def test_a_packed_file_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
     assert "größe" in read_document(path).names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     ["[" * 700_000, "}" * 30_000, "[1 a " * 30_000, '"' * 30_001, "a " * 30_000,

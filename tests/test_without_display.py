@@ -74,6 +74,7 @@ over = sero_mj.overlay(mujoco.MjModel.from_xml_string(
     run_on_server(f"import mujoco\nimport sero_mj\n{overlay}{_OWN_RENDERER}", tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_no_graphics_driver_is_loaded_before_a_picture(tmp_path: Path) -> None:
     # Mesa brings an LLVM; a process that loads torch's as well ends with a segmentation fault.
