@@ -127,6 +127,8 @@ WRONG = [
     ({"dh_convention": "craigg"},
      Problem("dh_convention", found="craigg", expected="'craig', 'standard' or 'none'",
              available=["craig"])),
+    ({"dh_convention": "Modified"},
+     Problem("dh_convention", found="Modified", expected="'craig', its name here")),
     ({"show_axis": True}, Problem("show_axis", "unknown key", available=["show_axes"])),
     ({"dh_params": [0, 0, 0]}, Problem("dh_params", "found 3; expected n x 4 numbers")),
     ({"dh_params": [[0, 0, 0]]}, Problem("dh_params", "found 1 x 3; expected n x 4 numbers")),

@@ -50,6 +50,9 @@ _OF_TABLE: dict[str, Any] = {
     "length_unit": "m",
     "dh_base_frame": np.eye(4),
 }
+_OTHER_CONVENTIONS = {  # what else they are called: by Craig, and by those who write of Denavit's
+    "modified": "craig", "proximal": "craig", "classic": "standard", "distal": "standard",
+}  # fmt: skip
 _COUPLING_TOLERANCE = 1e-4  # rad or m; angles in files are rounded
 
 
@@ -216,6 +219,13 @@ class RobotDeclaration(Declaration):
     _model: Path | None = PrivateAttr(None)  # the robot file, for problems found later
     # Files and keys of its tables in models of groups, outer ones first; for the same.
     _declared: tuple[tuple[Path, str], ...] = PrivateAttr(())
+
+    @field_validator("dh_convention", mode="before")
+    @classmethod
+    def _name_of_convention(cls, name: object) -> object:
+        if isinstance(name, str) and (ours := _OTHER_CONVENTIONS.get(name.lower())):
+            raise Problem(found=name, expected=f"{ours!r}, its name here").error()
+        return name
 
     @field_validator("dh_params")
     @classmethod
