@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from .errors import DeclarationError, Problem
 from .paths import format_of, read_file
@@ -43,7 +43,8 @@ _NAMES_AND_VALUES = re.compile(
     r"(?P<ends>=|(?(header)\]\]?[ \t]*+(?=[\n#]|\Z)|=))?",
     re.DOTALL | re.MULTILINE,
 )
-_MAX_KEPT = 100_000  # characters of a text whose tables are kept for when it is read again
+_MAX_KEPT = 100_000  # characters of a text for which what is found in it is kept
+_Found = TypeVar("_Found")
 _MAX_ROWS = 300  # of an array whose entries are told apart; looking takes the square of it
 
 
@@ -81,9 +82,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     Raises:
         ValueError: it is invalid, or too large or deeply nested for the memory; says where.
     """
-    if len(text) > _MAX_KEPT:
-        return _parse(text)
-    return {key: _copied(value) for key, value in _parse_and_keep(text).items()}
+    return {key: _copied(value) for key, value in _tables_of(text).items()}
 
 
 def _parse(text: str) -> dict[str, Any]:
@@ -94,8 +93,13 @@ def _parse(text: str) -> dict[str, Any]:
         raise ValueError("nested too deeply") from None
 
 
-# Each variant of a sweep reads the same files: to copy the tables takes a tenth of parsing.
-_parse_and_keep = lru_cache(8)(_parse)
+def _kept(function: Callable[[str], _Found]) -> Callable[[str], _Found]:
+    """Keeps what is found in texts: all variants of a sweep read the same files."""
+    keep = lru_cache(8)(function)
+    return lambda text: keep(text) if len(text) <= _MAX_KEPT else function(text)
+
+
+_tables_of = _kept(_parse)  # to copy them takes a tenth of parsing
 
 
 def _copied(value: Any) -> Any:
@@ -156,14 +160,14 @@ def key_lines(path: Path) -> dict[str, int]:
         return {}
 
 
-@lru_cache(maxsize=16)  # all variants of a sweep read the same files
+@_kept
 def _lines_of(text: str) -> dict[str, int]:
     lines: dict[str, int] = {}
     table = ""
     entries: Counter[str] = Counter()  # of arrays of tables
     for number, statement in _statements(text):
         try:
-            parsed = parse_toml(statement)
+            parsed = _parse(statement)  # kept ones would take the places of whole files
         except ValueError:
             continue
         if statement.lstrip().startswith("["):
