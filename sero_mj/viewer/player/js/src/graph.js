@@ -49,6 +49,19 @@ export const timeAxis = (unit) => ({
   values: (/** @type {unknown} */ _, /** @type {number[]} */ all) => all.map((each) => `${each} ${unit}`),
 });
 
+/** Digits behind the point that a step needs. @param {number} step */
+export function digitsOf(step) {
+  let digits = 0;
+  while (digits < 9 && Math.abs(step * 10 ** digits - Math.round(step * 10 ** digits)) > 1e-6) digits++;
+  return digits;
+}
+
+/** The axis of values: digits that tell its numbers apart, and room for them. @type {uPlot.Axis} */
+export const VALUE_AXIS = {
+  values: (_plot, all, _axis, _space, step) => all.map((each) => each.toFixed(digitsOf(step))),
+  size: (_plot, texts) => 24 + 7 * Math.max(3, ...(texts ?? []).map(({ length }) => length)),
+};
+
 /** A plot, as wide as its room. */
 export class Graph {
   constructor() {
@@ -102,7 +115,7 @@ export class Graph {
       scales: { x: { time: false, auto: false }, y: { auto: false } },
       padding: [6, 10, 0, 0],
       axes: [{ ...axis, size: 24, ...timeAxis(content.x) },
-        { ...axis, size: 44 }],
+        { ...axis, ...VALUE_AXIS }],
       series: [{}, ...content.lines.map(({ rgb }) => ({ stroke: colourOf(rgb), width: 1.75, points: { show: false } }))],
       hooks: { drawAxes: [(plot) => this.#drawLimits(plot)] },
     }, dataOf(content.lines), this.room);

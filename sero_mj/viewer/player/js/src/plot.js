@@ -1,7 +1,7 @@
 /** The plot of a joint: commanded and measured torque, or its angle, along the time line. */
 
 import uPlot from "uplot";
-import { namesOf, timeAxis } from "./graph.js";
+import { VALUE_AXIS, namesOf, timeAxis } from "./graph.js";
 
 /** @typedef {import("./data.js").Run} Run */
 
@@ -90,7 +90,7 @@ export class Plot {
       scales: { x: { time: false } },
       legend: { show: false },
       padding: [8, 8, 0, 0],
-      axes: [{ ...axis, size: 26, ...timeAxis("s") }, { ...axis, size: 50 }],
+      axes: [{ ...axis, size: 26, ...timeAxis("s") }, { ...axis, ...VALUE_AXIS }],
       series: [{}, ...looks.map(({ colour, isDashed }) => ({ stroke: colour, points: { show: false },
         ...isDashed ? { width: 1.5, dash: [6, 4] } : { width: 2 } }))],
       hooks: { draw: [(plot) => this.#drawTime(plot)] },

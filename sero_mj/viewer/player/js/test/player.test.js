@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { widthOf } from "../src/arrows.js";
 import { Clock } from "../src/clock.js";
+import { digitsOf } from "../src/graph.js";
 import { decode, normalOf, textOf, unfold, valueOf } from "../src/data.js";
 import { stacked } from "../src/layout.js";
 
@@ -12,6 +13,10 @@ const ARROW = {
 
 test("folded numbers are unfolded", () => {
   assert.deepEqual([0, 1, 2, 3, 4].map(unfold), [0, -1, 1, -2, 2]);
+});
+
+test("numbers of an axis have the digits of its steps", () => {
+  assert.deepEqual([1e-4, 0.25, 0.1, 1, 50, 2.5].map(digitsOf), [4, 2, 1, 0, 0, 1]);
 });
 
 test("normals of all octants have unit length", () => {
