@@ -52,7 +52,7 @@ export const timeAxis = (unit) => ({
 /** Digits behind the point that a step needs. @param {number} step */
 export function digitsOf(step) {
   let digits = 0;
-  while (digits < 9 && Math.abs(step * 10 ** digits - Math.round(step * 10 ** digits)) > 1e-6) digits++;
+  while (digits < 9 && Math.abs(1 - Math.round(step * 10 ** digits) / (step * 10 ** digits)) > 1e-6) digits++;
   return digits;
 }
 

@@ -10,6 +10,14 @@ const css = (name) => getComputedStyle(document.documentElement).getPropertyValu
 
 const WORDS = { torques: "measured", commanded_torques: "commanded", joint_angles: "angle" };
 
+const LEAST = 0.01; // of the largest value, and in its unit: what is shown of what hardly changes
+
+/** The range of values in a plot, which does not enlarge their noise. @param {number} low @param {number} high */
+export function rangeOf(low, high) {
+  const least = LEAST * Math.max(Math.abs(low), Math.abs(high), 1), more = Math.max(least - (high - low), 0) / 2;
+  return uPlot.rangeNum(low - more, high + more, 0.1, true);
+}
+
 const LONGEST = 28; // characters of a file's name
 
 /**
@@ -87,7 +95,7 @@ export class Plot {
     this.plot = new uPlot({
       ...this.#size(),
       cursor: { y: false, drag: { x: false, y: false } },
-      scales: { x: { time: false } },
+      scales: { x: { time: false }, y: { range: (_, low, high) => rangeOf(low ?? 0, high ?? 0) } },
       legend: { show: false },
       padding: [8, 8, 0, 0],
       axes: [{ ...axis, size: 26, ...timeAxis("s") }, { ...axis, ...VALUE_AXIS }],

@@ -16,7 +16,7 @@ test("folded numbers are unfolded", () => {
 });
 
 test("numbers of an axis have the digits of its steps", () => {
-  assert.deepEqual([1e-4, 0.25, 0.1, 1, 50, 2.5].map(digitsOf), [4, 2, 1, 0, 0, 1]);
+  assert.deepEqual([1e-7, 1e-4, 0.25, 0.1, 1, 50, 2.5].map(digitsOf), [7, 4, 2, 1, 0, 0, 1]);
 });
 
 test("normals of all octants have unit length", () => {
