@@ -116,6 +116,7 @@ def test_one_event_of_many_parts_carries_everything() -> None:
     assert are_frames(layout.decode(MotionPackets(scene).at(T))["matrices0"]).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_where_routes_want_different_things_the_robot_gets_its_motion() -> None:
     routes = {
@@ -143,6 +144,7 @@ def test_two_senders_together_give_the_motion() -> None:
     np.testing.assert_allclose(shown(world, data, "goal.joint_angles"), COMMANDED, atol=1e-13)
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_outputs_beside_events_are_known() -> None:
     routes = {

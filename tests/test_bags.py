@@ -98,6 +98,7 @@ def test_seeking_gives_what_playing_up_to_there_gives(bag: Path, time: float) ->
         assert recording.last_before("joint_states", -1.0) is None
 
 
+@pytest.mark.thorough
 def test_a_robot_alone_is_led_by_a_bag(bag: Path, tmp_path: Path, capsys: Any) -> None:
     picture = tmp_path / "seen.png"
     still = tmp_path / "still.png"

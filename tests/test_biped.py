@@ -148,6 +148,7 @@ def test_in_the_declared_pose_it_is_balanced_over_its_soles() -> None:
     np.testing.assert_allclose(middle, [0.0326, 0.0, 0.7246], atol=2e-4)  # as the scenario says
 
 
+@pytest.mark.thorough
 def test_pushes_change_its_momentum_by_their_impulse() -> None:
     """What the floor and the pushes do together is the change of momentum, over the whole run."""
     simulation = standing()

@@ -149,6 +149,7 @@ class Shell:
         assert "no good packet" not in said or "--wait 0" in command
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.slow
 @pytest.mark.timeout(300)

@@ -134,6 +134,7 @@ def test_the_variant_to_look_at_stays_as_it_was(lwr, lwr_world):
     assert model.body("lwr/flange").id == model.nbody - 1
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.parametrize("name", paths.list_models())
 def test_shipped_robots_are_physical_as_declared_and_as_estimated(name):

@@ -95,6 +95,7 @@ def test_a_simulated_robots_figures_are_found_within_three_standard_errors() -> 
     assert 0.5 < np.sqrt(np.mean(sizes**2)) < 1.5  # the errors are neither boasted nor feared
 
 
+@pytest.mark.thorough
 def test_what_the_motion_does_not_move_is_not_told() -> None:
     found = identify(log_of(1, (0, 3)), "lwr")
     told = {each.joint for each in found.joints if each.coulomb_friction.value is not None}

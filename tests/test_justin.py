@@ -183,6 +183,7 @@ def test_weight_and_gravity_torques_are_those_of_the_parts() -> None:
             assert bias[joint] == pytest.approx((ends[0] - ends[1]) / 2e-5, abs=2e-4)
 
 
+@pytest.mark.thorough
 def test_one_packet_has_all_angles_torques_and_the_platforms_pose() -> None:
     scene = load_scene("justin")
     scene.sources["udp"]["port"] = 0
@@ -308,6 +309,7 @@ def test_only_axes_that_are_shown_show_their_names() -> None:
     assert names == {"torso/body", *arms, *(name.replace("left", "right") for name in arms)}
 
 
+@pytest.mark.thorough
 def test_the_haptic_device_moves_the_arms_of_space_justin() -> None:
     scene = load_scene("telepresence")
     scene.sources["udp"]["port"] = 0

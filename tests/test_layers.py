@@ -191,6 +191,7 @@ def test_every_import_goes_up_or_beside_without_circles() -> None:
     assert sum(name.startswith(".") for name in found) > 100
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("module", "line", "found"),

@@ -78,6 +78,7 @@ def random_actions(steps: int, many: int, n: int = 7) -> np.ndarray:
 
 
 # Next to each other they differ in what is computed: what acts, what is sensed, what is coupled.
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "options"),
     [

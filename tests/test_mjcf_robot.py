@@ -448,6 +448,7 @@ def test_independent_joints_alone_say_where_the_flange_is(robot):
 FILES = ["acrobot", "cheetah", "fish", "hopper", "humanoid", "quadruped", "swimmer", "walker"]
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_robots_of_dm_control_are_those_of_plain_mujoco(name):

@@ -120,6 +120,7 @@ def test_the_lwr_looks_the_same_as_an_overlay_and_as_a_scene() -> None:
             overlay.toggles.arrows[joint] = True
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("joint", range(6))
 def test_a_click_on_a_drawn_arrow_finds_its_joint(overlay: Any, joint: int) -> None:
     """Pixels that change when the arrow goes are the arrow; what is there is the joint's."""
@@ -206,6 +207,7 @@ def bare(height: float = 1.0, more: str = "", sky: str = "", headlight: int = 1)
     return mujoco.MjModel.from_xml_string(xml)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("camera", [None, "front"])
 def test_a_bare_model_is_lit_on_a_floor_below_a_sky(camera: str | None) -> None:
     for headlight in (1, 0):

@@ -61,6 +61,7 @@ def loaded(dynamics: RobotDynamics, mass: float, center) -> RobotDynamics:
     return replace(dynamics, masses=copies[0], centers=copies[1], tensors=copies[2])
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.parametrize("elastic", [False, True])
 @pytest.mark.parametrize("payload", [0.0, 3.0])

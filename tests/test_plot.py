@@ -237,6 +237,7 @@ def test_two_figures_of_one_run_are_the_same_file(tmp_path: Path, suffix: str) -
     assert dict(mpl.rcParams) == before
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_matplotlib_is_imported_when_a_figure_is_made_and_pyplot_never(tmp_path: Path) -> None:
     code = (

@@ -39,6 +39,7 @@ def refused(*arguments: object) -> None:
     assert caught.value.code == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.parametrize("more", ["", "speed = 2\nloop = true"])
 def test_status_plays_it(recording: Path, more: str, capsys: pytest.CaptureFixture[str]) -> None:

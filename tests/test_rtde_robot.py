@@ -339,6 +339,7 @@ def test_a_client_that_sleeps_is_silent_until_it_answers_again(
     assert np.abs(logged(simulation, "joint_angles") - HOME).max() < 1e-3
 
 
+@pytest.mark.thorough
 def test_torques_of_a_client_that_is_silent_end(folder: Path) -> None:
     simulation = simulated(folder, "mute", 0.3, patience=0.05, interface="torque")
     assert logged(simulation, "rtde_state").ravel()[-1] == SILENT

@@ -144,6 +144,7 @@ def test_cartesian_controllers_of_elastic_joints_behind_a_torque_loop() -> None:
     check([scenario(controller=one, disturbances=PUSH, **drives) for one in each])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "steps"),
     sampled(

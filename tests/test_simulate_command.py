@@ -138,6 +138,7 @@ def test_a_table_holds_every_number(scenario: Path, tmp_path: Path) -> None:
     assert np.array_equal(np.array(rows, float), simulation.rows)
 
 
+@pytest.mark.thorough
 @pytest.mark.gl
 def test_a_picture_shows_arrow_double_and_push(scenario: Path, tmp_path: Path) -> None:
     pictures = []

@@ -95,6 +95,7 @@ def test_what_sources_bring_comes_back_and_what_is_set_stays(viewer: Viewer) -> 
     assert found[:3, 3] == pytest.approx(alone.frame(data, "lwr/flange")[:3, 3] + [0, 1, 0])
 
 
+@pytest.mark.thorough
 def test_a_picture_has_all_that_was_set_before(viewer: Viewer) -> None:
     viewer.set("mine.joint_angles", np.zeros(7))
     before = viewer.picture()
@@ -157,6 +158,7 @@ def test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along(
     assert record.getMessage() == "the viewer has died, your program goes on: SIGKILL"
 
 
+@pytest.mark.thorough
 def test_what_goes_wrong_there_is_told_here(caplog: pytest.LogCaptureFixture) -> None:
     with sero_mj.view("lwr", web=True) as viewer:
         # As if a driver failed: it writes why, and ends.

@@ -49,6 +49,7 @@ def page(served: Served, visitor: Visitor) -> Visitor:
     return visitor
 
 
+@pytest.mark.thorough
 def test_arrows_are_seen_in_both_colours_and_go_with_their_key(
     served: Served, page: Visitor
 ) -> None:

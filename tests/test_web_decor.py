@@ -283,6 +283,7 @@ def test_smart_arrows_show_with_their_heads(opened: Callable[..., Any]) -> None:
     assert overlap(covered, seen) >= 0.93
 
 
+@pytest.mark.thorough
 def test_names_of_frames_are_text(opened: Callable[..., Any]) -> None:
     robot = SerialRobot.from_model("lwr", show_axes=True)
     scene = Scene(robots=[robot], toggles=SceneToggles(frame_names=True))

@@ -367,6 +367,7 @@ def test_a_browser_with_the_address_sees_the_robot(browser: Any, tmp_path: Path)
         served.until("w.is_seen")
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no such signals")
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
 def test_a_page_that_is_ended_leaves_no_files(sent: signal.Signals, tmp_path: Path) -> None:

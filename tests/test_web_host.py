@@ -226,6 +226,7 @@ def test_a_slow_browser_gets_fewer_states_and_the_last_one(page: WebHost) -> Non
         slow.until(lambda: slow.state.get("time") == round(page.data.time, 4))
 
 
+@pytest.mark.thorough
 def test_many_browsers_look_on(page: WebHost) -> None:
     clients = [PageClient(page) for _ in range(40)]
     try:
