@@ -58,7 +58,10 @@ export function digitsOf(step) {
 
 /** The axis of values: digits that tell its numbers apart, and room for them. @type {uPlot.Axis} */
 export const VALUE_AXIS = {
-  values: (_plot, all, _axis, _space, step) => all.map((each) => each.toFixed(digitsOf(step))),
+  values: (_plot, all, _axis, _space, step) => {
+    const digits = digitsOf(step);
+    return all.map((each) => each.toFixed(digits));
+  },
   size: (_plot, texts) => 24 + 7 * Math.max(3, ...(texts ?? []).map(({ length }) => length)),
 };
 

@@ -13,7 +13,7 @@ const WORDS = { torques: "measured", commanded_torques: "commanded", joint_angle
 const LEAST = 0.01; // of the largest value, and in its unit: what is shown of what hardly changes
 
 /** The range of values in a plot, which does not enlarge their noise. @param {number} low @param {number} high */
-export function rangeOf(low, high) {
+function rangeOf(low, high) {
   const least = LEAST * Math.max(Math.abs(low), Math.abs(high), 1), more = Math.max(least - (high - low), 0) / 2;
   return uPlot.rangeNum(low - more, high + more, 0.1, true);
 }

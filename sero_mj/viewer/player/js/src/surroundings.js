@@ -162,10 +162,10 @@ export class Surroundings {
    * @param {THREE.Matrix4[]} matrices poses of bodies
    */
   place(camera, moved, matrices) {
-    this.occlusion.place(matrices);
     if (this.sun) this.#aim(this.sun, moved);
     const { x, y, z } = camera.position, { floor } = this;
     if (!floor.visible) return;
+    if (!this.run.lights) this.occlusion.place(matrices);
     floor.position.set(x, y, floor.position.z);
     this.uniforms.edge.value = z > floor.position.z ? (z - floor.position.z) / this.far : 1e9;
   }
