@@ -87,7 +87,7 @@ def test_of_many_robots_each_is_compiled_once(monkeypatch: pytest.MonkeyPatch) -
     compiler = Compiler()
     for robot in RODS:
         compiler.robot_model(robot)
-    monkeypatch.setattr("sero_mj.simulate.control.compiler.world_without_meshes", None)
+    monkeypatch.setattr("sero_mj.simulate.control.compiler.RobotModel.of", None)
     for robot in RODS:
         compiler.robot_model(robot)
 

@@ -1,4 +1,4 @@
-"""`EventSchedule`: pushes, payloads and faults of a run, ordered by step."""
+"""`EventSchedule`: pushes, payloads and faults of a run, ordered by step; `CarriedObjects`."""
 
 from __future__ import annotations
 
@@ -6,14 +6,65 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.frames import Array
+from ..base.frames import Array, Ints, RowIndex
 from .disturbances import Force, Payload
 from .due_actions import DueActions
 from .external_loads import Push
 from .fault_schedule import FaultSchedule
-from .plant_rows import PlantRow
+from .plant_rows import PlantRow, PlantRows
 from .runs.run_log import event_of
 from .scenario import Scenario
+
+
+class CarriedObjects:
+    """Objects that robots of any rows carry, whose poses are computed and logged together.
+
+    Args:
+        plant: with the robots of all rows.
+    """
+
+    def __init__(self, plant: PlantRows) -> None:
+        self._plant = plant
+        # By row and name: the flange's body, T_flange_object, and where poses are written.
+        self._carried: dict[tuple[RowIndex, str], tuple[int, Array, Array]] = {}
+
+    def __bool__(self) -> bool:
+        return bool(self._carried)
+
+    def take(self, plant: PlantRow, name: str, robot: str, grasp: Array, poses: Array) -> None:
+        """Lets an object be carried.
+
+        Args:
+            plant: the robots of its row.
+            name: of the object.
+            robot: name of the one that carries it.
+            grasp: T_flange_object.
+            poses: (T, 16), its poses at every step, to be written.
+        """
+        self._carried[plant.index, name] = plant.flange_body(robot), grasp, poses
+        self._sort()
+
+    def put_down(self, plant: PlantRow, name: str) -> None:
+        """Lets an object be carried no more."""
+        del self._carried[plant.index, name]
+        self._sort()
+
+    def clear(self) -> None:
+        """Lets none be carried."""
+        self._carried.clear()
+
+    def _sort(self) -> None:
+        self._rows = [row for row, _ in self._carried]
+        carried = self._carried.values()
+        self._bodies: Ints = np.array([body for body, _, _ in carried], np.intp)
+        self._grasps = np.array([grasp for _, grasp, _ in carried])
+        self._written = [poses for _, _, poses in carried]
+
+    def write(self, k: int) -> None:
+        """Writes where they are now into the rows k of their poses."""
+        poses = self._plant.rows.poses_of(self._rows, self._bodies) @ self._grasps
+        for written, pose in zip(self._written, poses.reshape(-1, 16), strict=True):
+            written[k] = pose
 
 
 @dataclass
@@ -26,24 +77,24 @@ class EventSchedule:
         steps: of the run.
         gains: (n,), factors of the commanded torques, after the limits: those of faulty drives; to
             be written.
+        carried: the objects that robots carry, those of other runs in a batch as well.
     """
 
     scenario: Scenario
     plant: PlantRow
     steps: int
     gains: Array
+    carried: CarriedObjects
 
     def __post_init__(self) -> None:
         self.gains[:] = 1.0
         self._due = DueActions(self.scenario.run.timestep)
         self._varying: list[tuple[Push, Array]] = []  # with force and torque at every step
-        # By object: its robot, T_flange_object, and its columns in the log.
-        self._carried: dict[str, tuple[str, Array, slice]] = {}
-        self._objects: dict[str, Array] = {}  # T_world_object of objects that are picked up
+        self._objects: dict[str, Array] = {}  # T_world_object at first, of those picked up
         self._columns: dict[str, slice] = {}
         self._log: Array = np.zeros((0, 0))
-        self._timestep = self.scenario.run.timestep
-        times = np.arange(self.steps + 1, dtype=np.float64) * self._timestep
+        self._now = 0  # the row before the step to come
+        times = np.arange(self.steps + 1, dtype=np.float64) * self.scenario.run.timestep
         for disturbance in self.scenario.disturbances.values():
             if isinstance(disturbance, Force):
                 self._plan_force(disturbance, times)
@@ -51,13 +102,9 @@ class EventSchedule:
                 self._plan_payload(disturbance)
         FaultSchedule(self.scenario, self.plant, self._due, self.gains)
 
-    @property
-    def carries(self) -> bool:
-        """Whether any object is carried during the run."""
-        return bool(self._objects)
-
     def before(self, k: int) -> None:
         """Applies the events due at row k, before the step after it."""
+        self._now = k
         self._due.act(k)
         for push, forces in self._varying:
             push.force[:], push.torque[:] = forces[k]
@@ -66,12 +113,6 @@ class EventSchedule:
     def next(self) -> float:
         """The next row at which `before` changes anything; infinite for none."""
         return 0 if self._varying else self._due.next
-
-    def after(self, k: int) -> None:
-        """Writes the poses of carried objects into row k of the log."""
-        for name, (robot, grasp, columns) in self._carried.items():
-            self._objects[name] = pose = self.plant.flange(robot) @ grasp
-            self._log[k, columns] = pose.ravel()
 
     def log_events(self) -> dict[str, str]:
         """Further columns of the log: forces as they act, and objects that are carried."""
@@ -83,7 +124,7 @@ class EventSchedule:
         return events
 
     def fill(self, columns: dict[str, slice], rows: Array) -> None:
-        """Writes events known in advance into the log, and keeps the log for `after`.
+        """Writes events known in advance into the log, and keeps it for carried objects.
 
         Args:
             columns: of every event.
@@ -123,6 +164,9 @@ class EventSchedule:
             (declared,) = (each for each in self.scenario.scene.objects if each.name == name)
             self._objects[name] = np.array(declared.frame, np.float64)
 
+        def poses_of(name: str) -> Array:
+            return self._log[:, self._columns[event_of(name, "frame")]]
+
         def pick_up() -> None:
             self.plant.attach_payload(
                 payload.robot, payload.mass, payload.center_of_mass, payload.inertia
@@ -130,16 +174,18 @@ class EventSchedule:
             if name is not None:
                 grasp = payload.grasp
                 if grasp is None:
-                    grasp = np.linalg.inv(self.plant.flange(payload.robot)) @ self._objects[name]
-                columns = self._columns[event_of(name, "frame")]
-                self._carried[name] = payload.robot, np.asarray(grasp), columns
+                    pose = poses_of(name)[self._now].reshape(4, 4)
+                    grasp = np.linalg.inv(self.plant.flange(payload.robot)) @ pose
+                self.carried.take(
+                    self.plant, name, payload.robot, np.asarray(grasp), poses_of(name)
+                )
 
         def put_down() -> None:
             self.plant.detach_payload(payload.robot)
             if name is not None:
-                self._carried.pop(name)
-                k = round(payload.end / self._timestep) if payload.end else self.steps
-                self._log[k:, self._columns[event_of(name, "frame")]] = self._objects[name].ravel()
+                self.carried.put_down(self.plant, name)
+                poses = poses_of(name)
+                poses[self._now :] = poses[self._now]
 
         self._due.add(payload.begin, pick_up)
         if payload.end is not None:

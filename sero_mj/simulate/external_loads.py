@@ -24,8 +24,6 @@ class Push:
     For arguments and errors see `Plant.push`.
 
     Attributes:
-        force: (3,), N.
-        torque: (3,), Nm.
         at: (3,), where in the frame they act, m.
         body: of the frame, in the model.
         site: of the frame itself.
@@ -42,13 +40,26 @@ class Push:
         at: ArrayLike,
     ) -> None:
         self.frame, self.expressed_in = frame, expressed_in
-        self.force, self.torque, self.at = (
-            _three(name, value)
-            for name, value in (("force", force), ("torque", torque), ("at", at))
-        )
+        self._wrench: Array = np.array([_three("force", force), _three("torque", torque)])
+        self.at = _three("at", at)
         self.site = _site(world, frame)
         self.body = int(world.model.site_bodyid[self.site])
         self.axes = None if expressed_in == "world" else _site(world, expressed_in)
+
+    @property
+    def force(self) -> Array:
+        """(3,), N, in place."""
+        return np.asarray(self._wrench[0])
+
+    @property
+    def torque(self) -> Array:
+        """(3,), Nm, in place."""
+        return np.asarray(self._wrench[1])
+
+    def write_into(self, wrench: Array) -> None:
+        """Keeps force and torque in an array from now on, (2, 3)."""
+        wrench[...] = self._wrench
+        self._wrench = wrench
 
     def apply(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array) -> None:
         """Adds its joint torques.
@@ -89,22 +100,25 @@ class PushRows:
 
     def __init__(self, rows: ManyRows, pushes: Sequence[tuple[int, Push]]) -> None:
         model = rows.model
-        self._rows, self._pushes = rows, [push for _, push in pushes]
+        acting = [push for _, push in pushes]
+        self._rows, self._wrenches = rows, np.zeros((len(pushes), 2, 3))
+        for push, wrench in zip(acting, self._wrenches, strict=True):
+            push.write_into(wrench)
         self._of: Ints = np.array([row for row, _ in pushes], np.intp)
         # Of a row with one push there is nothing to sum up.
         self._is_single = len(np.unique(self._of)) == len(pushes)
-        bodies = [push.body for push in self._pushes]
-        self._sites: Ints = np.array([push.site for push in self._pushes], np.intp)
+        bodies = [push.body for push in acting]
+        self._sites: Ints = np.array([push.site for push in acting], np.intp)
         self._roots: Ints = model.body_rootid[bodies].astype(np.intp)
         self._moved: Bools = np.array([_moving(model, body) for body in bodies])
         self._places = rows.bind("site_xpos")
         self._centers, self._motions = rows.bind("subtree_com"), rows.bind("cdof")
-        ats = np.array([push.at for push in self._pushes])
+        ats = np.array([push.at for push in acting])
         is_off = bool(ats.any())
         self._off: Array | None = ats[..., None] if is_off else None
-        turned = [k for k, push in enumerate(self._pushes) if push.axes is not None]
+        turned = [k for k, push in enumerate(acting) if push.axes is not None]
         self._turned: Ints = np.array(turned, np.intp)
-        self._axes: Ints = np.array([self._pushes[k].axes for k in turned], np.intp)
+        self._axes: Ints = np.array([acting[k].axes for k in turned], np.intp)
         # Bound only where needed: what is bound is copied in every step.
         self._turns = rows.bind("site_xmat") if is_off or turned else None
 
@@ -116,27 +130,28 @@ class PushRows:
         """
         rows, of, sites = self._rows, self._of, self._sites
         rows.look_ahead()
-        forces = np.array([(push.force, push.torque) for push in self._pushes])
+        wrenches = self._wrenches
         points = self._places[of, sites]
         if self._turns is not None:
             turns = self._turns.reshape(len(self._turns), -1, 3, 3)
             if self._off is not None:
                 points += (turns[of, sites] @ self._off)[..., 0]
             if len(self._turned):
-                axes = turns[of[self._turned], self._axes]
+                wrenches, axes = wrenches.copy(), turns[of[self._turned], self._axes]
                 for k in range(2):  # one by one, as `Push.apply` does
-                    forces[self._turned, k] = (axes @ forces[self._turned, k, :, None])[..., 0]
+                    wrenches[self._turned, k] = (axes @ wrenches[self._turned, k, :, None])[..., 0]
         arms = (points - self._centers[of, self._roots])[:, None]
         motions = self._motions[of]
         axes, lines = motions[..., :3], motions[..., 3:]
         # Columns of the Jacobian of the point: v + w x r. `np.cross` takes twice as long.
-        (x, y, z), (rx, ry, rz) = np.moveaxis(axes, -1, 0), np.moveaxis(arms, -1, 0)
+        x, y, z = axes[..., 0], axes[..., 1], axes[..., 2]
+        rx, ry, rz = arms[..., 0], arms[..., 1], arms[..., 2]
         lines[..., 0] += y * rz - z * ry
         lines[..., 1] += z * rx - x * rz
         lines[..., 2] += x * ry - y * rx
-        lines *= forces[:, None, 0]
+        lines *= wrenches[:, None, 0]
         found = np.add.reduce(lines, axis=-1)
-        axes *= forces[:, None, 1]
+        axes *= wrenches[:, None, 1]
         found += np.add.reduce(axes, axis=-1)
         found *= self._moved
         if self._is_single:

@@ -341,8 +341,12 @@ class PlantRow:
     def flange(self, robot: str) -> Array:
         """T_world_flange now, (4, 4), m: the true one, in an array of its own."""
         frame = np.eye(4)
-        frame[:3, 3], frame[:3, :3] = self.rows.pose_of(self.index, self._part(robot).flange_body)
+        frame[:3, 3], frame[:3, :3] = self.rows.pose_of(self.index, self.flange_body(robot))
         return frame
+
+    def flange_body(self, robot: str) -> int:
+        """The body of a robot's flange in the model."""
+        return self._part(robot).flange_body
 
     def _part(self, robot: str) -> RobotPart:
         if robot not in self.world.robots:

@@ -76,6 +76,11 @@ class OneRow:
         self.look_ahead()
         return self.data.xpos[body], self.data.xmat[body].reshape(3, 3)
 
+    def poses_of(self, rows: Sequence[RowIndex], bodies: Ints) -> Array:
+        """T_world_body now, (k, 4, 4), m, of k bodies, of which there is one of each in `rows`."""
+        self.look_ahead()
+        return _poses(self.data.xpos[bodies], self.data.xmat[bodies])
+
     def data_of(self, row: RowIndex) -> mujoco.MjData:
         """`data`."""
         return self.data
@@ -230,6 +235,13 @@ class ManyRows:
         self.look_ahead()
         return positions[row, body], rotations[row, body].reshape(3, 3)
 
+    def poses_of(self, rows: Sequence[RowIndex], bodies: Ints) -> Array:
+        """See `OneRow`."""
+        positions, rotations = self.bind("xpos"), self.bind("xmat")
+        self.look_ahead()
+        at = np.asarray(rows, np.intp), bodies
+        return _poses(positions[at], rotations[at])
+
     def data_of(self, row: RowIndex) -> mujoco.MjData:
         """Data of a row after its last step or `look_ahead`; valid until the next call."""
         return self.batch.get_data(row, self._scratch)
@@ -277,6 +289,13 @@ class ManyRows:
                 _read_inner_forces(data, couplings, int(rubs.sum()), inner)
                 row[: len(couplings)], row[len(couplings) :] = inner[: len(couplings)], 0.0
                 row[len(couplings) :][rubs] = inner[len(couplings) :]
+
+
+def _poses(positions: Array, rotations: Array) -> Array:
+    poses: Array = np.zeros((len(positions), 4, 4))
+    poses[:, :3, 3], poses[:, :3, :3] = positions, rotations.reshape(-1, 3, 3)
+    poses[:, 3, 3] = 1.0
+    return poses
 
 
 def _read_inner_forces(data: mujoco.MjData, couplings: Ints, rubs: int, out: Array) -> None:

@@ -27,6 +27,7 @@ from .control.robot_model import RobotModel
 from .control.whole_body import WholeBody
 from .controlled_robot import ControlledRobot, RobotControl, join, join_observers, observe
 from .drives import Drives
+from .event_schedule import CarriedObjects
 from .plant import Plant
 from .plant_rows import PlantRow, PlantRows
 from .rows import ManyRows, OneRow
@@ -111,6 +112,7 @@ class RunBatch:
             axis of the runs where there is one, as all that follows.
         gains: (m, n), factors of the commanded torques, after the limits: those of faulty drives.
         observer_models: what the observers of all runs know of a robot, by its name.
+        carried: objects that robots of any run carry.
         plans: targets of its runs, by robot and all that they depend on.
     """
 
@@ -146,6 +148,7 @@ class RunBatch:
         self.drive: Array = np.zeros((*shape, 2, self.plant.n))
         self.gains: Array = np.ones((*shape, self.plant.n))
         self.observer_models: dict[str, RobotModel] = {}
+        self.carried = CarriedObjects(self.plant)
         self.plans: dict[object, Plan] = {}
         self._runs: list[ref[BatchedRun]] = []  # a run that nobody has any more is not simulated
         self._limit_speeds(run.runaway_speed)
@@ -185,6 +188,7 @@ class RunBatch:
 
     def begin(self, runs: Sequence[BatchedRun]) -> None:
         """Makes the logs of runs that begin, at rest."""
+        self.carried.clear()
         self._runs = [ref(run) for run in runs]
         steps, width = runs[0].scenario.run.steps, max(run.layout.width for run in runs)
         log: Array = np.zeros((len(self.plant.rows.indices), steps + 1, width))
@@ -311,6 +315,8 @@ class RunBatch:
             touching = self._by_row.get(row)
             if touching is not None and touching.error is None:
                 touching.write_contacts(k)
+        if self.carried:
+            self.carried.write(k)
         for run in self._finishing:
             if run.error is None:
                 run.finish(k)

@@ -223,7 +223,9 @@ class Simulation:
             return known[key]
 
         self._plans = self._of_robots("targets", plan)
-        self._schedule = EventSchedule(self.scenario, self.plant, run.steps, self._batch.gains[row])
+        self._schedule = EventSchedule(
+            self.scenario, self.plant, run.steps, self._batch.gains[row], self._batch.carried
+        )
         self.layout = self._make_layout(self._plans)
         self.controlled = list(
             self._of_robots(
@@ -263,10 +265,9 @@ class Simulation:
         }
         acting = (self._schedule, self.drag_force, self.live)
         self._before = [each.before for each in acting if each is not None]
-        self._after = [self._schedule.after] if self._schedule.carries else []
+        self._after = []
         if self.drag_force is not None:
             self._after.append(self.drag_force.after)
-        if self.drag_force is not None:
             self.drag_force.begin(columns, rows)
         if self.live is not None:
             self.live.begin(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Self
 
 import numpy as np
@@ -137,6 +137,17 @@ class JointTree(ABC):
         for i, parent in enumerate(self.carriers.tolist()):
             T[..., i + 1, :, :] = T[..., parent, :, :] @ links[..., i, :, :]
         return T
+
+    def frame(self, link: int, joint_angles: ArrayLike) -> Array:
+        """Returns the forward kinematics of one frame, a row of `frames`, (..., 4, 4).
+
+        Args:
+            link: index of the frame, 0 for the base; from the end when negative.
+            joint_angles: (..., n), rad or m.
+        """
+        links = self.link_transforms(joint_angles)
+        path = [links[..., i, :, :] for i in self.moves[link].nonzero()[0].tolist()]
+        return reduce(np.matmul, path or [np.tile(np.eye(4), (*links.shape[:-3], 1, 1))])
 
     @property
     def axis_frames(self) -> Array:

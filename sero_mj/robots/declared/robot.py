@@ -326,7 +326,7 @@ class SerialRobot(RobotDeclaration):
         q = self.home if joint_angles is None else np.asarray(joint_angles, np.float64)
         if self.couplings and q.shape[-1:] == (self.coupled.k,):
             q = self.coupled.full("joint_angles", q)
-        return np.asarray(self.kinematics.frames(q)[..., self.flange_link, :, :] @ self.T_n_flange)
+        return np.asarray(self.kinematics.frame(self.flange_link, q) @ self.T_n_flange)
 
 
 def _shortened(names: Sequence[str]) -> str:

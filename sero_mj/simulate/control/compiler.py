@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,7 +14,9 @@ from ...robots.assemble.robot_dynamics import EARTH
 from ...robots.assemble.world import World
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import MOST_ENTRIES, Scene
-from .robot_model import RobotModel, world_without_meshes
+from .robot_model import RobotModel
+
+T = TypeVar("T")
 
 # How many are remembered; a sweep over masses has new ones every time. What controllers know of a
 # robot is small, and of each robot of the largest scene it is asked for in every run.
@@ -30,7 +32,7 @@ class Compiler:
 
     def __init__(self) -> None:
         self._worlds: dict[object, World] = {}
-        self._robots: dict[object, World] = {}  # each alone, without meshes
+        self._models: dict[object, RobotModel] = {}
 
     def world(self, scene: Scene, gravity: Array = EARTH) -> World:
         """A dynamic world with a model of its own, which may be changed.
@@ -61,20 +63,20 @@ class Compiler:
             DeclarationError: MuJoCo cannot compile the robot.
         """
         key = fingerprint(robot)
-        world = _find(self._robots, key, lambda: world_without_meshes(robot), _MAX_ROBOTS)
-        world.model.opt.gravity[:] = gravity
-        return RobotModel.of(robot, world)
+        model = copy.copy(_find(self._models, key, lambda: RobotModel.of(robot), _MAX_ROBOTS))
+        model.skeleton.opt.gravity[:] = gravity
+        return model
 
 
-def _find(known: dict[object, World], key: object, make: Callable[[], World], most: int) -> World:
-    """Returns a known world, or makes it and forgets that which was asked for longest ago."""
-    world = known.pop(key, None)
-    if world is None:
-        world = make()
+def _find(known: dict[object, T], key: object, make: Callable[[], T], most: int) -> T:
+    """Returns what is known, or makes it and forgets what was asked for longest ago."""
+    found = known.pop(key, None)
+    if found is None:
+        found = make()
         if len(known) >= most:
             known.pop(next(iter(known)))
-    known[key] = world  # the one that was asked for last stands last
-    return world
+    known[key] = found  # what was asked for last stands last
+    return found
 
 
 def fingerprint(value: Any) -> object:

@@ -90,13 +90,21 @@ class RobotModel:
         self.position_limits: Array = np.tile([-np.inf, np.inf], (n, 1))
         self.velocity_limits: Array = np.full(n, np.inf)
         self._model = skeleton(model, ids, site, body)
-        self._data = mujoco.MjData(self._model)
-        mj_fwdKinematics(self._model, self._data)
         self._take_views()
+
+    def __copy__(self) -> RobotModel:
+        """A model of its own, at home and in the world; far quicker than to compile it again."""
+        made = object.__new__(type(self))
+        made.__dict__.update(self.__dict__, _model=copy.copy(self._model))
+        made._take_views()
+        made._base = self._base
+        return made
 
     def _take_views(self) -> None:
         """Views into MuJoCo's arrays: to look one up costs as much as to compute with it."""
-        n, data = self.n, self._data
+        self._data = data = mujoco.MjData(self._model)
+        mj_fwdKinematics(self._model, data)
+        n = self.n
         self._qpos: Array = data.qpos
         self._gravity, self._coriolis, self._transposed, self._momentum = np.zeros((4, n))
         self._velocities: Array = np.zeros(n)
