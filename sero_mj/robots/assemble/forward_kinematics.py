@@ -1,4 +1,4 @@
-"""`ForwardKinematics`: where a robot's flange is, computed by MuJoCo's compiled code."""
+"""`ForwardKinematics`: where a robot's flange is, in the least time."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ _EYE = np.eye(4)
 class ForwardKinematics:
     """Forward kinematics of a robot as it is now, for one pose or many.
 
-    `SerialRobot.fwd_kin_base_to_flange` computes the same in numpy, to check it: for one pose of an
-    LWR in some 20 times the time, for many in about the same.
+    One pose is computed by MuJoCo, in a fifteenth of the time that numpy takes for it; many are by
+    `SerialRobot.fwd_kin_base_to_flange`, in half the time that a loop over MuJoCo's takes.
 
     It keeps the state of a pose, so several threads need one each.
 
@@ -38,6 +38,7 @@ class ForwardKinematics:
         carrying = [base, *add_links(base, robot)][robot.flange_link]
         carrying.add_site(name="flange", **pose(robot.T_n_flange))
         self.n = robot.n
+        self._of_many = robot.model_copy().fwd_kin_base_to_flange
         self._coupled = robot.coupled if robot.couplings else None
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
@@ -60,19 +61,10 @@ class ForwardKinematics:
         if q.shape[-1:] != (self.n,):
             expected = f"{self.n} in the last axis"
             raise Problem("joint_angles", f"found {q.shape}", expected=expected).error()
-        if q.ndim == 1:
-            self._qpos[:] = q
-            mujoco.mj_kinematics(self._model, self._data)
-            T = _EYE.copy()
-            T[:3, :3], T[:3, 3] = self._rotation, self._position
-            return T
-        poses = np.tile(_EYE, (*q.shape[:-1], 1, 1))
-        flat = poses.reshape(-1, 4, 4)
-        rotations, positions = flat[:, :3, :3], flat[:, :3, 3]
-        model, data, qpos = self._model, self._data, self._qpos
-        rotation, position = self._rotation, self._position
-        for k, angles in enumerate(q.reshape(-1, self.n)):
-            qpos[:] = angles
-            mujoco.mj_kinematics(model, data)
-            rotations[k], positions[k] = rotation, position
-        return poses
+        if q.ndim > 1:
+            return self._of_many(q)
+        self._qpos[:] = q
+        mujoco.mj_kinematics(self._model, self._data)
+        T = _EYE.copy()
+        T[:3, :3], T[:3, 3] = self._rotation, self._position
+        return T

@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...base.frames import MIRROR, Array, Bools, Ints
+from ...base.frames import MIRROR, Array, Bools, Ints, empty_transforms
 from .joint_tree import JointTree
 
 Convention = Literal["craig", "standard"]
@@ -105,9 +105,7 @@ class DhTable(JointTree):
         d = self.d + np.where(self.revolute, 0.0, q)
         ca, sa = np.cos(self.alpha), np.sin(self.alpha)
         c, s = np.cos(theta), np.sin(theta)
-        # Elements first: of many poses those of one lie together, which takes half the time.
-        T = np.zeros((4, 4, *q.shape)).transpose(*range(2, q.ndim + 2), 0, 1)
-        T[..., 3, 3] = 1.0
+        T = empty_transforms(q.shape)
         if self.convention == "craig":
             T[..., 0, 0], T[..., 0, 1] = c, -s
             T[..., 1, 0], T[..., 1, 1], T[..., 1, 2] = ca * s, ca * c, -sa

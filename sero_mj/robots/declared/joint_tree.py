@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...base.errors import Problem
-from ...base.frames import MIRROR, Array, Bools, Ints, inverse, rotation_about
+from ...base.frames import MIRROR, Array, Bools, Ints, empty_transforms, inverse
 
 
 class JointTree(ABC):
@@ -235,11 +235,14 @@ class JointFrames(JointTree):
 
     def transforms(self, joint_values: Array) -> Array:
         """Returns T_p(i),i without `root`, (..., n, 4, 4)."""
-        moved = np.zeros((*joint_values.shape, 4, 4))
-        moved[..., 3, 3] = 1.0
-        moved[..., :3, :3] = rotation_about(2, np.where(self.revolute, joint_values, 0.0))
-        moved[..., 2, 3] = np.where(self.revolute, 0.0, joint_values)
-        return np.asarray(self.fixed @ moved)
+        angles = np.where(self.revolute, joint_values, 0.0)
+        moved = np.where(self.revolute, 0.0, joint_values)
+        c, s = np.cos(angles), np.sin(angles)
+        T = empty_transforms(joint_values.shape)
+        for i, (x, y, z, origin) in enumerate(self.fixed[:, :3].transpose(1, 2, 0)):
+            T[..., i, 0], T[..., i, 1] = c * x + s * y, c * y - s * x
+            T[..., i, 2], T[..., i, 3] = z, origin + moved * z
+        return T
 
     def step_lengths(self) -> Array:
         """Returns the distances of neighbouring frames, (n,), m."""
