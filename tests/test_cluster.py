@@ -20,7 +20,7 @@ from sero_mj.base.paths import models_dir
 from sero_mj.simulate.external_control.library import HEADER
 from sero_mj.study import cluster, cluster_worker
 from sero_mj.study.cluster import Cluster
-from sero_mj.study.engine import KILLED, Work
+from sero_mj.study.engine import KILLED, Variants, Work
 from sero_mj.study.scenario_inputs import files_in, files_read, pack, unpack
 from sero_mj.study.sweep import Sweep, Vary
 
@@ -159,6 +159,13 @@ def started(file: Path, *options: object) -> subprocess.Popen[str]:
                             stdout=subprocess.DEVNULL)  # fmt: skip
 
 
+def commanded(*words: object) -> tuple[int, str]:
+    """Exit status and stderr of a command."""
+    command = [sys.executable, "-m", "sero_mj", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
+    return done.returncode, done.stderr
+
+
 def swept(file: Path, *options: object) -> tuple[int, str]:
     """Exit status and what the command says on stderr."""
     process = started(file, *options)
@@ -208,6 +215,28 @@ def test_a_variant_that_kills_its_workers_is_a_row_and_costs_no_other(
     assert said == ""
     assert there.read_bytes() == here.read_bytes()
     assert there.read_text().count(KILLED) == 4
+
+
+@pytest.mark.slow
+def test_recordings_are_sent_to_workers_that_have_no_such_disk(file: Path, tmp_path: Path) -> None:
+    client, table = file.parents[1] / "runs", tmp_path / "table.csv"
+    client.mkdir()
+    runs = [client / f"run{k}.mcap" for k in range(3)]
+    for k, run in enumerate(runs):
+        options = ["--set", f"controllers.lwr.stiffness={800 + 100 * k}", "--record", run]
+        commanded("simulate", file, "--quiet", *options)
+    (client / "broken.mcap").write_bytes(b"no recording")
+    compare = ["compare", *runs, client / "broken.mcap", "--csv", table, "--quiet"]
+    assert commanded(*compare, "--jobs", 2)[0] == 1
+    here = table.read_bytes()
+    with machines(tmp_path, file.parents[1], 1) as found:
+        engine = ["--engine", "dask", "--scheduler", found.file]
+        code, said = commanded(*compare, *engine)
+        assert code == 1 and f"{client}/broken.mcap: is no MCAP file" in said
+        assert not list(tmp_path.rglob("*.mcap"))  # removed afterwards
+    assert table.read_bytes() == here
+    rows = here.decode().splitlines()
+    assert len(rows) == 4 and rows[1].startswith(str(runs[1])) and ",A2," in rows[1]
 
 
 @pytest.mark.thorough
@@ -318,7 +347,7 @@ def test_a_batch_system_that_cannot_be_is_told(
 @pytest.fixture
 def work(file: Path) -> Work:
     sweep = Sweep(file, (Vary.parse("run.seed=0:9"),), 2)
-    return Work(file, {}, list(enumerate(sweep.variants)))
+    return Work(Variants(file, {}), list(enumerate(sweep.variants)))
 
 
 def test_a_scheduler_that_is_not_there_is_told(work: Work, monkeypatch: pytest.MonkeyPatch) -> None:

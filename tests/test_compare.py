@@ -284,6 +284,52 @@ def test_the_command_says_what_is_wrong(
 
 
 @pytest.mark.gl
+def test_of_many_recordings_there_is_a_row_for_each(
+    recorded: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    soft, stiff = recorded
+    table, broken = tmp_path / "table.csv", tmp_path / "broken.mcap"
+    broken.write_bytes(b"none")
+    assert command(soft, stiff, "--json") == 0
+    told = json.loads(capsys.readouterr().out)["differences"]
+    torques = [each for each in told if each["signal"] == "torques"]
+    worst = max(torques, key=lambda each: abs(each["peak"]))
+    asked = ["--tolerance-angle", 0.05, "--csv", table]
+    assert command(soft, stiff, soft, broken, *asked) == 1
+    shown = capsys.readouterr()
+    assert f"{stiff}: " in shown.err and "differs by" in shown.err and f"{broken}: is" in shown.err
+    names = [str(path) for path in (stiff, soft, broken)]
+    assert [line.split()[0] for line in shown.out.splitlines()[1:]] == names
+    with table.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["recording"] for row in rows] == names
+    assert float(rows[0]["torques.peak"]) == worst["peak"]
+    assert rows[0]["torques.joint"] == worst["joint"]
+    assert float(rows[1]["torques.peak"]) == 0 and rows[1]["exceeded"] == ""
+    assert rows[2]["torques.peak"] == "" and "MCAP" in rows[2]["error"]
+    assert command("--each", soft, stiff, "--against-model", "--json", "--quiet") == 0
+    each = json.loads(capsys.readouterr().out)
+    assert [row["recording"] for row in each] == [str(soft), str(stiff)]
+    assert abs(each[0]["torques.peak"]) < 1e-9 and each[0]["error"] == ""  # it is its own model
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["a", "b", "c", "--plot", "x.pdf"], "--plot is for one comparison; found many"),
+        (["a", "b", "--jobs", "2"], "--jobs is for many recordings, or --each"),
+        (["a", "b", "--engine", "dask"], "--engine dask: expected its --scheduler"),
+        (["--each", "a", "b", "--offset", "auto"], "--offset is for two recordings; found one"),
+        (["a", "b", "c"], "a: there is no such file"),
+    ],
+)
+def test_what_many_recordings_cannot_be_asked_is_told(
+    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(*arguments) == 2
+    assert said in capsys.readouterr().err
+
+
 def test_in_the_picture_arrows_show_the_difference_and_a_double_the_other(
     recorded: tuple[Path, Path], tmp_path: Path
 ) -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import csv
 import json
 import re
 import tomllib
@@ -212,9 +213,27 @@ def test_the_command_writes_lines_and_a_figure(
     assert len(found["joints"]) == 7
 
 
+def test_of_several_recordings_there_is_a_row_for_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = [record_run(excited(seed)[0], tmp_path / f"run{seed}.mcap") for seed in (0, 1)]
+    table = tmp_path / "found.csv"
+    assert command(*runs, "--csv", table, "--jobs", 1) == 0
+    (line,) = [each for each in capsys.readouterr().out.splitlines() if "payload.mass" in each]
+    count, median, lowest, highest, _ = map(float, line.split()[1:])
+    with table.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["recording"] for row in rows] == list(map(str, runs))
+    masses = sorted(float(row["payload.mass"]) for row in rows)
+    assert masses == pytest.approx([MASS, MASS], abs=0.03) and masses[0] < masses[1]
+    assert (lowest, highest) == pytest.approx(masses, abs=1e-3)
+    assert (count, median) == (2, pytest.approx(sum(masses) / 2, abs=1e-3))
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
+        (["--csv", "x.csv"], "--csv is for several recordings; found one"),
         (["--robot", "lwx"], "--robot: no robot 'lwx' in run; did you mean 'lwr'?"),
         (["--plot", "x.jpg"], "--plot: found 'x.jpg'; expected a name that ends in .png, .pdf"),
         (["-o", "x.txt"], "--output: found 'x.txt'; expected a name that ends in .toml"),

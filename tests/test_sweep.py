@@ -565,7 +565,8 @@ def test_processes_load_no_opengl(file: Path) -> None:
         "import sys; from multiprocessing import Pipe; from pathlib import Path\n"
         "from sero_mj.study import workers\n"
         "end, other = Pipe(duplex=False)\n"
-        f"workers.start_worker(end, Path({str(file)!r}), {{}})\n"
+        "from sero_mj.study.engine import Variants\n"
+        f"workers.start_worker(end, Variants(Path({str(file)!r}), {{}}))\n"
         "print(workers._run([{}])[0]['held'], 'OpenGL.EGL' in sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -1,13 +1,16 @@
-"""`sero-mj compare`: how much recordings of a robot differ, and what explains it."""
+"""`sero-mj compare`: how much recordings of a robot differ, and what explains it.
+
+More than two are compared with the first, or each with itself, by what `--engine` names.
+"""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -18,7 +21,7 @@ from ..base.options import NotNegative, Option, ending, positional
 from ..viewer.headless.film_kinds import FILMS
 from ..viewer.headless.picture_options import FilmOptions, SizeOptions
 from ._arguments import command, print_json, print_table, progress_bar
-from .shared_options import Figure, Flag, JsonOptions, RunOptions
+from .shared_options import EngineOptions, Figure, Flag, JsonOptions, RunOptions
 
 if TYPE_CHECKING:
     from ..simulate.runs.run_log import RunLog
@@ -36,28 +39,34 @@ examples:
   sero-mj compare run.mcap                                  commanded with measured torque
   sero-mj compare run.mcap --against-model --plot run.pdf   the robot with its own model
   sero-mj compare a.csv b.mcap --scene lwr_udp              a table of export-csv, simulate --csv
+  sero-mj compare good.mcap runs/*.mcap --csv table.csv     many with the first, a row for each
+  sero-mj compare --each runs/*.mcap --against-model        each by itself
 
 Recordings of simulations and of robots alike; differences are A less B. Time counts from the start
 of a simulation, or from the first packet of a robot. Beneath stands for every joint what explains
 the difference: sign, gain, bias, delay or noise of a torque sensor or a drive, friction, a payload,
-a joint that is stuck. The exit status is 1 when a tolerance is exceeded, 2 when they cannot be
-compared.
+a joint that is stuck. Of many recordings there is a row for each, made by all cores, or by workers
+of a Dask cluster, which are sent the recordings. The exit status is 1 when a tolerance is exceeded,
+2 when they cannot be compared.
 """
 ORDER = 43  # in the help of `sero-mj`
+_OF_MANY = ("b", "more", "each", "jobs", "engine", "scheduler", "ship", "csv")
 
 
-class CompareOptions(SizeOptions, RunOptions, JsonOptions):
+class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
     """Compare recordings of a robot, joint by joint.
 
     Attributes:
         a: a recording, or a table (.csv).
         b: another one (default: commanded with measured torques of A).
+        more: further ones, which A is compared with as well.
+        each: every recording by itself, as A without B.
         against_model: with the robot's own model, in the same motion, instead of another recording.
         robot: which robot; NAME,NAME where it has two names.
         source: which source; NAME,NAME for A and B (default: all).
         offset: added to the times of B, s; auto finds it by the motion.
         plot: a figure: .png, .pdf or .svg.
-        csv: both and their difference.
+        csv: both and their difference; of many a row for each.
         as_json: print the table as JSON.
         output: a page that plays both, with what explains the difference on its time line.
         render: a film of A with arrows on the difference, and a transparent double for B.
@@ -68,6 +77,8 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions):
 
     a: Annotated[Path, positional("A.mcap")]
     b: Annotated[Path | None, positional("B.mcap")] = None
+    more: Annotated[list[Path], positional("MORE.mcap")] = []
+    each: bool = False
     against_model: bool = False
     robot: Flag = None
     offset: Annotated[
@@ -83,15 +94,29 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions):
 
     @model_validator(mode="after")
     def _check_second(self) -> Self:
-        if self.b is not None and self.against_model:
-            raise ValueError(f"--against-model: found {self.b} as well; expected one recording")
-        if self.b is None and self.offset != 0.0:
+        if self.b is not None and self.against_model and not self.each:
+            expected = "one recording, or --each as well"
+            raise ValueError(f"--against-model: found {self.b} as well; expected {expected}")
+        if (self.b is None or self.each) and self.offset != 0.0:
             raise ValueError("--offset is for two recordings; found one")
+        if self.is_many:
+            self.refuse(("plot", "output", "render"), " is for one comparison; found many")
+        else:
+            self.refuse(("jobs", "engine"), " is for many recordings, or --each")
         return self
+
+    @property
+    def is_many(self) -> bool:
+        """Whether there is a row for every recording."""
+        return self.each or bool(self.more)
 
 
 def run(options: CompareOptions) -> int:
     """Compares; returns 0, or 1 when a tolerance is exceeded."""
+    return _compare_many(options) if options.is_many else _compare_two(options)
+
+
+def _compare_two(options: CompareOptions) -> int:
     from ..study.compare import as_json, as_table, compare, exceeded, explanations_table, write_csv
 
     pair, explanations, about = _compared(options)
@@ -125,6 +150,72 @@ def run(options: CompareOptions) -> int:
     for each in over:
         print(f"sero-mj: {each}", file=sys.stderr)
     return 1 if over else 0
+
+
+def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
+    """What there is to say of one of many recordings, by column; see `EachRecording`.
+
+    Args:
+        shared: the options, with all recordings.
+        file: the recording.
+
+    Returns:
+        of every signal `peak` and `rms`, those of the joint with the greatest peak, and that
+        `joint`; what was `exceeded`; what is `explained`.
+    """
+    from ..study.compare import compare, exceeded
+
+    given = {key: value for key, value in shared.items() if key not in _OF_MANY}
+    place = "a" if shared.get("each") else "b"
+    options = CompareOptions(**{**given, place: str(file)})
+    pair, explanations, _ = _compared(options)
+    differences = compare(pair)
+    row: dict[str, Any] = {}
+    for signal in pair.signals:
+        found = [each for each in differences if each.signal == signal]
+        worst = max(found, key=lambda each: np.nan_to_num(abs(each.peak), nan=np.inf))
+        row |= {f"{signal}.peak": worst.peak, f"{signal}.rms": worst.rms,
+                f"{signal}.unit": worst.unit, f"{signal}.joint": worst.joint}  # fmt: skip
+    over = exceeded(differences, torque=options.tolerance_torque, angle=_angle(options))
+    told = [f"{each.joint}: {each.short}" for each in explanations or ()]
+    return {**row, "exceeded": "; ".join(map(str, over)), "explained": "; ".join(told)}
+
+
+def _compare_many(options: CompareOptions) -> int:
+    from rich.table import Table
+
+    from ..study.compare import shown_as
+    from ._each_recording import ask_each, status, tell_errors, write_rows
+
+    others = [path for path in (options.b, *options.more) if path is not None]
+    recordings = [options.a, *others] if options.each else others
+    needed = [] if options.each else [options.a]
+    if options.scene is not None and Path(options.scene).is_file():
+        needed.append(Path(options.scene))
+    rows = ask_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
+    if options.csv is not None:
+        write_rows(rows, options.csv)
+    if options.as_json:
+        print_json([{"recording": str(path), **row} for path, row in rows.items()])
+    elif not options.quiet:
+        signals = ("torques", "joint_angles")
+        table = Table(box=None, pad_edge=False)
+        for heading in ("recording", "torque peak", "at", "angle peak", "at", "explained by"):
+            table.add_column(heading, justify="right" if heading.endswith("peak") else "left")
+        for path, row in rows.items():
+            cells = []
+            for signal in signals:
+                known = f"{signal}.peak" in row
+                factor, unit = shown_as(row[f"{signal}.unit"]) if known else (1.0, "")
+                peak = f"{factor * row[f'{signal}.peak']:.3g} {unit}" if known else ""
+                cells += [peak, row.get(f"{signal}.joint", "")]
+            table.add_row(str(path), *cells, row.get("explained", ""))
+        print_table(table)
+    failed = tell_errors(rows)
+    over = {path: row["exceeded"] for path, row in rows.items() if row.get("exceeded")}
+    for path, text in over.items():
+        print(f"sero-mj: {path}: {text}", file=sys.stderr)
+    return status(rows, len(recordings), failed) or (1 if over or failed else 0)
 
 
 add_to = command("compare", run, CompareOptions, _EPILOG)

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, model_validator
 from ..base import paths
 from ..base.declaration import expecting
 from ..base.errors import UsageError
-from ..base.options import Duration, Option, Options, Time, ending, positional
+from ..base.options import Duration, Option, Options, Time, ending, positional, whole
 from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
 from ..study.figure import NO_MATPLOTLIB, SUFFIXES, has_matplotlib
 from ..viewer.headless.picture_options import EYE_DISTANCE, CameraOptions, StereoOptions
@@ -22,6 +22,7 @@ from ._arguments import read_recorded_run, read_scene, replay_instead
 if TYPE_CHECKING:
     from ..robots.declared.scene import Scene
     from ..simulate.runs.run_log import RunLog
+    from ..study.engine import Engine
 
 
 def _drawn(path: Path | None) -> Path | None:
@@ -36,6 +37,7 @@ Recording = Annotated[Path, Option("REC")]
 Figure = Annotated[Path, ending(*SUFFIXES), AfterValidator(_drawn), Option("OUT")]
 Settings = Annotated[list[str], Option("KEY=VALUE", ("--set",))]
 Flag = Annotated[str | None, Option("NAME")]
+Count = Annotated[int, whole(1, 200_000), Option("N")]
 
 
 def is_recording(path: Path | str) -> bool:
@@ -233,6 +235,44 @@ class RunOptions(Options):
         robots = vars(self).get("robot") or ()
         names = robots.split(",") if isinstance(robots, str) else robots
         return read_recorded_run(path, source, self._declared, names)
+
+
+class EngineOptions(Options):
+    """What does many tasks at once.
+
+    Attributes:
+        jobs: how many at once (default: one per core).
+        engine: where: processes of this machine, or workers of a Dask cluster.
+        scheduler: of Dask: tcp://HOST:PORT, its file .json, or a file .toml with a table of
+            dask-jobqueue, [slurm] say.
+        ship: a file or folder that workers need besides what is named; may be repeated.
+    """
+
+    jobs: Annotated[Count | None, Option("J")] = None
+    engine: Literal["local", "dask"] = "local"
+    scheduler: Annotated[str | None, Option("ADDRESS")] = None
+    ship: Annotated[list[Path], Option("PATH")] = []
+
+    @model_validator(mode="after")
+    def _check_engine(self) -> Self:
+        if self.engine == "dask" and self.scheduler is None:
+            raise ValueError("--engine dask: expected its --scheduler, tcp://HOST:PORT say")
+        if self.engine == "dask" and self.jobs is not None:
+            raise ValueError("--jobs and --engine dask: expected one of them")
+        if self.engine == "local" and (self.scheduler is not None or self.ship):
+            option = "--ship" if self.scheduler is None else "--scheduler"
+            raise ValueError(f"{option}: expected --engine dask as well")
+        return self
+
+    def make_engine(self) -> Engine:
+        """Returns what does the tasks."""
+        if self.scheduler is None:
+            from ..study.workers import Processes, available_cpus
+
+            return Processes(self.jobs or available_cpus())
+        from ..study.cluster import Cluster
+
+        return Cluster(self.scheduler, self.ship)
 
 
 class PartOptions(RunOptions):

@@ -7,12 +7,12 @@ import shlex
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import BeforeValidator, model_validator
 
 from ..base.errors import Problem, UsageError
-from ..base.options import Option, Seed, ending, positional, whole
+from ..base.options import Option, Seed, ending, positional
 from ._arguments import (
     command,
     named_settings,
@@ -21,7 +21,7 @@ from ._arguments import (
     print_table,
     progress_bar,
 )
-from .shared_options import Figure, JsonOptions, Settings
+from .shared_options import Count, EngineOptions, Figure, JsonOptions, Settings
 
 if TYPE_CHECKING:
     from ..study.engine import Engine
@@ -51,9 +51,6 @@ a Dask cluster take variants with --engine dask; it needs `pip install 'sero-mj[
 ORDER = 25  # in the help of `sero-mj`
 
 
-Count = Annotated[int, whole(1, 200_000), Option("N")]
-
-
 def _shard(value: Any) -> Any:
     """Reads `2/8`, which is the second of eight."""
     if not isinstance(value, str):
@@ -67,7 +64,7 @@ def _shard(value: Any) -> Any:
 Shard = Annotated[tuple[int, int], BeforeValidator(_shard)]
 
 
-class SweepOptions(JsonOptions):
+class SweepOptions(EngineOptions, JsonOptions):
     """Run variants of a scenario side by side, and compare them.
 
     Attributes:
@@ -75,11 +72,6 @@ class SweepOptions(JsonOptions):
         vary: what differs; may be repeated.
         samples: how many variants; with --grid how many values of every range.
         grid: all values with all others.
-        jobs: how many at once (default: one per core).
-        engine: where: processes of this machine, or workers of a Dask cluster.
-        scheduler: of Dask: tcp://HOST:PORT, its file .json, or a file .toml with a table of
-            dask-jobqueue, [slurm] say.
-        ship: a file or folder that workers need besides what the scenario names; may be repeated.
         seed: of the samples.
         settings: set anything in all variants: run.duration=2; may be repeated.
         out: a row for each variant.
@@ -98,10 +90,6 @@ class SweepOptions(JsonOptions):
     vary: Annotated[list[str], Option("KEY=VALUES")]
     samples: Count = 20
     grid: bool = False
-    jobs: Annotated[Count | None, Option("J")] = None
-    engine: Literal["local", "dask"] = "local"
-    scheduler: Annotated[str | None, Option("ADDRESS")] = None
-    ship: Annotated[list[Path], Option("PATH")] = []
     seed: Annotated[Seed, Option("S")] = 0
     settings: Settings = []
     out: Annotated[Path | None, ending(".csv"), Option("OUT.csv", ("-o", "--out"))] = None
@@ -126,17 +114,6 @@ class SweepOptions(JsonOptions):
             raise ValueError(f"{option}: expected a file for the rows, -o OUT.csv")
         return self
 
-    @model_validator(mode="after")
-    def _check_engine(self) -> Self:
-        if self.engine == "dask" and self.scheduler is None:
-            raise ValueError("--engine dask: expected its --scheduler, tcp://HOST:PORT say")
-        if self.engine == "dask" and self.jobs is not None:
-            raise ValueError("--jobs and --engine dask: expected one of them")
-        if self.engine == "local" and (self.scheduler is not None or self.ship):
-            option = "--ship" if self.scheduler is None else "--scheduler"
-            raise ValueError(f"{option}: expected --engine dask as well")
-        return self
-
 
 def run(options: SweepOptions) -> int:
     """Runs; returns 0, or 1 when not every variant held."""
@@ -159,7 +136,7 @@ def run(options: SweepOptions) -> int:
     if options.print_sbatch is not None:
         print(_sbatch(options.print_sbatch, options), end="")
         return 0
-    wanted, engine = sweep.shard(*options.shard or (1, 1)), _engine(sweep, options)
+    wanted, engine = sweep.shard(*options.shard or (1, 1)), options.make_engine()
     with SweepTable(
         sweep, options.out, resume=options.resume, overwrite=options.overwrite
     ) as table:
@@ -258,23 +235,6 @@ def _run_variants(
         except KeyboardInterrupt:
             return False
     return True
-
-
-def _engine(sweep: Sweep, options: SweepOptions) -> Engine:
-    """What runs the variants."""
-    if options.scheduler is None:
-        from ..study.workers import Processes, available_cpus
-
-        return Processes(options.jobs or available_cpus())
-    from ..study.cluster import Cluster
-
-    choices = [
-        {vary.key: value}
-        for vary in sweep.varied
-        for value in vary.values
-        if not isinstance(value, bool | int | float)
-    ]
-    return Cluster(options.scheduler, options.ship, choices)
 
 
 def _print(

@@ -1,8 +1,8 @@
-"""`Cluster`: variants of a sweep on the workers of a Dask cluster.
+"""`Cluster`: tasks, variants of a sweep say, on the workers of a Dask cluster.
 
 Every worker is given two batches at a time, and the next as one is ready, by this program rather
 than by the scheduler. So a worker that joins late is used, little waits at the scheduler, and it is
-known which variants a worker was running when it died.
+known what a worker was doing when it died.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..base.errors import ClusterError, Problem, UsageError
-from .engine import Result, Variant, Work, killed
-from .scenario_inputs import digest_of_models, files_in, files_read, is_installed, pack
+from .engine import Result, Task, Work
+from .scenario_inputs import digest_of_models, files_in, is_installed, pack
 
 if TYPE_CHECKING:
-    from .cluster_worker import ScenarioFiles
+    from .cluster_worker import JobFiles
 
 log = logging.getLogger(__name__)
 
 PATIENCE = 10.0  # s until a scheduler is told to be missing
-ELSEWHERE = 2  # how often a variant whose worker died is run again
+ELSEWHERE = 2  # how often a task whose worker died is done again
 _EACH = 2  # batches that a worker has: one that it runs and one that follows at once
 _LOOK = 1.0  # s between looks for new workers and dead ones
 _ANSWER = 30.0  # s in which a worker hands over results
@@ -47,7 +47,6 @@ class Cluster:
         scheduler: an address `tcp://HOST:PORT`, a scheduler's file `.json`, or a file `.toml` with
             a table of `dask-jobqueue`: `[slurm]`, `[pbs]`, `[lsf]` or `[sge]`.
         shipped: further files and folders that the workers are given.
-        choices: keys and values of variants that may name files of their own.
 
     Attributes:
         workers: how many are used at the moment.
@@ -60,7 +59,6 @@ class Cluster:
         self,
         scheduler: str,
         shipped: Iterable[Path] = (),
-        choices: Iterable[Mapping[str, Any]] = (),
     ) -> None:
         try:
             import distributed  # noqa: F401
@@ -72,7 +70,7 @@ class Cluster:
         if "://" not in scheduler and not Path(scheduler).is_file():
             raise UsageError(Problem("--scheduler", "no file", found=scheduler))
         self.workers = 0
-        self._scheduler, self._choices = scheduler, list(choices)
+        self._scheduler = scheduler
         self._shipped = [file for path in shipped for file in files_in(path)]
 
     def run(self, work: Work) -> Generator[Result]:
@@ -82,14 +80,14 @@ class Cluster:
             ClusterError: the scheduler cannot be reached or is gone, or workers differ.
         """
         with _quiet(), self._client() as client:
-            from .cluster_worker import ScenarioFiles
+            from .cluster_worker import JobFiles
 
-            files = files_read(work.file, work.fixed, self._choices)
+            files = work.job.files()
             own = [file for file in files if not is_installed(file)]
             archive = pack(list(dict.fromkeys([*own, *self._shipped])))
             name = f"sero-mj-{uuid.uuid4().hex[:12]}"
             models = digest_of_models(files)
-            files_there = ScenarioFiles(name, archive, work.file, work.fixed, models)
+            files_there = JobFiles(name, archive, work.job, models)
             run = _Run(client, self._scheduler, work, files_there)
             try:
                 for found in run.results():
@@ -123,21 +121,21 @@ class Cluster:
 
 
 class _Run:
-    """One sweep on the workers of a client.
+    """One work on the workers of a client.
 
     Args:
         client: of a scheduler.
         address: the scheduler's, for errors.
-        work: the variants.
-        files: the scenario's.
+        work: what is done.
+        files: those of the job.
     """
 
-    def __init__(self, client: Any, address: str, work: Work, files: ScenarioFiles) -> None:
+    def __init__(self, client: Any, address: str, work: Work, files: JobFiles) -> None:
         self._client, self._address, self._work, self._files = client, address, work, files
-        self._todo: deque[Variant] = deque(work.variants)
-        self._alone: deque[Variant] = deque()  # one of them may have killed a worker
+        self._todo: deque[Task] = deque(work.tasks)
+        self._alone: deque[Task] = deque()  # one of them may have killed a worker
         self._deaths: Counter[int] = Counter()
-        self._batches: dict[str, tuple[str, Sequence[Variant], Any]] = {}  # by the future's key
+        self._batches: dict[str, tuple[str, Sequence[Task], Any]] = {}  # by the future's key
         self._of: dict[str, deque[str]] = {}  # worker to keys, that which it runs first
         self._refused: set[str] = set()
         self._done: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -227,7 +225,9 @@ class _Run:
 
     def _hand_out(self) -> None:
         """Gives every worker something to run and something to follow."""
-        from .cluster_worker import run_variants
+        from .cluster_worker import run_tasks
+
+        job = self._work.job
 
         for has in range(_EACH):  # first to those that have nothing
             for worker, keys in self._of.items():
@@ -238,15 +238,17 @@ class _Run:
                     return
                 self._count += 1
                 key = f"{self._files.name}-{self._count}"
+                tasks = [dict(values) for _, values in batch]
+                own = [file.absolute() for values in tasks for file in job.files_of(values)]
                 future = self._client.submit(
-                    run_variants, self._files.name, [dict(values) for _, values in batch],
-                    key=key, workers=[worker], allow_other_workers=False, pure=False,
+                    run_tasks, self._files.name, tasks, pack(own) if own else b"", key=key,
+                    workers=[worker], allow_other_workers=False, pure=False,
                 )  # fmt: skip
                 keys.append(key)
                 self._batches[key] = worker, batch, future
                 future.add_done_callback(lambda future: self._done.put(future.key))
 
-    def _next(self) -> list[Variant]:
+    def _next(self) -> list[Task]:
         if not self._todo:
             return [self._alone.popleft()] if self._alone else []
         size = self._work.size(len(self._todo), self.workers)
@@ -257,8 +259,9 @@ class _Run:
         if key not in self._batches:  # it was given up
             return []
         worker, batch, future = self._batches[key]
-        if future.status in ("cancelled", "lost"):  # not by us
-            raise self._gone()
+        if future.status in ("cancelled", "lost"):  # not by us: the scheduler is gone, or a worker
+            with self._scheduler():
+                return self._lost(worker)
         try:
             results = future.result(timeout=_ANSWER)
         except Exception as error:
@@ -266,17 +269,17 @@ class _Run:
                 return self._lost(worker)
             with self._scheduler():
                 pass
-            text = f"worker {worker} cannot run variants: {type(error).__name__}: {error}"
+            text = f"worker {worker} cannot do tasks: {type(error).__name__}: {error}"
             raise ClusterError(self._address, text) from error
         del self._batches[key]
         self._of[worker].remove(key)
         return list(zip((number for number, _ in batch), results, strict=True))
 
     def _lost(self, worker: str) -> list[Result]:
-        """Has the variants of a dead worker run elsewhere; returns those that are given up."""
+        """Has the tasks of a dead worker done elsewhere; returns those that are given up."""
         keys = self._of.pop(worker)
         given_up: list[Result] = []
-        waiting: list[Variant] = []
+        waiting: list[Task] = []
         for place, key in enumerate(keys):
             _, batch, future = self._batches.pop(key)
             with suppress(Exception):
@@ -287,7 +290,7 @@ class _Run:
             for number, values in batch:
                 self._deaths[number] += 1
                 if self._deaths[number] > ELSEWHERE:
-                    given_up.append((number, killed()))
+                    given_up.append((number, self._work.job.killed()))
                 else:
                     self._alone.append((number, values))
         self._todo.extendleft(reversed(waiting))

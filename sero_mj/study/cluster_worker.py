@@ -1,4 +1,4 @@
-"""What a worker of a Dask cluster does: it unpacks a scenario's files and runs batches of variants.
+"""What a worker of a Dask cluster does: it unpacks the files of a job, and does its tasks.
 
 A plug-in of the worker, which the scheduler also gives to workers that join later.
 """
@@ -21,7 +21,7 @@ from ..base.errors import SeroError
 from .scenario_inputs import below, digest_of_code, digest_of_models, unpack
 
 if TYPE_CHECKING:
-    from .variant import VariantRunner
+    from .engine import Job, Runner
 
 
 def versions() -> dict[str, str]:
@@ -29,27 +29,19 @@ def versions() -> dict[str, str]:
     return {"sero-mj": __version__, "mujoco": version("mujoco"), "numpy": version("numpy")}
 
 
-class ScenarioFiles(WorkerPlugin):  # type: ignore[misc]
-    """The files of a scenario on a worker, in a folder of their own until the sweep has ended.
+class JobFiles(WorkerPlugin):  # type: ignore[misc]
+    """A job and its files on a worker, in a folder of their own until it has ended.
 
     Args:
-        name: of this sweep, unlike all others.
+        name: of this work, unlike all others.
         archive: the files, see `scenario_inputs.pack`.
-        file: the scenario's, where the sweep was begun.
-        fixed: dotted keys that are set in all variants.
+        job: as it is where the work was begun.
         models: shipped files that it reads, see `digest_of_models`.
     """
 
-    def __init__(
-        self,
-        name: str,
-        archive: bytes,
-        file: Path,
-        fixed: Mapping[str, Any],
-        models: Mapping[str, str],
-    ) -> None:
+    def __init__(self, name: str, archive: bytes, job: Job, models: Mapping[str, str]) -> None:
         self.name, self._archive = name, archive
-        self._file, self._fixed, self._models = str(file), dict(fixed), dict(models)
+        self._job, self._models = job, dict(models)
         self._versions, self._code = versions(), digest_of_code()
 
     def setup(self, worker: Any) -> None:
@@ -58,7 +50,7 @@ class ScenarioFiles(WorkerPlugin):  # type: ignore[misc]
         self._root = Path(worker.local_directory).absolute() / self.name
         unpack(self._archive, self._root)
         self._archive = b""
-        self._runner: VariantRunner | None = None
+        self._runner: Runner | None = None
         self._alone = threading.Lock()  # a runner keeps models that it has compiled
 
     def teardown(self, worker: Any) -> None:
@@ -66,7 +58,7 @@ class ScenarioFiles(WorkerPlugin):  # type: ignore[misc]
         shutil.rmtree(self._root, ignore_errors=True)
 
     def differences(self) -> list[str]:
-        """What is not here as it is where the sweep was begun; empty if its results will be."""
+        """What is not here as it is where the work was begun; empty if its results will be."""
         own = versions()
         found = [
             f"{name} is {own[name]}, and {wanted} here"
@@ -83,34 +75,33 @@ class ScenarioFiles(WorkerPlugin):  # type: ignore[misc]
             found.append(f"the shipped robot {missing[0].parent.name} is another one than here")
         if not found:
             try:
-                self._read()
+                self._job.below(self._root).check()
             except SeroError as error:
                 found.append(f"the scenario cannot be read: {self._told(str(error))}")
         return found
 
-    def _read(self) -> None:
-        from ..simulate.scenario_file import read_scenario
-
-        read_scenario(f"{self._root}{self._file}", below(self._root, self._fixed))
-
     def _told(self, text: str) -> str:
         return text.replace(str(self._root), "")
 
-    def run(self, variants: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Runs variants together, see `VariantRunner.run`."""
-        from .variant import VariantRunner
-
+    def run(self, tasks: Sequence[Mapping[str, Any]], archive: bytes) -> list[dict[str, Any]]:
+        """Does tasks together, see `Runner.run`; the archive has the files of these alone."""
         with self._alone:
             if self._runner is None:
-                file = Path(f"{self._root}{self._file}")
-                self._runner = VariantRunner(file, below(self._root, self._fixed))
-            results = self._runner.run([below(self._root, values) for values in variants])
+                self._runner = self._job.below(self._root).runner()
+            own = unpack(archive, self._root) if archive else []
+            try:
+                results = self._runner.run([below(self._root, values) for values in tasks])
+            finally:
+                for file in own:
+                    file.unlink(missing_ok=True)
         return [{**each, "error": self._told(each["error"])} for each in results]
 
 
-def run_variants(name: str, variants: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """A task: runs variants by the plug-in of this name."""
-    found: list[dict[str, Any]] = get_worker().plugins[name].run(variants)
+def run_tasks(
+    name: str, tasks: Sequence[Mapping[str, Any]], archive: bytes
+) -> list[dict[str, Any]]:
+    """Does tasks by the plug-in of this name."""
+    found: list[dict[str, Any]] = get_worker().plugins[name].run(tasks, archive)
     return found
 
 

@@ -1,49 +1,174 @@
-"""What runs the variants of a sweep: `Work` is handed to an `Engine`, which yields their results.
+"""What runs many tasks: `Work` is handed to an `Engine`, which yields their results.
 
-`workers.Processes` runs them on this machine, `cluster.Cluster` on workers of Dask. This file
-imports little: every new process reads it.
+A `Job` says what is done: a scenario is run with other values (`Variants`), or a recording is
+examined (`EachRecording`). `workers.Processes` does it on this machine, `cluster.Cluster` on
+workers of Dask. This file imports little: every new process reads it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, Protocol
 
-Variant = tuple[int, Mapping[str, Any]]  # its number and values
+Task = tuple[int, Mapping[str, Any]]  # its number and values
 Result = tuple[int, dict[str, Any]]  # its number and outcomes, by column
 
-_ENOUGH = 24  # variants that are run together; what a step costs however many is little of it then
+_ENOUGH = 24  # tasks that are done together; what a step costs however many is little of it then
 KILLED = "its process was killed, or ran out of memory; expected an answer"
 
 
-def killed() -> dict[str, Any]:
-    """The outcomes of a variant whose process ended."""
-    return {"held": False, "error": KILLED, "ended": 0.0}
+class Runner(Protocol):
+    """Does tasks of a job in one process, and keeps what several need."""
+
+    def run(self, tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """Returns the outcomes of tasks with these values; what goes wrong is their `error`."""
+
+
+class Job(Protocol):
+    """What is done in all tasks; it is sent to other processes, so it has plain values only."""
+
+    def runner(self) -> Runner:
+        """What does it, made in the process that does."""
+
+    def check(self) -> None:
+        """Raises SeroError where it cannot be done: files that it needs are missing, say."""
+
+    def files(self) -> list[Path]:
+        """The files that it reads, whatever the task."""
+
+    def files_of(self, values: Mapping[str, Any]) -> list[Path]:
+        """The files that the task with these values reads besides."""
+
+    def below(self, root: Path) -> Job:
+        """The same where all these files are below a root."""
+
+    def killed(self) -> dict[str, Any]:
+        """The outcomes of a task whose process ended."""
 
 
 @dataclass(frozen=True)
-class Work:
-    """Variants to be run.
+class Variants:
+    """A `Job`: a scenario is run with other values in every task.
 
     Attributes:
         file: the scenario's.
         fixed: dotted keys that are set in all of them.
-        variants: in their order.
-        most: how many may be run together: their logs need memory.
+        choices: keys and values of tasks that may name files of their own.
     """
 
     file: Path
     fixed: Mapping[str, Any]
-    variants: Sequence[Variant]
+    choices: Sequence[Mapping[str, Any]] = ()
+
+    def runner(self) -> Runner:
+        """See `Job`, as for all below."""
+        from .variant import VariantRunner
+
+        return VariantRunner(self.file, self.fixed)
+
+    def check(self) -> None:  # noqa: D102
+        from ..simulate.scenario_file import read_scenario
+
+        read_scenario(self.file, self.fixed)
+
+    def files(self) -> list[Path]:  # noqa: D102
+        from .scenario_inputs import files_read
+
+        return files_read(self.file, self.fixed, self.choices)
+
+    def files_of(self, values: Mapping[str, Any]) -> list[Path]:  # noqa: D102
+        return []
+
+    def below(self, root: Path) -> Variants:  # noqa: D102
+        from .scenario_inputs import below
+
+        return replace(self, file=Path(f"{root}{self.file}"), fixed=below(root, self.fixed))
+
+    def killed(self) -> dict[str, Any]:  # noqa: D102
+        return {"held": False, "error": KILLED, "ended": 0.0}
+
+
+@dataclass(frozen=True)
+class EachRecording:
+    """A `Job`: the same is asked of every recording, which is the `file` of its task.
+
+    Attributes:
+        study: the function that is asked, `module:name`; takes `shared` and the recording's path,
+            and returns outcomes by column.
+        shared: plain values, the same in all tasks.
+        needed: files that `shared` names.
+    """
+
+    study: str
+    shared: Mapping[str, Any]
+    needed: Sequence[Path] = ()
+
+    def runner(self) -> Runner:
+        """See `Job`, as for all below."""
+        return _Asking(self)
+
+    def check(self) -> None:  # noqa: D102
+        pass
+
+    def files(self) -> list[Path]:  # noqa: D102
+        return [file.absolute() for file in self.needed]
+
+    def files_of(self, values: Mapping[str, Any]) -> list[Path]:  # noqa: D102
+        from .scenario_inputs import files_in
+
+        return files_in(Path(values["file"]))
+
+    def below(self, root: Path) -> EachRecording:  # noqa: D102
+        from .scenario_inputs import below
+
+        return replace(self, shared=below(root, self.shared))
+
+    def killed(self) -> dict[str, Any]:  # noqa: D102
+        return {"error": KILLED}
+
+
+class _Asking:
+    def __init__(self, job: EachRecording) -> None:
+        self._shared = job.shared
+        self._study = EntryPoint("study", job.study, "").load()
+
+    def run(self, tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        return [self._asked(Path(values["file"])) for values in tasks]
+
+    def _asked(self, file: Path) -> dict[str, Any]:
+        from ..base.errors import SeroError
+
+        try:
+            return {"error": "", **self._study(self._shared, file)}
+        except SeroError as error:
+            text = str(error)
+        except Exception as error:  # a fault in this program shall not end all others
+            text = f"{type(error).__name__}: {error}"
+        return {"error": " ".join(text.split())}  # a row is one line
+
+
+@dataclass(frozen=True)
+class Work:
+    """Tasks to be done.
+
+    Attributes:
+        job: what is done in each.
+        tasks: in their order.
+        most: how many may be done together: they need memory.
+    """
+
+    job: Job
+    tasks: Sequence[Task]
     most: int = 1
 
     def size(self, left: int, workers: int) -> int:
-        """How many are run together: few enough for memory, and for results to come meanwhile.
+        """How many are done together: few enough for memory, and for results to come meanwhile.
 
         Args:
-            left: how many are still to be run.
+            left: how many are still to be done.
             workers: how many take some of them.
         """
         workers = max(workers, 1)
@@ -52,17 +177,17 @@ class Work:
 
 
 class Engine(Protocol):
-    """Runs variants; nothing else knows where.
+    """Does tasks; nothing else knows where.
 
     Attributes:
-        workers: how many run variants at the moment.
+        workers: how many do tasks at the moment.
     """
 
     workers: int
 
     def run(self, work: Work) -> Generator[Result]:
-        """Yields the results of all variants, in any order, as they are ready.
+        """Yields the results of all tasks, in any order, as they are ready.
 
-        A variant that cannot be run, or ends the process that runs it, has an `error`. Closing the
-        generator ends what is still running.
+        A task that cannot be done, or ends the process that does it, has an `error`. Closing the
+        generator ends what is still going on.
         """

@@ -282,7 +282,7 @@ def _still_sensors(found: TorqueResiduals) -> list[Explanation]:
     ):
         rows = (found.times >= begin) & (found.times <= end)
         expected = found.model[rows, joint]
-        if end - begin < _STANDS or np.ptp(expected) < 0.001 * found.scale[joint]:
+        if end - begin < _STANDS or not len(expected) or np.ptp(expected) < 0.001 * found.scale[joint]:
             continue
         told.append(Explanation(
             name, "stuck", "torque sensor", value, _unit(found, joint), np.nan, MOST_SURE, begin,

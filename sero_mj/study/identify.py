@@ -295,6 +295,17 @@ def _condition(X: Array) -> float:
     return float(np.linalg.cond(X / lengths))
 
 
+def figures(found: Identified) -> dict[str, Estimate]:
+    """All estimates by name, `JOINT.FIGURE` and `payload.FIGURE`."""
+    named = {
+        f"{joint.joint}.{name}": getattr(joint, name)
+        for joint in found.joints
+        for name in ("coulomb_friction", "viscous_friction", "motor_inertia", "torque_offset")
+    }
+    payload = dict(zip(("mass", "x", "y", "z"), (found.mass, *found.center), strict=True))
+    return named | {f"payload.{name}": estimate for name, estimate in payload.items()}
+
+
 def as_json(found: Identified) -> dict[str, Any]:
     """The estimates as JSON types; unidentifiable ones are None, with the reason."""
     return {

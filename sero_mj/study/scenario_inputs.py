@@ -74,9 +74,7 @@ def pack(files: Sequence[Path]) -> bytes:
     size = sum(file.stat().st_size for file in files)
     if size > _MOST_BYTES:
         largest = max(files, key=lambda file: file.stat().st_size)
-        message = (
-            f"files of {size / 1e6:.0f} MB would be sent to every worker, {largest} among them"
-        )
+        message = f"files of {size / 1e6:.0f} MB would be sent to a worker, {largest} among them"
         raise UsageError(Problem("--scheduler", message, expected=f"{_MOST_BYTES / 1e6:.0f} MB"))
     archive = io.BytesIO()
     with tarfile.open(fileobj=archive, mode="w:gz", compresslevel=1, dereference=True) as tar:
@@ -85,18 +83,22 @@ def pack(files: Sequence[Path]) -> bytes:
     return archive.getvalue()
 
 
-def unpack(archive: bytes, root: Path) -> None:
-    """Writes the files of an archive below a root; absolute names in texts lead there."""
+def unpack(archive: bytes, root: Path) -> list[Path]:
+    """Writes the files of an archive below a root, and returns them.
+
+    Absolute names in texts lead there.
+    """
     with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
         tar.extractall(root, filter="data")
-        names = tar.getnames()
-    for file in (root / name for name in names):
+        files = [root / name for name in tar.getnames()]
+    for file in files:
         if file.suffix.lower() not in _TEXTS:
             continue
         text = file.read_bytes().decode("utf-8", "surrogateescape")
         moved = _QUOTED.sub(lambda match: f"{match[1]}{below(root, match[2])}{match[1]}", text)
         if moved != text:
             file.write_bytes(moved.encode("utf-8", "surrogateescape"))
+    return files
 
 
 def below(root: Path, value: Any) -> Any:

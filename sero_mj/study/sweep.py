@@ -21,7 +21,7 @@ from ..base.frames import Array
 from ..simulate.log_output import files_of
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
-from .engine import Engine, Result, Work
+from .engine import Engine, Result, Variants, Work
 from .variant import outcome_columns
 from .workers import Processes
 
@@ -301,7 +301,14 @@ class Sweep:
         todo = [(number, self.variants[number]) for number in wanted]
         run, joints = self.base.run, sum(robot.n for robot in self.base.scene.robots.values())
         most = int(np.clip(_BATCH_STEPS // ((run.steps + 1) * joints), 1, _BATCH))
-        yield from (engine or Processes()).run(Work(self.file, self.fixed, todo, most))
+        choices = [
+            {vary.key: value}
+            for vary in self.varied
+            for value in vary.values
+            if not isinstance(value, bool | int | float)
+        ]
+        job = Variants(self.file, self.fixed, choices)
+        yield from (engine or Processes()).run(Work(job, todo, most))
 
 
 def _plain(value: Any) -> Any:

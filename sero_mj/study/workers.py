@@ -1,4 +1,4 @@
-"""`Processes`: batches of variants of a sweep side by side on this machine.
+"""`Processes`: batches of tasks, variants of a sweep say, side by side on this machine.
 
 Why processes: controllers, sensors, the observer and events of a run are Python code between steps
 of MuJoCo, which threads would serialize. `mujoco.rollout` runs steps in threads but takes all
@@ -19,15 +19,11 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from .engine import Result, Variant, Work, killed
+from .engine import Job, Result, Runner, Task, Work
 
-if TYPE_CHECKING:
-    from .variant import VariantRunner
-
-_runner: VariantRunner  # of a worker process
+_runner: Runner  # of a worker process
 
 
 def available_cpus() -> int:
@@ -39,21 +35,18 @@ def available_cpus() -> int:
     return os.cpu_count() or 1
 
 
-def start_worker(parent: Connection, file: Path, fixed: Mapping[str, Any]) -> None:
+def start_worker(parent: Connection, job: Job) -> None:
     """Prepares a worker process, which ends with its parent process.
 
     Args:
         parent: carries no data; it is closed when that process ends, or before.
-        file: the scenario's.
-        fixed: dotted keys that are set in all variants.
+        job: what it does.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # its parent process ends it
     threading.Thread(target=_exit_with, args=(parent,), daemon=True).start()
     os.environ["MUJOCO_GL"] = "disable"  # no rendering here
-    from .variant import VariantRunner
-
     global _runner  # noqa: PLW0603
-    _runner = VariantRunner(file, fixed)
+    _runner = job.runner()
 
 
 def _exit_with(parent: Connection) -> None:
@@ -62,8 +55,8 @@ def _exit_with(parent: Connection) -> None:
     os._exit(1)
 
 
-def _run(variants: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    return _runner.run(variants)
+def _run(tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    return _runner.run(tasks)
 
 
 class Processes:
@@ -79,39 +72,35 @@ class Processes:
         self.workers = jobs
 
     def run(self, work: Work) -> Generator[Result]:
-        """Runs variants; results come as their batches are ready.
+        """Does tasks; results come as their batches are ready.
 
-        The variants of a process that ends (no memory left, say) are run anew one by one, in
-        another one; that it ends with one alone is an error of this variant.
+        The tasks of a process that ends (no memory left, say) are done anew one by one, in another
+        one; that it ends with one alone is an error of this task.
         """
-        count = len(work.variants)
+        count = len(work.tasks)
         size = work.size(count, self.workers)
-        batches = [work.variants[first : first + size] for first in range(0, count, size)]
+        batches = [work.tasks[first : first + size] for first in range(0, count, size)]
         if (jobs := min(self.workers, count)) > 1:
-            yield from _run_in_processes(batches, jobs, work.file, work.fixed)
+            yield from _run_in_processes(batches, jobs, work.job)
             return
-        from .variant import VariantRunner
-
-        runner = VariantRunner(work.file, work.fixed)
+        runner = work.job.runner()
         for batch in batches:
             results = runner.run([values for _, values in batch])
             yield from zip((number for number, _ in batch), results, strict=True)
 
 
-def _run_in_processes(
-    batches: Sequence[Sequence[Variant]], jobs: int, file: Path, fixed: Mapping[str, Any]
-) -> Generator[Result]:
+def _run_in_processes(batches: Sequence[Sequence[Task]], jobs: int, job: Job) -> Generator[Result]:
     context = get_context("spawn")  # a fork would inherit broken threads and OpenGL
     child_end, own_end = context.Pipe(duplex=False)
 
     def new_pool() -> ProcessPoolExecutor:
-        arguments = (child_end, file, dict(fixed))
+        arguments = (child_end, job)
         return ProcessPoolExecutor(1, context, initializer=start_worker, initargs=arguments)
 
     todo = deque(batches)
     # A process that is killed breaks its pool; with one process each it is known whose it was.
     free = [new_pool() for _ in range(jobs)]
-    busy: dict[Future[list[dict[str, Any]]], tuple[ProcessPoolExecutor, Sequence[Variant]]] = {}
+    busy: dict[Future[list[dict[str, Any]]], tuple[ProcessPoolExecutor, Sequence[Task]]] = {}
     try:
         while True:
             while free and todo:
@@ -130,7 +119,7 @@ def _run_in_processes(
                 try:
                     results = future.result()
                 except BrokenProcessPool:
-                    pool, results = new_pool(), [killed()]
+                    pool, results = new_pool(), [job.killed()]
                     if len(batch) > 1:
                         todo.extend([each] for each in batch)
                         batch, results = [], []

@@ -1,0 +1,103 @@
+"""Asks the same of many recordings, by what `--engine` names; a row for each in a table."""
+
+from __future__ import annotations
+
+import csv
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+from ..base.errors import Problem, UsageError
+from ._arguments import progress_bar, writing
+from .shared_options import EngineOptions
+
+Rows = dict[Path, dict[str, Any]]
+
+
+def ask_each(
+    options: EngineOptions,
+    study: str,
+    recordings: Sequence[Path],
+    needed: Sequence[Path] = (),
+    *,
+    quiet: bool = False,
+) -> Rows:
+    """Returns the outcomes of every recording in their order; fewer where it was interrupted.
+
+    Args:
+        options: of the command, which the study is given as plain values.
+        study: `module:name` of a function of these values and a recording's path, which returns
+            outcomes by column.
+        recordings: files, or folders.
+        needed: further files that the options name.
+        quiet: no progress bar.
+
+    Raises:
+        UsageError: one of the files is not there.
+    """
+    from ..study.engine import EachRecording, Work
+
+    for path in (*needed, *recordings):
+        if not path.exists():
+            raise UsageError(Problem("", "there is no such file", str(path)))
+    shared = options.model_dump(mode="json", exclude_unset=True)
+    tasks = [(k, {"file": str(path.absolute())}) for k, path in enumerate(recordings)]
+    job = EachRecording(study, _with_whole_paths(shared, needed), needed)
+    engine, found, begin = options.make_engine(), dict[int, dict[str, Any]](), time.perf_counter()
+
+    def note() -> str:
+        many = engine.workers
+        rate = len(found) / (time.perf_counter() - begin)
+        return f"{rate:.1f}/s, {many} {'worker' if many == 1 else 'workers'}"
+
+    with (
+        progress_bar("recordings", quiet=quiet, note=note) as update,
+        closing(engine.run(Work(job, tasks))) as results,
+        _interrupted(found, len(tasks)),
+    ):
+        update(0, len(tasks))
+        for number, result in results:
+            found[number] = result
+            update(len(found), len(tasks))
+    return {path: found[k] for k, path in enumerate(recordings) if k in found}
+
+
+def _with_whole_paths(shared: Mapping[str, Any], needed: Sequence[Path]) -> dict[str, Any]:
+    whole = {str(path): str(path.absolute()) for path in needed}
+    return {key: whole.get(value, value) if isinstance(value, str) else value
+            for key, value in shared.items()}  # fmt: skip
+
+
+@contextmanager
+def _interrupted(found: Mapping[int, Any], count: int) -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f"sero-mj: stopped after {len(found)} of {count} recordings", file=sys.stderr)
+
+
+def write_rows(rows: Rows, path: Path) -> None:
+    """Writes a table (.csv): a row for each recording, and a column for each outcome of any."""
+    outcomes = dict.fromkeys(key for row in rows.values() for key in row if key != "error")
+    with writing(), path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, ["recording", *outcomes, "error"], restval="")
+        table.writeheader()
+        table.writerows({"recording": name, **row} for name, row in rows.items())
+
+
+def tell_errors(rows: Rows) -> int:
+    """Prints what kept recordings from being examined, to stderr; returns how many."""
+    errors = {path: row["error"] for path, row in rows.items() if row["error"]}
+    for path, error in errors.items():
+        print(f"sero-mj: {error if str(path) in error else f'{path}: {error}'}", file=sys.stderr)
+    return len(errors)
+
+
+def status(rows: Rows, count: int, failed: int) -> int:
+    """The exit status: 130 where it was interrupted, 2 where nothing could be examined, else 0."""
+    if len(rows) < count:
+        return 130
+    return 2 if failed == len(rows) else 0
