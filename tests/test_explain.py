@@ -234,7 +234,6 @@ def test_packets_that_come_in_bunches_are_no_contact(fault: dict[str, Any], tmp_
     assert found == ([("A2", "bias")] if fault else [])
 
 
-@pytest.mark.thorough
 def test_a_sensor_that_stood_still_where_nothing_is_compared_is_not_told() -> None:
     """As that of a robot that rests before another run begins."""
     found = torque_residuals(swing(), "lwr")
@@ -243,6 +242,7 @@ def test_a_sensor_that_stood_still_where_nothing_is_compared_is_not_told() -> No
     assert explain(replace(found, held=held)) == explain(found)
 
 
+@pytest.mark.thorough
 def test_several_faults_are_told_apart() -> None:
     fault = json.dumps({"kind": "sensor", "bias": 5.0, "joints": ["A3"]})
     load = json.dumps({"kind": "payload", "robot": "lwr", "mass": 2.0, "begin": 1.9})

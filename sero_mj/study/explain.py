@@ -281,8 +281,8 @@ def _still_sensors(found: TorqueResiduals) -> list[Explanation]:
         zip(found.robot.names, found.held, strict=True)
     ):
         rows = (found.times >= begin) & (found.times <= end)
-        expected = found.model[rows, joint]
-        if end - begin < _STANDS or not len(expected) or np.ptp(expected) < 0.001 * found.scale[joint]:
+        expected, least = found.model[rows, joint], 0.001 * found.scale[joint]
+        if end - begin < _STANDS or not len(expected) or np.ptp(expected) < least:
             continue
         told.append(Explanation(
             name, "stuck", "torque sensor", value, _unit(found, joint), np.nan, MOST_SURE, begin,
