@@ -5,7 +5,7 @@
 # make lint   style and types
 # make docs   out/docs/index.html
 # make bench  benchmarks, as ratios
-# make peers  docs/peers.md: the same work by Pinocchio, viser, MeshCat, rerun and others (4 GB from PyPI)
+# make peers  docs/peers.md: the same work by Pinocchio, viser, MeshCat, rerun and others (10 GB from PyPI)
 # make robustness   out/robustness/index.html: fuzzing, faults, a run of 10 minutes; QUICK=1 in short,
 #             SECONDS=86400 for a day, SEED=N for the cases of another run
 # make foreign   robots of example-robot-data, robosuite and dm_control (350 MB from PyPI), compared

@@ -4,7 +4,7 @@
     .venv/bin/python benchmarks/peers.py --rounds 1 --only fk_one,control --out out/peers.md
 
 Every peer has a script in benchmarks/peers/ and an environment of its own in .peers/NAME, made on
-first use (4 GB, from PyPI). All read the same two robots, which are written as URDF. For every
+first use (10 GB, from PyPI). All read the same two robots, which are written as URDF. For every
 work ours and theirs take turns for some rounds, of which the median counts; where a work has a
 result, all must agree. Needs Chromium, Xvfb and a C compiler.
 """
@@ -75,6 +75,7 @@ PEERS = {
     "with_viser": Peer("viser and yourdfpy", "viser", ("viser>=1", "yourdfpy>=0.0.56")),
     "with_rerun": Peer("rerun and yourdfpy", "rerun", ("rerun-sdk>=0.24", "yourdfpy>=0.0.56")),
     "with_gymnasium": Peer("Gymnasium's Pusher", "gymnasium", ("gymnasium[mujoco]>=1.1",)),
+    "with_mjlab": Peer("mjlab, lifting a cube", "mjlab", ("mjlab>=1.6",)),
     # With later versions of MuJoCo it finds no joints.
     "with_robosuite": Peer("robosuite", "robosuite", ("robosuite>=1.5", "mujoco<3.4")),
 }
@@ -211,9 +212,10 @@ WORKS = {
     ),
     "environment": Work(
         "Step of an environment, one robot",
-        "Of `sero_mj/lwr-reach-v0` (20 steps of physics an action) and `Pusher-v5` (5 steps), over "
-        "as many `mj_step` of the same model.",
-        ("ours", "with_gymnasium"),
+        "Of `sero_mj/lwr-reach-v0` (20 steps of physics an action), `Pusher-v5` (5 steps) and "
+        "mjlab's `Mjlab-Lift-Cube-Yam` (4 steps, by MuJoCo Warp on the processor), over as many "
+        "`mj_step` of the same model.",
+        ("ours", "with_gymnasium", "with_mjlab"),
         unit="times mj_step",
         why={
             "with_gymnasium": "Pusher writes controls once an action; ours runs sensors, a torque "
@@ -222,13 +224,13 @@ WORKS = {
     ),
     "environments": Work(
         "Step of an environment, 64 robots together",
-        "The same, by `gymnasium.make_vec`, per robot; ours on all cores, as it does by default.",
-        ("ours", "with_gymnasium"),
+        "The same, by `gymnasium.make_vec`, per robot; ours on all cores, as it does by default. "
+        "mjlab is made for GPUs, with thousands of robots.",
+        ("ours", "with_gymnasium", "with_mjlab"),
         unit="times mj_step",
     ),
 }  # fmt: skip
 LEFT_OUT = (
-    ("mjlab", "needs PyTorch, which is over 2 GB from PyPI, and is made for GPUs"),
     ("rerun, to the first picture", "its page tells no program when it has drawn"),
     ("viser and MeshCat, packet to pixel", "neither reads packets; it would be our code"),
 )
