@@ -16,6 +16,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
+from conftest import free_udp_port
 from page_client import read_sections
 from web_tools import MISSING, Served
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -365,6 +366,19 @@ def test_a_browser_with_the_address_sees_the_robot(browser: Any, tmp_path: Path)
         # A function: Playwright evaluates other texts, which the page's policy refuses.
         page.wait_for_function("() => document.documentElement.dataset.ready === '1'")
         served.until("w.is_seen")
+
+
+def test_the_terminal_says_where_the_page_is_and_what_it_waits_for(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "sero_mj", "view", "lwr_udp", "--web"]
+    port = free_udp_port()
+    with subprocess.Popen(
+        [*command, "--set", f"sources.udp.port={port}"], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert "lwr_udp is at http://localhost:" in process.stdout.readline()
+        said = process.stdout.readline()
+        process.terminate()
+    assert said == f"waiting for packets of 112 bytes on UDP 127.0.0.1:{port}\n"
 
 
 @pytest.mark.thorough

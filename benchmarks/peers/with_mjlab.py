@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-import mjlab.tasks  # registers them
+import mjlab.tasks  # noqa: F401  # registers them
 import mujoco
 import torch
 from common import main, tell

@@ -187,6 +187,7 @@ class Session:
         # Camera, panel with its sections, and switches, to be kept while the same scene is shown.
         self._last: tuple[mujoco.MjvCamera, dict[str, bool], ViewState] | None = None
         self._is_announced = False
+        self._told: set[str] = set()  # sources that are waited for
         self._warnings: list[str] = []  # of the files of what is shown next
 
     def first(self) -> Mirror | None:
@@ -340,6 +341,10 @@ class Session:
         options, plain = self.options, self.plain
         view = RecentView(_absolute(options.scene), _absolute(options.replay))
         is_kept = options.over is None and not is_temporary(view)
+        for source in host.mirror.sources.values():
+            if source.is_live and source.about not in self._told:
+                self._told.add(source.about)
+                print(f"waiting for {source.awaited} on {source.about}", flush=True)
         try:
             host.run()
         finally:

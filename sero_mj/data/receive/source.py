@@ -148,6 +148,12 @@ class Source(PacketDeclaration):
         return self.name
 
     @property
+    def awaited(self) -> str:
+        """What it waits for, as shown to the user."""
+        message = self.layout.message
+        return f"{message}s" if message else f"packets of {self.layout.size} bytes"
+
+    @property
     def place(self) -> tuple[str, int] | None:
         """Address and port it listens on, which no two sources can share; None for no port."""
         return None

@@ -141,9 +141,7 @@ class Status(Feature):
             state: Any = SourceState(*data.userdata[slot])
             source = self._sources.get(name)
             if source is not None and source.is_live and not state.received:
-                message = source.layout.message
-                packets = f"{message}s" if message else f"packets of {state.size:.0f} bytes"
-                lines += [f"nothing yet on {source.about}", f"  awaited: {packets}"]
+                lines += [f"nothing yet on {source.about}", f"  awaited: {source.awaited}"]
                 can_be_played |= source.can_be_played
         if not lines:
             return None
