@@ -139,6 +139,22 @@ def test_the_other_byte_order_is_named_only_where_it_says_more() -> None:
     assert swapped[-1].plausible < 0.2
 
 
+@pytest.mark.parametrize(
+    ("numbers", "structure", "about"),
+    [
+        (9, "3F3F3F", "float64: 3 joints three times"),
+        (12, "6F6F", "float64: 6 joints twice (or 4 joints three times: 4F4F4F)"),
+        (14, "7F7F", "float64: 7 joints twice"),
+        (11, "11F", "float64: 11 numbers"),
+    ],
+)
+def test_two_or_three_values_of_every_joint_are_both_named(
+    numbers: int, structure: str, about: str
+) -> None:
+    guess = guess_layouts(as_rows(np.random.default_rng(1).normal(size=(8, numbers))))[0]
+    assert (guess.structure, guess.about) == (structure, about)
+
+
 def test_packets_of_robots_on_the_market_are_known_by_size_and_header() -> None:
     packet = bytearray(np.full(229, 0.5, "<f4").tobytes())
     rows = np.frombuffer(packet, np.uint8)[None]

@@ -288,14 +288,27 @@ def _body(numbers: NDArray[np.floating]) -> tuple[str, bool, str]:
     parts, words, at = [], [], 0
     for end in ends:
         if count := end - at:
-            twice = count % 2 == 0 and count // 2 <= _MAX_JOINTS and count > 2
-            parts.append(f"{count // 2}F{count // 2}F" if twice else f"{count}F")
-            words.append(f"{count // 2} joints twice" if twice else _plural(count, "number"))
+            part, word = _of_joints(count)
+            parts.append(part)
+            words.append(word)
         if end < numbers.shape[1]:
             parts.append("1M")
             words.append(f"a frame {'column by column' if column_major else 'row by row'}")
         at = end + 16
     return "".join(parts), column_major, ", ".join(words)
+
+
+def _of_joints(count: int) -> tuple[str, str]:
+    """Structure of numbers that may be two or three values of every joint, and a description."""
+    fits = [
+        (f"{count // times}F" * times, f"{count // times} joints {often}")
+        for times, often in ((2, "twice"), (3, "three times"))
+        if count % times == 0 and 1 < count // times <= _MAX_JOINTS
+    ]
+    if not fits:
+        return f"{count}F", _plural(count, "number")
+    (part, word), *others = fits
+    return part, "".join([word, *(f" (or {also}: {other})" for other, also in others)])
 
 
 def _plural(count: int, word: str) -> str:
