@@ -241,6 +241,6 @@ def test_a_page_of_two_runs_has_the_second_as_the_firsts_double(
     (run,) = re.findall('id="run">([^<]*)<', text)
     head = zlib.decompress(base64.b64decode(run), -15)
     assert b"round arrows: difference of torques, A - B" in head
-    assert b"commanded - measured" not in head
+    assert b"commanded - measured" not in head and b'"quantities":[]' in head
     meant = json.dumps({"A": str(whole), "B": "b.mcap"}, separators=(",", ":"))
     assert f'"meanings":{meant}'.encode() in head

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,28 @@ def test_numbers_are_those_of_the_run(page: Any, scene: sero_mj.Scene) -> None:
             [key, list(frames)],
         )
         assert np.array_equal(found, log.of("lwr", key)[rows])
+
+
+def test_arrows_show_torques_and_their_errors_by_turns(page: Any) -> None:
+    page.evaluate("player.seek(1.0)")
+    button, legend = page.locator("#quantity"), page.locator("#notes")
+    widths = "() => player.stage.arrows.joints.map((_, k) => player.stage.arrows.how.getY(k))"
+    told, of_torque = legend.inner_text(), page.evaluate(widths)
+    assert button.inner_text() == "torque" and "round arrows: joint torque\n" in told
+    page.keyboard.press("q")
+    page.locator("#quantity", has_text="torque error").wait_for()
+    of_error = page.evaluate(widths)
+    changed = "round arrows: torque error, commanded - measured\n"
+    assert legend.inner_text() == told.replace("round arrows: joint torque\n", changed)
+    error = page.evaluate("""() => {
+        const { run: { joints, frames, values }, clock } = player;
+        return joints.map((_, j) => values.torque_error[j * frames + clock.frame]);
+    }""")
+    assert max(map(abs, error)) < 1.0  # Nm
+    assert max(of_torque) > 5 * max(of_error)
+    button.click()
+    page.locator("#quantity", has_text=re.compile("^torque$")).wait_for()
+    assert (page.evaluate(widths), legend.inner_text()) == (of_torque, told)
 
 
 def test_names_of_others_stay_text(page: Any) -> None:
@@ -259,7 +282,7 @@ def test_a_phone_shows_all_in_its_width(browser: Any, file: Path, scheme: str) -
     assert outside == 0
     # Buttons are in one row, and the two without a word beside the title.
     rows = page.evaluate("""() => [...document.querySelectorAll("#tools button")]
-        .map(e => Math.round(e.getBoundingClientRect().top))""")
+        .filter(e => e.offsetParent).map(e => Math.round(e.getBoundingClientRect().top))""")
     assert len(set(rows)) == 2
     page.context.close()
 

@@ -43,6 +43,11 @@ SCALE = ("     10 %", "     50 %", "     ")  # and the name of the limit
 _BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # of a line's height
 
 
+def arrows_line(quantity: str) -> str:
+    """The line of the legend that says what round arrows show."""
+    return f"round arrows: {_WORDS[quantity][0]}"
+
+
 class Legend(Feature):
     """Panels for all quantities that arrows show, in the lower left corner.
 

@@ -11,10 +11,12 @@ import numpy as np
 from ...base.frames import Array
 from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from ..decor import round_arrows
 from ..decor.billboards import Line
 from ..decor.geom_buffer import GREY, Kind
-from ..decor.quantities import torque_and_unit
+from ..decor.legend import arrows_line
+from ..decor.quantities import QUANTITY_NAMES, torque_and_unit
 from ..decor.ribbons import ribbon_shape
 from .capture import Capture, eye
 from .items import poses
@@ -26,6 +28,7 @@ from .surroundings import surroundings_head
 VERSION = 1
 METRE_STEP = 5e-5  # m
 ROTATION_STEP = 1 / 16384  # of a component of a unit quaternion
+_BY_TURNS = ("torques", "torque_error")  # what arrows can show by turns in a page
 
 
 def encode(capture: Capture, title: str) -> bytes:
@@ -224,7 +227,7 @@ def _lines(lines: list[Line]) -> list[dict[str, Any]]:
 
 
 def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
-    """Shape and colours of round arrows, and their values where these are not the torques."""
+    """Shape and colours of round arrows, their values where these are not torques, and others."""
     shape = ribbon_shape(round_arrows.ARROW_GEOMS)
     names = ("middle", "half_angle", "rings", "own", "flare", "triangles")
     torques = capture.values.get("torques")
@@ -233,12 +236,35 @@ def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
         "shape": {name: rounded(getattr(shape, name)) for name in names}
         | {"dark": np.asarray(shape.dark).astype(int).tolist()},
         "values": None if is_torque else parts.put(capture.arrows.T),
+        "quantities": _quantities(capture),
         "stale": parts.moving(capture.stale, 1),
         "speed": round_arrows.TURNING_SPEED,
         "invisible": round_arrows.INVISIBLE_WIDTH,
         "positive": round_arrows.POSITIVE_RGBA[:3],
         "negative": round_arrows.NEGATIVE_RGBA[:3],
     }
+
+
+def _quantities(capture: Capture) -> list[dict[str, str]]:
+    """What arrows can show by turns, that of the capture first; empty where there is no choice.
+
+    Torque and its error: both follow from values that are there, and have one limit. Arrows of
+    sliding joints are drawn geom by geom, and have no other value; that of two runs is no error.
+    """
+    joints, toggles = capture.world.joints, capture.toggles
+    lines = [line for owner in capture.world.owners.values()
+             for line in owner.declared.billboard_lines or ()]  # fmt: skip
+    if any(line.value == "torque_error" and line.label for line in lines):
+        return []
+    shown = {ARROW_QUANTITIES[code] for code in toggles.arrow_quantity.tolist()}
+    has_both = {"torques", "commanded_torques"} <= capture.values.keys()
+    if not (has_both and len(shown) == 1 and shown <= {*_BY_TURNS} and joints.revolute.all()):
+        return []
+    own = shown.pop()
+    return [
+        {"key": key, "name": QUANTITY_NAMES[key], "line": arrows_line(key)}
+        for key in sorted(_BY_TURNS, key=lambda key: key != own)
+    ]
 
 
 def _items(capture: Capture, parts: Parts) -> dict[str, Any]:

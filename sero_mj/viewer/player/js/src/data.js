@@ -239,6 +239,8 @@ export function decode(bytes) {
       stale: moving(head.arrows.stale),
       values: /** @type {Float64Array | undefined} */ (
         head.arrows.values ? arrays.get(head.arrows.values) : torques),
+      /** What they can show by turns, first what they do. @type {{key: string, name: string, line: string}[]} */
+      quantities: head.arrows.quantities ?? [],
     },
     items: { of: /** @type {[number, number, number][]} */ (head.items.of), ...(items || null) },
     labels: head.labels ? {

@@ -23,6 +23,7 @@ const KEYS = [
   ["e w", "next, previous mark"],
   ["] [", "next, previous joint"],
   ["a b d l", "arrows, billboards, doubles, legend"],
+  ["q", "arrows show torque, or its error"],
   ["p", "plot"],
   ["0 … 9", "initial view, cameras"],
   ["h", "this help"],
@@ -35,6 +36,7 @@ export class Player {
   constructor(run) {
     this.run = run;
     this.clock = new Clock(run.frames, run.fps);
+    this.quantity = 0; // of `run.arrows.quantities`
     this.plot = new Plot(run, byId("plot"), byId("legend"), (seconds) => this.seek(seconds));
     this.ticks = new Ticks(byId("marks"), (seconds) => this.seek(seconds));
     this.cards = new JointCards(run);
@@ -85,6 +87,11 @@ export class Player {
       const button = made("button", name, { type: "button", "aria-pressed": String(this.switches[key]), "data-switch": key });
       button.addEventListener("click", () => this.toggle(key));
       byId("switches").append(button);
+      if (key === "arrows" && run.arrows.quantities.length) {
+        const other = made("button", "", { type: "button", id: "quantity", title: "what arrows show (q)" });
+        other.addEventListener("click", () => this.nextQuantity());
+        byId("switches").append(other);
+      }
     }
     const joints = byId("joint");
     joints.hidden = !own;
@@ -94,7 +101,8 @@ export class Player {
     byId("time").setAttribute("max", String(run.frames - 1));
     this.ticks.update(ticksOf(run, clock.end), 0, clock.end);
     document.body.classList.toggle("still", run.frames < 2);
-    for (const [keys, words] of KEYS) byId("keys").append(made("dt", keys), made("dd", words));
+    const keysHere = KEYS.filter(([key]) => key !== "q" || run.arrows.quantities.length);
+    for (const [keys, words] of keysHere) byId("keys").append(made("dt", keys), made("dd", words));
   }
 
   /** Whether there is anything that a switch would hide. @param {string} key */
@@ -154,7 +162,7 @@ export class Player {
       e: () => this.goToMark(1), w: () => this.goToMark(-1),
       "]": () => this.nextJoint(1), "[": () => this.nextJoint(-1),
       a: () => this.toggle("arrows"), b: () => this.toggle("numbers"), d: () => this.toggle("doubles"),
-      l: () => this.toggle("legend"), p: () => document.body.classList.toggle("noplot"),
+      q: () => this.nextQuantity(), l: () => this.toggle("legend"), p: () => document.body.classList.toggle("noplot"),
       h: () => this.toggleHelp(),
     };
     const act = /^\d$/.test(event.key) ? () => this.chooseCamera(Number(event.key) - 1) : acts[event.key];
@@ -173,6 +181,15 @@ export class Player {
   /** @param {string} key */
   toggle(key) {
     this.switches[key] = !this.switches[key];
+    this.view.wake();
+  }
+
+  /** Lets round arrows show what is next of what they can. */
+  nextQuantity() {
+    const { arrows, values } = this.run, { quantities } = arrows;
+    if (!quantities.length) return;
+    this.quantity = (this.quantity + 1) % quantities.length;
+    arrows.values = values[quantities[this.quantity].key];
     this.view.wake();
   }
 
@@ -275,7 +292,9 @@ export class Player {
     this.ticks.tell(clock.time);
     time.setAttribute("aria-valuetext", [`${seconds} s`, this.ticks.told].filter(Boolean).join(", "));
     byId("now").textContent = `${seconds} s / ${(run.begin + clock.end).toFixed(2)} s`;
-    const notes = run.notes.texts[run.notes.at[clock.frame]];
+    const { quantities } = run.arrows, noted = run.notes.texts[run.notes.at[clock.frame]];
+    const notes = this.quantity ? noted.replace(/^round arrows: .*$/m, quantities[this.quantity].line) : noted;
+    if (quantities.length) byId("quantity").textContent = quantities[this.quantity].name;
     if (byId("notes").textContent !== notes) byId("notes").textContent = notes;
     byId("notes").hidden = !switches.legend || !notes;
   }
