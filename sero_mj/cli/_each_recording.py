@@ -14,7 +14,7 @@ from ..base.errors import Problem, UsageError
 from ._arguments import progress_bar, writing
 from .shared_options import EngineOptions
 
-Rows = dict[Path, dict[str, Any]]
+Rows = list[tuple[Path, dict[str, Any]]]  # a recording and its outcomes
 
 
 def ask_each(
@@ -62,7 +62,7 @@ def ask_each(
         for number, result in results:
             found[number] = result
             update(len(found), len(tasks))
-    return {path: found[k] for k, path in enumerate(recordings) if k in found}
+    return [(path, found[k]) for k, path in enumerate(recordings) if k in found]
 
 
 def _with_whole_paths(shared: Mapping[str, Any], needed: Sequence[Path]) -> dict[str, Any]:
@@ -81,17 +81,17 @@ def _interrupted(found: Mapping[int, Any], count: int) -> Iterator[None]:
 
 def write_rows(rows: Rows, path: Path) -> None:
     """Writes a table (.csv): a row for each recording, and a column for each outcome of any."""
-    outcomes = dict.fromkeys(key for row in rows.values() for key in row if key != "error")
+    outcomes = dict.fromkeys(key for _, row in rows for key in row if key != "error")
     with writing(), path.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, ["recording", *outcomes, "error"], restval="")
         table.writeheader()
-        table.writerows({"recording": name, **row} for name, row in rows.items())
+        table.writerows({"recording": name, **row} for name, row in rows)
 
 
 def tell_errors(rows: Rows) -> int:
     """Prints what kept recordings from being examined, to stderr; returns how many."""
-    errors = {path: row["error"] for path, row in rows.items() if row["error"]}
-    for path, error in errors.items():
+    errors = [(path, row["error"]) for path, row in rows if row["error"]]
+    for path, error in errors:
         print(f"sero-mj: {error if str(path) in error else f'{path}: {error}'}", file=sys.stderr)
     return len(errors)
 

@@ -196,13 +196,13 @@ def _compare_many(options: CompareOptions) -> int:
     if options.csv is not None:
         write_rows(rows, options.csv)
     if options.as_json:
-        print_json([{"recording": str(path), **row} for path, row in rows.items()])
+        print_json([{"recording": str(path), **row} for path, row in rows])
     elif not options.quiet:
         signals = ("torques", "joint_angles")
         table = Table(box=None, pad_edge=False)
         for heading in ("recording", "torque peak", "at", "angle peak", "at", "explained by"):
             table.add_column(heading, justify="right" if heading.endswith("peak") else "left")
-        for path, row in rows.items():
+        for path, row in rows:
             cells = []
             for signal in signals:
                 known = f"{signal}.peak" in row
@@ -212,8 +212,8 @@ def _compare_many(options: CompareOptions) -> int:
             table.add_row(str(path), *cells, row.get("explained", ""))
         print_table(table)
     failed = tell_errors(rows)
-    over = {path: row["exceeded"] for path, row in rows.items() if row.get("exceeded")}
-    for path, text in over.items():
+    over = [(path, row["exceeded"]) for path, row in rows if row.get("exceeded")]
+    for path, text in over:
         print(f"sero-mj: {path}: {text}", file=sys.stderr)
     return status(rows, len(recordings), failed) or (1 if over or failed else 0)
 

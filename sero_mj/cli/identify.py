@@ -119,14 +119,14 @@ def _identify_many(options: IdentifyOptions) -> int:
     if options.csv is not None:
         write_rows(rows, options.csv)
     if options.as_json:
-        print_json([{"recording": str(path), **row} for path, row in rows.items()])
+        print_json([{"recording": str(path), **row} for path, row in rows])
     elif not options.quiet:
-        names = dict.fromkeys(key for row in rows.values() for key in row if f"{key}.error" in row)
+        names = dict.fromkeys(key for _, row in rows for key in row if f"{key}.error" in row)
         table = Table(box=None, pad_edge=False)
         for heading in ("", "recordings", "median", "lowest", "highest", "standard error"):
             table.add_column(heading, justify="left" if not heading else "right")
         for name in names:
-            known = [row for row in rows.values() if row.get(name) is not None]
+            known = [row for _, row in rows if row.get(name) is not None]
             if not known:
                 continue
             values = np.array([row[name] for row in known])

@@ -64,30 +64,35 @@ class Variants:
     choices: Sequence[Mapping[str, Any]] = ()
 
     def runner(self) -> Runner:
-        """See `Job`, as for all below."""
+        """Simulates variants together where they differ in numbers only."""
         from .variant import VariantRunner
 
         return VariantRunner(self.file, self.fixed)
 
-    def check(self) -> None:  # noqa: D102
+    def check(self) -> None:
+        """Reads the scenario."""
         from ..simulate.scenario_file import read_scenario
 
         read_scenario(self.file, self.fixed)
 
-    def files(self) -> list[Path]:  # noqa: D102
+    def files(self) -> list[Path]:
+        """What is opened where the scenario, with any of the choices, is read and simulated."""
         from .scenario_inputs import files_read
 
         return files_read(self.file, self.fixed, self.choices)
 
-    def files_of(self, values: Mapping[str, Any]) -> list[Path]:  # noqa: D102
+    def files_of(self, values: Mapping[str, Any]) -> list[Path]:
+        """None besides those of the choices."""
         return []
 
-    def below(self, root: Path) -> Variants:  # noqa: D102
+    def below(self, root: Path) -> Variants:
+        """With the names of files in what is set as well."""
         from .scenario_inputs import below
 
         return replace(self, file=Path(f"{root}{self.file}"), fixed=below(root, self.fixed))
 
-    def killed(self) -> dict[str, Any]:  # noqa: D102
+    def killed(self) -> dict[str, Any]:
+        """Nothing held, at no time."""
         return {"held": False, "error": KILLED, "ended": 0.0}
 
 
@@ -107,26 +112,30 @@ class EachRecording:
     needed: Sequence[Path] = ()
 
     def runner(self) -> Runner:
-        """See `Job`, as for all below."""
+        """Asks for one recording after the other."""
         return _Asking(self)
 
-    def check(self) -> None:  # noqa: D102
-        pass
+    def check(self) -> None:
+        """Nothing is known beforehand."""
 
-    def files(self) -> list[Path]:  # noqa: D102
+    def files(self) -> list[Path]:
+        """Those that all recordings are asked with."""
         return [file.absolute() for file in self.needed]
 
-    def files_of(self, values: Mapping[str, Any]) -> list[Path]:  # noqa: D102
+    def files_of(self, values: Mapping[str, Any]) -> list[Path]:
+        """The recording, which may be a folder."""
         from .scenario_inputs import files_in
 
         return files_in(Path(values["file"]))
 
-    def below(self, root: Path) -> EachRecording:  # noqa: D102
+    def below(self, root: Path) -> EachRecording:
+        """With the names of files among the plain values."""
         from .scenario_inputs import below
 
         return replace(self, shared=below(root, self.shared))
 
-    def killed(self) -> dict[str, Any]:  # noqa: D102
+    def killed(self) -> dict[str, Any]:
+        """Only why."""
         return {"error": KILLED}
 
 
