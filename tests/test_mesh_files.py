@@ -16,6 +16,7 @@ from PIL import Image
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.base.frames import Array
+from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.dynamics import Dynamics
 from sero_mj.robots.declared.robot import SerialRobot
@@ -234,6 +235,18 @@ def test_what_is_no_mesh_is_refused(
     if contents is not None:
         (tmp_path / name).write_bytes(contents)
     assert refused(tmp_path / name).startswith(expected)
+
+
+def test_a_mesh_that_is_missing_is_told_with_the_line_that_names_it(tmp_path: Path) -> None:
+    """Of a robot by itself, without a scene's file."""
+    file = tmp_path / "crane" / "robot.toml"
+    file.parent.mkdir()
+    rows = "dh_params = [[0, 0, 0, 0.3]]"
+    file.write_text(f'dh_convention = "craig"\n{rows}\n\nfilenames = ["a.obj", "b.obj"]\n')
+    with pytest.raises(DeclarationError) as refused:
+        World(load_scene(file.parent))
+    told = [(each.file, each.line, each.key) for each in refused.value.problems]
+    assert told == [(str(file), 4, "filenames.0"), (str(file), 4, "filenames.1")]
 
 
 def corrupted(contents: bytes, data: st.DataObject) -> bytes:

@@ -513,9 +513,9 @@ class Scene:
         return self.name if file is None else argument_of(file)
 
     def located(self, problems: list[Problem]) -> list[Problem]:
-        """Returns the problems with file and line added, for a scene read from a file."""
-        if self.file is None:
-            return problems
+        """Returns the problems with file and line added, where they were read from one."""
+        if self.file is None:  # of robots by themselves, which may have files
+            return [self._in_its_model(each, {}) for each in problems]
         lines = key_lines(self.file) if self._lines is None else self._lines
         return located((self._in_its_model(each, lines) for each in problems), self.file, lines)
 
