@@ -16,6 +16,7 @@ from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.double import Double
 from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.robot_parts import ARROW_QUANTITIES
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor import cards
 from sero_mj.viewer.decor.card_names import card_names, shortened, titles
@@ -302,8 +303,9 @@ def warm_world(*others: SerialRobot, doubles=(), **fields) -> World:
     return World(Scene(robots=[*others, robot], doubles=list(doubles), floor=False))
 
 
-def said(world: World, data=None) -> list[str]:
-    buffer = Decor(world).draw(data or world.make_data(), Toggles(world), view_at(distance=4))
+def said(world: World, data=None, decor=None, toggles=None) -> list[str]:
+    decor, toggles = decor or Decor(world), toggles or Toggles(world)
+    buffer = decor.draw(data or world.make_data(), toggles, view_at(distance=4))
     return labels(buffer.rows[: buffer.count])
 
 
@@ -546,6 +548,26 @@ def test_torques_that_are_set_at_run_time_are_on_cards_that_had_angles() -> None
     data = world.make_data()
     world.set_input(data, "lwr.torques", np.arange(7.0))
     assert said(world, data)[0] == "A1     0.000 rad"
+
+
+@pytest.mark.parametrize("lines", [None, ["torques"]])
+def test_a_card_has_the_torque_error_that_its_arrow_shows_unless_it_is_declared(
+    lines: list[str] | None,
+) -> None:
+    shown = {"show_arrows": True, "show_billboards": True}
+    world = world_of(torques=[10.0] * 7, billboard_lines=lines, **shown)
+    data, decor, toggles = world.make_data(), Decor(world), toggles_of(world)
+    world.set_input(data, "lwr.commanded_torques", np.full(7, 12.5))
+
+    def card() -> str:
+        return said(world, data, decor, toggles)[0].strip()
+
+    torque = card()
+    assert torque == "A1    10.0 Nm"
+    toggles.arrow_quantity[:] = ARROW_QUANTITIES.index("torque_error")
+    assert card() == ("A1  err     2.50 Nm" if lines is None else torque)
+    toggles.arrows[:] = False
+    assert card() == torque
 
 
 def test_cards_are_placed_anew_only_where_something_moves(monkeypatch) -> None:

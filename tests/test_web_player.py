@@ -108,6 +108,8 @@ def test_arrows_show_torques_and_their_errors_by_turns(page: Any) -> None:
     page.keyboard.press("q")
     page.locator("#quantity", has_text="torque error").wait_for()
     of_error = page.evaluate(widths)
+    cards = page.locator(".card").all_inner_texts()
+    assert len(cards) == 7 and all("err" in card for card in cards)
     changed = "round arrows: torque error, commanded - measured\n"
     assert legend.inner_text() == told.replace("round arrows: joint torque\n", changed)
     error = page.evaluate("""() => {

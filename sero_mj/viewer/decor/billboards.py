@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.frames import Array, Ints
+from ...base.frames import Array, Bools, Ints
 from ...robots.assemble.parts import DoublePart, Owner
 from ...robots.assemble.world_view import WorldView
-from ...robots.declared.robot_parts import BillboardLine
+from ...robots.declared.robot_parts import ARROW_QUANTITIES, BillboardLine
 from ...robots.declared.scene import Scene
 from .card_names import LONGEST, card_names, longest_name, shortened, titles
 from .cards import FEWEST, GAP, NO_SHARE, Cards, heights_in_order
@@ -26,6 +26,7 @@ from .layout import LEFT, RIGHT, is_narrow
 from .limb_cards import card_limbs
 from .panels import PANEL_RGBA, panel_sizes
 from .picture_view import PictureView
+from .toggles import Toggles
 
 NO_DATA = b"no data"
 NO_LIMIT = b"none"
@@ -81,9 +82,15 @@ class Billboards(Feature):
         # Without declared lines or inputs to show, cards have angles until there are torques.
         self._has_angles = np.array(
             [
-                part.declared.billboard_lines is None
-                and part.billboard_lines is None
-                and [line.value for line in lines] == ["joint_angles"]
+                not has_chosen_lines(part) and [line.value for line in lines] == ["joint_angles"]
+                for part, lines in zip(parts, self._declared, strict=True)
+            ],
+            bool,
+        )
+        # Cards whose one number is a torque that nobody has chosen.
+        self._are_torques = np.array(
+            [
+                not has_chosen_lines(part) and [line.value for line in lines] == ["torques"]
                 for part, lines in zip(parts, self._declared, strict=True)
             ],
             bool,
@@ -198,11 +205,14 @@ class Billboards(Feature):
         formats = self._formats_for(view)
         count = np.bincount(joints.owner, np.isfinite(values["torques"]), len(self._has_angles))
         has_torques = (self._has_angles & (count > 0))[joints.owner]
+        are_errors = (has_torques | self._are_torques[joints.owner]) & shows_errors(toggles)
         lines = [
             formats.details[i]
             if toggles.details[i]
             else formats.modelled[i]
             if toggles.modelled[i]
+            else formats.errors[i]
+            if are_errors[i]
             else formats.torques[i]
             if has_torques[i]
             else formats.declared[i]
@@ -331,12 +341,14 @@ class Formats:
         declared: as declared, or what its robot has inputs for.
         torques: where these have come without being declared.
         modelled: where these are the model's.
+        errors: where arrows show torque errors.
         details: that a click on its arrow shows.
     """
 
     declared: list[list[Line]]
     torques: list[list[Line]]
     modelled: list[list[Line]]
+    errors: list[list[Line]]
     details: list[list[Line]]
 
 
@@ -358,7 +370,7 @@ def joint_formats(world: WorldView, longest: int = LONGEST) -> Formats:
     joints, names = world.joints, joint_titles(world, longest)
     declared = [declared_lines(part, world.scene) for part in world.owners.values()]
     full = np.where(np.isfinite(joints.torque_limit), joints.torque_limit, joints.arrow_load)
-    found = Formats([], [], [], [])
+    found = Formats([], [], [], [], [])
     for k, (name, owner) in enumerate(zip(names, joints.owner, strict=True)):
         kind = (not joints.revolute[k], float(full[k]))
         lines = declared[owner]
@@ -371,6 +383,7 @@ def joint_formats(world: WorldView, longest: int = LONGEST) -> Formats:
             for line in torques
         ]
         found.modelled.append(billboard_lines(name, of_model, *kind))
+        found.errors.append([_line(name, 0, "torque_error", _LABELS["torque_error"], *kind)])
         found.details.append(detail_lines(name, *kind, is_largest=bool(joints.is_largest[k])))
     return found
 
@@ -429,6 +442,17 @@ class Line:
         value = round(value * self.scale, self.decimals) + 0.0
         form = self.form if abs(value) < _PLAIN_BELOW else self.scientific
         return (self.head + form % value).encode("ascii", "replace")
+
+
+def has_chosen_lines(part: Owner) -> bool:
+    """Whether what cards say is declared; else they say what comes."""
+    return part.declared.billboard_lines is not None or part.billboard_lines is not None
+
+
+def shows_errors(toggles: Toggles) -> Bools:
+    """Of which joints the arrows are on and show torque errors, (N,)."""
+    shown = toggles.arrow_quantity == ARROW_QUANTITIES.index("torque_error")
+    return np.asarray(toggles.arrows & shown)
 
 
 def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:

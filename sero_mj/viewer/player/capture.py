@@ -22,7 +22,7 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 from ...robots.declared.scene import Scene
 from ..camera import find_camera, followed
-from ..decor.billboards import Line, joint_formats
+from ..decor.billboards import Line, has_chosen_lines, joint_formats, shows_errors
 from ..decor.draw import Decor
 from ..decor.feature import Frame
 from ..decor.geom_buffer import GEOM, GeomBuffer, Kind
@@ -283,7 +283,8 @@ class FrameCapturer:
         opacity = np.array([each.opacity for each in frames])
         _hide_far_away(poses, opacity)
         values = {key: np.array([f.values[key] for f in frames]) for key in frames[0].values}
-        lines, details = _lines(world, values)
+        toggles = toggles or Toggles(world)
+        lines, details = _lines(world, values, toggles)
         stale = np.array([each.stale for each in frames], bool)
         grey = np.zeros(opacity.shape, bool)
         of_body = grey[:, : len(bodies)]
@@ -295,7 +296,7 @@ class FrameCapturer:
             world=world,
             fps=fps,
             begin=begin,
-            toggles=toggles or Toggles(world),
+            toggles=toggles,
             camera=self._camera,
             lines=lines,
             details=details,
@@ -547,17 +548,22 @@ def _continuous(rotations: Array) -> Array:
     return rotations
 
 
-def _lines(world: WorldView, values: dict[str, Array]) -> tuple[list[list[Line]], list[list[Line]]]:
-    """The lines of the cards of all joints; angles give way to torques where there are some."""
+def _lines(
+    world: WorldView, values: dict[str, Array], toggles: Toggles
+) -> tuple[list[list[Line]], list[list[Line]]]:
+    """The lines of the cards of all joints, and those of what arrows show.
+
+    Angles give way to torques where there are some, and these to what arrows show.
+    """
+    are_errors = shows_errors(toggles)
     formats = joint_formats(world)
     declared = list(formats.declared)
     came = np.atleast_1d(np.isfinite(values["torques"]).any(axis=0))
     for part in world.owners.values():
-        has_own = part.declared.billboard_lines is not None or part.billboard_lines is not None
-        if came[part.joints].any() and not has_own:
+        if came[part.joints].any() and not has_chosen_lines(part):
             for j in range(part.joints.start, part.joints.stop):
-                if [line.key for line in declared[j]] == ["joint_angles"]:
-                    declared[j] = formats.torques[j]
+                if [line.key for line in declared[j]] in (["joint_angles"], ["torques"]):
+                    declared[j] = (formats.errors if are_errors[j] else formats.torques)[j]
     return declared, formats.details
 
 

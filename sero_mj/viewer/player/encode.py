@@ -13,7 +13,7 @@ from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from ..decor import round_arrows
-from ..decor.billboards import Line
+from ..decor.billboards import Line, has_chosen_lines
 from ..decor.geom_buffer import GREY, Kind
 from ..decor.legend import arrows_line
 from ..decor.quantities import QUANTITY_NAMES, torque_and_unit
@@ -163,6 +163,7 @@ def _joints(capture: Capture) -> list[dict[str, Any]]:
                 "lines": _lines(capture.lines[i]),
                 "details": _lines(capture.details[i]),
                 "card": bool(capture.toggles.billboards[i]),
+                "follows": not has_chosen_lines(world.owners[owner]),
                 "arrow": {
                     "on": bool(capture.toggles.arrows[i]),
                     "round": bool(joints.revolute[i]),

@@ -7,7 +7,7 @@
  *   band: number, limit: number | null, widest: number}} Arrow */
 /** @typedef {{name: string, torqueLabel: string, angleUnit: string, double: number, body: number,
  *   pos: number[], quat: number[], torqueLimit: number | null, lines: Line[], details: Line[],
- *   card: boolean, arrow: Arrow}} Joint */
+ *   card: boolean, follows: boolean, arrow: Arrow}} Joint */
 /** @typedef {{body: number, type: number, pos: number[], quat: number[], size: number[],
  *   rgba: number[], mesh?: number, material?: number, isBack?: boolean}} Geom */
 /** @typedef {{finish: number[], texture: number, repeat: number[], uniform: boolean,

@@ -189,7 +189,9 @@ export class Player {
     const { arrows, values } = this.run, { quantities } = arrows;
     if (!quantities.length) return;
     this.quantity = (this.quantity + 1) % quantities.length;
-    arrows.values = values[quantities[this.quantity].key];
+    const { key } = quantities[this.quantity];
+    arrows.values = values[key];
+    this.cards.quantity = key;
     this.view.wake();
   }
 

@@ -6,6 +6,7 @@ import { textOf, valueOf } from "./data.js";
 /** @typedef {import("./cards.js").Content} Content */
 
 const VECTOR = 5; // kind of smart arrows, `Kind` in Python
+const TORQUES = ["torques", "torque_error"];
 
 /** The cards of a run; their keys are `joint N` and `vector N`. */
 export class JointCards {
@@ -15,6 +16,7 @@ export class JointCards {
     this.joints = [...run.joints.keys()].filter((j) => run.joints[j].card && run.joints[j].lines.length);
     this.chosen = -1;
     this.vector = -1; // smart arrow that was clicked on
+    this.quantity = ""; // what arrows were told to show; that of the file when empty
   }
 
   /**
@@ -32,9 +34,19 @@ export class JointCards {
     return found;
   }
 
+  /** The lines of a joint; a torque that nobody has chosen is what arrows show. @param {number} joint */
+  #linesOf(joint) {
+    const { lines, details, follows } = this.run.joints[joint];
+    const isTorque = follows && lines.length === 1 && TORQUES.includes(lines[0].key);
+    const shown = isTorque && details.find(({ key }) => key === this.quantity);
+    if (!shown) return lines;
+    const label = shown.key === "torques" ? "" : shown.label;
+    return [{ ...shown, title: lines[0].title, label }];
+  }
+
   /** @param {import("./stage.js").Stage} stage @param {number} joint @param {number} frame @returns {Content} */
   #ofJoint(stage, joint, frame) {
-    const { run } = this, { lines } = run.joints[joint], isChosen = joint === this.chosen;
+    const { run } = this, lines = this.#linesOf(joint), isChosen = joint === this.chosen;
     const values = lines.map((line) => valueOf(run, joint, line.key, frame));
     const texts = lines.map((line, k) => textOf(line, values[k]));
     const isNothing = !Number.isFinite(values[0]) || !/[1-9]/.test(texts[0]);
