@@ -277,6 +277,27 @@ def test_runs_are_told_apart_by_what_only_one_of_them_has() -> None:
     assert moved.begin == pytest.approx(BEGIN, abs=0.03)
 
 
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [
+        ({"kind": "sensor", "gain": -1.0}, "sign"),
+        ({"kind": "sensor", "delay_ms": 40}, "delay"),
+        ({"kind": "sensor", "noise": 0.6}, "noise"),
+        ({"kind": "frozen_sensor"}, "stuck"),
+    ],
+)
+def test_a_fault_is_told_of_the_run_that_has_it_whichever_is_named_first(
+    fault: dict[str, Any], kind: str
+) -> None:
+    broken, sound = swing(json.dumps({**fault, "joints": ["A2"]})), swing(seed=5)
+    for a, b, is_second in ((broken, sound, False), (sound, broken, True)):
+        first, *more = explain_runs(a, b, ("lwr", "lwr"))
+        assert not [each for each in more if each.joint == "A2"]
+        assert (first.joint, first.kind, first.is_second) == ("A2", kind, is_second)
+        assert first.begin == pytest.approx(BEGIN, abs=0.11)
+        assert (", in B" in first.text, " in B" in first.short) == (is_second, is_second)
+
+
 @pytest.mark.thorough
 def test_of_two_gains_the_difference_is_told_as_such() -> None:
     runs = [

@@ -35,6 +35,9 @@ from .explain_search import LEAST_ROWS, Search
 from .explanation import FLANGE, LINKS, MOST_SURE, Explanation
 from .torque_residuals import TorqueResiduals, torque_residuals
 
+# Kinds that do not become another size of the same where the runs change places.
+_OF_ONE_RUN = ("sign", "delay", "noise", "stuck")
+_APPROXIMATE = ("gain", "bias", "friction", "unexplained")  # what these resemble, the other way round
 _STANDS, _RUNS_OFF, _RUNS_OFF_FAST = 0.4, 0.2, 0.03  # s
 _ENDING, _FAST = 0.6, 0.004  # s, the end of a run, and the low-pass width there
 _ONSET_TOLERANCE = 0.1  # s, apparent lead of an onset due to the slower low-pass filter
@@ -99,12 +102,54 @@ def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
     """Explains the difference of two runs; sizes are those of the first minus the second.
 
     For gains only the difference is observable: 0.2 if one sensor is correct and the other has a
-    gain of 0.8.
+    gain of 0.8. Of other faults it is known which run has them: those of the second are looked for
+    in the difference the other way round, and take the place of what else would explain a joint.
 
     Args:
         a: of a run.
         b: of another one, at the same times.
     """
+    first = _explain_first(a, b)
+    second = [
+        replace(each, is_second=True)
+        for each in _explain_first(b, a)
+        if each.kind in _OF_ONE_RUN and not _is_rather_of(a, b, each, first)
+    ]
+    told = [each for each in first if not any(_is_instead(other, each) for other in second)]
+    joints = a.robot.names
+    return sorted(
+        [*told, *second],
+        key=lambda each: joints.index(each.joint) if each.joint in joints else -1,
+    )
+
+
+def _is_rather_of(
+    a: TorqueResiduals, b: TorqueResiduals, fault: Explanation, first: Sequence[Explanation]
+) -> bool:
+    """Whether a fault that is found in the second run `b` is one of the first, which has it too.
+
+    A wrong sign explains the difference either way round; the run that its model fits worse has it.
+    """
+    same = [each for each in first if (each.joint, each.kind) == (fault.joint, fault.kind)]
+    if not same:
+        return any(each.joint == fault.joint and each.kind in _OF_ONE_RUN for each in first)
+    joint = a.robot.names.index(fault.joint)
+    is_known = a.has_model and b.has_model and fault.part == "torque sensor"
+    own, other = ((each.link if is_known else each.motor)[:, joint] for each in (a, b))
+    return bool(np.nanmean(own**2) >= np.nanmean(other**2))
+
+
+def _is_instead(fault: Explanation, other: Explanation) -> bool:
+    """Whether a fault of the second run explains what another one of the first would."""
+    if other.joint != fault.joint or other.kind not in (*_APPROXIMATE, fault.kind):
+        return False
+    ends = [np.inf if each.end is None else each.end for each in (fault, other)]
+    begins = fault.begin <= other.begin + _ONSET_TOLERANCE
+    return begins and ends[1] <= ends[0] + _ONSET_TOLERANCE
+
+
+def _explain_first(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
+    """Explains the difference of two runs by faults of the first, where that makes a difference."""
     mine, theirs = (_outside_of_fits(each, _noise(each, None)) for each in (a, b))
     known = {(each.joint, each.part) for each in theirs}
     told = [each for each in mine if (each.joint, each.part) not in known]

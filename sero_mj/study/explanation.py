@@ -45,6 +45,7 @@ class Explanation:
         values: further figures by name: `viscous`, `x`, `y`, `z` of a payload's centre, m.
         joints: at which it is visible.
         is_difference: whether the size, a gain, is the difference of two runs.
+        is_second: whether it is a fault of the second of two runs, B, and not of the first.
     """
 
     joint: str
@@ -60,6 +61,7 @@ class Explanation:
     values: Mapping[str, float] = field(default_factory=dict)
     joints: tuple[str, ...] = ()
     is_difference: bool = False
+    is_second: bool = False
 
     def __str__(self) -> str:
         return f"{self.text}, {self.when}"
@@ -91,17 +93,18 @@ class Explanation:
             "stuck": stuck,
             "unexplained": f"up to {abs(size):.3g} {unit}; {unknown}",
         }
-        return f"{self.kind}: {texts[self.kind]}"
+        return f"{self.kind}: {texts[self.kind]}{', in B' if self.is_second else ''}"
 
     @property
     def short(self) -> str:
         """The kind and its size, for figures."""
+        of_second = " in B" if self.is_second else ""
         if self.kind in ("sign", "stuck", "unexplained"):
-            return f"{self.kind} ({self.part})"
+            return f"{self.kind} ({self.part}){of_second}"
         factor, unit = (1e3, "ms") if self.kind == "delay" else (1.0, self.unit)
         is_signed = self.kind in ("bias", "friction", "payload", "masses") or self.is_difference
         sign = "+" if is_signed else ""
-        return f"{self.kind} {factor * self.size:{sign}.3g} {unit}".strip()
+        return f"{self.kind} {factor * self.size:{sign}.3g} {unit}".strip() + of_second
 
     @property
     def when(self) -> str:

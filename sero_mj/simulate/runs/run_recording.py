@@ -406,18 +406,25 @@ def _robot(
     if model is None:
         return _built(recording, name, _without_meshes(fields), None)
     folder = _folder(str(model))
-    attached = models.get(folder)
+    attached, file = models.get(folder), paths.ROBOT_FILE
+    if attached is None:  # of a robot in URDF or the like, whose file has its name
+        file = folder
+        attached = next((each for each in table_names(recording) if _is_robot(each, folder)), None)
     if attached is None:
         return _built(recording, name, fields, str(model))
     data = recording.read_attachment(attached)
-    installed = _installed(folder)
+    installed = _installed(str(model) if file == folder else folder)
     if installed is not None and installed.read_bytes() == data:
         return _built(recording, name, fields, str(installed))
     with TemporaryDirectory() as directory:
-        path = Path(directory) / folder / paths.ROBOT_FILE
+        path = Path(directory) / Path(folder).stem / file
         path.parent.mkdir()
         path.write_bytes(data)
         return _built(recording, name, _without_meshes(fields), str(path))
+
+
+def _is_robot(attached: str, file: str) -> bool:
+    return Path(attached).name == file and file.lower().endswith(paths.robot_endings())
 
 
 def _built(
