@@ -226,17 +226,17 @@ def test_recordings_are_sent_to_workers_that_have_no_such_disk(file: Path, tmp_p
         options = ["--set", f"controllers.lwr.stiffness={800 + 100 * k}", "--record", run]
         commanded("simulate", file, "--quiet", *options)
     (client / "broken.mcap").write_bytes(b"no recording")
-    compare = ["compare", *runs, client / "broken.mcap", "--csv", table, "--quiet"]
-    assert commanded(*compare, "--jobs", 2)[0] == 1
+    compare = ["compare", *runs, runs[0], client / "broken.mcap", "--table", table, "--quiet"]
+    assert commanded(*compare, "--jobs", 2)[0] == 2
     here = table.read_bytes()
     with machines(tmp_path, file.parents[1], 1) as found:
         engine = ["--engine", "dask", "--scheduler", found.file]
         code, said = commanded(*compare, *engine)
-        assert code == 1 and f"{client}/broken.mcap: is no MCAP file" in said
+        assert code == 2 and f"{client}/broken.mcap: is no MCAP file" in said
         assert not list(tmp_path.rglob("*.mcap"))  # removed afterwards
     assert table.read_bytes() == here
     rows = here.decode().splitlines()
-    assert len(rows) == 4 and rows[1].startswith(str(runs[1])) and ",A2," in rows[1]
+    assert len(rows) == 5 and rows[1].startswith(str(runs[1])) and ",A2," in rows[1]
 
 
 @pytest.mark.thorough

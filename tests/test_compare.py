@@ -185,7 +185,8 @@ def test_tolerances_tell_joint_time_and_both_numbers() -> None:
     differences = compare(align(a, shifted(a, arm_torques=0.25, arm_joint_angles=np.deg2rad(2.0))))
     assert exceeded(differences) == []
     assert exceeded(differences, torque=0.2500001, angle=0.1) == []
-    found = [str(each) for each in exceeded(differences, torque=0.2, angle=0.01)]
+    found = [str(each) for each in exceeded(differences, torque=0.2, angle=0.01, travel=0.02)]
+    assert found[1].startswith("slide: angle differs by ") and found[1].endswith("allowed 20 mm")
     pattern = r"turn: {} differs by {} at \d\.\d{{3}} s; allowed {}"
     assert re.fullmatch(pattern.format("angle", "2 deg", "0.573 deg"), found[0])
     assert re.fullmatch(pattern.format("torque", "0.25 Nm", "0.2 Nm"), found[2])
@@ -294,8 +295,8 @@ def test_of_many_recordings_there_is_a_row_for_each(
     told = json.loads(capsys.readouterr().out)["differences"]
     torques = [each for each in told if each["signal"] == "torques"]
     worst = max(torques, key=lambda each: abs(each["peak"]))
-    asked = ["--tolerance-angle", 0.05, "--csv", table]
-    assert command(soft, stiff, soft, broken, *asked) == 1
+    asked = ["--tolerance-angle", 0.05, "--table", table]
+    assert command(soft, stiff, soft, broken, *asked) == 2
     shown = capsys.readouterr()
     assert f"{stiff}: " in shown.err and "differs by" in shown.err and f"{broken}: is" in shown.err
     names = [str(path) for path in (stiff, soft, broken)]
@@ -316,11 +317,16 @@ def test_of_many_recordings_there_is_a_row_for_each(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["a", "b", "c", "--plot", "x.pdf"], "--plot is for one comparison; found many"),
-        (["a", "b", "--jobs", "2"], "--jobs is for many recordings, or --each"),
+        (["a", "b", "c", "--plot", "x.pdf"], "--plot is for one comparison; --table has a row"),
+        (["a", "b", "--jobs", "2"], "--jobs is for many recordings: --table, or --each"),
         (["a", "b", "--engine", "dask"], "--engine dask: expected its --scheduler"),
-        (["--each", "a", "b", "--offset", "auto"], "--offset is for two recordings; found one"),
-        (["a", "b", "c"], "a: there is no such file"),
+        (
+            ["--each", "a", "b", "--offset", "auto"],
+            "--offset is for two recordings; with --each every one stands",
+        ),
+        (["a", "b", "c"], "a: cannot be read: No such file"),
+        (["a", "b", "--csv", "b.mcap"], "expected a name that ends in .csv"),
+        (["--each", "a", "--tolerance-angle", "1"], "--tolerance-angle is for two recordings"),
     ],
 )
 def test_what_many_recordings_cannot_be_asked_is_told(

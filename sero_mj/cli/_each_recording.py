@@ -10,10 +10,11 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..base.errors import Problem, UsageError
+from ..base.errors import ClusterError
 from ._arguments import progress_bar, writing
 from .shared_options import EngineOptions
 
+_MISSING = "there is no such file"
 Rows = list[tuple[Path, dict[str, Any]]]  # a recording and its outcomes
 
 
@@ -25,7 +26,7 @@ def ask_each(
     *,
     quiet: bool = False,
 ) -> Rows:
-    """Returns the outcomes of every recording in their order; fewer where it was interrupted.
+    """Returns the outcomes of every recording in their order; fewer where it was stopped.
 
     Args:
         options: of the command, which the study is given as plain values.
@@ -34,19 +35,16 @@ def ask_each(
         recordings: files, or folders.
         needed: further files that the options name.
         quiet: no progress bar.
-
-    Raises:
-        UsageError: one of the files is not there.
     """
     from ..study.engine import EachRecording, Work
 
-    for path in (*needed, *recordings):
-        if not path.exists():
-            raise UsageError(Problem("", "there is no such file", str(path)))
     shared = options.model_dump(mode="json", exclude_unset=True)
-    tasks = [(k, {"file": str(path.absolute())}) for k, path in enumerate(recordings)]
+    missing = {k: _MISSING for k, path in enumerate(recordings) if not path.exists()}
+    tasks = [(k, {"file": str(path.absolute())}) for k, path in enumerate(recordings)
+             if k not in missing]  # fmt: skip
     job = EachRecording(study, _with_whole_paths(shared, needed), needed)
-    engine, found, begin = options.make_engine(), dict[int, dict[str, Any]](), time.perf_counter()
+    engine, begin = options.make_engine(), time.perf_counter()
+    found: dict[int, dict[str, Any]] = {k: {"error": text} for k, text in missing.items()}
 
     def note() -> str:
         many = engine.workers
@@ -56,12 +54,14 @@ def ask_each(
     with (
         progress_bar("recordings", quiet=quiet, note=note) as update,
         closing(engine.run(Work(job, tasks))) as results,
-        _interrupted(found, len(tasks)),
+        _stopped(found, len(recordings)),
     ):
-        update(0, len(tasks))
+        update(len(found), len(recordings))
         for number, result in results:
-            found[number] = result
-            update(len(found), len(tasks))
+            path = recordings[number]
+            error = result["error"].replace(str(path.absolute()), str(path))
+            found[number] = {**result, "error": error}
+            update(len(found), len(recordings))
     return [(path, found[k]) for k, path in enumerate(recordings) if k in found]
 
 
@@ -72,10 +72,15 @@ def _with_whole_paths(shared: Mapping[str, Any], needed: Sequence[Path]) -> dict
 
 
 @contextmanager
-def _interrupted(found: Mapping[int, Any], count: int) -> Iterator[None]:
+def _stopped(found: Mapping[int, Any], count: int) -> Iterator[None]:
+    """Keeps what has come where its user stops it, or a cluster ends."""
     try:
         yield
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ClusterError) as error:
+        if isinstance(error, ClusterError):
+            if not found:
+                raise
+            print(f"sero-mj: {error}", file=sys.stderr)
         print(f"sero-mj: stopped after {len(found)} of {count} recordings", file=sys.stderr)
 
 
@@ -97,7 +102,7 @@ def tell_errors(rows: Rows) -> int:
 
 
 def status(rows: Rows, count: int, failed: int) -> int:
-    """The exit status: 130 where it was interrupted, 2 where nothing could be examined, else 0."""
+    """The exit status: 130 where it was stopped, 2 where a recording was not examined, else 0."""
     if len(rows) < count:
         return 130
-    return 2 if failed == len(rows) else 0
+    return 2 if failed else 0

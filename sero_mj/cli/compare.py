@@ -18,6 +18,7 @@ from pydantic import model_validator
 from ..base.declaration import expecting
 from ..base.errors import UsageError
 from ..base.options import NotNegative, Option, ending, positional
+from ..study.explanation import OF_ONE_RUN
 from ..viewer.headless.film_kinds import FILMS
 from ..viewer.headless.picture_options import FilmOptions, SizeOptions
 from ._arguments import command, print_json, print_table, progress_bar
@@ -39,7 +40,7 @@ examples:
   sero-mj compare run.mcap                                  commanded with measured torque
   sero-mj compare run.mcap --against-model --plot run.pdf   the robot with its own model
   sero-mj compare a.csv b.mcap --scene lwr_udp              a table of export-csv, simulate --csv
-  sero-mj compare good.mcap runs/*.mcap --csv table.csv     many with the first, a row for each
+  sero-mj compare good.mcap runs/*.mcap --table table.csv   many with the first, a row for each
   sero-mj compare --each runs/*.mcap --against-model        each by itself
 
 Recordings of simulations and of robots alike; differences are A less B. Time counts from the start
@@ -47,10 +48,10 @@ of a simulation, or from the first packet of a robot. Beneath stands for every j
 the difference: sign, gain, bias, delay or noise of a torque sensor or a drive, friction, a payload,
 a joint that is stuck. Of many recordings there is a row for each, made by all cores, or by workers
 of a Dask cluster, which are sent the recordings. The exit status is 1 when a tolerance is exceeded,
-2 when they cannot be compared.
+2 when they, or one of many, cannot be compared.
 """
 ORDER = 43  # in the help of `sero-mj`
-_OF_MANY = ("b", "more", "each", "jobs", "engine", "scheduler", "ship", "csv")
+_OF_MANY = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
 
 
 class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
@@ -66,7 +67,8 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
         source: which source; NAME,NAME for A and B (default: all).
         offset: added to the times of B, s; auto finds it by the motion.
         plot: a figure: .png, .pdf or .svg.
-        csv: both and their difference; of many a row for each.
+        csv: both and their difference.
+        table: a row for each of many recordings, or for one.
         as_json: print the table as JSON.
         output: a page that plays both, with what explains the difference on its time line.
         render: a film of A with arrows on the difference, and a transparent double for B.
@@ -85,7 +87,8 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
         float | Literal["auto"], expecting("a number of seconds, or auto"), Option("S|auto")
     ] = 0.0
     plot: Figure | None = None
-    csv: Annotated[Path | None, Option("OUT.csv")] = None
+    csv: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
+    table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
     output: Annotated[Path | None, ending(".html"), Option("OUT.html", ("-o", "--output"))] = None
     render: Annotated[Path | None, ending(*FILMS), Option("OUT.mp4")] = None
     tolerance_torque: Annotated[NotNegative | None, Option("NM")] = None
@@ -97,18 +100,20 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
         if self.b is not None and self.against_model and not self.each:
             expected = "one recording, or --each as well"
             raise ValueError(f"--against-model: found {self.b} as well; expected {expected}")
-        if (self.b is None or self.each) and self.offset != 0.0:
-            raise ValueError("--offset is for two recordings; found one")
+        if self.b is None or self.each:
+            why = "with --each every one stands for itself" if self.each else "found one"
+            self.refuse(("offset", "tolerance_angle"), f" is for two recordings; {why}")
         if self.is_many:
-            self.refuse(("plot", "output", "render"), " is for one comparison; found many")
+            why = " is for one comparison; --table has a row for each of many"
+            self.refuse(("plot", "output", "render", "csv"), why)
         else:
-            self.refuse(("jobs", "engine"), " is for many recordings, or --each")
+            self.refuse(("jobs", "engine"), " is for many recordings: --table, or --each")
         return self
 
     @property
     def is_many(self) -> bool:
         """Whether there is a row for every recording."""
-        return self.each or bool(self.more)
+        return self.each or bool(self.more) or self.table is not None
 
 
 def run(options: CompareOptions) -> int:
@@ -123,7 +128,7 @@ def _compare_two(options: CompareOptions) -> int:
     if not pair.signals:
         raise UsageError(f"{pair.names[0]} and {pair.names[1]} have no signal in common")
     differences = compare(pair)
-    over = exceeded(differences, torque=options.tolerance_torque, angle=_angle(options))
+    over = exceeded(differences, **_tolerances(options))
     if options.tolerance_torque is not None and "torques" not in pair.signals:
         raise UsageError("--tolerance-torque: there are no torques in both recordings")
     if options.as_json:
@@ -161,7 +166,7 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
     Returns:
         of every signal `peak` and `rms`, those of the joint with the greatest peak, and that
-        `joint`; what was `exceeded`; what is `explained`.
+        `joint`; what was `exceeded`; what is `explained`, and in short the `faults`.
     """
     from ..study.compare import compare, exceeded
 
@@ -176,31 +181,50 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
         worst = max(found, key=lambda each: np.nan_to_num(abs(each.peak), nan=np.inf))
         row |= {f"{signal}.peak": worst.peak, f"{signal}.rms": worst.rms,
                 f"{signal}.unit": worst.unit, f"{signal}.joint": worst.joint}  # fmt: skip
-    over = exceeded(differences, torque=options.tolerance_torque, angle=_angle(options))
-    told = [f"{each.joint}: {each.short}" for each in explanations or ()]
-    return {**row, "exceeded": "; ".join(map(str, over)), "explained": "; ".join(told)}
+    if pair.correlation is not None:
+        row |= {"offset": pair.offset, "correlation": pair.correlation}
+    over = exceeded(differences, **_tolerances(options))
+    told = [f"{each.joint}: {each}" for each in explanations or ()]
+    first = "" if shared.get("each") else options.a.name
+    short = [f"{each.joint}: {_of_whom(each, first)}" for each in explanations or ()]
+    return {**row, "exceeded": "; ".join(map(str, over)), "explained": "; ".join(told),
+            "faults": "; ".join(short)}  # fmt: skip
+
+
+def _of_whom(fault: Explanation, first: str) -> str:
+    """A fault in short, and that it is the first recording's where it is, and not its own."""
+    is_its = fault.is_second or not first or fault.kind not in OF_ONE_RUN
+    return fault.short.removesuffix(" in B") + ("" if is_its else f" in {first}")
 
 
 def _compare_many(options: CompareOptions) -> int:
     from rich.table import Table
 
+    from ..study.align import choose_robot
     from ..study.compare import shown_as
     from ._each_recording import ask_each, status, tell_errors, write_rows
 
     others = [path for path in (options.b, *options.more) if path is not None]
     recordings = [options.a, *others] if options.each else others
     needed = [] if options.each else [options.a]
+    if needed:  # what is wrong with it is wrong for all
+        of_a, _, _ = (options.source or "").partition(",")
+        name, _, _ = (options.robot or "").partition(",")
+        choose_robot(options.read(options.a, of_a or None), name or None)
     if options.scene is not None and Path(options.scene).is_file():
         needed.append(Path(options.scene))
     rows = ask_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
-    if options.csv is not None:
-        write_rows(rows, options.csv)
+    if options.table is not None:
+        write_rows(rows, options.table)
     if options.as_json:
         print_json([{"recording": str(path), **row} for path, row in rows])
     elif not options.quiet:
-        signals = ("torques", "joint_angles")
+        signals = {"torques": "torque peak", "joint_angles": "angle peak"}
+        if options.each:  # their angles are those of one recording
+            del signals["joint_angles"]
         table = Table(box=None, pad_edge=False)
-        for heading in ("recording", "torque peak", "at", "angle peak", "at", "explained by"):
+        headings = [each for heading in signals.values() for each in (heading, "at")]
+        for heading in ("recording", *headings, "explained by"):
             table.add_column(heading, justify="right" if heading.endswith("peak") else "left")
         for path, row in rows:
             cells = []
@@ -208,8 +232,9 @@ def _compare_many(options: CompareOptions) -> int:
                 known = f"{signal}.peak" in row
                 factor, unit = shown_as(row[f"{signal}.unit"]) if known else (1.0, "")
                 peak = f"{factor * row[f'{signal}.peak']:.3g} {unit}" if known else ""
-                cells += [peak, row.get(f"{signal}.joint", "")]
-            table.add_row(str(path), *cells, row.get("explained", ""))
+                differs = known and row[f"{signal}.peak"] != 0
+                cells += [peak, row[f"{signal}.joint"] if differs else ""]
+            table.add_row(str(path), *cells, row.get("faults", "not examined"))
         print_table(table)
     failed = tell_errors(rows)
     over = [(path, row["exceeded"]) for path, row in rows if row.get("exceeded")]
@@ -273,9 +298,11 @@ def _parted(pair: Pair, explanations: Sequence[Explanation]) -> list[str]:
     return [f"{pair.robot.name} and its model part at {first.joint}, {first.when}: {first.kind}"]
 
 
-def _angle(options: CompareOptions) -> float | None:
-    degrees = options.tolerance_angle
-    return None if degrees is None else math.radians(degrees)
+def _tolerances(options: CompareOptions) -> dict[str, float | None]:
+    """The tolerances of `exceeded`: degrees are mm for joints that slide."""
+    angle = options.tolerance_angle
+    known = {} if angle is None else {"angle": math.radians(angle), "travel": 1e-3 * angle}
+    return {"torque": options.tolerance_torque, **known}
 
 
 def _read(options: CompareOptions) -> list[RunLog]:

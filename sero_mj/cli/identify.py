@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -19,17 +20,17 @@ examples:
   sero-mj identify run.mcap --plot fit.pdf -o found.toml   the fit, and lines of a robot's file
   sero-mj identify run.mcap --from 2 --to 12 --json
   sero-mj identify run.csv --scene lwr                     of simulate --csv, or export-csv
-  sero-mj identify runs/*.mcap --csv found.csv             how far many recordings agree
+  sero-mj identify runs/*.mcap --table found.csv           how far many recordings agree
 
 Linear regression on both sides of the torque sensors: friction and motor inertia by commanded less
 measured torque, payload and offsets by measured torque less that of the robot's model, each with
 its standard error. What the motion does not tell is said, and not guessed: all joints should move,
 to and fro, slowly and faster, and the wrist far enough that gravity changes. Of several recordings
-it is said how far they agree; they are examined by all cores, or by workers of a Dask cluster,
-which are sent the recordings.
+it is said how far they agree (median, extremes, and the median of the standard errors); they are
+examined by all cores, or by workers of a Dask cluster, which are sent the recordings.
 """
 ORDER = 46  # in the help of `sero-mj`
-_OF_MANY = ("recordings", "jobs", "engine", "scheduler", "ship", "csv")
+_OF_MANY = ("recordings", "jobs", "engine", "scheduler", "ship", "table")
 
 
 class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
@@ -40,7 +41,7 @@ class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
         robot: which robot (default: the only one).
         output: lines of a robot's file.
         plot: the fit: .png, .pdf or .svg.
-        csv: of several recordings, a row for each.
+        table: a row for each recording.
         as_json: print what is found as JSON.
         quiet: no table.
     """
@@ -49,21 +50,24 @@ class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
     robot: Flag = None
     output: Annotated[Path | None, ending(".toml"), Option("OUT.toml", ("-o", "--output"))] = None
     plot: Figure | None = None
-    csv: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
+    table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
     quiet: bool = False
 
     @model_validator(mode="after")
     def _check_number(self) -> Self:
-        if len(self.recordings) > 1:
-            self.refuse(("plot", "output"), " is for one recording; found several")
-        else:
-            self.refuse(("csv", "jobs", "engine"), " is for several recordings; found one")
+        if self.is_many:
+            self.refuse(("plot", "output"), " is for one recording, without --table")
         return self
+
+    @property
+    def is_many(self) -> bool:
+        """Whether there is a row for every recording."""
+        return len(self.recordings) > 1 or self.table is not None
 
 
 def run(options: IdentifyOptions) -> int:
     """Identifies; returns 0."""
-    if len(options.recordings) > 1:
+    if options.is_many:
         return _identify_many(options)
     from ..study.align import choose_robot
     from ..study.identify import as_json, as_table, as_toml, identify, plot_identified, remarks
@@ -95,7 +99,8 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
         file: the recording.
 
     Returns:
-        `JOINT.FIGURE` and `payload.FIGURE` to its value, and to its standard error with `.error`.
+        the `robot`; of every `JOINT.FIGURE` and `payload.FIGURE` its value, None where the motion
+        does not tell, and with `.error` its standard error, with `.unit` its unit.
     """
     from ..study.align import choose_robot
     from ..study.identify import figures, identify
@@ -103,9 +108,11 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
     given = {key: value for key, value in shared.items() if key not in _OF_MANY}
     options = IdentifyOptions(**{**given, "recordings": [str(file)]})
     log = options.read_part(file)
-    found = figures(identify(log, choose_robot(log, options.robot)))
-    return {key: value for name, each in found.items()
-            for key, value in ((name, each.value), (f"{name}.error", each.error))}  # fmt: skip
+    found = identify(log, choose_robot(log, options.robot))
+    row: dict[str, Any] = {"robot": found.robot.name}
+    for name, (each, unit) in figures(found).items():
+        row |= {name: each.value, f"{name}.error": each.error, f"{name}.unit": unit}
+    return row
 
 
 def _identify_many(options: IdentifyOptions) -> int:
@@ -116,24 +123,34 @@ def _identify_many(options: IdentifyOptions) -> int:
     needed = [Path(options.scene)] if options.scene and Path(options.scene).is_file() else []
     recordings = options.recordings
     rows = ask_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
-    if options.csv is not None:
-        write_rows(rows, options.csv)
+    if options.table is not None:
+        write_rows(rows, options.table)
     if options.as_json:
         print_json([{"recording": str(path), **row} for path, row in rows])
     elif not options.quiet:
         names = dict.fromkeys(key for _, row in rows for key in row if f"{key}.error" in row)
         table = Table(box=None, pad_edge=False)
-        for heading in ("", "recordings", "median", "lowest", "highest", "standard error"):
-            table.add_column(heading, justify="left" if not heading else "right")
+        for heading in ("", "told by", "median", "lowest", "in", "highest", "in", "its own error"):
+            table.add_column(heading, justify="left" if heading in ("", "in") else "right")
         for name in names:
-            known = [row for _, row in rows if row.get(name) is not None]
+            known = [(path, row) for path, row in rows if row.get(name) is not None]
+            values = np.array([row[name] for _, row in known])
             if not known:
+                table.add_row(name, f"0 of {len(rows)}")
                 continue
-            values = np.array([row[name] for row in known])
-            errors = np.array([row[f"{name}.error"] or np.nan for row in known])
-            shown = (np.median(values), values.min(), values.max(), np.median(errors))
-            table.add_row(name, str(len(known)), *(f"{value:.4g}" for value in shown))
+            low, high = (known[k][0].name for k in (int(values.argmin()), int(values.argmax())))
+            error = np.median([row[f"{name}.error"] or np.nan for _, row in known])
+            unit = known[0][1][f"{name}.unit"]
+            table.add_row(
+                f"{name} [{unit}]".replace("[", "\\["), f"{len(known)} of {len(rows)}",
+                f"{np.median(values):.4g}", f"{values.min():.4g}", low, f"{values.max():.4g}", high,
+                f"± {error:.2g}",
+            )  # fmt: skip
         print_table(table)
+        robots = {row["robot"]: path for path, row in rows if "robot" in row}
+        if len(robots) > 1:
+            named = ", ".join(f"{name} in {path}" for name, path in robots.items())
+            print(f"sero-mj: these are several robots: {named}", file=sys.stderr)
     failed = tell_errors(rows)
     return status(rows, len(recordings), failed) or (1 if failed else 0)
 

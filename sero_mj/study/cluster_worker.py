@@ -48,7 +48,7 @@ class JobFiles(WorkerPlugin):  # type: ignore[misc]
         """Unpacks the files; called by the worker, as is `teardown`."""
         os.environ["MUJOCO_GL"] = "disable"  # no rendering here
         self._root = Path(worker.local_directory).absolute() / self.name
-        unpack(self._archive, self._root)
+        self._kept = set(unpack(self._archive, self._root))
         self._archive = b""
         self._runner: Runner | None = None
         self._alone = threading.Lock()  # a runner keeps models that it has compiled
@@ -88,11 +88,11 @@ class JobFiles(WorkerPlugin):  # type: ignore[misc]
         with self._alone:
             if self._runner is None:
                 self._runner = self._job.below(self._root).runner()
-            own = unpack(archive, self._root) if archive else []
+            own = [] if not archive else unpack(archive, self._root)
             try:
                 results = self._runner.run([below(self._root, values) for values in tasks])
             finally:
-                for file in own:
+                for file in set(own) - self._kept:
                     file.unlink(missing_ok=True)
         return [{**each, "error": self._told(each["error"])} for each in results]
 

@@ -120,19 +120,24 @@ def differ_most(pair: Pair) -> list[str]:
 
 
 def exceeded(
-    differences: Sequence[Difference], *, torque: float | None = None, angle: float | None = None
+    differences: Sequence[Difference],
+    *,
+    torque: float | None = None,
+    angle: float | None = None,
+    travel: float | None = None,
 ) -> list[Exceeded]:
     """Differences of measured torques or angles above a tolerance; NaN is above any.
 
     Args:
         differences: result of `compare`.
         torque: Nm (N for sliding joints); any when None.
-        angle: rad (m for sliding joints); any when None.
+        angle: rad; any when None.
+        travel: of sliding joints, m; any when None.
     """
-    allowed = {"torques": torque, "joint_angles": angle}
     found = []
     for each in differences:
-        tolerance = allowed.get(each.signal)
+        of_joint = travel if each.unit == "m" else angle
+        tolerance = {"torques": torque, "joint_angles": of_joint}.get(each.signal)
         if tolerance is not None and not abs(each.peak) <= tolerance:
             found.append(Exceeded(each, tolerance))
     return found

@@ -32,12 +32,15 @@ from ..base.errors import UsageError
 from ..base.frames import Array, Bools
 from ..simulate.runs.run_log import RunLog
 from .explain_search import LEAST_ROWS, Search
-from .explanation import FLANGE, LINKS, MOST_SURE, Explanation
+from .explanation import FLANGE, LINKS, MOST_SURE, OF_ONE_RUN, Explanation
 from .torque_residuals import TorqueResiduals, torque_residuals
 
-# Kinds that do not become another size of the same where the runs change places.
-_OF_ONE_RUN = ("sign", "delay", "noise", "stuck")
-_APPROXIMATE = ("gain", "bias", "friction", "unexplained")  # what these resemble, the other way round
+_APPROXIMATE = (
+    "gain",
+    "bias",
+    "friction",
+    "unexplained",
+)  # what these resemble, the other way round
 _STANDS, _RUNS_OFF, _RUNS_OFF_FAST = 0.4, 0.2, 0.03  # s
 _ENDING, _FAST = 0.6, 0.004  # s, the end of a run, and the low-pass width there
 _ONSET_TOLERANCE = 0.1  # s, apparent lead of an onset due to the slower low-pass filter
@@ -113,7 +116,7 @@ def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
     second = [
         replace(each, is_second=True)
         for each in _explain_first(b, a)
-        if each.kind in _OF_ONE_RUN and not _is_rather_of(a, b, each, first)
+        if each.kind in OF_ONE_RUN and not _is_rather_of(a, b, each, first)
     ]
     told = [each for each in first if not any(_is_instead(other, each) for other in second)]
     joints = a.robot.names
@@ -132,7 +135,7 @@ def _is_rather_of(
     """
     same = [each for each in first if (each.joint, each.kind) == (fault.joint, fault.kind)]
     if not same:
-        return any(each.joint == fault.joint and each.kind in _OF_ONE_RUN for each in first)
+        return any(each.joint == fault.joint and each.kind in OF_ONE_RUN for each in first)
     joint = a.robot.names.index(fault.joint)
     is_known = a.has_model and b.has_model and fault.part == "torque sensor"
     own, other = ((each.link if is_known else each.motor)[:, joint] for each in (a, b))

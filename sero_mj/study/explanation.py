@@ -23,6 +23,8 @@ Kind = Literal[
 Part = Literal["torque sensor", "drive", "joint", "flange", "links", "sensor or drive"]
 FLANGE, LINKS = "flange", "links"
 MOST_SURE = 0.99
+# Of two runs it is known which has them; others are another size where these change places.
+OF_ONE_RUN: tuple[Kind, ...] = ("sign", "delay", "noise", "stuck")
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,7 @@ _INERTIA = 0.3
 # Of the torque limit: above the residuals of a perfect run due to friction at low speed and
 # filtering.
 _FLOOR = 2e-5
+_UNITS = ("N", "N s/m", "kg"), ("Nm", "Nm s/rad", "kg m2")  # sliding and turning joints
 _MIN_SIGNIFICANCE = 3.0  # standard errors; minimum significance of a payload
 
 
@@ -295,15 +296,18 @@ def _condition(X: Array) -> float:
     return float(np.linalg.cond(X / lengths))
 
 
-def figures(found: Identified) -> dict[str, Estimate]:
-    """All estimates by name, `JOINT.FIGURE` and `payload.FIGURE`."""
-    named = {
-        f"{joint.joint}.{name}": getattr(joint, name)
-        for joint in found.joints
-        for name in ("coulomb_friction", "viscous_friction", "motor_inertia", "torque_offset")
-    }
-    payload = dict(zip(("mass", "x", "y", "z"), (found.mass, *found.center), strict=True))
-    return named | {f"payload.{name}": estimate for name, estimate in payload.items()}
+def figures(found: Identified) -> dict[str, tuple[Estimate, str]]:
+    """All estimates with their units by name, `JOINT.FIGURE` and `payload.FIGURE`."""
+    named: dict[str, tuple[Estimate, str]] = {}
+    for joint, kind in zip(found.joints, found.robot.types, strict=True):
+        force, rate, inertia = _UNITS[kind == "revolute"]
+        units = {"coulomb_friction": force, "viscous_friction": rate, "motor_inertia": inertia,
+                 "torque_offset": force}  # fmt: skip
+        named |= {f"{joint.joint}.{key}": (getattr(joint, key), unit)
+                  for key, unit in units.items()}  # fmt: skip
+    named["payload.mass"] = found.mass, "kg"
+    centre = dict(zip("xyz", found.center, strict=True))
+    return named | {f"payload.{axis}": (estimate, "m") for axis, estimate in centre.items()}
 
 
 def as_json(found: Identified) -> dict[str, Any]:
@@ -396,11 +400,16 @@ def as_toml(found: Identified) -> str:
                   f"# bias = {_numbers([each.value or 0.0 for each in offsets])}"]  # fmt: skip
     if found.has_payload and found.mass.value is not None:
         center = [each.value or 0.0 for each in found.center]
-        errors = ", ".join(f"{each.error or 0.0:.1g}" for each in (found.mass, *found.center))
+        estimates = [found.mass, *found.center]
+        errors = ", ".join("-" if each.error is None else f"{each.error:.1g}" for each in estimates)
+        unknown = [axis for axis, each in zip("xyz", found.center, strict=True)
+                   if each.value is None]  # fmt: skip
         lines += ["#", "# [disturbances.payload]", '# kind = "payload"',
                   f'# robot = "{found.robot.name}"', f"# standard errors {errors}",
                   f"# mass = {found.mass.value:.5g}",
                   f"# center_of_mass = {_numbers(center)}"]  # fmt: skip
+        if unknown:
+            lines.append(f"# not identifiable from the run, 0 here: {', '.join(unknown)}")
     return "\n".join(lines) + "\n"
 
 

@@ -187,7 +187,8 @@ export class Player {
   /** Lets round arrows show what is next of what they can. */
   nextQuantity() {
     const { arrows, values } = this.run, { quantities } = arrows;
-    if (!quantities.length) return;
+    // A small screen has no room for what would tell which it is.
+    if (!quantities.length || !byId("quantity").offsetParent) return;
     this.quantity = (this.quantity + 1) % quantities.length;
     const { key } = quantities[this.quantity];
     arrows.values = values[key];
@@ -295,7 +296,8 @@ export class Player {
     time.setAttribute("aria-valuetext", [`${seconds} s`, this.ticks.told].filter(Boolean).join(", "));
     byId("now").textContent = `${seconds} s / ${(run.begin + clock.end).toFixed(2)} s`;
     const { quantities } = run.arrows, noted = run.notes.texts[run.notes.at[clock.frame]];
-    const notes = this.quantity ? noted.replace(/^round arrows: .*$/m, quantities[this.quantity].line) : noted;
+    const told = this.quantity ? noted.replace(/^round arrows: .*$/m, quantities[this.quantity].line) : noted;
+    const notes = switches.arrows ? told : told.split("\n\n").filter((each) => !each.startsWith("round arrows: ")).join("\n\n");
     if (quantities.length) byId("quantity").textContent = quantities[this.quantity].name;
     if (byId("notes").textContent !== notes) byId("notes").textContent = notes;
     byId("notes").hidden = !switches.legend || !notes;

@@ -13,7 +13,8 @@ export class JointCards {
   /** @param {Run} run */
   constructor(run) {
     this.run = run;
-    this.joints = [...run.joints.keys()].filter((j) => run.joints[j].card && run.joints[j].lines.length);
+    const areSome = run.joints.some((joint) => joint.card); // else all are, when they are asked for
+    this.joints = [...run.joints.keys()].filter((j) => (run.joints[j].card || !areSome) && run.joints[j].lines.length);
     this.chosen = -1;
     this.vector = -1; // smart arrow that was clicked on
     this.quantity = ""; // what arrows were told to show; that of the file when empty
