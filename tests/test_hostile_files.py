@@ -41,6 +41,7 @@ from sero_mj.data.record.replay import Replay
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.surroundings import Object
 from sero_mj.robots.importers.mjcf_file import as_spec
+from sero_mj.robots.importers.urdf import read_urdf
 from sero_mj.simulate.runs.run_recording import read_run
 from sero_mj.viewer.photo.calibration import read_points
 from sero_mj.viewer.photo.footage import Video, read_photo
@@ -344,3 +345,30 @@ def test_endless_meshes_in_a_piece_of_mjcf_are_refused(
         key="mjcf", reason=f"cannot be read: {tmp_path}/mesh.stl: is a device; expected a file"
     ):
         as_spec(text, tmp_path)
+
+
+def test_a_urdf_of_so_many_links_that_it_would_take_minutes_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "chain.urdf"
+    links = "".join(f"<link name='l{k}'/>" for k in range(10_001))
+    path.write_text(f"<robot name='r'>{links}</robot>")
+    with raises_with(key="robot", reason="found 10001 links; expected at most 10000", line=1):
+        read_urdf(path)
+
+
+@pytest.mark.parametrize("how", ["geoms", "replicate", "include"])
+def test_mjcf_of_so_many_elements_that_it_would_take_minutes_is_refused(
+    how: str, tmp_path: Path
+) -> None:
+    many = "<geom size='1'/>" * 20_001
+    geoms = {
+        "geoms": many,
+        "replicate": "<replicate count='20001'><geom size='1'/></replicate>",
+        "include": "<include file='more.xml'/>",
+    }[how]
+    (tmp_path / "more.xml").write_text(f"<mujocoinclude>{many}</mujocoinclude>")
+    text = f"<mujoco><worldbody>{geoms}</worldbody></mujoco>"
+    (tmp_path / "whole.xml").write_text(text)
+    what = "has too many bodies, geoms and sites; expected at most 20,000"
+    for source in (text, "whole.xml"):
+        with raises_with(key="mjcf", reason=f"cannot be read: {what}"):
+            as_spec(source, tmp_path)

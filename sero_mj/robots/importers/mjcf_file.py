@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import sha256
@@ -12,10 +13,14 @@ from typing import Any
 import mujoco
 
 from ...base.errors import Problem
-from ...base.paths import format_of_file, open_file, read_file
+from ...base.paths import format_of_file, read_file
 
 _LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
 _MAX_BYTES = 100_000_000  # of a file of MJCF
+_MAX_ELEMENTS = 20_000  # MuJoCo takes as long as the square of them: for 40,000 geoms 8 s
+_ELEMENT = re.compile(rb"<(?:geom|body|site)\b")
+_REPEATED = re.compile(rb"""<replicate\b[^>]*?\bcount\s*=\s*["']\s*(\d+)""")
+_INCLUDED = re.compile(rb"""<include\b[^>]*?\bfile\s*=\s*["']([^"']+)""")
 MOST_ASSET_BYTES = 500_000_000  # of a mesh (ten million triangles) or a texture
 
 
@@ -70,14 +75,32 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
         root = _root_element(source)
         return mujoco.MjSpec.from_string(root.to_xml_string(), assets=root.get_assets())
     if is_file_name(source):
-        open_file(folder / source, _MAX_BYTES).close()  # MuJoCo would read a pipe forever
+        _check_elements(read_file(folder / source, _MAX_BYTES), (folder / source).parent)
         found = format_of_file(folder / source)
         if found not in (None, "an MJCF file", "a URDF file"):  # MuJoCo reports invalid XML
             raise ValueError(f"is {found}; expected MJCF, which begins with <mujoco>")
         return mujoco.MjSpec.from_file(str(folder / source))
+    _check_elements(source.encode(), folder)
     spec = mujoco.MjSpec.from_string(source, include=_included(source, folder))
     spec.modelfiledir = str(folder)
     return spec
+
+
+def _check_elements(text: bytes, folder: Path) -> None:
+    """Raises ValueError where a text and what it includes has more than MuJoCo reads in seconds."""
+    waiting, known, count = [text], set[str](), 0
+    while waiting:
+        part = waiting.pop()
+        count += len(_ELEMENT.findall(part)) + sum(map(int, _REPEATED.findall(part)))
+        if count > _MAX_ELEMENTS:
+            raise ValueError(
+                f"has too many bodies, geoms and sites; expected at most {_MAX_ELEMENTS:,}"
+            )
+        names = {name.decode("utf-8", "replace") for name in _INCLUDED.findall(part)}
+        for name in names - known:
+            if (folder / name).is_file():  # else MuJoCo says that it is not
+                waiting.append(read_file(folder / name, _MAX_BYTES))
+        known |= names
 
 
 def _included(text: str, folder: Path) -> Mapping[str, bytes]:

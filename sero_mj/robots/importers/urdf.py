@@ -41,6 +41,7 @@ from .xml_file import Element, XmlError, parse_loose_xml, parse_xml
 
 _MAX_BYTES = 50_000_000
 _MAX_JOINTS = 128  # movable ones
+_MAX_LINKS = 10_000  # with fixed ones; some steps take as long as the square of them
 _MOST_FILES = 3  # that are missing, in one sentence
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
@@ -163,6 +164,10 @@ class UrdfFile:
         self._odd: dict[str, list[str]] = {}  # reinterpreted values, and where
         root = self._root()
         self._root_line = root.sourceline if self._has_lines else None
+        if (count := sum(1 for _ in _children(root, "link"))) > _MAX_LINKS:
+            found = f"{count} links; expected at most {_MAX_LINKS}"
+            self._problem(root, "robot", f"found {found}")
+            self._stop()
         self._materials = self._colors(root)
         links = self._links(root)
         joints = self._joints(root, {link.name for link in links})
