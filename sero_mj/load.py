@@ -69,7 +69,8 @@ def load_scene(
             tables = {"name": own, "floor": "below", "objects": {own: body}}
             return _checked(*scene_from_tables(path, tables, overrides))
         # The base of a robot may be its trunk.
-        return Scene(robots=[robot], floor="below", name=own)
+        overridden = {f"robots.{own}.{key.split('.')[1]}": 0 for key in overrides if "." in key}
+        return Scene(robots=[robot], floor="below", name=own, lines=overridden)
     if path.name == paths.GROUP_FILE:
         own = path.resolve().parent.name
         tables = {"name": own, "groups": {own: {"model": path}}}

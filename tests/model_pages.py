@@ -38,7 +38,7 @@ def captured(
     soft = [parts.take(data) for data in states]
     n, frames = len(world.joints.names), len(states)
     nothing = np.full((frames, n), np.nan)
-    lines, details = capture_module._lines(world, {"torques": nothing})
+    lines, details = capture_module._lines(world, {"torques": nothing}, Toggles(world))
     poses = np.array([np.hstack([d.xpos[bodies], d.xquat[bodies]]) for d in states])
     return Capture(
         world=world, fps=fps, begin=0.0, toggles=Toggles(world), camera=find_camera(world, camera),

@@ -514,8 +514,10 @@ class Scene:
 
     def located(self, problems: list[Problem]) -> list[Problem]:
         """Returns the problems with file and line added, where they were read from one."""
-        if self.file is None:  # of robots by themselves, which may have files
-            return [self._in_its_model(each, {}) for each in problems]
+        if self.file is None and self._lines is None:
+            return problems
+        if self.file is None:  # of a robot by itself, which has a file
+            return [self._in_its_model(each, self._lines or {}) for each in problems]
         lines = key_lines(self.file) if self._lines is None else self._lines
         return located((self._in_its_model(each, lines) for each in problems), self.file, lines)
 
