@@ -20,6 +20,8 @@ from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.recording_writer import FLUSH_AFTER
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.declared.scene_file import read_scene_file
 from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.runs._recorded_signals import spread_bunches
@@ -204,6 +206,10 @@ def test_a_recorded_simulation_without_its_robot_asks_for_a_scene(tmp_path: Path
     ):
         read_run(path)
     assert read_run(path, scene=simulated().scenario.scene).robots["lwr"].n == 7
+    other = Scene(robots=[SerialRobot.from_model("scara", name="picker")], name="cell")
+    reason = "is of another robot than the scene 'cell' has: no robot 'lwr'; available: picker"
+    with raises_with(RecordingError, path=f"{tmp_path}/alone.mcap", reason=reason):
+        read_run(path, scene=other)
 
 
 def test_robots_with_other_joints_are_refused(tmp_path: Path) -> None:

@@ -66,9 +66,14 @@ def ask_each(
 
 
 def _with_whole_paths(shared: Mapping[str, Any], needed: Sequence[Path]) -> dict[str, Any]:
-    whole = {str(path): str(path.absolute()) for path in needed}
-    return {key: whole.get(value, value) if isinstance(value, str) else value
-            for key, value in shared.items()}  # fmt: skip
+    """The options with whole paths of files, wherever a worker is."""
+    whole = {path.absolute() for path in needed}
+    return {
+        key: str(Path(value).absolute())
+        if isinstance(value, str) and Path(value).absolute() in whole
+        else value
+        for key, value in shared.items()
+    }
 
 
 @contextmanager

@@ -211,8 +211,7 @@ def _compare_many(options: CompareOptions) -> int:
         of_a, _, _ = (options.source or "").partition(",")
         name, _, _ = (options.robot or "").partition(",")
         choose_robot(options.read(options.a, of_a or None), name or None)
-    if options.scene is not None and Path(options.scene).is_file():
-        needed.append(Path(options.scene))
+    needed += options.files()
     rows = ask_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
     if options.table is not None:
         write_rows(rows, options.table)

@@ -120,8 +120,7 @@ def _identify_many(options: IdentifyOptions) -> int:
 
     from ._each_recording import ask_each, status, tell_errors, write_rows
 
-    needed = [Path(options.scene)] if options.scene and Path(options.scene).is_file() else []
-    recordings = options.recordings
+    recordings, needed = options.recordings, options.files()
     rows = ask_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
     if options.table is not None:
         write_rows(rows, options.table)

@@ -225,6 +225,13 @@ class RunOptions(Options):
     def _declared(self) -> Scene | None:
         return None if self.scene is None else read_scene(self.scene)
 
+    def files(self) -> list[Path]:
+        """Returns the files that the scene is read from, with its robots' and meshes."""
+        scene = self._declared
+        if scene is None:
+            return []
+        return [*scene.files(), *(mesh for _, mesh in scene.meshes())]
+
     def read(self, path: Path, source: str | None) -> RunLog:
         """Reads a recording or a table.
 

@@ -318,16 +318,14 @@ def _closed(client: Any) -> Iterator[Any]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What Dask says of lost connections is told by our own errors."""
+    """What Dask says of lost connections is told by our own errors, also after these."""
     logs = [logging.getLogger(name) for name in ("distributed", "tornado", "asyncio")]
     levels = [each.level for each in logs]
     for each in logs:
         each.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        for each, level in zip(logs, levels, strict=True):
-            each.setLevel(level)
+    yield  # after an error, tasks that are given up would still log theirs
+    for each, level in zip(logs, levels, strict=True):
+        each.setLevel(level)
 
 
 @contextmanager

@@ -119,7 +119,8 @@ def _state_of(path: Path) -> tuple[tuple[str, int, int], ...]:
 def _without_metadata(folder: Path) -> str:
     """What is wrong with a folder where nothing says how its files belong together."""
     files = bag_files_in(folder)
-    names = ", ".join(each.name for each in files[:_MANY]) or _FILES
+    found = files or sorted(each for each in folder.iterdir() if each.suffix in BAG_ENDINGS)
+    names = ", ".join(each.name for each in found[:_MANY]) or _FILES
     reason = f"is a folder without {_METADATA}; open one of its files, {names}"
     if not files:
         return reason

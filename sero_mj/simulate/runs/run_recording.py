@@ -232,7 +232,15 @@ def _simulated(recording: PacketFile, name: str, scene: Scene | None) -> RunLog:
             if (recorded := recorded_event(event, signals)) in signals:
                 signals[event] = signals.pop(recorded)
         count = signals[f"{prefix}{_ANGLES}"].shape[1]
-        chosen = _meant(recording.path, prefix, count, declared)
+        try:
+            chosen = _meant(recording.path, prefix, count, declared)
+        except UnknownName as error:
+            near = did_you_mean(prefix, error.available)
+            reason = f"does not say what robot '{prefix}' is{near}; give a scene"
+            if scene is not None:
+                given = scene.file or f"the scene '{scene.name}'"
+                reason = f"is of another robot than {given} has: {error}"
+            raise RecordingError(recording.path, reason) from error
         robots[chosen.name] = chosen
     signals = _with_velocities(robots, signals, times[rising])
     return RunLog(robots, signals, times[rising], recording.path.stem)
@@ -244,7 +252,7 @@ def _row_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _meant(path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot]) -> SerialRobot:
-    """The robot that events mean."""
+    """The robot that events mean; raises UnknownName where it is none of these."""
     by_event = {event_of(name, "joint_angles").removesuffix(_ANGLES): each
                 for name, each in robots.items()}  # fmt: skip
     robot = by_event.get(prefix)
@@ -252,8 +260,7 @@ def _meant(path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot
         only = next(iter(robots.values()))
         robot = only.model_copy(update={"name": prefix}) if only.n == count else None
     if robot is None:
-        near = did_you_mean(prefix, by_event)
-        raise RecordingError(path, f"does not say what robot '{prefix}' is{near}; give a scene")
+        raise UnknownName("robot", prefix, by_event)
     if robot.n != count:
         reason = f"{prefix}{_ANGLES} are {count}; its robot '{robot.name}' has {robot.n} joints"
         raise RecordingError(path, reason)
