@@ -25,10 +25,13 @@ from ._arguments import command, print_json, print_table, progress_bar
 from .shared_options import EngineOptions, Figure, Flag, JsonOptions, RunOptions
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from ..simulate.runs.run_log import RunLog
     from ..study.align import Pair
     from ..study.explanation import Explanation
     from ..study.torque_residuals import TorqueResiduals
+    from ._each_recording import Rows
 
 _EPILOG = """\
 examples:
@@ -198,10 +201,7 @@ def _of_whom(fault: Explanation, first: str) -> str:
 
 
 def _compare_many(options: CompareOptions) -> int:
-    from rich.table import Table
-
     from ..study.align import choose_robot
-    from ..study.compare import shown_as
     from ._each_recording import ask_each, status, tell_errors, write_rows
 
     others = [path for path in (options.b, *options.more) if path is not None]
@@ -218,28 +218,37 @@ def _compare_many(options: CompareOptions) -> int:
     if options.as_json:
         print_json([{"recording": str(path), **row} for path, row in rows])
     elif not options.quiet:
-        signals = {"torques": "torque peak", "joint_angles": "angle peak"}
-        if options.each:  # their angles are those of one recording
-            del signals["joint_angles"]
-        table = Table(box=None, pad_edge=False)
-        headings = [each for heading in signals.values() for each in (heading, "at")]
-        for heading in ("recording", *headings, "explained by"):
-            table.add_column(heading, justify="right" if heading.endswith("peak") else "left")
-        for path, row in rows:
-            cells = []
-            for signal in signals:
-                known = f"{signal}.peak" in row
-                factor, unit = shown_as(row[f"{signal}.unit"]) if known else (1.0, "")
-                peak = f"{factor * row[f'{signal}.peak']:.3g} {unit}" if known else ""
-                differs = known and row[f"{signal}.peak"] != 0
-                cells += [peak, row[f"{signal}.joint"] if differs else ""]
-            table.add_row(str(path), *cells, row.get("faults", "not examined"))
-        print_table(table)
+        # With --each the angles on both sides are those of one recording.
+        signals = {"torques": "torque peak"} | (
+            {} if options.each else {"joint_angles": "angle peak"}
+        )
+        print_table(_table_of(rows, signals))
     failed = tell_errors(rows)
     over = [(path, row["exceeded"]) for path, row in rows if row.get("exceeded")]
     for path, text in over:
         print(f"sero-mj: {path}: {text}", file=sys.stderr)
-    return status(rows, len(recordings), failed) or (1 if over or failed else 0)
+    return status(rows, len(recordings), failed) or (1 if over else 0)
+
+
+def _table_of(rows: Rows, signals: Mapping[str, str]) -> Table:
+    """A row for each recording: where some signals differ most, by their headings, and why."""
+    from rich.table import Table
+
+    from ..study.compare import shown_as
+
+    table = Table(box=None, pad_edge=False)
+    headings = [each for heading in signals.values() for each in (heading, "at")]
+    for heading in ("recording", *headings, "explained by"):
+        table.add_column(heading, justify="right" if heading in signals.values() else "left")
+    for path, row in rows:
+        cells = []
+        for signal in signals:
+            peak = row.get(f"{signal}.peak")
+            factor, unit = shown_as(row.get(f"{signal}.unit", ""))
+            cells.append("" if peak is None else f"{factor * peak:.3g} {unit}")
+            cells.append(row[f"{signal}.joint"] if peak else "")
+        table.add_row(str(path), *cells, row.get("faults", "not examined"))
+    return table
 
 
 add_to = command("compare", run, CompareOptions, _EPILOG)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -13,6 +13,11 @@ from pydantic import model_validator
 from ..base.options import Option, ending, positional
 from ._arguments import command, print_json, print_table, writing
 from .shared_options import EngineOptions, Figure, Flag, JsonOptions, PartOptions
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ._each_recording import Rows
 
 _EPILOG = """\
 examples:
@@ -116,8 +121,6 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
 
 def _identify_many(options: IdentifyOptions) -> int:
-    from rich.table import Table
-
     from ._each_recording import ask_each, status, tell_errors, write_rows
 
     recordings, needed = options.recordings, options.files()
@@ -127,31 +130,37 @@ def _identify_many(options: IdentifyOptions) -> int:
     if options.as_json:
         print_json([{"recording": str(path), **row} for path, row in rows])
     elif not options.quiet:
-        names = dict.fromkeys(key for _, row in rows for key in row if f"{key}.error" in row)
-        table = Table(box=None, pad_edge=False)
-        for heading in ("", "told by", "median", "lowest", "in", "highest", "in", "its own error"):
-            table.add_column(heading, justify="left" if heading in ("", "in") else "right")
-        for name in names:
-            known = [(path, row) for path, row in rows if row.get(name) is not None]
-            values = np.array([row[name] for _, row in known])
-            if not known:
-                table.add_row(name, f"0 of {len(rows)}")
-                continue
-            low, high = (known[k][0].name for k in (int(values.argmin()), int(values.argmax())))
-            error = np.median([row[f"{name}.error"] or np.nan for _, row in known])
-            unit = known[0][1][f"{name}.unit"]
-            table.add_row(
-                f"{name} [{unit}]".replace("[", "\\["), f"{len(known)} of {len(rows)}",
-                f"{np.median(values):.4g}", f"{values.min():.4g}", low, f"{values.max():.4g}", high,
-                f"± {error:.2g}",
-            )  # fmt: skip
-        print_table(table)
+        print_table(_table_of(rows))
         robots = {row["robot"]: path for path, row in rows if "robot" in row}
         if len(robots) > 1:
             named = ", ".join(f"{name} in {path}" for name, path in robots.items())
             print(f"sero-mj: these are several robots: {named}", file=sys.stderr)
     failed = tell_errors(rows)
-    return status(rows, len(recordings), failed) or (1 if failed else 0)
+    return status(rows, len(recordings), failed)
+
+
+def _table_of(rows: Rows) -> Table:
+    """A row for each figure: how many recordings tell it, and how far they agree."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("", "told by", "median", "lowest", "in", "highest", "in", "its own error"):
+        table.add_column(heading, justify="left" if heading in ("", "in") else "right")
+    for name in dict.fromkeys(key for _, row in rows for key in row if f"{key}.error" in row):
+        known = [(path, row) for path, row in rows if row.get(name) is not None]
+        if not known:
+            table.add_row(name, f"0 of {len(rows)}")
+            continue
+        values = np.array([row[name] for _, row in known])
+        low, high = (known[k][0].name for k in (int(values.argmin()), int(values.argmax())))
+        error = np.median([row[f"{name}.error"] or np.nan for _, row in known])
+        unit = known[0][1][f"{name}.unit"]
+        table.add_row(
+            f"{name} \\[{unit}]", f"{len(known)} of {len(rows)}",
+            f"{np.median(values):.4g}", f"{values.min():.4g}", low, f"{values.max():.4g}", high,
+            f"± {error:.2g}",
+        )  # fmt: skip
+    return table
 
 
 add_to = command("identify", run, IdentifyOptions, _EPILOG)
