@@ -319,7 +319,11 @@ def _closed(client: Any) -> Iterator[Any]:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """What Dask says of lost connections is told by our own errors, also after these."""
-    logs = [logging.getLogger(name) for name in ("distributed", "tornado", "asyncio")]
+    import distributed  # noqa: F401  # which gives its loggers levels of their own
+
+    known = [name for name in logging.root.manager.loggerDict if name.startswith("distributed.")]
+    names = ("distributed", "tornado", "asyncio", *known)
+    logs = [logging.getLogger(name) for name in names]
     levels = [each.level for each in logs]
     for each in logs:
         each.setLevel(logging.CRITICAL + 1)
