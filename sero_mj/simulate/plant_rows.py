@@ -340,9 +340,8 @@ class PlantRow:
 
     def flange(self, robot: str) -> Array:
         """T_world_flange now, (4, 4), m: the true one, in an array of its own."""
-        frame = np.eye(4)
-        frame[:3, 3], frame[:3, :3] = self.rows.pose_of(self.index, self.flange_body(robot))
-        return frame
+        body = np.array([self.flange_body(robot)])
+        return np.asarray(self.rows.poses_of([self.index], body)[0])
 
     def flange_body(self, robot: str) -> int:
         """The body of a robot's flange in the model."""

@@ -71,11 +71,6 @@ class OneRow:
             mj_step1(self.model, self.data)
             self.is_ahead = True
 
-    def pose_of(self, row: RowIndex, body: int) -> tuple[Array, Array]:
-        """Position (3,), m, and rotation (3, 3) of a body now."""
-        self.look_ahead()
-        return self.data.xpos[body], self.data.xmat[body].reshape(3, 3)
-
     def poses_of(self, rows: Sequence[RowIndex], bodies: Ints) -> Array:
         """T_world_body now, (k, 4, 4), m, of k bodies, of which there is one of each in `rows`."""
         self.look_ahead()
@@ -228,12 +223,6 @@ class ManyRows:
         if not self.is_ahead:
             self.batch.forward(self._ids, stage=_VELOCITY)
             self.is_ahead = True
-
-    def pose_of(self, row: RowIndex, body: int) -> tuple[Array, Array]:
-        """Position (3,), m, and rotation (3, 3) of a body now."""
-        positions, rotations = self.bind("xpos"), self.bind("xmat")
-        self.look_ahead()
-        return positions[row, body], rotations[row, body].reshape(3, 3)
 
     def poses_of(self, rows: Sequence[RowIndex], bodies: Ints) -> Array:
         """See `OneRow`."""
