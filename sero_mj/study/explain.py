@@ -112,10 +112,11 @@ def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
         a: of a run.
         b: of another one, at the same times.
     """
-    first = _explain_first(a, b)
+    of_a, of_b = (_outside_of_fits(each, _noise(each, None)) for each in (a, b))
+    first = _explain_first(a, b, of_a, of_b)
     second = [
         replace(each, is_second=True)
-        for each in _explain_first(b, a)
+        for each in _explain_first(b, a, of_b, of_a)
         if each.kind in OF_ONE_RUN and not _is_rather_of(a, b, each, first)
     ]
     told = [each for each in first if not any(_is_instead(other, each) for other in second)]
@@ -151,9 +152,20 @@ def _is_instead(fault: Explanation, other: Explanation) -> bool:
     return begins and ends[1] <= ends[0] + _ONSET_TOLERANCE
 
 
-def _explain_first(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
-    """Explains the difference of two runs by faults of the first, where that makes a difference."""
-    mine, theirs = (_outside_of_fits(each, _noise(each, None)) for each in (a, b))
+def _explain_first(
+    a: TorqueResiduals,
+    b: TorqueResiduals,
+    mine: Sequence[Explanation],
+    theirs: Sequence[Explanation],
+) -> list[Explanation]:
+    """Explains the difference of two runs by faults of the first, where that makes a difference.
+
+    Args:
+        a: of the first run.
+        b: of the second one.
+        mine: what is found in `a` by itself, outside of fits.
+        theirs: likewise in `b`.
+    """
     known = {(each.joint, each.part) for each in theirs}
     told = [each for each in mine if (each.joint, each.part) not in known]
     difference = replace(a, link=a.link - b.link, motor=a.motor - b.motor, lag=a.lag - b.lag)
