@@ -9,6 +9,7 @@ import math
 import re
 import signal
 import threading
+import time
 import tomllib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -107,6 +108,18 @@ def writing() -> Iterator[None]:
         yield
     except OSError as error:
         raise UsageError(f"cannot write {error.filename}: {error.strerror}") from error
+
+
+def pace(done: int, begin: float, workers: int) -> str:
+    """How fast tasks are done, and by how many, for `note` of a progress bar.
+
+    Args:
+        done: how many.
+        begin: since when, on `time.perf_counter`.
+        workers: how many do them at the moment.
+    """
+    rate = done / (time.perf_counter() - begin)
+    return f"{rate:.1f}/s, {workers} {'worker' if workers == 1 else 'workers'}"
 
 
 @contextlib.contextmanager

@@ -5,14 +5,17 @@ from __future__ import annotations
 import csv
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..base.errors import ClusterError
-from ._arguments import progress_bar, writing
-from .shared_options import EngineOptions
+from ._arguments import pace, print_json, print_table, progress_bar, writing
+from .shared_options import EngineOptions, JsonOptions
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 _MISSING = "there is no such file"
 Rows = list[tuple[Path, dict[str, Any]]]  # a recording and its outcomes
@@ -47,9 +50,7 @@ def ask_each(
     found: dict[int, dict[str, Any]] = {k: {"error": text} for k, text in missing.items()}
 
     def note() -> str:
-        many = engine.workers
-        rate = len(found) / (time.perf_counter() - begin)
-        return f"{rate:.1f}/s, {many} {'worker' if many == 1 else 'workers'}"
+        return pace(len(found), begin, engine.workers)
 
     with (
         progress_bar("recordings", quiet=quiet, note=note) as update,
@@ -89,21 +90,42 @@ def _stopped(found: Mapping[int, Any], count: int) -> Iterator[None]:
         print(f"sero-mj: stopped after {len(found)} of {count} recordings", file=sys.stderr)
 
 
-def write_rows(rows: Rows, path: Path) -> None:
+def tell(
+    rows: Rows,
+    options: JsonOptions,
+    to: Path | None,
+    table_of: Callable[[], Table],
+    *,
+    quiet: bool,
+) -> int:
+    """Writes and prints rows, and errors; returns how many recordings were not examined.
+
+    Args:
+        rows: as of `ask_each`.
+        options: whether JSON is printed.
+        to: a file for the rows, or None.
+        table_of: makes the table for a terminal.
+        quiet: no table.
+    """
+    if to is not None:
+        _write(rows, to)
+    if options.as_json:
+        print_json([{"recording": str(path), **row} for path, row in rows])
+    elif not quiet:
+        print_table(table_of())
+    errors = [(path, row["error"]) for path, row in rows if row["error"]]
+    for path, error in errors:
+        print(f"sero-mj: {error if str(path) in error else f'{path}: {error}'}", file=sys.stderr)
+    return len(errors)
+
+
+def _write(rows: Rows, path: Path) -> None:
     """Writes a table (.csv): a row for each recording, and a column for each outcome of any."""
     outcomes = dict.fromkeys(key for _, row in rows for key in row if key != "error")
     with writing(), path.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, ["recording", *outcomes, "error"], restval="")
         table.writeheader()
         table.writerows({"recording": name, **row} for name, row in rows)
-
-
-def tell_errors(rows: Rows) -> int:
-    """Prints what kept recordings from being examined, to stderr; returns how many."""
-    errors = [(path, row["error"]) for path, row in rows if row["error"]]
-    for path, error in errors:
-        print(f"sero-mj: {error if str(path) in error else f'{path}: {error}'}", file=sys.stderr)
-    return len(errors)
 
 
 def status(rows: Rows, count: int, failed: int) -> int:

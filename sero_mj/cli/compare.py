@@ -202,7 +202,7 @@ def _of_whom(fault: Explanation, first: str) -> str:
 
 def _compare_many(options: CompareOptions) -> int:
     from ..study.align import choose_robot
-    from ._each_recording import ask_each, status, tell_errors, write_rows
+    from ._each_recording import ask_each, status, tell
 
     others = [path for path in (options.b, *options.more) if path is not None]
     recordings = [options.a, *others] if options.each else others
@@ -213,17 +213,11 @@ def _compare_many(options: CompareOptions) -> int:
         choose_robot(options.read(options.a, of_a or None), name or None)
     needed += options.files()
     rows = ask_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
-    if options.table is not None:
-        write_rows(rows, options.table)
-    if options.as_json:
-        print_json([{"recording": str(path), **row} for path, row in rows])
-    elif not options.quiet:
-        # With --each the angles on both sides are those of one recording.
-        signals = {"torques": "torque peak"} | (
-            {} if options.each else {"joint_angles": "angle peak"}
-        )
-        print_table(_table_of(rows, signals))
-    failed = tell_errors(rows)
+    # With --each the angles on both sides are those of one recording.
+    signals = {"torques": "torque peak"} | ({} if options.each else {"joint_angles": "angle peak"})
+    failed = tell(
+        rows, options, options.table, lambda: _table_of(rows, signals), quiet=options.quiet
+    )
     over = [(path, row["exceeded"]) for path, row in rows if row.get("exceeded")]
     for path, text in over:
         print(f"sero-mj: {path}: {text}", file=sys.stderr)

@@ -121,21 +121,15 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
 
 def _identify_many(options: IdentifyOptions) -> int:
-    from ._each_recording import ask_each, status, tell_errors, write_rows
+    from ._each_recording import ask_each, status, tell
 
     recordings, needed = options.recordings, options.files()
     rows = ask_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
-    if options.table is not None:
-        write_rows(rows, options.table)
-    if options.as_json:
-        print_json([{"recording": str(path), **row} for path, row in rows])
-    elif not options.quiet:
-        print_table(_table_of(rows))
-        robots = {row["robot"]: path for path, row in rows if "robot" in row}
-        if len(robots) > 1:
-            named = ", ".join(f"{name} in {path}" for name, path in robots.items())
-            print(f"sero-mj: these are several robots: {named}", file=sys.stderr)
-    failed = tell_errors(rows)
+    failed = tell(rows, options, options.table, lambda: _table_of(rows), quiet=options.quiet)
+    robots = {row["robot"]: path for path, row in rows if "robot" in row}
+    if len(robots) > 1 and not (options.as_json or options.quiet):
+        named = ", ".join(f"{name} in {path}" for name, path in robots.items())
+        print(f"sero-mj: these are several robots: {named}", file=sys.stderr)
     return status(rows, len(recordings), failed)
 
 

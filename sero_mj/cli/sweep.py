@@ -17,6 +17,7 @@ from ._arguments import (
     command,
     named_settings,
     overrides,
+    pace,
     print_json,
     print_table,
     progress_bar,
@@ -217,9 +218,7 @@ def _run_variants(
     count = before + len(todo)
 
     def note() -> str:
-        rate = (len(table.rows) - before) / (time.perf_counter() - begin)
-        many = engine.workers
-        about = f"{rate:.1f}/s, {many} {'worker' if many == 1 else 'workers'}"
+        about = pace(len(table.rows) - before, begin, engine.workers)
         return f"{about}, {failed} failed" if failed else about
 
     with (
