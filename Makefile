@@ -1,7 +1,8 @@
 # make demo   a film and a picture of an LWR mirrored from UDP packets, under out/
 # make test   the tests
 # make quick  those of logic: without windows, browsers, films and what else is slow
-# make mutations   whether every scenario notices what may be wrong in it
+# make mutations   whether every scenario notices what may be wrong in it; on a cluster with
+#             ENGINE="--engine dask --scheduler tcp://head:8786"
 # make lint   style and types
 # make docs   out/docs/index.html
 # make bench  benchmarks, as ratios
@@ -35,7 +36,9 @@ quick: .venv/.test
 	$(BIN)/python -m pytest -q -n auto -m "not gl and not slow and not live"
 
 mutations: .venv/.test
-	$(BIN)/python -m pytest -q -n auto --hypothesis-profile=everything tests/test_mutations.py
+	@unnoticed=0; for file in tests/mutations/*.toml; do \
+	  $(BIN)/sero-mj sweep $$(basename $$file .toml) --mutations $$file $(ENGINE) || unnoticed=1; \
+	done; exit $$unnoticed
 
 lint: .venv/.test
 	$(BIN)/ruff check .

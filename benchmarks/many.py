@@ -30,7 +30,8 @@ from sero_mj import make_environment
 from sero_mj.base.paths import find_scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.study.sweep import Sweep, Vary
+from sero_mj.study.samples import Samples, Vary
+from sero_mj.study.sweep import Sweep
 from sero_mj.study.variant import VariantRunner
 from sero_mj.study.workers import Processes, available_cpus
 
@@ -122,7 +123,7 @@ def sweeps() -> Table:
         "of that MuJoCo",
     )  # fmt: skip
     for name, key in SWEEPS.items():
-        sweep = Sweep(find_scenario(name), (Vary.parse(key),), VARIANTS)
+        sweep = Sweep(find_scenario(name), Samples((Vary.parse(key),), VARIANTS))
         runner = VariantRunner(sweep.file, {})
 
         def one_by_one(sweep: Sweep = sweep, runner: VariantRunner = runner) -> int:

@@ -4,7 +4,6 @@
 `--hypothesis-profile=thorough` (likewise) runs all examples of property tests, else a quarter, and
 what is marked `thorough`, which else runs where a test is named; and all cases of slow tests, else
 the first and the last of each.
-`--hypothesis-profile=everything` (in `make mutations`) tries all mutations of scenarios.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ from sero_mj.robots.declared.scene import Scene
 from sero_mj.study.workers import available_cpus
 
 # Without deadlines: how long an example takes depends on what else the machine does.
-for name, examples in {"quarter": 25, "thorough": 100, "everything": 400}.items():
+for name, examples in {"quarter": 25, "thorough": 100}.items():
     settings.register_profile(name, max_examples=examples, deadline=None)
 settings.load_profile("quarter")
 

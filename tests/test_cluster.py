@@ -21,8 +21,9 @@ from sero_mj.simulate.external_control.library import HEADER
 from sero_mj.study import cluster, cluster_worker
 from sero_mj.study.cluster import Cluster
 from sero_mj.study.engine import KILLED, Variants, Work
+from sero_mj.study.samples import Samples, Vary
 from sero_mj.study.scenario_inputs import files_in, files_read, pack, unpack
-from sero_mj.study.sweep import Sweep, Vary
+from sero_mj.study.sweep import Sweep
 
 pytest.importorskip("distributed")
 
@@ -181,7 +182,8 @@ def test_the_table_is_that_of_one_machine(file: Path, tmp_path: Path) -> None:
         sweep = [*SWEEP, "--samples", 12]
         done = swept(file, *sweep, "-o", here, "--jobs", 1)
         assert done == (1, "")  # not all hold
-        _, said = swept(file, *sweep, "-o", there, "--engine", "dask", "--scheduler", found.file)
+        engine = ["--engine", "dask", "--scheduler", found.file]
+        _, said = swept(file, *sweep, "-o", there, *engine)
         assert "differs" not in said and "gone" not in said
         assert there.read_bytes() == here.read_bytes()
         rows = here.read_text()
@@ -189,6 +191,21 @@ def test_the_table_is_that_of_one_machine(file: Path, tmp_path: Path) -> None:
             ",true,,0.2" in rows and ",false,,0.2" in rows and "expected 0 to 5000 Nm/rad" in rows
         )
         assert not list(tmp_path.rglob("follow.toml"))  # removed afterwards
+        # What is wrong may be a file: a motion that the scenario itself does not read.
+        other = file.parents[1] / "motions" / "other.csv"
+        other.write_text(Path(file.parents[1] / "motions" / "still.csv").read_text())
+        faults = tmp_path / "faults.toml"
+        faults.write_text(
+            f"[soft]\ncontrollers.lwr.stiffness = 20.0\n[other]\ntargets.lwr.file = '{other}'\n"
+        )
+        for out, where in ((here, ["--jobs", 1]), (there, engine)):
+            done = swept(file, "--mutations", faults, "-o", out, "--overwrite", *where)
+            assert done == (1, "")
+        assert there.read_bytes() == here.read_bytes()
+        rows = here.read_text().splitlines()
+        assert [row.split(",")[1:4] for row in rows[1:]] == [
+            ["", "true", ""], ["soft", "false", ""], ["other", "true", ""],
+        ]  # fmt: skip
 
 
 @pytest.mark.thorough
@@ -346,7 +363,7 @@ def test_a_batch_system_that_cannot_be_is_told(
 
 @pytest.fixture
 def work(file: Path) -> Work:
-    sweep = Sweep(file, (Vary.parse("run.seed=0:9"),), 2)
+    sweep = Sweep(file, Samples((Vary.parse("run.seed=0:9"),), 2))
     return Work(Variants(file, {}), list(enumerate(sweep.variants)))
 
 

@@ -21,7 +21,8 @@ from sero_mj.base.paths import find_scenario
 from sero_mj.cli import main
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.study.sweep import Sweep, Vary, full_grid, latin_hypercube
+from sero_mj.study.samples import Samples, Vary, full_grid, latin_hypercube
+from sero_mj.study.sweep import Sweep
 from sero_mj.study.sweep_results import SweepTable, plot_sweep, summarise_sweep
 from sero_mj.study.workers import Processes
 
@@ -61,7 +62,10 @@ def file(tmp_path: Path) -> Path:
 
 
 def sweep(file: Path, *varied: str, samples: int = 4, **options: Any) -> Sweep:
-    return Sweep(file, tuple(Vary.parse(each) for each in varied), samples, **options)
+    fixed = options.pop("fixed", {})
+    return Sweep(
+        file, Samples(tuple(Vary.parse(each) for each in varied), samples, **options), fixed
+    )
 
 
 def read(path: Path) -> list[dict[str, str]]:

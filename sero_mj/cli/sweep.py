@@ -1,8 +1,7 @@
-"""`sero-mj sweep`: a scenario many times, with other values each time, and what came of it."""
+"""`sero-mj sweep`: a scenario many times, with something else each time, and what came of it."""
 
 from __future__ import annotations
 
-import math
 import shlex
 import sys
 import time
@@ -19,15 +18,14 @@ from ._arguments import (
     overrides,
     pace,
     print_json,
-    print_table,
     progress_bar,
 )
 from .shared_options import Count, EngineOptions, Figure, JsonOptions, Settings
 
 if TYPE_CHECKING:
     from ..study.engine import Engine
-    from ..study.sweep import Sweep
-    from ..study.sweep_results import SweepSummary, SweepTable
+    from ..study.sweep import Design, Sweep
+    from ..study.sweep_results import SweepTable
 
 _EPILOG = """\
 examples:
@@ -36,6 +34,7 @@ examples:
       --vary controllers.lwr.damping=0.3:1 --samples 1000 -o sweep.csv --plot sweep.png
   sero-mj sweep my.toml --vary run.seed=0:9999 --samples 10000 -o noise.csv --resume
   sero-mj sweep my.toml --vary run.elastic=true,false --vary 'run.timestep=0.001,0.0005' --grid
+  sero-mj sweep my.toml --mutations faults.toml -o noticed.csv
   sero-mj sweep my.toml --vary run.seed=0:9999 --samples 10000 --print-sbatch 40 > noise.sbatch
   sero-mj sweep my.toml --vary run.seed=0:9999 --samples 10000 -o noise.csv \\
       --engine dask --scheduler tcp://head:8786
@@ -44,10 +43,12 @@ KEY is anything that `simulate --set` takes. VALUES is a range LOW:HIGH, evenly 
 magnitude with log:LOW:HIGH, whole numbers with int:LOW:HIGH, or a list A,B,C. Samples are a Latin
 hypercube, none of them twice, or with --grid all values with all others, as are lists with fewer
 combinations than --samples. A variant that is unstable or cannot be built is a row with its
-error. Rows are written as they come: what was interrupted goes on with --resume. On several
-machines each runs a shard of the variants, into a table of its own; --merge joins these. Workers of
-a Dask cluster take variants with --engine dask; it needs `pip install 'sero-mj[dask]'`. Exits with
-1 when not every variant held.
+error. FILE.toml of --mutations has a table for everything that may be wrong, ["half as stiff"] say,
+with keys and values: "controllers.lwr.stiffness" = 400. Rows are written as they come: what was
+interrupted goes on with --resume. On several machines each runs a shard of the variants, into a
+table of its own; --merge joins these. Workers of a Dask cluster take variants with --engine dask;
+it needs `pip install 'sero-mj[dask]'`. Exits with 1 when not every variant held, or not every
+mutation was noticed.
 """
 ORDER = 25  # in the help of `sero-mj`
 
@@ -71,6 +72,7 @@ class SweepOptions(EngineOptions, JsonOptions):
     Attributes:
         scenario: a file, or a shipped scenario's name.
         vary: what differs; may be repeated.
+        mutations: what may be wrong, one thing in each variant: does an expectation notice it?
         samples: how many variants; with --grid how many values of every range.
         grid: all values with all others.
         seed: of the samples.
@@ -88,7 +90,8 @@ class SweepOptions(EngineOptions, JsonOptions):
     """
 
     scenario: Annotated[str, positional("SCENARIO")]
-    vary: Annotated[list[str], Option("KEY=VALUES")]
+    vary: Annotated[list[str], Option("KEY=VALUES")] = []
+    mutations: Annotated[Path | None, ending(".toml"), Option("FILE.toml")] = None
     samples: Count = 20
     grid: bool = False
     seed: Annotated[Seed, Option("S")] = 0
@@ -103,6 +106,16 @@ class SweepOptions(EngineOptions, JsonOptions):
     quiet: bool = False
 
     @model_validator(mode="after")
+    def _check_design(self) -> Self:
+        if not self.vary and self.mutations is None:
+            raise ValueError("--vary: expected what differs, KEY=VALUES, or --mutations FILE.toml")
+        if self.vary and self.mutations is not None:
+            raise ValueError("--vary and --mutations: expected one of them")
+        if self.mutations is not None and self.plot is not None:
+            raise ValueError("--plot: expected --vary; mutations have no axes")
+        return self
+
+    @model_validator(mode="after")
     def _check_resume(self) -> Self:
         if self.resume and self.out is None:
             raise ValueError("--resume: expected the file to go on with, -o OUT.csv")
@@ -115,25 +128,29 @@ class SweepOptions(EngineOptions, JsonOptions):
             raise ValueError(f"{option}: expected a file for the rows, -o OUT.csv")
         return self
 
+    def design(self) -> Design:
+        """Returns which variants there are."""
+        if self.mutations is not None:
+            from ..study.mutations import Mutations
+
+            return Mutations.read(self.mutations)
+        from ..study.samples import Samples, Vary
+
+        varied = tuple(Vary.parse(option) for option in self.vary)
+        return Samples(varied, self.samples, self.grid, self.seed)
+
 
 def run(options: SweepOptions) -> int:
-    """Runs; returns 0, or 1 when not every variant held."""
+    """Runs; returns 0, or 1 when not every variant held or not every mutation was noticed."""
     from ..base.paths import find_scenario
-    from ..study.sweep import Sweep, Vary
-    from ..study.sweep_results import SweepTable, summarise_sweep
+    from ..study.sweep import Sweep
+    from ..study.sweep_results import SweepTable
+    from ._sweep_reports import report_of
 
-    varied = tuple(Vary.parse(option) for option in options.vary)
-    fixed = overrides(options.settings)
-    keys = {vary.key: None for vary in varied}
+    design, fixed = options.design(), overrides(options.settings)
+    keys = dict.fromkeys(design.columns)
     with named_settings(fixed), named_settings(keys, "--vary"):
-        sweep = Sweep(
-            find_scenario(options.scenario).resolve(),
-            varied,
-            options.samples,
-            options.grid,
-            options.seed,
-            fixed,
-        )
+        sweep = Sweep(find_scenario(options.scenario).resolve(), design, fixed)
     if options.print_sbatch is not None:
         print(_sbatch(options.print_sbatch, options), end="")
         return 0
@@ -151,23 +168,26 @@ def run(options: SweepOptions) -> int:
             if options.merge
             else _run_variants(sweep, table, todo, engine, quiet=options.quiet)
         )
-    seconds = time.perf_counter() - begin
-    summary = summarise_sweep(table.rows, sweep.columns)
+    seconds, new = time.perf_counter() - begin, len(table.rows) - before
+    report = report_of(sweep, table.rows)
     if options.plot is not None:
         from ..study.sweep_results import plot_sweep
 
         plot_sweep(sweep, table.rows, options.plot)
     if options.as_json:
-        print_json(_as_json(sweep, summary, seconds))
+        print_json({"scenario": sweep.base.name, "took": seconds, **report.as_json()})
     elif not options.quiet:
-        _print(sweep, table, summary, seconds, before)
+        rate = f"{new} in {seconds:.1f} s, {new / seconds:.1f} per second" if new else "all there"
+        known = f"; {before} were there" if before and new else ""
+        print(f"{sweep.base.name}: {len(table.rows)} variants ({rate}{known})")
+        report.tell()
     if not is_whole:
         again = " --resume" if options.out else ""
         left = sum(number not in table.rows for number in wanted)
         hint = f"; the same with{again} goes on" if again else ""
         print(f"sero-mj: stopped with {left} variants to go{hint}", file=sys.stderr)
         return 130
-    return 0 if summary.held == summary.count else 1
+    return 0 if report.is_good else 1
 
 
 add_to = command("sweep", run, SweepOptions, _EPILOG)
@@ -189,8 +209,11 @@ def _sbatch(count: int, options: SweepOptions) -> str:
     words = ["sero-mj", "sweep", options.scenario]
     for option, values in (("--vary", options.vary), ("--set", options.settings)):
         words += [word for value in values for word in (option, str(value))]
-    words += ["--samples", str(options.samples), *(["--grid"] if options.grid else [])]
-    words += ["--seed", str(options.seed)]
+    if options.mutations is not None:
+        words += ["--mutations", str(options.mutations)]
+    else:
+        words += ["--samples", str(options.samples), *(["--grid"] if options.grid else [])]
+        words += ["--seed", str(options.seed)]
     same = shlex.join(words)
     out = options.out or Path(f"{Path(options.scenario).stem}.csv")
     part = f"{out.with_suffix('')}.$SLURM_ARRAY_TASK_ID.csv"
@@ -234,69 +257,3 @@ def _run_variants(
         except KeyboardInterrupt:
             return False
     return True
-
-
-def _print(
-    sweep: Sweep, table: SweepTable, summary: SweepSummary, seconds: float, before: int
-) -> None:
-    from rich.table import Table
-
-    new = summary.count - before
-    rate = f"{new} in {seconds:.1f} s, {new / seconds:.1f} per second" if new else "all there"
-    known = f"; {before} were there" if before and new else ""
-    print(f"{sweep.base.name}: {summary.count} variants ({rate}{known})")
-    shown = Table(box=None, pad_edge=False)
-    shown.add_column("")
-    for heading in ("held", "lowest", "at", "median", "highest", "at"):
-        shown.add_column(heading, justify="left" if heading == "at" else "right")
-    for each in summary.outcomes:
-        held = "" if each.held is None else f"{each.held}/{summary.count}"
-        lowest, median, highest = (
-            "" if math.isnan(value) else f"{value:.4g}"
-            for value in (each.lowest[0], each.median, each.highest[0])
-        )
-        low, high = (_values(sweep, number) for _, number in (each.lowest, each.highest))
-        shown.add_row(each.name, held, lowest, low, median, highest, high)
-    print_table(shown)
-    for number, error in list(summary.errors.items())[:5]:
-        print(f"  stopped {_values(sweep, number)}: {error}")
-    if len(summary.errors) > 5:
-        print(f"  stopped ... {len(summary.errors) - 5} more")
-    failed = summary.count - summary.held - len(summary.errors)
-    print(f"{summary.held} held, {failed} did not, {len(summary.errors)} stopped with an error")
-
-
-def _values(sweep: Sweep, number: int) -> str:
-    """The values of a variant, in short: the last part of each key."""
-    if number < 0:
-        return ""
-    parts = []
-    for key, value in sweep.variants[number].items():
-        text = f"{value:.4g}" if isinstance(value, float) else str(value)
-        parts.append(f"{key.rpartition('.')[2]} {text}")
-    return ", ".join(parts)
-
-
-def _as_json(sweep: Sweep, summary: SweepSummary, seconds: float) -> dict[str, Any]:
-    def at(value: float, number: int) -> Any:
-        if math.isnan(value):
-            return None
-        return {"value": value, "variant": number, "values": sweep.variants[number]}
-
-    return {
-        "scenario": sweep.base.name,
-        "variants": summary.count,
-        "held": summary.held,
-        "took": seconds,
-        "errors": {str(number): error for number, error in summary.errors.items()},
-        "outcomes": {
-            each.name: {
-                "held": each.held,
-                "known": each.known,
-                "lowest": at(*each.lowest),
-                "median": each.median,
-                "highest": at(*each.highest),
-            }
-            for each in summary.outcomes
-        },
-    }

@@ -1,23 +1,18 @@
-"""`Sweep`: many variants of a scenario, and `Vary`: which values a key takes in them."""
+"""`Sweep`: many variants of a scenario, which a `Design` chooses."""
 
 from __future__ import annotations
 
 import hashlib
-import itertools
-import math
-import tomllib
-from collections.abc import Collection, Generator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
 
 from .. import __version__
-from ..base.errors import DeclarationError, Problem, UsageError
-from ..base.frames import Array
 from ..simulate.log_output import files_of
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
@@ -25,171 +20,37 @@ from .engine import Engine, Result, Variants, Work
 from .variant import outcome_columns
 from .workers import Processes
 
-_TRIED = 20  # variants that are read in advance: if none is valid, a key is wrong
-MAX_VARIANTS = 200_000  # their values and results are kept in memory, not their logs
 # Variants that are run together, and steps and joints of theirs: 250 MB of logs.
 _BATCH, _BATCH_STEPS = 64, 2_500_000
-_SCALES = ("log", "int")
-_WHOLE = ("run.seed",)  # keys that take whole numbers only
-_EXAMPLE = "expected KEY=LOW:HIGH, log:LOW:HIGH, int:LOW:HIGH or a list A,B,C"
 
 
-@dataclass(frozen=True)
-class Vary:
-    """A key and its values: a range, or a list.
-
-    Attributes:
-        key: as `read_scenario(overrides=...)` takes it: `controllers.lwr.stiffness`.
-        text: as it was given: `100:2000`.
-        low: where the range begins.
-        high: where it ends.
-        scale: `linear`, `log` (evenly over the orders of magnitude) or `int` (whole numbers, both
-            ends included).
-        values: the list; empty where it is a range.
-    """
-
-    key: str
-    text: str
-    low: float = 0.0
-    high: float = 0.0
-    scale: str = "linear"
-    values: tuple[Any, ...] = ()
-
-    @classmethod
-    def parse(cls, option: str) -> Vary:
-        """Reads `KEY=VALUES`.
-
-        Raises:
-            UsageError: it is neither a range nor a list.
-        """
-        key, equals, text = (part.strip() for part in option.partition("="))
-        if not equals or not text or "." not in key:
-            example = "e.g. controllers.lwr.stiffness=100:2000"
-            raise UsageError(f"--vary {option}: {_EXAMPLE}, {example}")
-        scale, _, rest = text.partition(":")
-        if scale in _SCALES:
-            return cls._range(option, key, text, rest, scale)
-        if ":" in text and not text.startswith(("[", "'", '"', "{")):
-            whole = "int" if key in _WHOLE else "linear"
-            return cls._range(option, key, text, text, whole)
-        return cls(key, text, values=tuple(_list(text)))
-
-    @classmethod
-    def _range(cls, option: str, key: str, text: str, ends: str, scale: str) -> Vary:
-        try:
-            low, high = (float(end) for end in ends.split(":"))
-        except ValueError:
-            raise UsageError(f"--vary {option}: found '{ends}'; {_EXAMPLE}") from None
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            message = f"found {low:g} to {high:g}; expected two numbers, the lower one first"
-            raise UsageError(f"--vary {option}: {message}")
-        if scale == "log" and low <= 0:
-            raise UsageError(f"--vary {option}: found log from {low:g}; expected more than 0")
-        if scale == "int" and (low % 1 or high % 1):
-            raise UsageError(f"--vary {option}: found {text}; expected whole numbers")
-        return cls(key, text, low, high, scale)
+class Design(Protocol):
+    """Which variants there are: `samples.Samples` of ranges, or `mutations.Mutations`."""
 
     @property
-    def is_range(self) -> bool:
-        """Whether it is a range."""
-        return not self.values
+    def columns(self) -> list[str]:
+        """Those of the table that tell variants apart."""
 
     @property
-    def count(self) -> float:
-        """How many values there are; infinite for a range of other than whole numbers."""
-        if self.scale == "int":
-            return self.high - self.low + 1
-        return math.inf if self.is_range else len(self.values)
+    def variants(self) -> list[dict[str, Any]]:
+        """What each sets, by dotted key."""
 
-    def at(self, shares: Array) -> list[Any]:
-        """The values so far along the range or the list.
+    def cells(self, number: int) -> dict[str, Any]:
+        """What a variant has in these columns."""
+
+    def choices(self) -> list[dict[str, Any]]:
+        """What some variant sets that may name a file."""
+
+    def settings(self) -> dict[str, Any]:
+        """Everything that the variants depend on, as JSON types."""
+
+    def check(self, read: Callable[[Mapping[str, Any]], object], fixed: Mapping[str, Any]) -> None:
+        """Raises SeroError where variants cannot be.
 
         Args:
-            shares: (m,), from 0 to below 1.
+            read: reads the scenario with the values of a variant.
+            fixed: dotted keys that are set in all variants.
         """
-        if not self.is_range:
-            return [self.values[int(share * len(self.values))] for share in shares]
-        if self.scale == "int":
-            count = self.high - self.low + 1
-            return [int(self.low + math.floor(share * count)) for share in shares]
-        return [self._between(float(share)) for share in shares]
-
-    def grid(self, count: int) -> list[Any]:
-        """Equidistant values over the range; of a list all of them."""
-        if not self.is_range:
-            return list(self.values)
-        shares = np.linspace(0.0, 1.0, count) if count > 1 else np.array([0.5])
-        if self.scale == "int":
-            whole = [round(self.low + float(share) * (self.high - self.low)) for share in shares]
-            return list(dict.fromkeys(whole))
-        return [self._between(float(share)) for share in shares]
-
-    def _between(self, share: float) -> float:
-        if self.scale == "log":
-            low, high = math.log(self.low), math.log(self.high)
-            return min(max(math.exp(low + share * (high - low)), self.low), self.high)
-        return self.low + share * (self.high - self.low)
-
-
-def latin_hypercube(varied: Sequence[Vary], samples: int, seed: int) -> list[dict[str, Any]]:
-    """Samples in which every key takes values from all parts of its range alike.
-
-    The range of a key is cut into as many parts as there are samples; each part has one sample,
-    somewhere in it, and the orders of the keys are shuffled against each other.
-
-    Args:
-        varied: the keys and their ranges.
-        samples: how many.
-        seed: of all that is random.
-
-    Source: McKay, Beckman, Conover 1979, A Comparison of Three Methods for Selecting Values of
-    Input Variables in the Analysis of Output from a Computer Code, Technometrics 21.
-    """
-    rng = np.random.default_rng(seed)
-    columns = []
-    for vary in varied:
-        shares = (rng.permutation(samples) + rng.random(samples)) / samples
-        columns.append(vary.at(np.minimum(shares, np.nextafter(1.0, 0.0))))
-    return _named(varied, zip(*columns, strict=True))
-
-
-def full_grid(varied: Sequence[Vary], count: int) -> list[dict[str, Any]]:
-    """All combinations of the keys' values; `count` in each range.
-
-    Raises:
-        UsageError: that are more than `MAX_VARIANTS`.
-    """
-    columns = [vary.grid(count) for vary in varied]
-    many = math.prod(map(len, columns))
-    if many > MAX_VARIANTS:
-        sizes = " x ".join(str(len(column)) for column in columns)
-        expected = f"up to {MAX_VARIANTS}: fewer --samples, or no --grid"
-        problem = Problem(
-            "--grid", f"found {sizes} =", found=many, of="variants", expected=expected
-        )
-        raise UsageError(problem)
-    return _named(varied, itertools.product(*columns))
-
-
-def _named(varied: Sequence[Vary], rows: Any) -> list[dict[str, Any]]:
-    keys = [vary.key for vary in varied]
-    return [dict(zip(keys, row, strict=True)) for row in rows]
-
-
-def _list(text: str) -> list[Any]:
-    """Values with commas between them: TOML, or words."""
-    try:
-        found = tomllib.loads(f"value = [{text}]")["value"]
-        return list(found) if found else [text]
-    except tomllib.TOMLDecodeError:
-        return [_number_or_word(part.strip()) for part in text.split(",")]
-
-
-def _number_or_word(text: str) -> Any:
-    try:
-        return float(text)
-    except ValueError:
-        return text
 
 
 @dataclass(frozen=True)
@@ -198,70 +59,39 @@ class Sweep:
 
     Args:
         file: the scenario's.
-        varied: the keys, and the values that they take.
-        samples: how many variants at most; of a grid, how many values of every range.
-        is_grid: whether all values are combined with all others; else a Latin hypercube, in which
-            no variant is twice. Where that many samples have room for all, as with short lists,
-            it is the same.
-        seed: of the samples; the noise is that of the scenario in every variant.
+        design: which variants.
         fixed: dotted keys that are set in all of them.
 
     Raises:
-        UsageError: a key is varied twice.
+        UsageError: the design sets a key that is fixed.
         DeclarationError: the scenario cannot be read, or no variant of it.
     """
 
     file: Path
-    varied: tuple[Vary, ...]
-    samples: int
-    is_grid: bool = False
-    seed: int = 0
+    design: Design
     fixed: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        keys = [vary.key for vary in self.varied]
-        for key in keys:
-            if keys.count(key) > 1:
-                expected = "one range for each key"
-                raise UsageError(Problem(f"--vary {key}", "is given twice", expected=expected))
-            if key in self.fixed:
-                expected = "one of --vary and --set"
-                raise UsageError(Problem(f"--vary {key}", "is also set", expected=expected))
-        self._check_variants()
+        assert self.base.run.steps > 0  # it can be read by itself
+        self.design.check(self._read, self.fixed)
 
     @cached_property
     def base(self) -> Scenario:
-        """The scenario as it is without the varied values."""
-        return read_scenario(self.file, self.fixed)
+        """The scenario as it is without what variants set."""
+        return self._read({})
 
-    @cached_property
+    def _read(self, values: Mapping[str, Any]) -> Scenario:
+        return read_scenario(self.file, {**self.fixed, **values})
+
+    @property
     def variants(self) -> list[dict[str, Any]]:
-        """The values of every variant, by key."""
-        if self.is_grid:
-            return full_grid(self.varied, self.samples)
-        counts = [vary.count for vary in self.varied]
-        if math.prod(counts) <= self.samples:  # all that there are, without repeating any
-            return full_grid(self.varied, self.samples)
-        drawn = latin_hypercube(self.varied, self.samples, self.seed)
-        return list({repr(values): values for values in drawn}.values())
+        """What each variant sets, by dotted key."""
+        return self.design.variants
 
     @cached_property
     def columns(self) -> list[str]:
-        """The columns of results: number, values, outcomes."""
-        return ["variant", *(vary.key for vary in self.varied), *outcome_columns(self.base)]
-
-    def _check_variants(self) -> None:
-        assert self.base.run.steps > 0  # it can be read by itself
-        first: DeclarationError | None = None
-        for values in self.variants[:_TRIED]:
-            try:
-                read_scenario(self.file, {**self.fixed, **values})
-            except DeclarationError as error:
-                first = first or error
-            else:
-                return
-        if first is not None:
-            raise first
+        """The columns of results: number, what tells variants apart, outcomes."""
+        return ["variant", *self.design.columns, *outcome_columns(self.base)]
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -274,10 +104,7 @@ class Sweep:
         }
         return {
             "scenario": self.base.name,
-            "vary": {vary.key: vary.text for vary in self.varied},
-            "samples": self.samples,
-            "grid": self.is_grid,
-            "seed": self.seed,
+            **self.design.settings(),
             "set": {key: _plain(value) for key, value in self.fixed.items()},
             "files": files,
             "sero-mj": __version__,
@@ -301,13 +128,7 @@ class Sweep:
         todo = [(number, self.variants[number]) for number in wanted]
         run, joints = self.base.run, sum(robot.n for robot in self.base.scene.robots.values())
         most = int(np.clip(_BATCH_STEPS // ((run.steps + 1) * joints), 1, _BATCH))
-        choices = [
-            {vary.key: value}
-            for vary in self.varied
-            for value in vary.values
-            if not isinstance(value, bool | int | float)
-        ]
-        job = Variants(self.file, self.fixed, choices)
+        job = Variants(self.file, self.fixed, self.design.choices())
         yield from (engine or Processes()).run(Work(job, todo, most))
 
 

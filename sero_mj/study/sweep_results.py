@@ -17,8 +17,9 @@ import numpy as np
 from ..base.errors import CsvError, Problem, RenderError, UsageError
 from ..data.record.csv_files import csv_table
 from .figure import check_suffix
-from .sweep import Sweep, Vary
-from .variant import UNITS
+from .samples import Samples, Vary
+from .sweep import Sweep
+from .variant import UNITS, is_known
 
 _MAX_ROWS, _MAX_COLUMNS = 8, 5  # of the picture
 _LABEL_WIDTH = 22  # characters
@@ -151,7 +152,7 @@ class SweepTable:
                 expected = f"below {len(self._sweep.variants)}"
                 problem = Problem("", "found variant", found=variant, expected=expected)
                 raise CsvError(path, problem, line=number)
-            given = self._sweep.variants[variant]
+            given = self._sweep.design.cells(variant)
             row = dict(zip(self._columns, (_value(cell) for cell in cells), strict=True))
             rows[variant] = {**row, "error": cells[self._columns.index("error")], **given}
         return rows
@@ -162,7 +163,7 @@ class SweepTable:
         Raises:
             CsvError: the disk is full, say; what was written before stays.
         """
-        row = {"variant": number, **self._sweep.variants[number], **result}
+        row = {"variant": number, **self._sweep.design.cells(number), **result}
         self.rows[number] = {column: row.get(column) for column in self._columns}
         if self._file is None:
             return
@@ -318,12 +319,6 @@ def summarise_sweep(rows: Rows, columns: list[str]) -> SweepSummary:
     return SweepSummary(len(rows), held_all, errors, outcomes)
 
 
-def is_known(row: Mapping[str, Any], column: str) -> bool:
-    """Whether a row has a finite number there."""
-    value = row.get(column)
-    return isinstance(value, int | float) and math.isfinite(value)
-
-
 def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) -> None:
     """Draws points, green where what is expected held, red where not.
 
@@ -333,7 +328,7 @@ def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) 
     expectations first.
 
     Args:
-        sweep: what was varied.
+        sweep: of samples, which have axes.
         rows: of its table, by number.
         path: a picture's, .png, .pdf or .svg.
 
@@ -352,7 +347,8 @@ def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) 
         if name not in expected and any(row.get(names[name]) for row in rows.values())
     ]
     shown = (expected + others)[:_MAX_ROWS]
-    varied = sweep.varied[:_MAX_COLUMNS]
+    assert isinstance(sweep.design, Samples)
+    varied = sweep.design.varied[:_MAX_COLUMNS]
     figure = Figure(figsize=(1.2 + 3.3 * len(varied), 1.0 + 1.6 * len(shown)), layout="constrained")
     axes = figure.subplots(len(shown), len(varied), squeeze=False, sharex="col", sharey="row")
     for line, name in zip(axes, shown, strict=True):
