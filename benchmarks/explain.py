@@ -27,7 +27,7 @@ from sero_mj.study.explanation import FLANGE, LINKS
 
 KINDS = (
     "none", "sensor sign", "drive sign", "sensor gain", "drive gain", "bias", "delay", "friction",
-    "noise", "payload", "stuck joint", "stuck sensor", "masses",
+    "noise", "payload", "stuck joint", "stuck sensor", "masses", "encoder",
 )  # fmt: skip
 DURATION = 6.0
 PAIRS = "pairs" in sys.argv
@@ -47,6 +47,8 @@ def drawn_run(
     pose = bend + np.deg2rad(rng.uniform(-18, 18, 7))
     lwr = lwr.model_copy(update={"joint_angles": pose})
     k = int(rng.integers(7))
+    if kind == "encoder":  # of other joints gravity hardly changes
+        k = int(rng.choice([1, 3]))
     limit, joint = float(lwr.torque_limits[k]), lwr.names[k]
     begin = float(rng.uniform(1.0, 3.0))
     side = rng.choice([-1.0, 1.0])
@@ -67,6 +69,7 @@ def drawn_run(
         "masses": {},
         "stuck joint": {"kind": "friction", "added_coulomb": 1000.0},
         "stuck sensor": {"kind": "frozen_sensor"},
+        "encoder": {"kind": "encoder_offset", "offset_deg": side * rng.uniform(0.3, 3.0)},
     }[kind]  # fmt: skip
     load = {"kind": "payload", "robot": "lwr", "mass": rng.uniform(0.5, 5.0), "begin": begin,
             "center_of_mass": rng.uniform([-0.05, -0.05, 0.0], [0.05, 0.05, 0.15])}  # fmt: skip
@@ -82,6 +85,8 @@ def drawn_run(
         "way_points": {"kind": "way_points", "times": [1.5, 3.0, 4.5, 6.0],
                        "way_points": pose + np.deg2rad(rng.uniform(-20, 20, (4, 7)))},
     }  # fmt: skip
+    if kind == "encoder" and rng.random() < 0.5:  # as it was mounted
+        fault["begin"] = 0.0
     looped = bool(rng.random() < 1 / 3) and kind not in ("friction",)
     noise = 10 ** rng.uniform(-3, -1)
     about = {"joint": joint, "begin": begin, "motion": str(motion), "loop": looped, **fault}
@@ -153,7 +158,7 @@ def is_right(kind: str, words: list[str]) -> bool:
     expected = {
         "bias": "sensor bias", "delay": "sensor delay", "friction": "joint friction",
         "noise": "sensor noise", "payload": "flange payload", "stuck joint": "joint stuck",
-        "stuck sensor": "sensor stuck", "masses": "links masses",
+        "stuck sensor": "sensor stuck", "masses": "links masses", "encoder": "encoder encoder",
     }.get(kind, kind)  # fmt: skip
     return not words if kind == "none" else bool(words) and words[0] == expected
 

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from conftest import raises_with, sampled
@@ -34,8 +35,10 @@ from sero_mj.study.explain import explain, explain_run, explain_runs
 from sero_mj.study.explain_search import _Edges, _erf
 from sero_mj.study.explanation import FLANGE, LINKS, Explanation
 from sero_mj.study.torque_residuals import (
+    _jumps,
     _link_torques,
     _payload_torques,
+    _torques_by_angle,
     pair_with_model,
     torque_residuals,
 )
@@ -118,6 +121,7 @@ def test_of_a_run_without_a_fault_nothing_is_told(seed: int, loop: bool) -> None
         ({"kind": "dead_sensor"}, "stuck", "torque sensor", 0.0, 0.0),
         ({"kind": "controller", "gain": 1.3}, "gain", "drive", 1.3, 0.01),
         ({"kind": "controller", "gain": -1.0}, "sign", "drive", -1.0, 0.1),
+        ({"kind": "encoder_offset", "offset_deg": 1.0}, "encoder", "encoder", 1.0, 0.02),
         ({"kind": "friction", "added_coulomb": 1.5}, "friction", "joint", 1.5, 0.1),
         ({"kind": "friction", "added_coulomb": 1000}, "stuck", "joint", None, 0.0),
     ],
@@ -317,9 +321,21 @@ def test_without_the_links_masses_commands_alone_still_tell() -> None:
     found = torque_residuals(
         swing(json.dumps({"kind": "controller", "gain": 0.7, "joints": ["A2"]})), "lwr"
     )
-    first, *_ = explain(replace(found, has_model=False))
+    first, *_ = explain(replace(found, no_model="estimated"))
     assert (first.joint, first.kind) == ("A2", "gain")
     assert first.size == pytest.approx(0.7, abs=0.05)
+
+
+def test_an_arm_whose_fingers_are_coupled_is_examined_but_for_them() -> None:
+    log = swing(json.dumps({"kind": "sensor", "gain": 0.7, "joints": ["A2"]}))
+    couplings = {"A6": {"to": "A5", "ratio": -1.0}}
+    coupled = SerialRobot.from_model("lwr", joint_angles=HOME[:6], couplings=couplings)
+    found = torque_residuals(replace(log, robots={"lwr": coupled}), "lwr")
+    assert found.has_model
+    assert np.isnan(found.link[:, 5:]).all()
+    np.testing.assert_array_equal(found.link[:, :5], torque_residuals(log, "lwr").link[:, :5])
+    first, *_ = explain(found)
+    assert (first.joint, first.kind, first.part) == ("A2", "gain", "torque sensor")
 
 
 @pytest.mark.parametrize("robot", ["lwr", "stanford"])
@@ -342,6 +358,42 @@ def test_a_bodys_torques_are_those_of_mujoco_with_it_less_without(robot: str) ->
         M = loaded.mass() - np.diag(loaded.motor_inertia)
         expected = M @ a[k] + loaded.coriolis() + loaded.gravity()
         np.testing.assert_allclose(by_regressor[k], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("robot", ["lwr", "stanford"])
+def test_torques_change_by_angles_as_the_energy_of_mujoco_does(robot: str) -> None:
+    arm = SerialRobot.from_model(robot, name="arm")
+    q, still = np.random.default_rng(4).normal(0.0, 0.5, (3, arm.n)), np.zeros((3, arm.n))
+    world = World(Scene(robots=[arm], floor=False), dynamic=True)
+    joints = world.model.dof_jntid[world.robots["arm"].dofs]
+    data, places = mujoco.MjData(world.model), world.model.jnt_qposadr[joints]
+
+    def energy(angles: Array) -> float:
+        data.qpos[places] = angles
+        mujoco.mj_kinematics(world.model, data)
+        mujoco.mj_comPos(world.model, data)
+        mujoco.mj_energyPos(world.model, data)
+        return float(data.energy[0])
+
+    found, steps = _torques_by_angle(arm, q, still, still), 1e-3 * np.eye(arm.n)
+    for k, i, j in np.ndindex(3, arm.n, arm.n):
+        more, less = (
+            energy(q[k] + steps[i] + side) - energy(q[k] - steps[i] + side)
+            for side in (steps[j], -steps[j])
+        )
+        assert found[k, i, j] == pytest.approx((more - less) / 4e-6, abs=1e-4)
+
+
+def test_where_an_encoder_slips_its_angle_jumps_and_no_resolution_does() -> None:
+    times, rng = np.arange(2000) / 1000, np.random.default_rng(1)
+    moves = np.stack([np.sin(times), 1e-3 * times, 0.1 * times, np.zeros(2000)], axis=1)
+    for steps in (1e-5, 1e-3):  # coarse enough to stand still between two of them
+        angles = np.round((moves + rng.normal(scale=0.3 * steps, size=moves.shape)) / steps) * steps
+        assert not _jumps(np.diff(angles, n=2, axis=0)).any()
+        angles[1200:, 0] += 100 * steps
+        angles[:, 2][900:1000] -= 100 * steps
+        rows = np.argwhere(_jumps(np.diff(angles, n=2, axis=0))).tolist()
+        assert rows == [[898, 2], [899, 2], [998, 2], [999, 2], [1198, 0], [1199, 0]]
 
 
 def test_nothing_is_left_of_a_perfect_run() -> None:
@@ -464,6 +516,6 @@ def test_a_robot_with_a_joint_that_slides_has_newtons() -> None:
     torques = np.stack([np.interp(t, bare.times, bare.model[:, k]) for k in range(2)], axis=1)
     torques[t > 2.0, 1] += 7.0
     log = RunLog({"arm": robot}, {"arm_joint_angles": q, "arm_torques": torques}, t)
-    found = explain(replace(torque_residuals(log, "arm"), has_model=True))
+    found = explain(replace(torque_residuals(log, "arm"), no_model=""))
     assert [(each.joint, each.kind, each.unit) for each in found] == [("slide", "bias", "N")]
     assert found[0].size == pytest.approx(7.0, abs=0.2)

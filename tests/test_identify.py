@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import tomllib
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from sero_mj.cli import main
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
-from sero_mj.simulate.runs.run_log import RunLog
+from sero_mj.simulate.runs.run_log import RunLog, event_of
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.study.identify import Estimate, _brief, _regression, as_toml, identify, remarks
@@ -143,6 +144,39 @@ def test_without_a_payload_none_is_told() -> None:
     assert found.mass.value == pytest.approx(0.0, abs=0.02)
     assert remarks(found)[0].startswith("payload: none beyond doubt (")
     assert "payload" not in as_toml(found).replace("sensors and payloads", "")
+
+
+def test_of_coupled_joints_offsets_are_not_told() -> None:
+    log = log_of(0)
+    arm = SerialRobot.from_model("lwr", couplings={"A6": {"to": "A5", "ratio": -1.0}})
+    found, apart = identify(replace(log, robots={"lwr": arm}), "lwr"), identify(log, "lwr")
+    for mine, other in zip(found.joints[:5], apart.joints[:5], strict=True):
+        assert mine.torque_offset.value == pytest.approx(other.torque_offset.value, abs=0.1)
+    assert [each.torque_offset.value for each in found.joints[5:]] == [None, None]
+    assert found.mass.value == pytest.approx(MASS, abs=0.05)
+
+
+def test_a_force_that_lifts_is_no_payload_and_no_offset() -> None:
+    log = log_of(0)
+    raised = dict(log.signals)
+    key = event_of("lwr", "torques")
+    raised[key] = raised[key] - 2.0 * (raised[key] - raised[key].mean(axis=0))
+    found = identify(replace(log, signals=raised), "lwr")
+    assert found.mass.value is None and "another force acts on the robot" in str(found.mass.reason)
+    assert all(each.torque_offset.value is None for each in found.joints)
+
+
+def test_an_inertia_is_never_less_than_zero() -> None:
+    log = log_of(0)
+    wrong = dict(log.signals)
+    key, other = event_of("lwr", "commanded_torques"), event_of("lwr", "torques")
+    wrong[key] = wrong[key].copy()
+    wrong[key][:, 1] = 2.0 * wrong[other][:, 1] - wrong[key][:, 1]
+    found = identify(replace(log, signals=wrong), "lwr")
+    a2 = found.joints[1].motor_inertia
+    assert a2.value is None and re.search(
+        r"A2 would have -[0-9.]+ ± [0-9.e-]+ kg m2", a2.reason or ""
+    )
 
 
 def test_the_lines_are_those_of_a_robots_file() -> None:

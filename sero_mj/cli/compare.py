@@ -181,7 +181,9 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
     row: dict[str, Any] = {}
     for signal in pair.signals:
         found = [each for each in differences if each.signal == signal]
-        worst = max(found, key=lambda each: np.nan_to_num(abs(each.peak), nan=np.inf))
+        worst = max(found, key=lambda each: np.nan_to_num(abs(each.peak), nan=-1.0))
+        if np.isnan(worst.peak):
+            continue
         row |= {f"{signal}.peak": worst.peak, f"{signal}.rms": worst.rms,
                 f"{signal}.unit": worst.unit, f"{signal}.joint": worst.joint}  # fmt: skip
     if pair.correlation is not None:
@@ -269,7 +271,7 @@ def _compared(
     name = choose_robot(a, options.robot)
     if options.against_model:
         found = torque_residuals(a, name)
-        explanations = explain_run(a, name, replace(found, has_model=True))
+        explanations = explain_run(a, name, replace(found, no_model=""))
         pair = pair_with_model(a, found)
         return pair, explanations, [*_parted(pair, explanations), *_about_model(found)]
     pair = pair_with_commands(a, name)
@@ -288,7 +290,7 @@ def _about_model(found: TorqueResiduals) -> list[str]:
     if found.torque_control:
         lines.append("commands are those of joint torque control: friction is made up for")
     if not found.has_model:
-        lines.append("the links' masses are estimated, or something carries the robot")
+        lines.append(f"of the links nothing is known: {found.no_model}")
     return lines
 
 

@@ -194,6 +194,9 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
                 factor, unit = shown_as(each.unit)
                 unit = f" {unit}" if len({shown_as(unit_of(each.signal, kind))[1]
                                           for kind in pair.robot.types}) > 1 else ""  # fmt: skip
+                if np.isnan(each.peak):
+                    cells += ["no data", "", ""]
+                    continue
                 peak = f"{factor * each.peak:+.3g}{unit}"
                 cells += [f"{factor * each.rms:.3g}{unit}", peak, f"{each.at:.3f}"]
         table.add_row(*cells)
@@ -223,7 +226,10 @@ def explanations_table(pair: Pair, explanations: Sequence[Explanation]) -> Table
                 name = ""
                 told.append(each)
         if name:
-            table.add_row(name, "no difference found", "", "")
+            known = "torques" in pair.signals and np.isfinite(
+                pair.difference("torques")[:, pair.robot.names.index(name)]
+            ).any()  # fmt: skip
+            table.add_row(name, "no difference found" if known else "no torques to tell", "", "")
     return table
 
 

@@ -14,6 +14,7 @@ with the links' torques x required by the model and the commanded ones u:
                     stuck            the joint stands, and more acts on it than its friction holds
     flange          payload          link: linear in ten parameters, of all joints together
     links           masses s         link s x, of all joints together, all along
+    encoder         offset o         link -o dx/dq, of all joints together
 
 Each is fitted with every begin, and then with every end. The kind and the times with the lowest
 Bayesian information criterion (Schwarz 1978) are selected; the odds against the others are the

@@ -41,11 +41,32 @@ _ROUNDS_OF_DELAYS, _EXACT = 4, 0.02
 _MAX_GAIN = 2.6  # away from 1
 _MIN_SIGN = 1.3  # likewise, above which the sign is wrong
 _PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
-_MASSES = np.array([0.5])
-_MIN_MASS, _MIN_SHARE_OF_MASS = 0.03, 0.005  # kg; of the links' masses
+_MASSES, _ENCODER = np.array([0.5]), np.array([0.1])
+_MAX_ENCODERS, _MAX_OFFSET = 2, 0.2  # rad or m, for which torques change in proportion
+# kg; of the links' masses; rad or m.
+_LEAST: dict[Kind, float] = {"payload": 0.03, "masses": 0.005, "encoder": 5e-4}
 _RESIDUAL_RATIO = 0.1  # of the squared residuals of another explanation
 _UNEXPLAINED = 0.002  # of the torque limit
 _MIN_PUSHED = 2  # minimum number of joints with an unknown torque for it to act on others as well
+
+
+@dataclass(frozen=True, eq=False)
+class _Common:
+    """A kind that all joints' torques show together.
+
+    Attributes:
+        place: `FLANGE`, `LINKS`, or the joint whose encoder it is.
+        torques: at the links per unit of each parameter, (K, n, p).
+        priors: (p,).
+        is_constant: whether it is so during the whole run.
+    """
+
+    kind: Kind
+    part: Part
+    place: str
+    torques: Array
+    priors: Array
+    is_constant: bool = False
 
 
 @dataclass(eq=False)
@@ -64,6 +85,7 @@ class _Fit:
     delay: float = 0.0
     confidence: float = 0.0
     used: Bools | None = None  # joints used for the fit; all when None
+    common: _Common | None = None  # of all joints
 
     @property
     def is_on_link(self) -> bool:
@@ -231,10 +253,10 @@ class Search:
         one = np.ones_like(zero)
         has_link = bool(self.known[0].any())
         true, late = found.model, found.late_model
-        for fit in self.fits:  # sensors also measure a payload or other masses
-            if fit.joint < 0:
+        for fit in self.fits:  # sensors also measure a payload, say, or at other angles
+            if fit.common is not None:
                 seen = self.edges.share(*fit.edges)[:, None]
-                extra = seen * np.nan_to_num(self._of_bodies(fit.kind) @ fit.parameters)
+                extra = seen * np.nan_to_num(fit.common.torques @ fit.parameters)
                 slope = np.gradient(extra, found.step, axis=0)
                 true, late = true + extra, late - DELAYS[:, None, None] * slope
         if not has_link:
@@ -275,16 +297,11 @@ class Search:
             return first
         # If a joint has its own fault, common effects are fitted by the others.
         without = [None, *range(self.n)] if len(fits) >= _MIN_JOINTS else [None]
-        kinds: list[tuple[Kind, Part, Array]] = [
-            ("payload", "flange", _PAYLOAD), ("masses", "links", _MASSES)
-        ]  # fmt: skip
         alternative = sum(fit.gain for fit in fits)
         totals: list[tuple[float, _Fit]] = []
-        for kind, part, priors in kinds:
-            if any(fit.kind == kind for fit in self.fits):
-                continue
-            sums = self._sums_of_bodies(kind)
-            tried = [self._of_all_joints(kind, part, priors, *sums, joint) for joint in without]
+        for common in self._commons():
+            sums = self._sums_of(common)
+            tried = [self._of_all_joints(common, *sums, joint) for joint in without]
             found = [fit for fit in tried if fit is not None]
             found.sort(key=lambda fit: -fit.gain)
             totals += [
@@ -296,7 +313,7 @@ class Search:
         most, best = max(totals, key=lambda each: each[0])
         if most <= alternative:
             return first
-        rivals = [total for total, fit in totals if fit.kind != best.kind]
+        rivals = [total for total, fit in totals if fit.common is not best.common]
         best.confidence = _odds([most, alternative, *rivals])
         return best
 
@@ -412,29 +429,39 @@ class Search:
                     (2 * rows.start, last), float(gain - (count + 2.0) * np.log(facts)),
                     np.ones(1), np.array([np.nan]))  # fmt: skip
 
-    def _of_bodies(self, kind: Kind) -> Array:
-        """Torques per parameter: of a body at the flange, or of all links' masses, (K, n, p)."""
-        return self.found.payload if kind == "payload" else self.found.model[..., None]
+    def _commons(self) -> list[_Common]:
+        """What all joints may show together and is not explained yet."""
+        found, names = self.found, self.found.robot.names
+        masses = found.model[..., None]
+        commons = [
+            _Common("payload", "flange", FLANGE, found.payload, _PAYLOAD),
+            _Common("masses", "links", LINKS, masses, _MASSES, is_constant=True),
+        ]
+        # To try all encoders with all times would take long: those that explain most all along.
+        scaled = found.by_angle / self.sigma[0][..., None]
+        scaled = np.where(self.known[0][..., None] & np.isfinite(scaled), scaled, 0.0)
+        squares = (scaled**2).sum(axis=(0, 1)) + 1.0 / _ENCODER**2
+        gains = np.einsum("kij,ki->j", scaled, self.left[0]) ** 2 / squares
+        commons += [
+            _Common("encoder", "encoder", names[j], -found.by_angle[:, :, [j]], _ENCODER)
+            for j in np.argsort(-gains)[:_MAX_ENCODERS]
+        ]
+        told = {(fit.common.kind, fit.common.place) for fit in self.fits if fit.common}
+        return [each for each in commons if (each.kind, each.place) not in told]
 
-    def _sums_of_bodies(self, kind: Kind) -> tuple[Array, list[_Sums]]:
-        """These torques by the residuals' deviations, and normal equations joint by joint."""
-        link = self._of_bodies(kind) / self.sigma[0, :, :, None]
+    def _sums_of(self, common: _Common) -> tuple[Array, list[_Sums]]:
+        """Its torques by the residuals' deviations, and normal equations joint by joint."""
+        link = common.torques / self.sigma[0, :, :, None]
         link = np.where(self.known[0][..., None] & np.isfinite(link), link, 0.0)
         sums = [self.edges.sums(link[None, :, j], self.left[:1, :, j]) for j in range(self.n)]
         return link, sums
 
     def _of_all_joints(
-        self,
-        kind: Kind,
-        part: Part,
-        priors: Array,
-        link: Array,
-        sums: list[_Sums],
-        without: int | None,
+        self, common: _Common, link: Array, sums: list[_Sums], without: int | None
     ) -> _Fit | None:
-        """A body at the flange, or other masses of the links, by all joints, or all but one."""
+        """What all joints show together, by all of them, or all but one."""
         used = np.arange(self.n) != (-1 if without is None else without)
-        inverse = np.diag(1.0 / priors**2)
+        inverse = np.diag(1.0 / common.priors**2)
         totals, facts = (self.left**2).sum(axis=(0, 1)), float(self.facts.sum())
 
         def scores(first: Any, last: Any) -> Array:
@@ -451,7 +478,7 @@ class Search:
             enough = np.asarray(last) - np.asarray(first) >= 2 * LEAST_ROWS
             return np.where(enough, better.sum(axis=1) - (count + ends) * np.log(facts), -np.inf)
 
-        if kind == "masses":  # constant during a run
+        if common.is_constant:
             first, last = 0, self.edges.end
             gain = float(scores(np.array([first]), np.array([last]))[0])
         else:
@@ -464,16 +491,17 @@ class Search:
             np.sum([part[1] for part in parts], axis=0),
         )
         parameters, errors = _solved(H, g, inverse, float(totals.sum()), int(self.count.sum()))
-        columns = np.zeros((*self.y.shape, len(priors)))
+        columns = np.zeros((*self.y.shape, len(common.priors)))
         columns[0] = link * self.edges.share(first, last)[:, None, None]
-        fit = _Fit(-1, kind, part, columns, priors, (first, last), gain, parameters, errors,
-                   used=used)  # fmt: skip
+        fit = _Fit(-1, common.kind, common.part, columns, common.priors, (first, last), gain,
+                   parameters, errors, used=used, common=common)  # fmt: skip
         seen = np.ix_(self.edges.share(first, last) > 0.5, used)
         before = float((self.left[0][seen] ** 2).sum())
         after = float(((self.left - columns @ parameters)[0][seen] ** 2).sum())
-        least = max(_MIN_MASS if kind == "payload" else _MIN_SHARE_OF_MASS, 3.0 * errors[0])
-        is_body = abs(parameters[0]) > least and after < 0.4 * before
-        return fit if is_body and self._matters(fit) else None
+        if common.kind == "encoder" and abs(parameters[0]) > _MAX_OFFSET:
+            return None
+        is_clear = abs(parameters[0]) > max(_LEAST[common.kind], 3.0 * errors[0])
+        return fit if is_clear and after < 0.4 * before and self._matters(fit) else None
 
     def _effects(self, fit: _Fit) -> Array:
         """Of a fit at every joint, root mean square while it acts, of the larger side, (n,)."""
@@ -603,13 +631,17 @@ class Search:
             values = dict(zip("xyz", (fit.parameters[1:4] / mass).tolist(), strict=True))
         elif kind == "masses":
             size, error, unit = 100.0 * size, 100.0 * error, "%"
+        elif kind == "encoder" and fit.common is not None:
+            is_angle = found.robot.types[names.index(fit.common.place)] == "revolute"
+            scale, unit = (180.0 / np.pi, "deg") if is_angle else (1.0, "m")
+            size, error = scale * size, scale * error
         elif kind == "unexplained":
             effect = (fit.columns[..., 0] * self.sigma)[:, :, fit.joint].ravel()
             size = float(effect[np.argmax(np.abs(effect))])
         first, last = fit.edges
-        of_all = FLANGE if kind == "payload" else LINKS
+        place = names[fit.joint] if fit.common is None else fit.common.place
         return Explanation(
-            of_all if fit.joint < 0 else names[fit.joint], kind, fit.part, size, unit, error,
+            place, kind, fit.part, size, unit, error,
             fit.confidence, float(found.times[0] + 0.5 * first * found.step),
             None if last >= self.edges.end else float(found.times[0] + 0.5 * last * found.step),
             first == 0, values, tuple(joints),

@@ -17,10 +17,12 @@ Kind = Literal[
     "noise",
     "payload",
     "masses",
+    "encoder",
     "stuck",
     "unexplained",
 ]
-Part = Literal["torque sensor", "drive", "joint", "flange", "links", "sensor or drive"]
+Part = Literal["torque sensor", "drive", "joint", "flange", "links", "encoder", "sensor or drive"]
+_SIGNED: tuple[Kind, ...] = ("bias", "friction", "payload", "masses", "encoder")
 FLANGE, LINKS = "flange", "links"
 MOST_SURE = 0.99
 # Of two runs it is known which has them; others are another size where these change places.
@@ -36,8 +38,8 @@ class Explanation:
         kind: of the fault.
         part: its location.
         size: the gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm),
-            noise's standard deviation (Nm), mass (kg), difference of the links' masses (%), held
-            torque (Nm), or peak (Nm).
+            noise's standard deviation (Nm), mass (kg), difference of the links' masses (%), an
+            encoder's offset (deg or m), held torque (Nm), or peak (Nm).
         unit: of it; empty for a gain.
         error: standard error of the size; NaN if unknown.
         confidence: 0 to 1.
@@ -91,6 +93,7 @@ class Explanation:
             f"{self.values.get('viscous', 0.0):+.2g} {rate}",
             "noise": f"{size:.2g} {unit} of the {part}",
             "payload": f"{size:+.3g}{_about(error)} kg at ({center}) m of the flange",
+            "encoder": f"off by {size:+.3g}{_about(error)} {unit}",
             "masses": f"{size:+.1f}{_about(error)} % of what the robot's file declares",
             "stuck": stuck,
             "unexplained": f"up to {abs(size):.3g} {unit}; {unknown}",
@@ -104,7 +107,7 @@ class Explanation:
         if self.kind in ("sign", "stuck", "unexplained"):
             return f"{self.kind} ({self.part}){of_second}"
         factor, unit = (1e3, "ms") if self.kind == "delay" else (1.0, self.unit)
-        is_signed = self.kind in ("bias", "friction", "payload", "masses") or self.is_difference
+        is_signed = self.kind in _SIGNED or self.is_difference
         sign = "+" if is_signed else ""
         return f"{self.kind} {factor * self.size:{sign}.3g} {unit}".strip() + of_second
 

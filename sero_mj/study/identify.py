@@ -191,6 +191,10 @@ def _motor_side(
                            f"the run moves {name} too little to tell", condition)  # fmt: skip
     if len(np.unique(np.rint(X[rows, 0]))) < 2:
         estimates[0] = Estimate(None, None, f"the run moves {name} in one direction only")
+    if _is_negative(estimates[2]):
+        unit = _UNITS[found.robot.types[k] == "revolute"][2]
+        reason = f"{name} would have {estimates[2]} {unit}; is it commanded what its drive does?"
+        estimates[2] = Estimate(None, None, reason)
     fit = np.where(rows, X @ values, np.nan)
     return estimates[:3], condition, fit
 
@@ -199,10 +203,12 @@ def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], 
     """Mass and centre of the payload, offsets of the torque sensors, condition number, fit."""
     n, K = found.robot.n, len(found.times)
     if not found.has_model:
-        reason = "the links' masses are not declared, or something carries the robot"
-        unknown = Estimate(None, None, reason)
+        unknown = Estimate(None, None, found.no_model)
         return [unknown] * 4, [unknown] * n, np.inf, np.full((K, n), np.nan)
     known = np.isfinite(found.link)
+    if not known.any():
+        unknown = Estimate(None, None, "the run has no torques at links that are free to move")
+        return [unknown] * 4, [unknown] * n, np.inf, np.full((K, n), np.nan)
     X = np.concatenate(
         [found.payload, np.broadcast_to(np.eye(n), (K, n, n))], axis=2
     )  # (K, n, 10 + n)
@@ -211,11 +217,12 @@ def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], 
     weights = np.ones(n)
     for _ in range(3):
         values, covariance, inflation = _regression(X * weights[:, None], y * weights, priors)
-        left = np.where(known, y - X @ values, np.nan)
-        spread = np.sqrt(np.nanmean(left**2, axis=0))
+        left = np.where(known, y - X @ values, 0.0)
+        spread = np.sqrt((left**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
         weights = 1.0 / np.hypot(spread, _FLOOR * found.scale)
     # Only the part of the scores above the floor is in the residuals.
-    covariance = covariance * float(1.0 / np.mean((weights * spread) ** 2))
+    is_known = known.any(axis=0)
+    covariance = covariance * float(1.0 / np.mean((weights * spread)[is_known] ** 2))
     tells = np.r_[0:4, 10 : 10 + n]
     condition = _condition((X * weights[:, None]).reshape(-1, 10 + n)[:, tells])
     estimates = _estimates(values, covariance, inflation, "the run moves the flange too little to "
@@ -228,6 +235,10 @@ def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], 
     ]  # fmt: skip
     mass = estimates[0]
     fit = np.where(known, X @ values, np.nan)
+    if _is_negative(mass):
+        reason = f"a payload of {mass} kg would fit best, so another force acts on the robot"
+        unknown = Estimate(None, None, reason)
+        return [unknown] * 4, [unknown] * n, condition, fit
     if mass.value is None or mass.error is None or mass.value < _MIN_SIGNIFICANCE * mass.error:
         reason = mass.reason or "there is no payload beyond doubt"
         return [mass, *[Estimate(None, None, reason)] * 3], offsets, condition, fit
@@ -288,6 +299,11 @@ def _estimates(
     ]
 
 
+def _is_negative(mass: Estimate) -> bool:
+    """Whether a mass or an inertia is less than 0 beyond doubt."""
+    return mass.value is not None and mass.value < -_MIN_SIGNIFICANCE * (mass.error or 0.0)
+
+
 def _condition(X: Array) -> float:
     """Condition number of columns scaled to length 1; infinite if one is zero."""
     lengths = np.linalg.norm(X, axis=0)
@@ -333,11 +349,11 @@ def as_table(found: Identified) -> Table:
 
     title = f"{found.run}: {found.robot.name}, {found.begin:.3f} s to {found.end:.3f} s"
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
-    unit = one_unit(unit_of("torques", kind) for kind in found.robot.types)
-    unit = unit and f", {unit}"
+    units = dict.fromkeys(_UNITS[kind == "revolute"] for kind in found.robot.types)
+    force, rate, inertia = (" or ".join(each) for each in zip(*units, strict=True))
     table.add_column("joint", no_wrap=True)
-    for heading in (f"Coulomb\nfriction{unit}", f"viscous\nfriction{unit and unit + ' s/rad'}",
-                    "motor\ninertia, kg m2", f"torque\noffset{unit}"):  # fmt: skip
+    for heading in (f"Coulomb\nfriction, {force}", f"viscous\nfriction, {rate}",
+                    f"motor\ninertia, {inertia}", f"torque\noffset, {force}"):  # fmt: skip
         table.add_column(heading, justify="right", no_wrap=True)
     for each in found.joints:
         figures = (each.coulomb_friction, each.viscous_friction, each.motor_inertia)

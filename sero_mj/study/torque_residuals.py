@@ -23,6 +23,7 @@ Hollerbach, Estimation of inertial parameters of manipulator loads and links, IJ
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,10 @@ _NOISE_CORRELATION = -0.35  # correlation of second differences, below which the
 _STOP = 0.005  # of a joint's range, within which it is at an end stop
 _MIN_SCALE = 1e-3  # Nm or N, of joints without limit and torque
 _DIFFERENCE_STEP = 1e-4  # s, step of the numerical derivative of the Jacobian
+# Of second differences of angles: their size where an angle jumps, by that of most rows; which rows
+# these are; and what is left of one after the next.
+_JUMP, _MOST, _RETURNS = 20.0, 0.99, 0.2
+_ANGLE_STEP = 1e-4  # rad or m, likewise of torques by angles
 
 # s, tried delays of sensors and drives; effects are interpolated in between.
 DELAYS = 0.002 * np.arange(1, 51)
@@ -61,7 +66,8 @@ class TorqueResiduals:
     Attributes:
         robot: its declaration.
         times: (K,), s, equidistant.
-        link: measured minus the model's torques at the links, (K, n), Nm or N.
+        link: measured minus the model's torques at the links, (K, n), Nm or N; NaN at joints that
+            are coupled, of whose torques each may be a share.
         motor: commanded minus measured torque, minus motor inertia and declared friction torques,
             (K, n); also NaN where the joint is slow or reverses.
         lag: commanded minus measured torque, uncorrected, (K, n).
@@ -78,6 +84,8 @@ class TorqueResiduals:
         signs: of the velocities, (K, n).
         accelerations: (K, n).
         slow: (K, n), where joints hardly move.
+        by_angle: (K, n, n), change of the model's torque at the first joint by the angle of the
+            second, in Nm and N by rad and m: what an encoder's offset makes the model err by.
         payload: (K, n, 10), torques by mass, first moments and inertia (about the flange, in its
             axes) of a body that is fixed to the flange: `PARAMETERS`, SI units.
         roughness: (W, n), of the measured torque in windows, Nm: the standard deviation of
@@ -90,8 +98,7 @@ class TorqueResiduals:
         coulomb: (n,), declared friction, Nm.
         viscous: (n,), Nm s/rad.
         torque_control: whether joint torque control is on.
-        has_model: whether `link` is valid: the links' masses are declared, the robot is fixed in
-            the world and carries no other.
+        no_model: why `link` says nothing, as where masses are not declared; empty where it does.
     """
 
     robot: SerialRobot
@@ -111,6 +118,7 @@ class TorqueResiduals:
     signs: Array
     accelerations: Array
     slow: Bools
+    by_angle: Array
     payload: Array
     roughness: Array
     rough_times: Array
@@ -120,7 +128,12 @@ class TorqueResiduals:
     coulomb: Array
     viscous: Array
     torque_control: bool
-    has_model: bool
+    no_model: str
+
+    @property
+    def has_model(self) -> bool:
+        """Whether `link` is valid."""
+        return not self.no_model
 
     @property
     def step(self) -> float:
@@ -156,6 +169,7 @@ def torque_residuals(
     # Torques of a row act in the step that leads to it: the state is that of the previous row.
     q, v = rows["q"][1:-1], np.diff(rows["q"], axis=0)[:-1] / step
     a = np.diff(rows["q"], n=2, axis=0) / step**2
+    a[_jumps(a)] = np.nan
     at, measured, commanded = rows["t"][2:, 0], rows["measured"][2:], rows["commanded"][2:]
     low_pass = _LowPass(at, step, times, most_rows, window)
     if len(low_pass.times) < _MIN_ROWS:
@@ -182,6 +196,8 @@ def torque_residuals(
     if robot.elastic_joints:  # the motor's, ahead of the link's by the spring's deflection
         acceleration = acceleration + low_pass.second(measured) / dynamics.joint_stiffness
     free = np.where(_at_stops(robot, q), np.nan, measured)
+    coupled = {*robot.couplings, *(each.to for each in robot.couplings.values())}
+    free[:, [name in coupled for name in robot.names]] = np.nan
     felt = robot.torque_control.motor_inertias
     if felt is None:
         felt = robot.torque_control.inertia_ratio * dynamics.motor_inertias
@@ -219,6 +235,7 @@ def torque_residuals(
         signs=signs,
         accelerations=acceleration,
         slow=slow,
+        by_angle=_torques_by_angle(robot, low_pass(q), low_pass(v), low_pass(a)),
         payload=low_pass(_payload_torques(robot, q, v, a)),
         roughness=rough,
         rough_times=at[1] + windows,
@@ -228,7 +245,7 @@ def torque_residuals(
         coulomb=dynamics.coulomb_friction,
         viscous=dynamics.viscous_friction,
         torque_control=torque_control,
-        has_model="masses" not in dynamics.estimated and _stands_alone(robot, log),
+        no_model=_why_no_model(robot, log, dynamics.estimated),
     )
 
 
@@ -359,6 +376,36 @@ def _link_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
     return torques
 
 
+def _jumps(a: Array) -> Bools:
+    """Rows in which an angle jumps and keeps its velocity, as no robot moves, (T, n).
+
+    An encoder slips, or is set anew. The second difference is large there, twice, and the other way
+    round: `_JUMP` times that of most rows in which it is not 0, as resolution and noise make it.
+
+    Args:
+        a: second differences of the angles, (T, n).
+    """
+    moving = np.where(a == 0.0, np.nan, np.abs(a))
+    usual = [
+        np.nanquantile(each, _MOST) if np.isfinite(each).any() else np.inf for each in moving.T
+    ]
+    large = np.abs(a[:-1]) > _JUMP * np.array(usual)
+    back = np.abs(a[:-1] + a[1:]) < _RETURNS * np.abs(a[:-1])
+    found = np.zeros(a.shape, bool)
+    found[:-1] |= large & back
+    found[1:] |= large & back
+    return found
+
+
+def _torques_by_angle(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
+    """The change of `_link_torques` by each angle, by central differences, (K, n, n)."""
+    found = np.empty((len(q), robot.n, robot.n))
+    for j, shift in enumerate(_ANGLE_STEP * np.eye(robot.n)):
+        more, less = (_link_torques(robot, q + side * shift, v, a) for side in (1.0, -1.0))
+        found[:, :, j] = (more - less) / (2.0 * _ANGLE_STEP)
+    return found
+
+
 def _payload_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
     """Torques at the links by the ten parameters of a body at the flange, (T, n, 10).
 
@@ -458,12 +505,18 @@ def _scale(robot: SerialRobot, measured: Array) -> Array:
     return np.asarray(np.maximum(np.nanmax(np.abs(measured), axis=0, initial=0.0), _MIN_SCALE))
 
 
-def _stands_alone(robot: SerialRobot, log: RunLog) -> bool:
-    """Whether its links carry no other robot, and its base is fixed."""
-    carried = any(
-        (each.mount or "").partition("/")[0] == robot.name for each in log.robots.values()
-    )
-    return robot.mount is None and not robot.free_base and not carried and not robot.couplings
+def _why_no_model(robot: SerialRobot, log: RunLog, estimated: Sequence[str]) -> str:
+    """Why torques at a robot's links cannot be known; empty where they can."""
+    if "masses" in estimated:
+        return f"the masses of {robot.name} are not declared, but estimated"
+    if robot.mount is not None or robot.free_base:
+        return f"the base of {robot.name} moves"
+    carried = [
+        name
+        for name, each in log.robots.items()
+        if (each.mount or "").partition("/")[0] == robot.name
+    ]
+    return f"{robot.name} carries {', '.join(carried)}" if carried else ""
 
 
 def _at_stops(robot: SerialRobot, angles: Array) -> Bools:
