@@ -13,6 +13,7 @@ import numpy as np
 from ..base.errors import DeclarationError, SeroError
 from ..base.reduction import rms
 from ..simulate.control.compiler import Compiler
+from ..simulate.mujoco_timers import without_timers
 from ..simulate.run_batch import batch_key
 from ..simulate.runs.run_log import RunLog
 from ..simulate.scenario import Scenario
@@ -68,8 +69,9 @@ class VariantRunner:
             with _error_in(result):
                 scenario = read_scenario(self._file, {**self._fixed, **values})
                 batches.setdefault(batch_key(scenario), []).append((scenario, result))
-        for batch in batches.values():
-            self._run_batch(batch)
+        with without_timers():
+            for batch in batches.values():
+                self._run_batch(batch)
         return found
 
     def _run_batch(self, batch: list[tuple[Scenario, dict[str, Any]]]) -> None:
