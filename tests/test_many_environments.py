@@ -254,22 +254,26 @@ def test_faults_begin_and_end_in_every_episode_by_itself(sensors: dict[str, Any]
     play_with_restart(settings, {}, {name: build_entry("faults", FAULTS[name]) for name in FAULTS})
 
 
-def test_gravity_masses_and_inverse_dynamics_of_many_are_those_of_each() -> None:
-    model = Compiler().robot_model(SerialRobot.from_model("lwr"))
-    many = ModelRows(model, 5)
-    angles, velocities, wanted, accelerations = np.random.default_rng(1).uniform(-2, 2, (4, 5, 7))
-    torques, less = np.zeros((2, 5, 7))
+@pytest.mark.parametrize("name", ["lwr", "ur5e"])
+def test_gravity_masses_and_dynamics_of_many_are_those_of_each(name: str) -> None:
+    model = Compiler().robot_model(SerialRobot.from_model(name))
+    many, n = ModelRows(model, 5), model.n
+    angles, velocities, wanted, accelerations = np.random.default_rng(1).uniform(-2, 2, (4, 5, n))
+    torques, less, momentum, slope = np.zeros((4, 5, n))
     many.update(angles, velocities)
     many.write_inverse_dynamics(wanted, accelerations, torques, less)
+    many.write_momentum(momentum, slope)
     gravity, masses = many.gravity(), many.mass()
     np.testing.assert_array_equal(many.mass([3])[0], masses[3])
-    own, own_less = np.zeros((2, 7))
+    own, own_less, own_momentum, own_slope = np.zeros((4, n))
     for k in range(5):
         model.update(angles[k], velocities[k])
         np.testing.assert_array_equal(gravity[k], model.gravity())
         np.testing.assert_array_equal(masses[k], model.mass())
         model.write_inverse_dynamics(wanted[k], accelerations[k], own, own_less)
         np.testing.assert_array_equal((torques[k], less[k]), (own, own_less))
+        model.write_momentum(own_momentum, own_slope)
+        np.testing.assert_array_equal((momentum[k], slope[k]), (own_momentum, own_slope))
 
 
 def test_what_is_only_looked_at_is_not_simulated_and_what_was_changed_is() -> None:

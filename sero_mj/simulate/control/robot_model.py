@@ -90,6 +90,7 @@ class RobotModel:
         self.position_limits: Array = np.tile([-np.inf, np.inf], (n, 1))
         self.velocity_limits: Array = np.full(n, np.inf)
         self._model = skeleton(model, ids, site, body)
+        self._row_models: dict[int, mujoco.MjModel] = {}
         self._take_views()
 
     def __copy__(self) -> RobotModel:
@@ -98,6 +99,22 @@ class RobotModel:
         made.__dict__.update(self.__dict__, _model=copy.copy(self._model))
         made._take_views()
         made._base = self._base
+        return made
+
+    def side_by_side(self, m: int) -> RobotModel:
+        """A model of m such robots in one world, whose m n joints follow each other.
+
+        What depends on one robot alone is the same in it to the bit: gravity, Coriolis torques,
+        inverse dynamics, momentum. It has no flange.
+        """
+        known = self._row_models  # by m; copies share it, as compiling takes long
+        if m not in known:
+            known.clear()
+            known[m] = _repeated(self._model, m)
+        made = object.__new__(type(self))
+        made.__dict__.update(self.__dict__, n=m * self.n, _model=copy.copy(known[m]))
+        made._model.opt.gravity[:] = self._model.opt.gravity
+        made._take_views()
         return made
 
     def _take_views(self) -> None:
@@ -112,8 +129,9 @@ class RobotModel:
         self.motor_inertia: Array = self._model.dof_armature.copy()
         self._jacobian: Array = np.zeros((6, n))
         self._linear, self._angular = self._jacobian[:3], self._jacobian[3:]
-        self.flange_position: Array = data.site_xpos[0]
-        self.flange_rotation: Array = data.site_xmat[0].reshape(3, 3)
+        if self._model.nsite:
+            self.flange_position: Array = data.site_xpos[0]
+            self.flange_rotation: Array = data.site_xmat[0].reshape(3, 3)
         self._cinert, self._cdof = data.cinert, data.cdof
         self._can_move = False
         self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
@@ -251,14 +269,6 @@ class RobotModel:
         result = self._gravity if out is None else out
         mj_rne(self._model, self._data, 0, result)
         return result
-
-    def write_gravity(self, angles: Array, out: Array) -> None:
-        """Writes g(q) of many angles, (m, n) each; `update` has to come before anything else."""
-        model, data, qpos = self._model, self._data, self._qpos
-        for one, torques in zip(angles, out, strict=True):
-            qpos[...] = one
-            mj_fwdKinematics(model, data)
-            mj_rne(model, data, 0, torques)
 
     def coriolis(self) -> Array:
         """C(q, dq) dq, (n,)."""
@@ -470,4 +480,34 @@ def skeleton(
         at.add_site(name="flange", pos=model.site_pos[site], quat=model.site_quat[site])
     else:
         copies[int(body or 0)].add_site(name="flange")
+    return spec.compile()
+
+
+def _repeated(model: mujoco.MjModel, m: int) -> mujoco.MjModel:
+    """Returns a model with m times the bodies and joints of a skeleton, and no site."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.compiler.balanceinertia = False
+    for _ in range(m):
+        copies = {0: spec.worldbody}
+        for old in range(1, model.nbody):
+            parent = copies[int(model.body_parentid[old])]
+            copies[old] = new = parent.add_body(
+                pos=model.body_pos[old],
+                quat=model.body_quat[old],
+                explicitinertial=True,
+                mass=model.body_mass[old],
+                inertia=model.body_inertia[old],
+                ipos=model.body_ipos[old],
+                iquat=model.body_iquat[old],
+            )
+            first = int(model.body_jntadr[old])
+            for joint in range(first, first + int(model.body_jntnum[old])):
+                new.add_joint(
+                    type=mujoco.mjtJoint(int(model.jnt_type[joint])),
+                    pos=model.jnt_pos[joint],
+                    axis=model.jnt_axis[joint],
+                    ref=model.qpos0[model.jnt_qposadr[joint]],
+                    armature=model.dof_armature[model.jnt_dofadr[joint]],
+                )
     return spec.compile()
