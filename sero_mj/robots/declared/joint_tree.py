@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...base.errors import Problem
-from ...base.frames import MIRROR, Array, Bools, Ints, empty_transforms, inverse
+from ...base.frames import MIRROR, Array, Bools, Ints, compose, empty_transforms, inverse
 
 
 class JointTree(ABC):
@@ -147,7 +147,7 @@ class JointTree(ABC):
         """
         links = self.link_transforms(joint_angles)
         path = [links[..., i, :, :] for i in self.moves[link].nonzero()[0].tolist()]
-        return reduce(np.matmul, path or [np.tile(np.eye(4), (*links.shape[:-3], 1, 1))])
+        return reduce(compose, path or [np.tile(np.eye(4), (*links.shape[:-3], 1, 1))])
 
     @property
     def axis_frames(self) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...base import paths
 from ...base.errors import DeclarationError
-from ...base.frames import MIRROR, Array, Bools, Ints
+from ...base.frames import MIRROR, Array, Bools, Ints, compose
 from ...base.toml_file import located
 from ..importers.mjcf_file import is_file_name
 from ..importers.robot_file import read_robot_file
@@ -326,7 +326,7 @@ class SerialRobot(RobotDeclaration):
         q = self.home if joint_angles is None else np.asarray(joint_angles, np.float64)
         if self.couplings and q.shape[-1:] == (self.coupled.k,):
             q = self.coupled.full("joint_angles", q)
-        return np.asarray(self.kinematics.frame(self.flange_link, q) @ self.T_n_flange)
+        return compose(self.kinematics.frame(self.flange_link, q), self.T_n_flange)
 
 
 def _shortened(names: Sequence[str]) -> str:

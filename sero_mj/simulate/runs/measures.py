@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ...base.frames import Array
+from ...base.frames import Array, compose
 from ...robots.declared.mounts import base_frames, carriers
 from .run_log import RunLog, event_of
 
@@ -41,8 +41,8 @@ def _flange(log: RunLog, robot: str, signal: str | None = None) -> Array:
         logged = {name: event_of(name, "base_frame") for name in (robot, *below)}
         placed = {name: log.signals[e] for name, e in logged.items() if e in log.signals}
         base = base_frames(log.robots, below, placed)[robot]
-        poses = base @ declared.fwd_kin_base_to_flange(log.of(robot, signal))
-        log.derived[robot, signal] = np.asarray(poses)
+        poses = declared.fwd_kin_base_to_flange(log.of(robot, signal))
+        log.derived[robot, signal] = compose(base, poses)
     return log.derived[robot, signal]
 
 
