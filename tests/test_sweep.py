@@ -21,6 +21,7 @@ from sero_mj.base.paths import find_scenario
 from sero_mj.cli import main
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
+from sero_mj.study.engine import Variants, Work
 from sero_mj.study.samples import Samples, Vary, full_grid, latin_hypercube
 from sero_mj.study.sweep import Sweep
 from sero_mj.study.sweep_results import SweepTable, plot_sweep, summarise_sweep
@@ -498,7 +499,7 @@ def test_options_that_cannot_be_are_told(
 
 
 # More than two processes run at once, each its 24 together.
-MANY = 80
+MANY = 100
 SEEDS = ["--samples", str(MANY), "--vary", "run.seed=0:1000", "--set", "run.duration=0.4",
          "--set", "expect.it_holds.below=1.0"]  # fmt: skip
 
@@ -581,3 +582,11 @@ def test_the_shipped_scenario_can_be_swept() -> None:
     runs = sweep(find_scenario("impedance_push"), f"{STIFFNESS}=log:100:5000", samples=2)
     assert runs.columns[:3] == ["variant", STIFFNESS, "held"]
     assert set(runs.settings["files"]) == {"impedance_push.toml", "lwr/robot.toml"}
+
+
+@pytest.mark.parametrize(
+    ("left", "workers", "size"), [(64, 1, 32), (64, 2, 32), (70, 1, 35), (5, 8, 1), (300, 2, 50)]
+)
+def test_batches_of_all_workers_are_of_one_size(left: int, workers: int, size: int) -> None:
+    work = Work(Variants(Path("shove.toml"), {}), [], most=64)
+    assert work.size(left, workers) == size

@@ -176,13 +176,15 @@ class Work:
     def size(self, left: int, workers: int) -> int:
         """How many are done together: few enough for memory, and for results to come meanwhile.
 
+        Batches are of one size, so that at the end no worker waits for another.
+
         Args:
             left: how many are still to be done.
             workers: how many take some of them.
         """
-        workers = max(workers, 1)
-        enough = min(-(-left // workers), _ENOUGH)
-        return min(self.most, max(-(-left // (2 * workers)), enough, 1))
+        each = -(-left // max(workers, 1))
+        batches = max(-(-each // self.most), min(each // _ENOUGH, 2), 1)  # of every worker
+        return max(-(-each // batches), 1)
 
 
 class Engine(Protocol):
