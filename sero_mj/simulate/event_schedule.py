@@ -107,7 +107,7 @@ class EventSchedule:
         self._now = k
         self._due.act(k)
         for push, forces in self._varying:
-            push.force[:], push.torque[:] = forces[k]
+            push.wrench[...] = forces[k]
 
     @property
     def next(self) -> float:

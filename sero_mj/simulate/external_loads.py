@@ -28,6 +28,7 @@ class Push:
         body: of the frame, in the model.
         site: of the frame itself.
         axes: the site in whose axes force and torque are given; None for the world's.
+        wrench: (2, 3), force and torque, N and Nm, in place.
     """
 
     def __init__(
@@ -40,7 +41,7 @@ class Push:
         at: ArrayLike,
     ) -> None:
         self.frame, self.expressed_in = frame, expressed_in
-        self._wrench: Array = np.array([_three("force", force), _three("torque", torque)])
+        self.wrench: Array = np.array([_three("force", force), _three("torque", torque)])
         self.at = _three("at", at)
         self.site = _site(world, frame)
         self.body = int(world.model.site_bodyid[self.site])
@@ -49,17 +50,17 @@ class Push:
     @property
     def force(self) -> Array:
         """(3,), N, in place."""
-        return np.asarray(self._wrench[0])
+        return np.asarray(self.wrench[0])
 
     @property
     def torque(self) -> Array:
         """(3,), Nm, in place."""
-        return np.asarray(self._wrench[1])
+        return np.asarray(self.wrench[1])
 
     def write_into(self, wrench: Array) -> None:
         """Keeps force and torque in an array from now on, (2, 3)."""
-        wrench[...] = self._wrench
-        self._wrench = wrench
+        wrench[...] = self.wrench
+        self.wrench = wrench
 
     def apply(self, model: mujoco.MjModel, data: mujoco.MjData, torques: Array) -> None:
         """Adds its joint torques.
@@ -140,19 +141,19 @@ class PushRows:
                 wrenches, axes = wrenches.copy(), turns[of[self._turned], self._axes]
                 for k in range(2):  # one by one, as `Push.apply` does
                     wrenches[self._turned, k] = (axes @ wrenches[self._turned, k, :, None])[..., 0]
-        arms = (points - self._centers[of, self._roots])[:, None]
-        motions = self._motions[of]
-        axes, lines = motions[..., :3], motions[..., 3:]
+        arms = points - self._centers[of, self._roots]
+        # By component, (k, nv) each: numpy is slow where few numbers follow each other.
+        motions = self._motions[of].transpose(2, 0, 1).copy()
+        x, y, z, *lines = motions
+        (rx, ry, rz), (fx, fy, fz), (tx, ty, tz) = (
+            each.T[..., None] for each in (arms, wrenches[:, 0], wrenches[:, 1])
+        )
         # Columns of the Jacobian of the point: v + w x r. `np.cross` takes twice as long.
-        x, y, z = axes[..., 0], axes[..., 1], axes[..., 2]
-        rx, ry, rz = arms[..., 0], arms[..., 1], arms[..., 2]
-        lines[..., 0] += y * rz - z * ry
-        lines[..., 1] += z * rx - x * rz
-        lines[..., 2] += x * ry - y * rx
-        lines *= wrenches[:, None, 0]
-        found = np.add.reduce(lines, axis=-1)
-        axes *= wrenches[:, None, 1]
-        found += np.add.reduce(axes, axis=-1)
+        lines[0] += y * rz - z * ry
+        lines[1] += z * rx - x * rz
+        lines[2] += x * ry - y * rx
+        found = lines[0] * fx + lines[1] * fy + lines[2] * fz
+        found += x * tx + y * ty + z * tz
         found *= self._moved
         if self._is_single:
             torques[of] = found
