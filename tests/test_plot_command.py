@@ -14,6 +14,7 @@ from runs import simulated, sine_run, two_joints
 
 from sero_mj.base.errors import CsvError, UsageError
 from sero_mj.cli import main
+from sero_mj.data.receive.udp import UdpReceiver
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.log_output import RunRecorder
 from sero_mj.simulate.runs.run_csv import write_run_csv
@@ -134,6 +135,17 @@ def test_what_is_no_figure_or_no_table_is_told(
         reason="found the columns a, b[0], ...; expected such as ROBOT_torques[0]",
     ):
         read_run_table(table, Scene())
+    source = UdpReceiver(name="udp", structure="measured:2F commanded:2F", port=32000)
+    scene = Scene(
+        robots=[two_joints()], sources={"udp": source}, routes={"arm.torques": "udp.measured"}
+    )
+    table.write_text("time,measured[1],commanded[0],commanded[1]\n0,1,2,3\n")
+    with raises_with(
+        CsvError,
+        path=f"{tmp_path}/t.csv",
+        reason="has no column measured[0], of source 'udp'",
+    ):
+        read_run_table(table, scene)
 
 
 def test_robots_without_torques_are_left_out_of_a_plot_of_all(tmp_path: Path) -> None:

@@ -177,6 +177,11 @@ def test_a_scenario_may_take_another_files_scene(tmp_path: Path) -> None:
             "[expect.e]\nfinds='torque_error'\ncause='psh'\n",
             Problem("expect.e.cause", "no disturbance or fault", found="psh", available=[]),
         ),
+        (  # and not that there is no push
+            "[disturbances.push]\nkind='force'\nat='lwr/flange'\nforce=[0,0]\n"
+            "[expect.e]\nfinds='torque_error'\ncause='push'\n",
+            Problem("disturbances.push.force", found=2, expected="3 numbers"),
+        ),
         (
             "[expect.e]\nmeasure='torque'\nbelow=1\nafter=3\n",
             Problem("expect.e.after", "found 3 s; the run ends at 0.1 s"),

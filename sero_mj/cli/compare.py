@@ -54,6 +54,7 @@ of a Dask cluster, which are sent the recordings. The exit status is 1 when a to
 2 when they, or one of many, cannot be compared.
 """
 ORDER = 43  # in the help of `sero-mj`
+_WIDTH = 70  # of explanations in a table of many recordings
 _OF_MANY = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
 
 
@@ -168,8 +169,9 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
         file: the recording.
 
     Returns:
-        of every signal `peak` and `rms`, those of the joint with the greatest peak, and that
-        `joint`; what was `exceeded`; what is `explained`, and in short the `faults`.
+        over how many `seconds`; of every signal `peak` and `rms`, those of the joint with the
+        greatest peak, and that `joint`; what was `exceeded`; what is `explained`, and in short the
+        `faults`.
     """
     from ..study.compare import compare, exceeded
 
@@ -178,7 +180,7 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
     options = CompareOptions(**{**given, place: str(file)})
     pair, explanations, _ = _compared(options)
     differences = compare(pair)
-    row: dict[str, Any] = {}
+    row: dict[str, Any] = {"seconds": float(pair.times[-1] - pair.times[0])}
     for signal in pair.signals:
         found = [each for each in differences if each.signal == signal]
         worst = max(found, key=lambda each: np.nan_to_num(abs(each.peak), nan=-1.0))
@@ -218,7 +220,11 @@ def _compare_many(options: CompareOptions) -> int:
     # With --each the angles on both sides are those of one recording.
     signals = {"torques": "torque peak"} | ({} if options.each else {"joint_angles": "angle peak"})
     failed = tell(
-        rows, options, options.table, lambda: _table_of(rows, signals), quiet=options.quiet
+        rows,
+        options,
+        options.table,
+        lambda: _table_of(rows, signals, "" if options.each else f"each less {options.a}"),
+        quiet=options.quiet,
     )
     over = [(path, row["exceeded"]) for path, row in rows if row.get("exceeded")]
     for path, text in over:
@@ -226,24 +232,28 @@ def _compare_many(options: CompareOptions) -> int:
     return status(rows, len(recordings), failed) or (1 if over else 0)
 
 
-def _table_of(rows: Rows, signals: Mapping[str, str]) -> Table:
+def _table_of(rows: Rows, signals: Mapping[str, str], title: str) -> Table:
     """A row for each recording: where some signals differ most, by their headings, and why."""
     from rich.table import Table
 
     from ..study.compare import shown_as
 
-    table = Table(box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False, title=title, title_justify="left", title_style="bold")
     headings = [each for heading in signals.values() for each in (heading, "at")]
-    for heading in ("recording", *headings, "explained by"):
-        table.add_column(heading, justify="right" if heading in signals.values() else "left")
+    numbers = ("over", *signals.values())
+    for heading in ("recording", "over", *headings):
+        table.add_column(heading, justify="right" if heading in numbers else "left", no_wrap=True)
+    table.add_column("explained by", max_width=_WIDTH)
     for path, row in rows:
-        cells = []
+        cells = [f"{row['seconds']:.3g} s" if "seconds" in row else ""]
         for signal in signals:
             peak = row.get(f"{signal}.peak")
             factor, unit = shown_as(row.get(f"{signal}.unit", ""))
             cells.append("" if peak is None else f"{factor * peak:.3g} {unit}")
             cells.append(row[f"{signal}.joint"] if peak else "")
-        table.add_row(str(path), *cells, row.get("faults", "not examined"))
+        why = row["error"].removeprefix(f"{path}: ")
+        told = row.get("faults", f"not examined: {why}") or "no difference found"
+        table.add_row(str(path), *cells, told)
     return table
 
 

@@ -159,7 +159,10 @@ add_to = command("record", run, RecordOptions, _EPILOG)
 
 def _status(found: Any) -> int:
     if not found.packets:
-        print("sero-mj: nothing came; sero-mj status says what arrives", file=sys.stderr)
+        hint = (
+            "sero-mj status says what is refused, sero-mj structure --sniff PORT what comes at all"
+        )
+        print(f"sero-mj: nothing came; {hint}", file=sys.stderr)
     return 0 if found.packets else 1
 
 

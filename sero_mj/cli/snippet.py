@@ -94,7 +94,7 @@ class SnippetOptions(Options):
         name: franka-cpp, franka-python, ur, ros2, lcm, simulink, c or rust; controllers for
             simulated robots are controller-c, controller-cpp, controller-rust (libraries),
             controller-udp-c and controller-udp-python (programs).
-        robot: that the scene shows: a file, or a shipped name; that of the snippet when None.
+        robot: that the scene shows: a file, or a shipped name (default: that of the snippet).
         host: where sero-mj runs, as the robot's computer knows it.
         port: of the packets.
         scene: print the scene instead.

@@ -124,3 +124,5 @@ def _print(found: list[dict[str, Any]]) -> None:
         print(f"{entry['source']}: {entry['about']}")
         for what, count, why in describe(entry):
             print(f"  {what:15} {count:>10}  {why}")
+    if any(not entry["received"] for entry in found):
+        print("sero-mj structure --sniff PORT shows whatever comes at a port", file=sys.stderr)

@@ -25,6 +25,7 @@ class RunContext(Protocol):
     scene: Scene
     disturbances: dict[str, Disturbance]
     faults: dict[str, Fault]
+    broken: set[str]  # disturbances and faults that are declared wrongly
 
     @property
     def duration(self) -> float:
@@ -184,7 +185,7 @@ class Expect(Declaration):
             if joint not in names
         ]
         causes = [*scenario.disturbances, *scenario.faults]
-        if self.cause is not None and self.cause not in causes:
+        if self.cause is not None and self.cause not in {*causes, *scenario.broken}:
             problems.append(
                 Problem("cause", "no disturbance or fault", found=self.cause, available=causes)
             )

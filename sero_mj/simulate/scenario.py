@@ -212,6 +212,8 @@ class Scenario:
             _share_out(section, scene)
         self.disturbances: dict[str, Disturbance] = self._each("disturbances", disturbances)
         self.faults: dict[str, Fault] = self._each("faults", faults)
+        named = (set(each) for each in (disturbances, faults) if isinstance(each, Mapping))
+        self.broken = set[str]().union(*named) - {*self.disturbances, *self.faults}
         self.expect: dict[str, Expect] = self._each("expect", expect)
         self.monitor = Monitor()
         with collect(self.problems, "monitor"):

@@ -49,6 +49,7 @@ _MODEL_NAMED = re.compile(r"""(\bmodel\s*=\s*)["']([^"'\n]+)["']""")
 _ANGLES, _OLD_ANGLES = "_joint_angles", "_angles"
 # Before `angles`, in old events of a robot that has others as well.
 _DERIVED = ("actual_", "target_")
+_MANY = 4  # columns that are named
 
 
 def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None = None) -> RunLog:
@@ -161,6 +162,10 @@ def _expected_columns(
     ]
     for name, source in sources.items():
         names = column_names(source.events)
+        missing = [each for each in names if each not in columns]
+        if len(missing) < len(names) / 2:
+            more = f" and {len(missing) - _MANY} more" if len(missing) > _MANY else ""
+            return f"has no column {', '.join(missing[:_MANY])}{more}, of source '{name}'"
         expected.append(f"{names[0]} to {names[-1]} of source '{name}'")
     shown = ", ".join([*columns][:6])
     wanted = ", or ".join(expected) or "ROBOT_torques[0]"
