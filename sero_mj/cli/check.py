@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..data.receive.source import Source
     from ..robots.declared.robot import SerialRobot
 
+_MOST_NAMED = 24  # joints
 _TIED = "\0"  # a space at which no line is broken
 _EPILOG = """\
 Reads and compiles the scene and opens nothing. Prints every problem at once, with file and line,
@@ -98,7 +99,10 @@ def _kind(robot: SerialRobot) -> str:
     table = "frames of joints" if robot.dh is None else f"{robot.dh_convention} DH"
     look = f"shapes generated from its {'joints' if robot.dh is None else 'DH table'}"
     if robot.has_geometry:
-        look = "meshes" if robot.mjcf is None else "geoms of its MJCF"
+        has_mesh = any(part.file for link in robot.filenames or [] for part in link)
+        look = "meshes" if has_mesh else "boxes, cylinders and the like"
+    if robot.mjcf is not None:
+        look = "geoms of its MJCF"
     return f"{robot.n} joints, {table}, {look}"
 
 
@@ -111,6 +115,7 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     )
 
     lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
+    lines.append(fill(f"          joints: {_in_order(robot)}", 100, subsequent_indent=" " * 18))
     lines.append(f"          flange: {_about_flange(robot)}")
     limbs = robot.limb_joints
     if len(limbs) > 1:
@@ -126,6 +131,22 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
         for line in about_large_inertias(robot, dynamics)
     ]
     return [*lines, *large, f"          dynamics: {about}", *repaired]
+
+
+def _in_order(robot: SerialRobot) -> str:
+    """The joints in the order of their values in packets, and which need none there."""
+    units = ["m" if kind == "prismatic" else "rad" for kind in robot.types]
+    mixed = len(set(units)) > 1
+    names = [f"{name} ({unit})" if mixed else name
+             for name, unit in zip(robot.names, units, strict=True)]  # fmt: skip
+    text = ", ".join(names[:_MOST_NAMED])
+    if len(names) > _MOST_NAMED:
+        text += f" and {len(names) - _MOST_NAMED} more"
+    if robot.couplings:
+        count = len(robot.couplings)
+        follow = "1 follows another" if count == 1 else f"{count} follow others"
+        text += f"; {robot.coupled.k} values suffice, as {follow}"
+    return text
 
 
 def _about_flange(robot: SerialRobot) -> str:
