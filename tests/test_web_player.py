@@ -23,6 +23,7 @@ pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING
 FPS = 20
 HOSTILE = "</script><script>globalThis.bad=1</script><img src=x onerror='globalThis.bad=2'>"
 SIZE = (640, 400)
+PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
 # What the robots cover, without decor: alpha of the picture, one digit a pixel, top row first.
 SILHOUETTE = """([width, height, time]) => {
     const { stage } = player;
@@ -78,6 +79,11 @@ def opened(browser: Any, file: Path, *, at: float = 1.0, before: str = "", **opt
 @pytest.fixture(scope="module")
 def page(browser: Any, file: Path) -> Any:
     return opened(browser, file)
+
+
+@pytest.fixture(scope="module")
+def phone(browser: Any, file: Path) -> Any:
+    return opened(browser, file, **PHONE)
 
 
 def test_a_page_opens_alone_and_draws_in_few_calls(page: Any, file: Path) -> None:
@@ -147,6 +153,31 @@ def test_the_plot_says_what_it_shows_in_which_unit(page: Any) -> None:
     names = page.locator("#legend").inner_text().split("\n")
     assert " ".join(names).split() == ["torque", "[Nm]", "measured", "commanded"]
     assert page.locator("#plot").get_attribute("aria-label").startswith("lwr/E1, torque [Nm]: ")
+
+
+def test_a_low_plot_of_what_is_all_but_0_has_a_scale(phone: Any) -> None:
+    numbers = """async (joint) => {
+        player.choose(joint);
+        await new Promise(requestAnimationFrame);
+        return player.plot.plot.axes[1]._values;
+    }"""
+    for joint in range(7):
+        found = phone.evaluate(numbers, joint)
+        assert len(found) > 1 and len(set(found)) == len(found)
+
+
+def test_an_angle_of_0_has_no_sign(page: Any) -> None:
+    page.evaluate("""() => {
+        const { joint_angles: angles } = player.run.values;
+        const [before] = angles;
+        angles[0] = -1e-5;
+        player.seek(0);
+        player.select({ joint: 0 });
+        player.draw();
+        angles[0] = before;
+    }""")
+    assert "0.000 rad" in page.locator("#details").inner_text()
+    assert "-0.000" not in page.locator("#details").inner_text()
 
 
 def test_the_status_is_backed_and_above_cards(page: Any) -> None:

@@ -274,11 +274,16 @@ export function valueOf(run, joint, key, frame) {
   return key === "torque_share" ? 100 * Math.abs(value) / limit : value;
 }
 
+/** A number with so many digits behind the point; 0 has no sign. @param {number} value @param {number} digits */
+export function fixed(value, digits) {
+  const text = value.toFixed(digits);
+  return /^-[0.]+$/.test(text) ? text.slice(1) : text;
+}
+
 /** The number of a line, as Python writes it. @param {Line} line @param {number} value */
 export function textOf(line, value) {
   if (!Number.isFinite(value)) return line.key === "torque_limit" ? "none" : "no data";
   const scaled = value * line.scale;
-  const text = Math.abs(scaled) < 1e6 ? scaled.toFixed(line.decimals) : scaled.toExponential(3);
-  const number = /^-[0.]+$/.test(text) ? text.slice(1) : text;
+  const number = Math.abs(scaled) < 1e6 ? fixed(scaled, line.decimals) : scaled.toExponential(3);
   return line.unit ? `${number} ${line.unit}` : number;
 }

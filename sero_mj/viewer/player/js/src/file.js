@@ -1,7 +1,7 @@
 /** The page of a run in a file: its picture, time line, plot, and what was clicked on. */
 
 import { Clock, SPEEDS } from "./clock.js";
-import { textOf, valueOf } from "./data.js";
+import { fixed, textOf, valueOf } from "./data.js";
 import { Geoms, geomsAt } from "./geoms.js";
 import { JointCards } from "./joint_cards.js";
 import { labelsAt } from "./labels.js";
@@ -265,7 +265,7 @@ export class Player {
     if (joint && selected.joint !== undefined) {
       if (selected.body && selected.body !== joint.name) rows.push(["joint", joint.name]);
       const angle = valueOf(run, selected.joint, "joint_angles", frame);
-      if (Number.isFinite(angle)) rows.push(["angle", `${angle.toFixed(3)} ${joint.angleUnit}`]);
+      if (Number.isFinite(angle)) rows.push(["angle", `${fixed(angle, 3)} ${joint.angleUnit}`]);
       for (const line of joint.details) {
         const value = valueOf(run, selected.joint, line.key, frame);
         if (Number.isFinite(value)) rows.push([WORDS[line.label] || line.label, textOf(line, value)]);

@@ -1,6 +1,7 @@
 /** A plot of a panel: lines in colours that the server says, with gaps, and limits. */
 
 import uPlot from "uplot";
+import { fixed } from "./data.js";
 import { made, mark } from "./page.js";
 
 /** @typedef {{name: string, rgb: number[], x: number[], y: (number | null)[]}} Line */
@@ -56,11 +57,15 @@ export function digitsOf(step) {
   return digits;
 }
 
+const SPACE = 30; // pixels between two numbers, where there is room
+
 /** The axis of values: digits that tell its numbers apart, and room for them. @type {uPlot.Axis} */
 export const VALUE_AXIS = {
+  // Steps are at most 2.5 times as long as they need to be: low plots have two numbers as well.
+  space: (_plot, _axis, _min, _max, length) => Math.min(SPACE, length / 5),
   values: (_plot, all, _axis, _space, step) => {
     const digits = digitsOf(step);
-    return all.map((each) => each.toFixed(digits));
+    return all.map((each) => fixed(each, digits));
   },
   size: (_plot, texts) => 24 + 7 * Math.max(3, ...(texts ?? []).map(({ length }) => length)),
 };

@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { widthOf } from "../src/arrows.js";
 import { Clock } from "../src/clock.js";
 import { digitsOf } from "../src/graph.js";
-import { decode, normalOf, textOf, unfold, valueOf } from "../src/data.js";
+import { decode, fixed, normalOf, textOf, unfold, valueOf } from "../src/data.js";
 import { stacked } from "../src/layout.js";
 
 const LINE = { title: "A1", label: "", key: "torques", scale: 1, decimals: 1, unit: "Nm" };
@@ -29,6 +29,7 @@ test("normals of all octants have unit length", () => {
 test("numbers are written as Python does", () => {
   assert.equal(textOf(LINE, -69.12), "-69.1 Nm");
   assert.equal(textOf(LINE, -0.04), "0.0 Nm");
+  assert.deepEqual([-0.0004, -0, -0.0006].map((each) => fixed(each, 3)), ["0.000", "0.000", "-0.001"]);
   assert.equal(textOf(LINE, NaN), "no data");
   assert.equal(textOf({ ...LINE, key: "torque_limit" }, Infinity), "none");
 });
