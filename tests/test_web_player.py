@@ -9,11 +9,16 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from decor_tools import view_at
 from web_tools import MISSING
 
 import sero_mj
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.load import load_scene
+from sero_mj.robots.declared.robot_parts import ARROW_QUANTITIES
+from sero_mj.viewer.decor.draw import Decor
+from sero_mj.viewer.decor.geom_buffer import Kind
+from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.headless.render import HeadlessRenderer
 from sero_mj.viewer.player.capture import Mark, capture
 from sero_mj.viewer.player.page import write_page
@@ -21,6 +26,23 @@ from sero_mj.viewer.player.page import write_page
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 
 FPS = 20
+GEOM = mujoco.mjtGeom
+SLIDES = """
+[robots.stanford]
+model = "stanford"
+joint_angles = [0.0, 1.0, 0.4, 0.0, 0.5, 0.0]
+show_arrows = true
+[run]
+duration = 1.0
+[controllers.stanford]
+kind = "joint_impedance"
+stiffness = [800, 800, 2000, 200, 200, 200]
+[disturbances.push]
+kind = "force"
+at = "stanford/flange"
+force = [60.0, 60.0, -60.0]
+begin = 0.48
+"""
 HOSTILE = "</script><script>globalThis.bad=1</script><img src=x onerror='globalThis.bad=2'>"
 SIZE = (640, 400)
 PHONE = {"viewport": {"width": 390, "height": 844}, "has_touch": True, "is_mobile": True}
@@ -127,6 +149,48 @@ def test_arrows_show_torques_and_their_errors_by_turns(page: Any) -> None:
     button.click()
     page.locator("#quantity", has_text=re.compile("^torque$")).wait_for()
     assert (page.evaluate(widths), legend.inner_text()) == (of_torque, told)
+
+
+def test_arrows_of_joints_that_slide_are_those_of_python_whatever_they_show(
+    browser: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "slides.toml").write_text(SLIDES)
+    scene = load_scene(tmp_path / "slides.toml")
+    found = capture(scene, fps=FPS, seconds=1.0)
+    write_page(found, tmp_path / "slides.html")
+    page = opened(browser, tmp_path / "slides.html", at=0.5)
+    assert "round arrows: joint torque, or force\n" in page.locator("#notes").inner_text()
+    arrow = """() => {
+        const { of, count, positions, rotations, sizes, rgba } = player.geoms, at = [];
+        for (let k = 0; k < count; k++) if (of[3 * k] === 1) at.push(k);
+        return at.map(k => [of[3 * k + 1], [...positions.slice(3 * k, 3 * k + 3)],
+            [...rotations.slice(4 * k, 4 * k + 4)], [...sizes.slice(3 * k, 3 * k + 3)],
+            [...rgba.slice(4 * k, 4 * k + 4)]]);
+    }"""
+    error = "torque error, commanded - measured, or force\n"
+    with Mirror(scene) as mirror:
+        mirror.advance(0.5)
+        decor, toggles = Decor(mirror.world), Toggles(mirror.world)
+        for code, quantity in enumerate(("torques", "torque_error")):
+            assert ARROW_QUANTITIES[code] == quantity
+            toggles.arrow_quantity[:] = code
+            buffer = decor.draw(mirror.data, toggles, view_at(distance=3))
+            is_straight = buffer.rows["type"][: buffer.count] == int(GEOM.mjGEOM_ARROW)
+            is_straight &= buffer.kinds[: buffer.count] == Kind.ARROW
+            (row,) = buffer.rows[: buffer.count][is_straight]
+            ((joint, place, turn, size, rgba),) = page.evaluate(arrow)
+            assert joint == 2
+            assert np.allclose(place, row["pos"], atol=2e-4)
+            mat = np.zeros(9)
+            mujoco.mju_quat2Mat(mat, np.array(turn))
+            assert np.allclose(mat, row["mat"].ravel(), atol=1e-3)
+            assert np.allclose(size, row["size"], rtol=1e-3)
+            assert np.allclose(rgba, 255 * row["rgba"], atol=1)
+            page.keyboard.press("q")
+            page.locator("#notes", has_text=error).wait_for()
+    page.evaluate("player.select({ joint: 2 })")
+    page.locator("#details h2", has_text="J3").wait_for()
+    page.context.close()
 
 
 def test_names_of_others_stay_text(page: Any) -> None:

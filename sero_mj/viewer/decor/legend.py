@@ -43,9 +43,18 @@ SCALE = ("     10 %", "     50 %", "     ")  # and the name of the limit
 _BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # of a line's height
 
 
-def arrows_line(quantity: str) -> str:
-    """The line of the legend that says what round arrows show."""
-    return f"round arrows: {_WORDS[quantity][0]}"
+def arrows_line(quantity: str, has_sliding: bool) -> str:
+    """The line of the legend that says what round arrows show.
+
+    Args:
+        quantity: of `ARROW_QUANTITIES`.
+        has_sliding: whether some of them are straight ones, of joints that slide.
+    """
+    return _arrows_line(quantity, _WORDS[quantity][0], has_sliding)
+
+
+def _arrows_line(quantity: str, what: str, has_sliding: bool) -> str:
+    return f"round arrows: {what}{', or force' * (has_sliding and quantity in _TORQUES)}"
 
 
 class Legend(Feature):
@@ -123,11 +132,11 @@ class Legend(Feature):
                 width = _BY_LOAD if has_load else _UNLIMITED
             elif quantity in _TORQUES and (largest := self.world.joints.is_largest[shown]).any():
                 width = _LARGEST if largest.all() else f"{width}, or {_LARGEST}"
-            if not self.world.joints.revolute[shown].all() and quantity in _TORQUES:
-                what += ", or force"
             has_scale = width not in (_UNLIMITED, _BY_LOAD)
             scale = "".join(SCALE) + width if has_scale else width
-            lines = [f"round arrows: {what}".encode(), _SIGNS, scale.encode()]
+            has_sliding = not self.world.joints.revolute[shown].all()
+            first = _arrows_line(quantity, what, has_sliding).encode()
+            lines = [first, _SIGNS, scale.encode()]
             texts.append(lines)
         sizes = np.array(
             [

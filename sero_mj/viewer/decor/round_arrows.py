@@ -34,7 +34,7 @@ DEFAULT_WIDTH_SCALE = 0.01  # the default of `arrow_width_scale`
 INVISIBLE_WIDTH = 0.03  # of the radius; narrower arrows (0.1 % of a torque limit) are not drawn
 WIDEST = 1.5  # of the radius
 
-_STRAIGHT_LENGTH = 2.5  # of the radius, for the straight arrow of a prismatic joint
+STRAIGHT_LENGTH = 2.5  # of the radius, for the straight arrow of a prismatic joint
 _Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # of the radius, and of the length
 DARKER = 0.4  # brightness of a straight arrow beyond its limit
 ARROW_GEOMS, _FEWEST_ARROW_GEOMS = 92, 10  # bounds of the geoms of an arrow
@@ -165,7 +165,7 @@ class RoundArrows(Feature):
         mat = data.site_xmat[joints.centre_site[index]].reshape(-1, 3, 3).copy()
         mat[:, :, 1:] *= np.sign(forces)[:, None, None]  # a half turn about x: still a rotation
         radius = joints.arrow_radius[index][:, None]
-        length = _STRAIGHT_LENGTH * radius
+        length = STRAIGHT_LENGTH * radius
         centre = data.site_xpos[joints.centre_site[index]]
         rows["pos"] = centre + radius * mat[:, :, 0] - length / 2 * mat[:, :, 2]
         rows["mat"] = mat

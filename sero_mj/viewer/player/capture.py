@@ -104,7 +104,7 @@ class Capture:
         limit: value of an arrow of full width, (N,); inf for none.
         stale: joints without fresh data, (F, N) bool.
         soft: tendons and flexes.
-        items: decor besides round arrows of joints, and text.
+        items: decor besides arrows of joints, and text.
         labels: text at places, see `labels_of`.
         notes: text in the corners, by frame.
         cards: of the smart arrows: index to text by frame, empty where there is none.
@@ -196,7 +196,7 @@ class FrameCapturer:
     """Captures states of a world one by one.
 
     It is the last feature of a decor of its own, and takes what all others have made; the player
-    itself draws the arrows of joints that turn.
+    itself draws the arrows of joints.
 
     Args:
         world: the compiled scene.
@@ -250,7 +250,7 @@ class FrameCapturer:
             arrows=frame.arrow_values,
             limit=frame.arrow_limit,
             stale=frame.stale_joints,
-            geoms=player_geoms(frame.buffer, world.joints.revolute),
+            geoms=player_geoms(frame.buffer, np.ones(len(world.joints.names), bool)),
             labels=labels_of(world, frame),
             note=self._note,
             cards=self._cards,
@@ -321,12 +321,12 @@ class FrameCapturer:
         )
 
 
-def player_geoms(buffer: GeomBuffer, revolute: Bools) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Returns what a player draws geom by geom: all but text and the arrows of joints that turn.
+def player_geoms(buffer: GeomBuffer, own: Bools) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns what a player draws geom by geom: all but text and the arrows that it makes itself.
 
     Args:
         buffer: of a frame.
-        revolute: joints that turn, (N,).
+        own: joints whose arrows it makes from their values, (N,).
 
     Returns:
         rows (k,) of `GEOM`, and kind and item of each, (k,).
@@ -334,7 +334,7 @@ def player_geoms(buffer: GeomBuffer, revolute: Bools) -> tuple[np.ndarray, np.nd
     kinds, items = buffer.kinds[: buffer.count], buffer.items[: buffer.count]
     is_arrow = kinds == Kind.ARROW
     kept = ~is_arrow
-    kept[is_arrow] = ~revolute[items[is_arrow]]
+    kept[is_arrow] = ~own[items[is_arrow]]
     # Panels stand in front of the camera, and are laid out by the player.
     kept[buffer.text] = False
     kept &= buffer.rows["type"][: buffer.count] != _LABEL

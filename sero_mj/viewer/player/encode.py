@@ -228,7 +228,7 @@ def _lines(lines: list[Line]) -> list[dict[str, Any]]:
 
 
 def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
-    """Shape and colours of round arrows, their values where these are not torques, and others."""
+    """Shapes and colours of round arrows, their values where these are not torques, and others."""
     shape = ribbon_shape(round_arrows.ARROW_GEOMS)
     names = ("middle", "half_angle", "rings", "own", "flare", "triangles")
     torques = capture.values.get("torques")
@@ -241,6 +241,8 @@ def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
         "stale": parts.moving(capture.stale, 1),
         "speed": round_arrows.TURNING_SPEED,
         "invisible": round_arrows.INVISIBLE_WIDTH,
+        "straight": round_arrows.STRAIGHT_LENGTH,
+        "darker": round_arrows.DARKER,
         "positive": round_arrows.POSITIVE_RGBA[:3],
         "negative": round_arrows.NEGATIVE_RGBA[:3],
     }
@@ -249,8 +251,8 @@ def _arrows(capture: Capture, parts: Parts) -> dict[str, Any]:
 def _quantities(capture: Capture) -> list[dict[str, str]]:
     """What arrows can show by turns, that of the capture first; empty where there is no choice.
 
-    Torque and its error: both follow from values that are there, and have one limit. Arrows of
-    sliding joints are drawn geom by geom, and have no other value; that of two runs is no error.
+    Torque and its error: both follow from values that are there, and have one limit. That of two
+    runs is no error.
     """
     joints, toggles = capture.world.joints, capture.toggles
     lines = [line for owner in capture.world.owners.values()
@@ -259,11 +261,12 @@ def _quantities(capture: Capture) -> list[dict[str, str]]:
         return []
     shown = {ARROW_QUANTITIES[code] for code in toggles.arrow_quantity.tolist()}
     has_both = {"torques", "commanded_torques"} <= capture.values.keys()
-    if not (has_both and len(shown) == 1 and shown <= {*_BY_TURNS} and joints.revolute.all()):
+    if not (has_both and len(shown) == 1 and shown <= {*_BY_TURNS}):
         return []
     own = shown.pop()
+    has_sliding = not joints.revolute[toggles.arrows].all()
     return [
-        {"key": key, "name": QUANTITY_NAMES[key], "line": arrows_line(key)}
+        {"key": key, "name": QUANTITY_NAMES[key], "line": arrows_line(key, has_sliding)}
         for key in sorted(_BY_TURNS, key=lambda key: key != own)
     ]
 

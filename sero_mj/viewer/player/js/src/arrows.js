@@ -1,4 +1,4 @@
-/** Round arrows: their width, and their shape, which a shader places about the joints' axes. */
+/** Arrows of joints: round ones, which a shader places about the axes, and straight ones along them. */
 
 import * as THREE from "three";
 
@@ -67,6 +67,37 @@ const PLACE = `
   vec2 out2 = vec2(cos(angle), sin(angle));
   vec3 transformed = vec3(far * out2 + along.y * r * vec2(-out2.y, out2.x), .5 * wide * across.y);
   dark = across.z * striped;`;
+
+export const ARROW = 1; // kind of joints' arrows, `Kind` in Python
+const STRAIGHT = 100; // mjGEOM_ARROW, drawn half as long as its size
+const centre = new THREE.Vector3(), along = new THREE.Vector3(), turn = new THREE.Quaternion();
+const one = new THREE.Vector3(), BACK = new THREE.Quaternion(1, 0, 0, 0); // half a turn about x
+
+/**
+ * Adds the arrows of joints that slide, as `RoundArrows` of Python draws them.
+ * @param {Run} run @param {number} at frame, with a fraction @param {THREE.Matrix4[]} sites of all joints
+ * @param {(joint: number) => boolean} isOn @param {import("./geoms.js").Geoms} to
+ */
+export function addStraight(run, at, sites, isOn, to) {
+  const { arrows, frames, greyRgb } = run, frame = Math.round(at);
+  run.joints.forEach(({ arrow }, j) => {
+    if (arrow.round || !isOn(j)) return;
+    const value = arrows.values ? arrows.values[j * frames + frame] : NaN;
+    const width = widthOf(arrow, value, arrows.invisible), length = arrows.straight * arrow.radius;
+    if (!width) return;
+    sites[j].decompose(centre, turn, one);
+    centre.add(along.set(arrow.radius, 0, 0).applyQuaternion(turn));
+    if (value < 0) turn.multiply(BACK);
+    centre.add(along.set(0, 0, -length / 2).applyQuaternion(turn));
+    const i = to.add(ARROW, j, STRAIGHT), isStale = arrows.stale[j * frames + frame] > 0.5;
+    const rgb = isStale ? greyRgb : value > 0 ? arrows.positive : arrows.negative;
+    const bright = arrow.limit !== null && Math.abs(value) > arrow.limit ? arrows.darker : 1;
+    to.positions.set(centre.toArray(), 3 * i);
+    to.rotations.set([turn.w, turn.x, turn.y, turn.z], 4 * i);
+    to.sizes.set([width / 4, width / 4, 2 * length], 3 * i);
+    to.rgba.set([...rgb.map((/** @type {number} */ each) => 255 * bright * each), 255 * arrow.opacity].map(Math.round), 4 * i);
+  });
+}
 
 /** The round arrows of all joints, one mesh. */
 export class RoundArrows {

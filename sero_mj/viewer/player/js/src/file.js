@@ -1,5 +1,6 @@
 /** The page of a run in a file: its picture, time line, plot, and what was clicked on. */
 
+import { addStraight } from "./arrows.js";
 import { Clock, SPEEDS } from "./clock.js";
 import { fixed, textOf, valueOf } from "./data.js";
 import { Geoms, geomsAt } from "./geoms.js";
@@ -307,12 +308,16 @@ export class Player {
   draw() {
     const { view, switches, clock, run, geoms } = this, { frame } = clock;
     const areSome = run.joints.some((joint) => joint.arrow.on);
-    geomsAt(run, frame, switches.arrows, geoms);
+    const hasArrow = (/** @type {number} */ j) => switches.arrows && (run.joints[j].arrow.on || !areSome)
+      && (run.joints[j].double < 0 || switches.doubles);
     this.stage.hasShadows = switches.shadows;
     view.draw({
-      at: clock.at, hasDoubles: switches.doubles, geoms, labels: labelsAt(run, frame),
-      hasArrow: (j) => switches.arrows && (run.joints[j].arrow.on || !areSome)
-        && (run.joints[j].double < 0 || switches.doubles),
+      at: clock.at, hasDoubles: switches.doubles, labels: labelsAt(run, frame), hasArrow,
+      geoms: (sites) => {
+        geomsAt(run, frame, switches.arrows, geoms);
+        addStraight(run, clock.at, sites, hasArrow, geoms);
+        return geoms;
+      },
       cards: () => switches.numbers ? this.cards.at(this.stage, frame) : [],
     });
     this.plot.setTime(clock.time);

@@ -2,7 +2,7 @@
 
 /** @typedef {import("./data.js").Run} Run */
 
-const ARROWS = [1, 5]; // kinds of joints' arrows and smart arrows, `Kind` in Python
+const VECTOR = 5; // kind of smart arrows, `Kind` in Python
 
 /** As many geoms as `count` says. */
 export class Geoms {
@@ -28,22 +28,27 @@ export class Geoms {
     this.sizes = new Float32Array(3 * capacity);
     this.rgba = new Uint8Array(4 * capacity);
   }
+
+  /** Adds one where there is room; its numbers are then to be set. @param {number[]} of kind, item and type */
+  add(...of) {
+    this.of.set(of, 3 * this.count);
+    return this.count++;
+  }
 }
 
 /**
- * The geoms of a run that are seen at a frame.
+ * The geoms of a run that are seen at a frame; there is room for those of its joints' arrows.
  * @param {Run} run @param {number} frame @param {boolean} hasArrows whether arrows are on
  * @param {Geoms} to
  */
-export function geomsAt({ items, frames }, frame, hasArrows, to) {
+export function geomsAt({ items, joints, frames }, frame, hasArrows, to) {
   const { visible, positions, rotations, sizes, colours, of } = items;
-  to.resize(of.length);
+  to.resize(of.length + joints.length);
   to.count = 0;
   if (!visible || !positions || !rotations || !sizes || !colours) return;
   of.forEach((/** @type {number[]} */ each, /** @type {number} */ k) => {
-    if (visible[k * frames + frame] < 0.5 || (!hasArrows && ARROWS.includes(each[0]))) return;
-    const i = to.count++;
-    to.of.set(each, 3 * i);
+    if (visible[k * frames + frame] < 0.5 || (!hasArrows && each[0] === VECTOR)) return;
+    const i = to.add(...each);
     for (let c = 0; c < 3; c++) {
       to.positions[3 * i + c] = positions[(3 * k + c) * frames + frame];
       to.sizes[3 * i + c] = sizes[(3 * k + c) * frames + frame];

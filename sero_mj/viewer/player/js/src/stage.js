@@ -2,7 +2,7 @@
 
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import { RoundArrows } from "./arrows.js";
+import { ARROW, RoundArrows } from "./arrows.js";
 import { placeOf, standingBack, viewFrom } from "./eye.js";
 import { Items } from "./items.js";
 import { Lamps } from "./lights.js";
@@ -136,7 +136,8 @@ export class Stage {
   /**
    * Places everything.
    * @param {number} at frame, with a fraction @param {boolean} hasDoubles
-   * @param {(joint: number) => boolean} hasArrow @param {import("./geoms.js").Geoms} geoms of decor
+   * @param {(joint: number) => boolean} hasArrow
+   * @param {(sites: THREE.Matrix4[]) => import("./geoms.js").Geoms} geoms of decor, where joints are there
    * @param {{positions: Float32Array, turns: Float32Array} | null} [sites] where joints are, in the world
    */
   place(at, hasDoubles, hasArrow, geoms, sites = null) {
@@ -147,7 +148,7 @@ export class Stage {
       else this.sites[j].multiplyMatrices(robots.matrices[joint.body], this.own[j]);
     });
     this.arrows.place(at, this.sites, hasArrow);
-    this.items.place(geoms);
+    this.items.place(geoms(this.sites));
     this.soft.place(at, robots.matrices);
     this.lamps?.place(robots.matrices);
     if (this.sun) this.sun.castShadow = this.hasShadows;
@@ -198,7 +199,10 @@ export class Stage {
     const { width, height } = this.size, ray = new THREE.Raycaster();
     ray.setFromCamera(new THREE.Vector2(2 * x / width - 1, 1 - 2 * y / height), this.camera);
     const geom = this.robots.pick(ray.ray), item = this.items.pick(ray), arrow = this.#arrow(x, y);
-    if (item && (!geom || item.distance < geom.distance)) return { kind: item.of[0], item: item.of[1] };
+    if (item && (!geom || item.distance < geom.distance)) {
+      const [kind, number] = item.of;
+      return kind === ARROW ? { joint: number } : { kind, item: number };
+    }
     if (arrow >= 0) return { joint: arrow };
     if (!geom) return null;
     const body = this.run.bodies[geom.geom.body];

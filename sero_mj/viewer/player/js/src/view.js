@@ -116,7 +116,7 @@ export class View {
   /**
    * Draws a moment.
    * @param {{at: number, hasDoubles: boolean, hasArrow: (joint: number) => boolean,
-   *   geoms: import("./geoms.js").Geoms, cards: () => import("./cards.js").Content[],
+   *   geoms: (sites: import("three").Matrix4[]) => import("./geoms.js").Geoms, cards: () => import("./cards.js").Content[],
    *   labels: import("./labels.js").Label[],
    *   sites?: {positions: Float32Array, turns: Float32Array} | null}} moment
    */
