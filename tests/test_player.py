@@ -24,6 +24,7 @@ from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.declared.surroundings import Object
 from sero_mj.study import run_report
 from sero_mj.study.run_marks import marks_of
+from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.player import capture as capture_module
 from sero_mj.viewer.player import gltf as gltf_module
 from sero_mj.viewer.player.capture import capture
@@ -119,6 +120,18 @@ def test_a_mesh_that_geoms_share_is_made_once_for_a_glb(
     write_glb(found, tmp_path / "justin.glb")
     gltf = pygltflib.GLTF2().load(str(tmp_path / "justin.glb"))
     assert len(gltf.meshes) < 0.7 * len(found.geoms)
+
+
+def test_the_legend_has_the_scale_of_an_arrow_while_the_arrow_is_there() -> None:
+    scene = load_scene("impedance_push")
+    scene.note = "a note"
+    found = capture(scene, fps=10, begin=0.5, seconds=3.0)
+    assert set(found.notes) == {"a note"}
+    is_told = np.array(["push: 80 mm long = 20 N" in text for text in found.legend])
+    (push,) = [item for item in found.items if item.kind == Kind.VECTOR]
+    assert np.array_equal(is_told, push.visible)
+    assert 0 < is_told.sum() < found.frames and not is_told[-1]
+    assert all("round arrows: joint torque\n" in text for text in found.legend)
 
 
 def test_only_decor_that_stands_in_the_world_is_stored() -> None:

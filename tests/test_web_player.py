@@ -151,6 +151,19 @@ def test_arrows_show_torques_and_their_errors_by_turns(page: Any) -> None:
     assert (page.evaluate(widths), legend.inner_text()) == (of_torque, told)
 
 
+def test_the_legend_tells_of_arrows_that_are_seen(page: Any) -> None:
+    notes = page.locator("#notes")
+    page.evaluate("player.seek(1.5); player.draw()")
+    assert "push: 80 mm long = 20 N" in notes.inner_text()
+    page.evaluate("player.seek(0.5); player.draw()")
+    assert "push" not in notes.inner_text()
+    assert "round arrows" in notes.inner_text()
+    page.evaluate("player.seek(1.5); player.toggle('arrows'); player.draw()")
+    assert notes.is_hidden()
+    page.evaluate("player.toggle('arrows'); player.draw()")
+    assert "push: " in notes.inner_text()
+
+
 def test_arrows_of_joints_that_slide_are_those_of_python_whatever_they_show(
     browser: Any, tmp_path: Path
 ) -> None:

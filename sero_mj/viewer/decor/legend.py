@@ -61,29 +61,31 @@ class Legend(Feature):
     """Panels for all quantities that arrows show, in the lower left corner.
 
     Below them is what scene and robots note about their data.
+
+    Attributes:
+        is_steady: whether the scale of a smart arrow stays once the arrow was seen.
     """
 
     order = 40
+    is_steady = True
 
     def __init__(self, world: WorldView) -> None:
         super().__init__(world)
         self._key: object = None
-        self._panels: Panels | None = None
+        self._panels: list[Panels] = []
         self._notes = _notes(world)
         self._drawn = np.zeros(len(world.arrows.names), bool)  # smart arrows, so far
 
     def lay_out(self, frame: Frame) -> None:
         """Adds the legend if it is switched on, and an arrow is or there are notes."""
-        panels = self._shown(frame)
-        if panels is not None:
-            frame.corners.append(panels)
+        frame.corners += self._shown(frame)
 
-    def _shown(self, frame: Frame) -> Panels | None:
+    def _shown(self, frame: Frame) -> list[Panels]:
         toggles, view, limit = frame.toggles, frame.view, frame.arrow_limit
         self._note_drawn(frame)
         is_needed = toggles.arrows.any() or (toggles.vectors & self._drawn).any() or self._notes
         if not toggles.legend or not is_needed:
-            return None
+            return []
         key = (
             toggles.arrows.tobytes(),
             toggles.arrow_quantity.tobytes(),
@@ -101,14 +103,17 @@ class Legend(Feature):
     def _note_drawn(self, frame: Frame) -> None:
         """Notes which smart arrows are long enough to be seen.
 
-        From then on the legend has their scale: it does not come and go with contacts.
+        From then on the legend has their scale: it does not come and go with contacts, unless it
+        is not to be steady.
         """
+        if not self.is_steady:
+            self._drawn[:] = False
         new = frame.shown.vectors & ~self._drawn
         if new.any():
             sizes = np.linalg.norm(arrow_vectors(self.world, frame.data)[1], axis=1)
             self._drawn |= new & (np.nan_to_num(sizes) * self.world.arrows.scale > SHORTEST)
 
-    def _laid_out(self, toggles: Toggles, view: PictureView, limit: Array) -> Panels | None:
+    def _laid_out(self, toggles: Toggles, view: PictureView, limit: Array) -> list[Panels]:
         margin = _MARGIN * view.font.height
         scales = self._scales(toggles)
         texts = [lines for lines in (self._notes, scales) if lines]
@@ -150,12 +155,15 @@ class Legend(Feature):
         room = _LARGEST_SHARE * view.width * view.height
         kept = int((np.cumsum(sizes.prod(axis=1)) < room).sum())
         if not kept:
-            return None
+            return []
         below = np.concatenate([[0.0], np.cumsum(sizes[:-1, 1] + margin)])
         centres = view.free[0] + margin + sizes / 2
         centres[:, 1] += below
         panels = Panels(centres[:kept], sizes[:kept], texts[:kept], _RGBA)
-        return replace(panels, bars=_bars(panels, view))
+        of_arrows = np.arange(kept) >= bool(self._notes)
+        notes, arrows = panels.only(~of_arrows), panels.only(of_arrows)
+        arrows = replace(arrows, bars=_bars(arrows, view), of_arrows=True)
+        return [each for each in (notes, arrows) if each.texts]
 
     def _difference(self, shown: Bools) -> str:
         """Returns what torque errors are where cards give them a name of their own; else empty."""

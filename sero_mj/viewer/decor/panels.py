@@ -55,6 +55,7 @@ class Panels:
         in_front: whether they cover other panels; covered text is not drawn.
         has_values: whether their lines are values, which hosts may align in columns.
         bars: light bars on them: left, bottom, width and height, (m, 4), pixels.
+        of_arrows: whether they say what arrows mean, and mean nothing without these.
     """
 
     centres: Array
@@ -66,6 +67,7 @@ class Panels:
     in_front: bool = False
     has_values: bool = False
     bars: Array | None = None
+    of_arrows: bool = False
 
     def only(self, kept: Bools) -> Panels:
         """Returns those of its panels that are kept, (k,)."""

@@ -26,7 +26,7 @@ from ..decor.billboards import Line, has_chosen_lines, joint_formats, shows_erro
 from ..decor.draw import Decor
 from ..decor.feature import Frame
 from ..decor.geom_buffer import GEOM, GeomBuffer, Kind
-from ..decor.legend import SCALE
+from ..decor.legend import SCALE, Legend
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
 from ..following import Follower
@@ -106,7 +106,8 @@ class Capture:
         soft: tendons and flexes.
         items: decor besides arrows of joints, and text.
         labels: text at places, see `labels_of`.
-        notes: text in the corners, by frame.
+        notes: text in the corners, by frame, without the legend.
+        legend: what arrows mean, by frame: of those that are seen there, if they are switched on.
         cards: of the smart arrows: index to text by frame, empty where there is none.
         marks: on the time line.
         silent: names of the sources without data.
@@ -138,6 +139,7 @@ class Capture:
     items: list[Item]
     labels: list[Any]
     notes: list[str]
+    legend: list[str]
     cards: dict[int, list[str]]
     marks: Sequence[Mark] = ()
     silent: list[str] = field(default_factory=list)
@@ -175,7 +177,8 @@ class CapturedFrame(NamedTuple):
         stale: joints without fresh data, (N,) bool.
         geoms: of decor: rows, kinds and items, see `player_geoms`.
         labels: see `labels_of`.
-        note: text in the corners.
+        note: text in the corners, without the legend.
+        legend: what arrows mean.
         cards: text of the smart arrows, by their index.
     """
 
@@ -189,6 +192,7 @@ class CapturedFrame(NamedTuple):
     geoms: tuple[np.ndarray, np.ndarray, np.ndarray]
     labels: dict[Any, Any]
     note: str
+    legend: str
     cards: dict[int, str]
 
 
@@ -209,17 +213,27 @@ class FrameCapturer:
         self._shown.billboards[:] = False
         self._shown.doubles[:] = self._shown.cards[:] = True
         self._decor = Decor(world, arrow_geoms=_ARROW_GEOMS)
+        for feature in self._decor.features:
+            if isinstance(feature, Legend):
+                feature.is_steady = False
         self._decor.features.append(self)
         self._view: PictureView | None = None
         self._bodies, self._copies = shown_bodies(world), CopiedBodies(world)
         self._soft = SoftParts(world.model)
-        self._note, self._cards = "", dict[int, str]()
+        self._note, self._legend, self._cards = "", "", dict[int, str]()
         self._frame: Frame | None = None
 
     def lay_out(self, frame: Frame) -> None:
         """Takes texts; places of panels are left to the player."""
-        texts = [text for group in frame.corners for text in group.texts]
-        self._note = "\n\n".join("\n".join(map(line_text, lines)) for lines in texts)
+        self._note, self._legend = (
+            "\n\n".join(
+                "\n".join(map(line_text, lines))
+                for group in frame.corners
+                if group.of_arrows == of_arrows
+                for lines in group.texts
+            )
+            for of_arrows in (False, True)
+        )
         self._cards = {
             int(item): "\n".join(map(line_text, lines))
             for group in frame.cards
@@ -253,6 +267,7 @@ class FrameCapturer:
             geoms=player_geoms(frame.buffer, np.ones(len(world.joints.names), bool)),
             labels=labels_of(world, frame),
             note=self._note,
+            legend=self._legend,
             cards=self._cards,
         )
 
@@ -313,6 +328,7 @@ class FrameCapturer:
             items=_items([each.geoms for each in frames]),
             labels=[each.labels for each in frames],
             notes=[each.note for each in frames],
+            legend=[each.legend for each in frames],
             cards=_cards([each.cards for each in frames]),
             marks=marks,
             silent=list(silent),
@@ -477,6 +493,7 @@ def capture_pose(
         items=[],
         labels=[{}],
         notes=[""],
+        legend=[""],
         cards={},
         copies=copies.each,
         needed=needed,

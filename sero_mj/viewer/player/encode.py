@@ -69,6 +69,7 @@ def encode(capture: Capture, title: str) -> bytes:
         "items": _items(capture, parts),
         **labels_head(capture.labels, parts, METRE_STEP),
         "notes": _texts(capture.notes, parts),
+        "legend": _texts(capture.legend, parts),
         "cards": [
             {"item": item, "name": capture.world.arrows.names[item], **_texts(texts, parts)}
             for item, texts in capture.cards.items()

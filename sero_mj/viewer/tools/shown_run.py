@@ -100,4 +100,5 @@ def _are_equal(one: CapturedFrame, other: CapturedFrame) -> bool:
         and same(one.soft.vertices, other.soft.vertices)
         and one.cards == other.cards
         and one.note == other.note
+        and one.legend == other.legend
     )

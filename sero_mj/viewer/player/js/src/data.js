@@ -248,6 +248,8 @@ export function decode(bytes) {
       positions: moving(head.labels.positions, metre),
     } : null,
     notes: read(head.notes),
+    /** What arrows mean that are seen. */
+    legend: read(head.legend),
     cards: /** @type {{item: number, name: string, texts: string[], at: Float32Array}[]} */ (
       head.cards.map((/** @type {any} */ card) => ({ ...card, ...read(card) }))),
     vectors: /** @type {string[]} */ (head.vectors),

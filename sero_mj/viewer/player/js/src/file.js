@@ -297,8 +297,9 @@ export class Player {
     time.setAttribute("aria-valuetext", [`${seconds} s`, this.ticks.told].filter(Boolean).join(", "));
     byId("now").textContent = `${seconds} s / ${(run.begin + clock.end).toFixed(2)} s`;
     const { quantities } = run.arrows, noted = run.notes.texts[run.notes.at[clock.frame]];
-    const told = this.quantity ? noted.replace(/^round arrows: .*$/m, quantities[this.quantity].line) : noted;
-    const notes = switches.arrows ? told : told.split("\n\n").filter((each) => !each.startsWith("round arrows: ")).join("\n\n");
+    const meant = switches.arrows ? run.legend.texts[run.legend.at[clock.frame]] : "";
+    const legend = this.quantity ? meant.replace(/^round arrows: .*$/m, quantities[this.quantity].line) : meant;
+    const notes = [noted, legend].filter(Boolean).join("\n\n");
     if (quantities.length) byId("quantity").textContent = quantities[this.quantity].name;
     if (byId("notes").textContent !== notes) byId("notes").textContent = notes;
     byId("notes").hidden = !switches.legend || !notes;

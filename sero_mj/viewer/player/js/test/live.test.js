@@ -35,7 +35,7 @@ function run() {
     version: 1, fps: 1, begin: 0, frames: 1, steps: [1, 1], positions: [0, "u1", 3], rotations: [1, "u1", 4],
     opacity: [2, "u1", 1], grey: [2, "u1", 1], bodies: [{ name: "link", joint: 0, double: -1 }], meshes: [],
     geoms: [], joints: [{ torqueLimit: 5, arrow: { on: true, radius: 0.1 } }], values: {},
-    arrows: { stale: [2, "u1", 1], values: null }, items: { of: [] }, notes: { texts: [""], at: empty },
+    arrows: { stale: [2, "u1", 1], values: null }, items: { of: [] }, notes: { texts: [""], at: empty }, legend: { texts: [""], at: empty },
     cards: [], lengths: [3, 4, 1],
   };
   const text = new TextEncoder().encode(JSON.stringify(head));
