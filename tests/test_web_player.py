@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 from typing import Any
@@ -223,6 +224,76 @@ def test_the_page_says_that_an_expectation_failed(page: Any) -> None:
     told.wait_for(state="visible")
     assert told.inner_text() == "1.00 s: failed: it settles"
     assert time.get_attribute("aria-valuetext") == "1.00 s, 1.00 s: failed: it settles"
+
+
+def boxes(page: Any, *selectors: str) -> list[tuple[float, float, float, float]]:
+    """Left, top, right and bottom of what is seen of some elements, pixels."""
+    found = page.evaluate(
+        """selectors => selectors.flatMap(each => [...document.querySelectorAll(each)])
+        .map(each => each.getBoundingClientRect()).filter(({ width }) => width)
+        .map(({ left, top, right, bottom }) => [left, top, right, bottom])""",
+        list(selectors),
+    )
+    return [tuple(each) for each in found]
+
+
+def covered(page: Any, *selectors: str) -> list[Any]:
+    """Pairs of elements of which one covers the other by more than a pixel."""
+    return [
+        (one, other)
+        for one, other in itertools.combinations(boxes(page, *selectors), 2)
+        if min(one[2], other[2]) - max(one[0], other[0]) > 1
+        and min(one[3], other[3]) - max(one[1], other[1]) > 1
+    ]
+
+
+NEARER = """() => {
+    const { camera, orbit } = player.stage;
+    camera.position.sub(orbit.target).multiplyScalar(.55).add(orbit.target);
+    orbit.update();
+    player.draw();
+}"""
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (900, 640), (390, 844)])
+def test_what_is_told_covers_neither_legend_nor_cards(
+    browser: Any, file: Path, size: tuple[int, int]
+) -> None:
+    width, height = size
+    page = opened(browser, file, viewport={"width": width, "height": height})
+    page.evaluate("player.select({ joint: 1 }); player.nextQuantity(); player.draw()")
+    for time in (0.5, 1.0):
+        page.evaluate("time => { player.seek(time); player.draw(); }", time)
+        assert page.locator(".told").is_visible()
+        seen = (".told", "#notes", "#details", ".card")
+        assert len(boxes(page, *seen)) >= 8 and covered(page, *seen) == []
+        page.evaluate(NEARER)
+        assert covered(page, *seen) == []
+    page.context.close()
+
+
+def test_what_is_told_goes_when_the_time_is_elsewhere(page: Any) -> None:
+    for time, is_told in ((1.0, True), (1.4, True), (1.6, False), (0.95, False), (0.99, True)):
+        page.evaluate("time => { player.seek(time); player.draw(); }", time)
+        assert page.locator(".told.failed").is_visible() == is_told
+
+
+def test_the_label_of_a_mark_stands_where_no_other_mark_is(browser: Any, tmp_path: Path) -> None:
+    scene = load_scene("impedance_push")
+    marks = [Mark(0.5, 1.9, "push", "push")]
+    marks += [Mark(time, time, "held", "held") for time in (0.52, 0.54, 1.5)]
+    sero_mj.export_html(scene, tmp_path / "push.html", marks=marks, fps=FPS, seconds=2.0)
+    page = opened(browser, tmp_path / "push.html")
+    for width in (900, 390):
+        page.set_viewport_size({"width": width, "height": 800})
+        page.evaluate("() => new Promise(requestAnimationFrame)")
+        page.evaluate("() => new Promise(requestAnimationFrame)")
+        ((left, _, right, _),) = boxes(page, ".mark.push span")
+        words = page.locator(".mark.push span")
+        assert words.evaluate("each => each.scrollWidth <= each.clientWidth")
+        for begin, _, end, _ in boxes(page, ".mark.held"):
+            assert end <= left + 1 or begin >= right - 1
+    page.context.close()
 
 
 def test_the_plot_says_what_it_shows_in_which_unit(page: Any) -> None:

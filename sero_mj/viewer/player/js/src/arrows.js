@@ -1,4 +1,4 @@
-/** Arrows of joints: round ones, which a shader places about the axes, and straight ones along them. */
+/** Arrows of joints: round ones, which a shader places about axes, and straight ones along them. */
 
 import * as THREE from "three";
 
@@ -75,7 +75,8 @@ const one = new THREE.Vector3(), BACK = new THREE.Quaternion(1, 0, 0, 0); // hal
 
 /**
  * Adds the arrows of joints that slide, as `RoundArrows` of Python draws them.
- * @param {Run} run @param {number} at frame, with a fraction @param {THREE.Matrix4[]} sites of all joints
+ * @param {Run} run @param {number} at frame, with a fraction
+ * @param {THREE.Matrix4[]} sites of all joints
  * @param {(joint: number) => boolean} isOn @param {import("./geoms.js").Geoms} to
  */
 export function addStraight(run, at, sites, isOn, to) {
@@ -95,7 +96,8 @@ export function addStraight(run, at, sites, isOn, to) {
     to.positions.set(centre.toArray(), 3 * i);
     to.rotations.set([turn.w, turn.x, turn.y, turn.z], 4 * i);
     to.sizes.set([width / 4, width / 4, 2 * length], 3 * i);
-    to.rgba.set([...rgb.map((/** @type {number} */ each) => 255 * bright * each), 255 * arrow.opacity].map(Math.round), 4 * i);
+    const rgba = [bright * rgb[0], bright * rgb[1], bright * rgb[2], arrow.opacity];
+    to.rgba.set(rgba.map((each) => Math.round(255 * each)), 4 * i);
   });
 }
 

@@ -93,8 +93,10 @@ export class Cards {
   /**
    * Places cards in columns beside the robots.
    * @param {Stage} stage @param {Content[]} contents @param {number} top free pixels
+   * @param {(left: number, right: number) => number} endOf
+   *   where a column between these has to end, pixels
    */
-  layOut(stage, contents, top) {
+  layOut(stage, contents, top, endOf) {
     this.#write(contents);
     const { width, height } = stage.size, { place } = this, shown = [];
     let [first, last] = [Infinity, -Infinity];
@@ -119,15 +121,18 @@ export class Cards {
     if (!shown.length) return;
     const widest = Math.max(...shown.map((card) => card.width));
     const tall = Math.min(...shown.map((card) => card.height));
-    const room = Math.max(Math.floor((height - top - 12) / (tall + GAP)), 1);
+    const margin = Math.min(90, width * 0.07);
+    const left = Math.max(first - margin - widest, 8);
+    const columns = [left, Math.min(last + margin, width - widest - 8)];
+    const ends = columns.map((x) => endOf(x, x + widest));
+    const room = Math.max(Math.floor((Math.min(...ends) - top + GAP) / (tall + GAP)), 1);
     const kept = mostLoaded(shown, 2 * room);
     this.#chooseSides(kept, middle, room);
-    const margin = Math.min(90, width * 0.07);
     for (const side of [0, 1]) {
       const column = kept.filter((card) => card.side === side).sort((a, b) => a.at.y - b.at.y);
-      const x = side ? Math.min(last + margin, width - widest - 8) : Math.max(first - margin - widest, 8);
+      const x = columns[side];
       const ys = stacked(column.map((card) => card.at.y), column.map((card) => card.height), GAP,
-        top, height - 8);
+        top, ends[side]);
       column.forEach((card, k) => {
         const y = ys[k], edge = side ? x : x + widest;
         card.box.style.width = `${widest}px`;

@@ -276,7 +276,10 @@ export function valueOf(run, joint, key, frame) {
   return key === "torque_share" ? 100 * Math.abs(value) / limit : value;
 }
 
-/** A number with so many digits behind the point; 0 has no sign. @param {number} value @param {number} digits */
+/**
+ * A number with so many digits behind the point; 0 has no sign.
+ * @param {number} value @param {number} digits
+ */
 export function fixed(value, digits) {
   const text = value.toFixed(digits);
   return /^-[0.]+$/.test(text) ? text.slice(1) : text;

@@ -7,7 +7,7 @@ import { Geoms, geomsAt } from "./geoms.js";
 import { JointCards } from "./joint_cards.js";
 import { labelsAt } from "./labels.js";
 import { lookToOpen, onOtherLook } from "./look.js";
-import { byId, made, valueIn } from "./page.js";
+import { boxesOf, byId, made, valueIn } from "./page.js";
 import { Plot } from "./plot.js";
 import { Ticks } from "./ticks.js";
 import { View } from "./view.js";
@@ -30,6 +30,8 @@ const KEYS = [
   ["h", "this help"],
 ];
 const VECTOR = 5; // kind of smart arrows, `Kind` in Python
+const BESIDE = 8; // pixels between boxes at the foot of the picture
+const NARROW = 280; // pixels, in which what happened is not told
 
 /** The whole page. */
 export class Player {
@@ -100,7 +102,7 @@ export class Player {
     for (const speed of SPEEDS) byId("speed").append(made("option", `x ${speed}`, { value: String(speed) }));
     /** @type {HTMLSelectElement} */ (byId("speed")).value = "1";
     byId("time").setAttribute("max", String(run.frames - 1));
-    this.ticks.update(ticksOf(run, clock.end), 0, clock.end);
+    this.ticks.update(ticksOf(run), 0, clock.end);
     document.body.classList.toggle("still", run.frames < 2);
     const keysHere = KEYS.filter(([key]) => key !== "q" || run.arrows.quantities.length);
     for (const [keys, words] of keysHere) byId("keys").append(made("dt", keys), made("dd", words));
@@ -281,6 +283,28 @@ export class Player {
     box.replaceChildren(made("h2", name || "decor"), list);
   }
 
+  get #seconds() { return (this.run.begin + this.clock.time).toFixed(2); }
+
+  /**
+   * Tells what is near the time, beside legend and details or above them.
+   * @returns {number} pixels that this needs
+   */
+  #tell() {
+    const { ticks, clock } = this, stage = byId("stage").getBoundingClientRect();
+    const room = { left: stage.left + BESIDE, right: stage.right - BESIDE, up: 0 };
+    const whole = { ...room };
+    for (const { left, right, top } of boxesOf(["notes", "details"])) {
+      whole.up = Math.max(whole.up, stage.bottom - top);
+      if (left + right < stage.left + stage.right) room.left = Math.max(room.left, right + BESIDE);
+      else room.right = Math.min(room.right, left - BESIDE);
+    }
+    const found = room.right - room.left < NARROW ? whole : room;
+    ticks.tell(clock.time, found);
+    const words = [`${this.#seconds} s`, ticks.told].filter(Boolean).join(", ");
+    byId("time").setAttribute("aria-valuetext", words);
+    return ticks.tallest && found.up + ticks.tallest + BESIDE;
+  }
+
   /** What of the page says what is on. */
   #show() {
     const { clock, run, switches } = this;
@@ -290,15 +314,14 @@ export class Player {
       button.setAttribute("aria-pressed", String(switches[/** @type {HTMLElement} */ (button).dataset.switch ?? ""]));
     }
     /** @type {HTMLSelectElement} */ (byId("speed")).value = String(clock.speed);
-    const time = /** @type {HTMLInputElement} */ (byId("time")), seconds = (run.begin + clock.time).toFixed(2);
+    const time = /** @type {HTMLInputElement} */ (byId("time"));
     time.value = String(clock.at);
     time.style.setProperty("--done", `${100 * clock.at / Math.max(run.frames - 1, 1)}%`);
-    this.ticks.tell(clock.time);
-    time.setAttribute("aria-valuetext", [`${seconds} s`, this.ticks.told].filter(Boolean).join(", "));
-    byId("now").textContent = `${seconds} s / ${(run.begin + clock.end).toFixed(2)} s`;
+    byId("now").textContent = `${this.#seconds} s / ${(run.begin + clock.end).toFixed(2)} s`;
     const { quantities } = run.arrows, noted = run.notes.texts[run.notes.at[clock.frame]];
     const meant = switches.arrows ? run.legend.texts[run.legend.at[clock.frame]] : "";
-    const legend = this.quantity ? meant.replace(/^round arrows: .*$/m, quantities[this.quantity].line) : meant;
+    const { line } = quantities[this.quantity] ?? { line: "" };
+    const legend = this.quantity ? meant.replace(/^round arrows: .*$/m, line) : meant;
     const notes = [noted, legend].filter(Boolean).join("\n\n");
     if (quantities.length) byId("quantity").textContent = quantities[this.quantity].name;
     if (byId("notes").textContent !== notes) byId("notes").textContent = notes;
@@ -309,11 +332,14 @@ export class Player {
   draw() {
     const { view, switches, clock, run, geoms } = this, { frame } = clock;
     const areSome = run.joints.some((joint) => joint.arrow.on);
-    const hasArrow = (/** @type {number} */ j) => switches.arrows && (run.joints[j].arrow.on || !areSome)
-      && (run.joints[j].double < 0 || switches.doubles);
+    const hasArrow = (/** @type {number} */ j) => switches.arrows
+      && (run.joints[j].arrow.on || !areSome) && (run.joints[j].double < 0 || switches.doubles);
     this.stage.hasShadows = switches.shadows;
+    this.#show();
+    this.#describe();
     view.draw({
-      at: clock.at, hasDoubles: switches.doubles, labels: labelsAt(run, frame), hasArrow,
+      foot: this.#tell(), at: clock.at, hasDoubles: switches.doubles, hasArrow,
+      labels: labelsAt(run, frame),
       geoms: (sites) => {
         geomsAt(run, frame, switches.arrows, geoms);
         addStraight(run, clock.at, sites, hasArrow, geoms);
@@ -322,8 +348,6 @@ export class Player {
       cards: () => switches.numbers ? this.cards.at(this.stage, frame) : [],
     });
     this.plot.setTime(clock.time);
-    this.#show();
-    this.#describe();
   }
 
   /** @param {number} passed ms since the last picture */
@@ -341,19 +365,14 @@ export class Player {
 
 /**
  * The marks of a run as ticks; those that take some time have their text on them where there is room.
- * @param {import("./data.js").Run} run @param {number} end s
+ * @param {import("./data.js").Run} run
  * @returns {import("./ticks.js").Tick[]}
  */
-function ticksOf(run, end) {
-  const length = Math.max(end, 1e-9);
-  let free = -Infinity; // where the last text on the time line ends, s
+function ticksOf(run) {
   return [...run.marks].sort((a, b) => a.begin - b.begin).map((mark) => {
-    const hasRoom = mark.end > mark.begin && mark.begin > free;
-    // As long as its text, or as the mark, where that cuts it.
-    if (hasRoom) free = mark.begin + Math.min(0.011 * length * mark.text.length, mark.end - mark.begin);
     const outcome = mark.kind === "failed" || mark.kind === "held" ? `${mark.kind}: ` : "";
     const text = `${(run.begin + mark.begin).toFixed(2)} s: ${outcome}${mark.text}`;
-    return { ...mark, text, label: hasRoom ? mark.text : "" };
+    return { ...mark, text, label: mark.end > mark.begin ? mark.text : "" };
   });
 }
 

@@ -29,7 +29,10 @@ export class Geoms {
     this.rgba = new Uint8Array(4 * capacity);
   }
 
-  /** Adds one where there is room; its numbers are then to be set. @param {number[]} of kind, item and type */
+  /**
+   * Adds one where there is room; its numbers are then to be set.
+   * @param {number[]} of kind, item and type
+   */
   add(...of) {
     this.of.set(of, 3 * this.count);
     return this.count++;

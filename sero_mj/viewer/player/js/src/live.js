@@ -171,7 +171,8 @@ export class Live {
     if (!state || !view.isDirty) return;
     view.stage.notePace(passed);
     view.draw({
-      at: 0, hasDoubles: true, hasArrow: (joint) => state.arrowOn[joint] > 0, geoms: () => state.geoms, sites: state.sites,
+      at: 0, hasDoubles: true, hasArrow: (joint) => state.arrowOn[joint] > 0,
+      geoms: () => state.geoms, sites: state.sites,
       labels: now.labels ?? [], cards: () => contentsOf(now.cards ?? [], now.selected ?? -1),
     });
   }

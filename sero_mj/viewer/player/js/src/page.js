@@ -3,6 +3,11 @@
 /** @template {Element} [T=HTMLElement] @param {string} id */
 export const byId = (id) => /** @type {T} */ (/** @type {unknown} */ (document.getElementById(id)));
 
+/** Where those of some elements are that are seen. @param {string[]} ids */
+export const boxesOf = (ids) => ids.map((id) => byId(id))
+  .filter((each) => each?.getClientRects().length)
+  .map((each) => each.getBoundingClientRect());
+
 /**
  * A new element.
  * @template {keyof HTMLElementTagNameMap} K

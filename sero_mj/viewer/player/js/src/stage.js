@@ -137,7 +137,8 @@ export class Stage {
    * Places everything.
    * @param {number} at frame, with a fraction @param {boolean} hasDoubles
    * @param {(joint: number) => boolean} hasArrow
-   * @param {(sites: THREE.Matrix4[]) => import("./geoms.js").Geoms} geoms of decor, where joints are there
+   * @param {(sites: THREE.Matrix4[]) => import("./geoms.js").Geoms} geoms
+   *   of decor, where joints are there
    * @param {{positions: Float32Array, turns: Float32Array} | null} [sites] where joints are, in the world
    */
   place(at, hasDoubles, hasArrow, geoms, sites = null) {

@@ -8,9 +8,17 @@ import { made, mark, write } from "./page.js";
  *   text: with its time, where that is not beside it; label: on what takes some time, where there is room
  */
 
+/**
+ * Where what is told has room: between two places of the page, so far above the time line; pixels.
+ * @typedef {{left: number, right: number, up: number}} Room
+ */
+
 const NEAR = 0.012; // of the time line
-const AFTER = 1; // s for which what has just happened is told: time to read it
+const AFTER = 0.5; // s for which what has just happened is told
 const MOST_LINES = 3;
+const OF_TICK = 3; // pixels that a tick is wide
+const SHORTEST = 40; // pixels, of a label that is cut
+const ABOVE = 12; // pixels between what is told and the time line
 
 /**
  * The ticks that are told: the nearest one, with what happened at the same time.
@@ -32,9 +40,23 @@ export function toldAt(ticks, at, length) {
   return told;
 }
 
+/** What tells ticks apart. @param {Tick} tick */
+const keyOf = ({ begin, end, kind, text }) => JSON.stringify([begin, end, kind, text]);
+
 /** The lines of a text, without what would be too many. @param {string[]} lines */
 const few = (lines) => lines.length <= MOST_LINES ? lines
   : [...lines.slice(0, MOST_LINES - 1), `and ${lines.length - MOST_LINES + 1} more`];
+
+/**
+ * Where a label is that no tick stands on: the first gap that is long enough, or the longest.
+ * @param {number} needed @param {number[]} edges ascending; pixels
+ * @returns {[begin: number, length: number]}
+ */
+export function gapFor(needed, edges) {
+  /** @type {[number, number][]} */
+  const gaps = edges.slice(1).map((end, k) => [edges[k], end - edges[k] - OF_TICK]);
+  return gaps.find(([, length]) => length >= needed) ?? gaps.reduce((a, b) => b[1] > a[1] ? b : a);
+}
 
 /** The ticks of a time line, as buttons that go there. */
 export class Ticks {
@@ -51,6 +73,11 @@ export class Ticks {
     this.low = 0; // s, ends of the time line
     this.high = 1;
     this.told = ""; // what is told now
+    this.tallest = 0; // pixels, of what was told until now
+    new ResizeObserver(() => {
+      this.tallest = 0;
+      this.#label();
+    }).observe(room);
   }
 
   /** @param {number} time */
@@ -60,11 +87,11 @@ export class Ticks {
 
   /** Buttons that are still there stay what they are. @param {Tick[]} ticks @param {number} low @param {number} high s */
   update(ticks, low, high) {
-    [this.ticks, this.low, this.high] = [ticks, low, high];
+    [this.ticks, this.low, this.high] = [ticks.map((tick) => ({ ...tick })), low, high];
     const before = this.buttons;
     this.buttons = new Map();
     for (const tick of ticks) {
-      const key = JSON.stringify([tick.begin, tick.end, tick.kind, tick.text]);
+      const key = keyOf(tick);
       if (this.buttons.has(key)) continue;
       const button = before.get(key) ?? this.#make(tick);
       before.delete(key);
@@ -74,6 +101,31 @@ export class Ticks {
       this.buttons.set(key, button);
     }
     for (const button of before.values()) button.remove();
+    this.#label();
+  }
+
+  /** Places labels where they are not covered; a tick whose label has no room has none. */
+  #label() {
+    const { ticks, room: { clientWidth: width } } = this;
+    const begins = ticks.map(({ begin }) => width * this.#share(begin));
+    const inOrder = [...begins].sort((a, b) => a - b);
+    let free = -Infinity; // where the last label ends
+    for (const [k, tick] of width ? ticks.entries() : []) {
+      const words = this.buttons.get(keyOf(tick))?.querySelector("span");
+      if (!words) continue;
+      words.style.maxWidth = "";
+      words.hidden = false;
+      const begin = begins[k], end = width * this.#share(tick.end);
+      const from = Math.min(Math.max(begin, free), end);
+      const edges = [from, ...inOrder.filter((each) => each > from + 1 && each < end), end];
+      const needed = words.offsetWidth, [at, length] = gapFor(needed, edges);
+      words.hidden = length < Math.min(needed, SHORTEST);
+      tick.label = words.hidden ? "" : words.textContent ?? "";
+      if (words.hidden) continue;
+      words.style.left = `${at - begin}px`;
+      words.style.maxWidth = `${length}px`;
+      free = at + OF_TICK + Math.min(needed, length);
+    }
   }
 
   /** @param {Tick} tick */
@@ -86,8 +138,11 @@ export class Ticks {
     return button;
   }
 
-  /** Tells what is near a time. @param {number} at s */
-  tell(at) {
+  /**
+   * Tells what is near a time.
+   * @param {number} at s @param {Room} [room] anywhere above the time line if not given
+   */
+  tell(at, room) {
     const told = toldAt(this.ticks, at, this.high - this.low), { bubble } = this;
     this.told = few(told.map(({ text }) => text)).join("\n");
     bubble.hidden = !told.length;
@@ -95,8 +150,23 @@ export class Ticks {
     write(bubble, this.told);
     mark(bubble, "class", `told ${(told.find(({ kind }) => kind === "failed") ?? told[0]).kind}`);
     // Beside its tick, and never beyond the ends of the time line.
-    const share = 100 * this.#share(told[0].begin);
-    bubble.style.left = `${share}%`;
-    bubble.style.transform = `translateX(${-share}%)`;
+    const share = this.#share(told[0].begin);
+    bubble.style.left = `${100 * share}%`;
+    bubble.style.transform = `translateX(${-100 * share}%)`;
+    if (room) this.#move(share, room);
+    this.tallest = Math.max(this.tallest, bubble.offsetHeight);
+  }
+
+  /**
+   * Moves what is told to where it has room.
+   * @param {number} share of the time line @param {Room} room
+   */
+  #move(share, { left: first, right: last, up }) {
+    const { bubble } = this, { left, width } = this.room.getBoundingClientRect();
+    bubble.style.maxWidth = `min(60ch, ${last - first}px)`;
+    bubble.style.bottom = `calc(100% + ${ABOVE + up}px)`;
+    const wanted = left + share * (width - bubble.offsetWidth);
+    bubble.style.left = `${Math.max(Math.min(wanted, last - bubble.offsetWidth), first) - left}px`;
+    bubble.style.transform = "";
   }
 }

@@ -2,7 +2,7 @@
 
 import { Cards } from "./cards.js";
 import { Labels } from "./labels.js";
-import { byId, made } from "./page.js";
+import { boxesOf, byId, made } from "./page.js";
 import { Stage, rendererOf } from "./stage.js";
 
 /** @typedef {import("./data.js").Run} Run */
@@ -116,18 +116,25 @@ export class View {
   /**
    * Draws a moment.
    * @param {{at: number, hasDoubles: boolean, hasArrow: (joint: number) => boolean,
-   *   geoms: (sites: import("three").Matrix4[]) => import("./geoms.js").Geoms, cards: () => import("./cards.js").Content[],
+   *   geoms: (sites: import("three").Matrix4[]) => import("./geoms.js").Geoms,
+   *   cards: () => import("./cards.js").Content[],
    *   labels: import("./labels.js").Label[],
-   *   sites?: {positions: Float32Array, turns: Float32Array} | null}} moment
+   *   sites?: {positions: Float32Array, turns: Float32Array} | null, foot?: number}} moment
+   *   foot: pixels at the foot of the picture that cards leave free
    */
-  draw({ at, hasDoubles, hasArrow, geoms, cards, labels, sites }) {
+  draw({ foot = 0, at, hasDoubles, hasArrow, geoms, cards, labels, sites }) {
     const { stage } = this;
     this.isDirty = false;
     stage.place(at, hasDoubles, hasArrow, geoms, sites);
     this.calls = stage.draw();
     const { offsetTop, offsetHeight } = /** @type {HTMLElement} */ (byId("names").parentElement);
     const top = offsetTop + offsetHeight + 4;
-    this.cards.layOut(stage, cards(), top);
+    const room = byId("stage").getBoundingClientRect(), boxes = boxesOf(["notes", "details"]);
+    /** @param {number} left @param {number} right pixels */
+    const endOf = (left, right) => Math.min(stage.size.height - foot - 8, ...boxes
+      .filter((box) => box.left - room.left < right && box.right - room.left > left)
+      .map((box) => box.top - room.top - 8));
+    this.cards.layOut(stage, cards(), top, endOf);
     this.labels.layOut(stage, labels);
     /** @type {HTMLSelectElement} */ (byId("camera")).value = String(stage.fixed);
   }

@@ -13,7 +13,7 @@ import { keysOf, linesOf } from "../src/panels.js";
 import { Reader, fill, readSections } from "../src/sections.js";
 import { State } from "../src/state.js";
 import { shortName } from "../src/plot.js";
-import { toldAt } from "../src/ticks.js";
+import { gapFor, toldAt } from "../src/ticks.js";
 import { Held, rounded, stepOf } from "../src/widgets.js";
 
 /** @param {ArrayBufferView} array */
@@ -35,7 +35,8 @@ function run() {
     version: 1, fps: 1, begin: 0, frames: 1, steps: [1, 1], positions: [0, "u1", 3], rotations: [1, "u1", 4],
     opacity: [2, "u1", 1], grey: [2, "u1", 1], bodies: [{ name: "link", joint: 0, double: -1 }], meshes: [],
     geoms: [], joints: [{ torqueLimit: 5, arrow: { on: true, radius: 0.1 } }], values: {},
-    arrows: { stale: [2, "u1", 1], values: null }, items: { of: [] }, notes: { texts: [""], at: empty }, legend: { texts: [""], at: empty },
+    arrows: { stale: [2, "u1", 1], values: null }, items: { of: [] }, notes: { texts: [""], at: empty },
+    legend: { texts: [""], at: empty },
     cards: [], lengths: [3, 4, 1],
   };
   const text = new TextEncoder().encode(JSON.stringify(head));
@@ -214,7 +215,14 @@ test("what is near the time is told, the nearest, with what was at the same time
     ({ begin, end, text, kind: "finding", label });
   const ticks = [tick(1, "a"), tick(1.02, "b"), tick(1.02, "c"), tick(4, "d", 9), tick(4.5, "e", 9, "e")];
   const told = (/** @type {number} */ at) => toldAt(ticks, at, 10).map(({ text }) => text).join("");
-  assert.deepEqual([0.8, 0.95, 1.009, 1.5, 2.1, 4, 4.6, 7].map(told), ["", "a", "a", "bc", "", "d", "e", "d"]);
+  const times = [0.8, 0.95, 1.009, 1.5, 1.6, 4, 4.6, 7];
+  assert.deepEqual(times.map(told), ["", "a", "a", "bc", "", "d", "e", "d"]);
+});
+
+test("a label stands where no tick is on it, or where most of it is seen", () => {
+  assert.deepEqual(gapFor(30, [0, 10, 50, 100]), [10, 37]);
+  assert.deepEqual(gapFor(30, [0, 100]), [0, 97]);
+  assert.deepEqual(gapFor(60, [0, 10, 50, 100]), [50, 47]);
 });
 
 test("names of files are short, and tell them apart", () => {

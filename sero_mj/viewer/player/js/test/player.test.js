@@ -29,7 +29,8 @@ test("normals of all octants have unit length", () => {
 test("numbers are written as Python does", () => {
   assert.equal(textOf(LINE, -69.12), "-69.1 Nm");
   assert.equal(textOf(LINE, -0.04), "0.0 Nm");
-  assert.deepEqual([-0.0004, -0, -0.0006].map((each) => fixed(each, 3)), ["0.000", "0.000", "-0.001"]);
+  const small = [-0.0004, -0, -0.0006];
+  assert.deepEqual(small.map((each) => fixed(each, 3)), ["0.000", "0.000", "-0.001"]);
   assert.equal(textOf(LINE, NaN), "no data");
   assert.equal(textOf({ ...LINE, key: "torque_limit" }, Infinity), "none");
 });
@@ -74,7 +75,8 @@ test("a head and its arrays are read, with channels one after the other", () => 
     version: 1, fps: 1, begin: 0, frames: 2, steps: [0.5, 1], positions: moving, rotations: empty,
     opacity: empty, grey: empty, meshes: [], geoms: [], joints: [{ torqueLimit: 5 }],
     values: { torques: [1, "f8", 2] }, arrows: { stale: empty, values: null }, items: { of: [] },
-    notes: { texts: [""], at: empty }, legend: { texts: [""], at: empty }, cards: [], lengths: [4, 16],
+    notes: { texts: [""], at: empty }, legend: { texts: [""], at: empty }, cards: [],
+    lengths: [4, 16],
   };
   const text = new TextEncoder().encode(JSON.stringify(head));
   const bytes = new Uint8Array([...new Uint8Array(new Uint32Array([text.length]).buffer), ...text,
