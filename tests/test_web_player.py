@@ -296,6 +296,24 @@ def test_the_label_of_a_mark_stands_where_no_other_mark_is(browser: Any, tmp_pat
     page.context.close()
 
 
+def test_marks_at_the_end_fit_a_phone_and_leave_the_slider_free(
+    browser: Any, tmp_path: Path
+) -> None:
+    marks = [Mark(time, time, "held", "held") for time in (0.0, 1.0, 1.95, 2.0)]
+    scene, path = load_scene("impedance_push"), tmp_path / "push.html"
+    sero_mj.export_html(scene, path, marks=marks, fps=FPS, seconds=2.0)
+    page = opened(browser, path, at=0.5, **PHONE)
+    assert page.evaluate("[document.documentElement.scrollWidth, innerWidth]") == [390, 390]
+    ((left, top, right, bottom),) = boxes(page, "#time")
+    assert all(mark[3] <= top + 1 for mark in boxes(page, ".mark"))
+    page.touchscreen.tap((left + right) / 2 + 40, (top + bottom) / 2)
+    assert page.evaluate("player.clock.time") not in (0.5, 1.0)
+    ((left, top, right, bottom), *_) = boxes(page, ".mark")[1:]
+    page.touchscreen.tap((left + right) / 2 + 12, (top + bottom) / 2)  # beside it
+    assert page.evaluate("player.clock.time") == 1.0
+    page.context.close()
+
+
 def test_the_plot_says_what_it_shows_in_which_unit(page: Any) -> None:
     page.evaluate("player.choose(2)")
     names = page.locator("#legend").inner_text().split("\n")
