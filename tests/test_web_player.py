@@ -314,6 +314,23 @@ def test_marks_at_the_end_fit_a_phone_and_leave_the_slider_free(
     page.context.close()
 
 
+def test_a_phone_tells_what_arrows_show_and_lets_it_be_chosen(phone: Any) -> None:
+    phone.evaluate("player.select(null); player.seek(1.0); player.draw()")
+    button, legend = phone.locator("#quantity"), phone.locator("#notes")
+    assert "round arrows: joint torque\n" in legend.inner_text()
+    for word in ("torque error", "torque"):
+        button.tap()
+        phone.locator("#quantity", has_text=re.compile(f"^{word}$")).wait_for()
+        assert f"round arrows: {'joint ' * (word == 'torque')}{word}" in legend.inner_text()
+        assert covered(phone, "#notes", ".told", ".card", "#tools button") == []
+    phone.locator(".card", has_text="A2").tap()
+    phone.locator("#details h2", has_text="lwr/A2").wait_for()
+    assert legend.is_hidden() and covered(phone, "#details", ".told", ".card") == []
+    phone.touchscreen.tap(20, 150)
+    phone.locator("#details").wait_for(state="hidden")
+    assert legend.is_visible()
+
+
 def test_the_plot_says_what_it_shows_in_which_unit(page: Any) -> None:
     page.evaluate("player.choose(2)")
     names = page.locator("#legend").inner_text().split("\n")

@@ -190,8 +190,7 @@ export class Player {
   /** Lets round arrows show what is next of what they can. */
   nextQuantity() {
     const { arrows, values } = this.run, { quantities } = arrows;
-    // A small screen has no room for what would tell which it is.
-    if (!quantities.length || !byId("quantity").offsetParent) return;
+    if (!quantities.length) return;
     this.quantity = (this.quantity + 1) % quantities.length;
     const { key } = quantities[this.quantity];
     arrows.values = values[key];
