@@ -285,7 +285,11 @@ def lab(folder: Path) -> Iterator[str]:
         yield f"{url}/lab/tree/run.ipynb?reset&token=t"
     finally:
         server.terminate()
-        server.wait(20)
+        try:
+            server.wait(20)
+        except subprocess.TimeoutExpired:  # it hangs now and then where a kernel ends meanwhile
+            server.kill()
+            server.wait()
 
 
 _READY = "() => document.documentElement.dataset.ready === '1'"

@@ -180,7 +180,7 @@ def test_a_scenario_may_take_another_files_scene(tmp_path: Path) -> None:
         (  # and not that there is no push
             "[disturbances.push]\nkind='force'\nat='lwr/flange'\nforce=[0,0]\n"
             "[expect.e]\nfinds='torque_error'\ncause='push'\n",
-            Problem("disturbances.push.force", found=2, expected="3 numbers"),
+            Problem("disturbances.push.force", "found 2; expected 3 numbers"),
         ),
         (
             "[expect.e]\nmeasure='torque'\nbelow=1\nafter=3\n",
