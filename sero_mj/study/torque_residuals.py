@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -84,8 +85,7 @@ class TorqueResiduals:
         signs: of the velocities, (K, n).
         accelerations: (K, n).
         slow: (K, n), where joints hardly move.
-        by_angle: (K, n, n), change of the model's torque at the first joint by the angle of the
-            second, in Nm and N by rad and m: what an encoder's offset makes the model err by.
+        motion: (3, K, n), angles, velocities and accelerations of the links.
         payload: (K, n, 10), torques by mass, first moments and inertia (about the flange, in its
             axes) of a body that is fixed to the flange: `PARAMETERS`, SI units.
         roughness: (W, n), of the measured torque in windows, Nm: the standard deviation of
@@ -118,7 +118,7 @@ class TorqueResiduals:
     signs: Array
     accelerations: Array
     slow: Bools
-    by_angle: Array
+    motion: Array
     payload: Array
     roughness: Array
     rough_times: Array
@@ -134,6 +134,14 @@ class TorqueResiduals:
     def has_model(self) -> bool:
         """Whether `link` is valid."""
         return not self.no_model
+
+    @cached_property
+    def by_angle(self) -> Array:
+        """Change of the model's torque at one joint by the angle of another, (K, n, n).
+
+        In Nm and N by rad and m: what an encoder's offset makes the model err by.
+        """
+        return _torques_by_angle(self.robot, *self.motion)
 
     @property
     def step(self) -> float:
@@ -235,7 +243,7 @@ def torque_residuals(
         signs=signs,
         accelerations=acceleration,
         slow=slow,
-        by_angle=_torques_by_angle(robot, low_pass(q), low_pass(v), low_pass(a)),
+        motion=np.stack([low_pass(each) for each in (q, v, a)]),
         payload=low_pass(_payload_torques(robot, q, v, a)),
         roughness=rough,
         rough_times=at[1] + windows,
