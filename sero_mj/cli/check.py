@@ -97,12 +97,13 @@ add_to = command("check", run, CheckOptions, _EPILOG)
 def _kind(robot: SerialRobot) -> str:
     """Returns its number of joints, and the kinds of its kinematics and link geometry."""
     table = "frames of joints" if robot.dh is None else f"{robot.dh_convention} DH"
-    look = f"shapes generated from its {'joints' if robot.dh is None else 'DH table'}"
-    if robot.has_geometry:
-        has_mesh = any(part.file for link in robot.filenames or [] for part in link)
-        look = "meshes" if has_mesh else "boxes, cylinders and the like"
     if robot.mjcf is not None:
         look = "geoms of its MJCF"
+    elif robot.filenames:
+        has_mesh = any(part.file for link in robot.filenames for part in link)
+        look = "meshes" if has_mesh else "boxes, cylinders and the like"
+    else:
+        look = f"shapes generated from its {'joints' if robot.dh is None else 'DH table'}"
     return f"{robot.n} joints, {table}, {look}"
 
 

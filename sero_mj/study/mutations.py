@@ -10,7 +10,6 @@ Programmer, Computer 11(4).
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -20,7 +19,7 @@ from typing import Any
 
 from ..base.errors import DeclarationError, Problem
 from ..base.toml_file import located, read_toml
-from .variant import is_known
+from .sweep_results import is_known, value_columns
 
 COLUMN = "mutation"
 _EXAMPLE = 'a table, ["half as stiff"] say, with "controllers.lwr.stiffness" = 400'
@@ -81,8 +80,7 @@ class Mutations:
 
     def settings(self) -> dict[str, Any]:
         """What each sets."""
-        plain: dict[str, Any] = json.loads(json.dumps(self.tables, default=str))
-        return {"mutations": plain}
+        return {"mutations": self.tables}
 
     def check(self, read: Callable[[Mapping[str, Any]], object], fixed: Mapping[str, Any]) -> None:
         """Checks that every mutation can be read; what is refused at once needs no expectation."""
@@ -142,18 +140,14 @@ def judge(row: Mapping[str, Any], without: Mapping[str, Any]) -> Judged:
         row: of its variant in the table of the sweep.
         without: that of the scenario as it is; empty if it is not known.
     """
-    expected = [
-        column.removeprefix("expect.").removesuffix(".value")
-        for column in row
-        if column.startswith("expect.") and column.endswith(".value")
-    ]
+    columns = value_columns([*row])
+    expected = [name for name in columns if columns[name].startswith("expect.")]
     failed = [name for name in expected if row[f"expect.{name}"] is False]
     best: tuple[str | None, float, float] = (None, math.nan, math.nan)
     most = 0.0
     for name in expected:
-        key = f"expect.{name}.value"
-        if is_known(row, key) and is_known(without, key):
-            value, other = float(row[key]), float(without[key])
+        if is_known(row, columns[name]) and is_known(without, columns[name]):
+            value, other = float(row[columns[name]]), float(without[columns[name]])
             change = abs(value - other) / max(abs(other), 1e-12)
             if change > most:
                 best, most = (name, value, other), change

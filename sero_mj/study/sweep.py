@@ -42,7 +42,7 @@ class Design(Protocol):
         """What some variant sets that may name a file."""
 
     def settings(self) -> dict[str, Any]:
-        """Everything that the variants depend on, as JSON types."""
+        """Everything that the variants depend on."""
 
     def check(self, read: Callable[[Mapping[str, Any]], object], fixed: Mapping[str, Any]) -> None:
         """Raises SeroError where variants cannot be.
@@ -102,14 +102,15 @@ class Sweep:
             ).hexdigest()[:16]
             for file in files_of(self.base)
         }
-        return {
+        settings = {
             "scenario": self.base.name,
             **self.design.settings(),
-            "set": {key: _plain(value) for key, value in self.fixed.items()},
+            "set": self.fixed,
             "files": files,
             "sero-mj": __version__,
             "mujoco": mujoco.__version__,
         }
+        return {key: _plain(value) for key, value in settings.items()}
 
     def shard(self, number: int = 1, of: int = 1) -> range:
         """The numbers of the variants of one of several shards, counted from 1."""
@@ -134,6 +135,8 @@ class Sweep:
 
 def _plain(value: Any) -> Any:
     """The same as JSON gives it back."""
+    if isinstance(value, Mapping):
+        return {key: _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(each) for each in value]
     return value if isinstance(value, bool | int | float | str) else str(value)

@@ -19,7 +19,7 @@ from ..data.record.csv_files import csv_table
 from .figure import check_suffix
 from .samples import Samples, Vary
 from .sweep import Sweep
-from .variant import UNITS, is_known
+from .variant import UNITS
 
 _MAX_ROWS, _MAX_COLUMNS = 8, 5  # of the picture
 _LABEL_WIDTH = 22  # characters
@@ -317,6 +317,12 @@ def summarise_sweep(rows: Rows, columns: list[str]) -> SweepSummary:
     errors = {k: str(row["error"]) for k, row in sorted(rows.items()) if row["error"]}
     held_all = sum(row["held"] is True for row in rows.values())
     return SweepSummary(len(rows), held_all, errors, outcomes)
+
+
+def is_known(row: Mapping[str, Any], column: str) -> bool:
+    """Whether a row has a finite number there."""
+    value = row.get(column)
+    return isinstance(value, int | float) and math.isfinite(value)
 
 
 def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,12 +37,6 @@ def outcome_columns(scenario: Scenario) -> list[str]:
     for robot in scenario.scene.robots:
         columns += [f"{robot}.{key}" for key in PER_ROBOT]
     return columns
-
-
-def is_known(row: Mapping[str, Any], column: str) -> bool:
-    """Whether a variant's row has a finite number there."""
-    value = row.get(column)
-    return isinstance(value, int | float) and math.isfinite(value)
 
 
 class VariantRunner:

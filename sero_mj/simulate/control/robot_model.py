@@ -468,13 +468,7 @@ def skeleton(
         first = int(model.body_jntadr[old])
         for joint in range(first, first + int(model.body_jntnum[old])):
             if joint in joints:
-                new.add_joint(
-                    type=mujoco.mjtJoint(int(model.jnt_type[joint])),
-                    pos=model.jnt_pos[joint],
-                    axis=model.jnt_axis[joint],
-                    ref=model.qpos0[model.jnt_qposadr[joint]],
-                    armature=model.dof_armature[model.jnt_dofadr[joint]],
-                )
+                _add_joint(new, model, joint)
     if site is not None:
         at = copies[int(model.site_bodyid[site])]
         at.add_site(name="flange", pos=model.site_pos[site], quat=model.site_quat[site])
@@ -503,11 +497,16 @@ def _repeated(model: mujoco.MjModel, m: int) -> mujoco.MjModel:
             )
             first = int(model.body_jntadr[old])
             for joint in range(first, first + int(model.body_jntnum[old])):
-                new.add_joint(
-                    type=mujoco.mjtJoint(int(model.jnt_type[joint])),
-                    pos=model.jnt_pos[joint],
-                    axis=model.jnt_axis[joint],
-                    ref=model.qpos0[model.jnt_qposadr[joint]],
-                    armature=model.dof_armature[model.jnt_dofadr[joint]],
-                )
+                _add_joint(new, model, joint)
     return spec.compile()
+
+
+def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
+    """Adds a joint of a model to a body."""
+    body.add_joint(
+        type=mujoco.mjtJoint(int(model.jnt_type[joint])),
+        pos=model.jnt_pos[joint],
+        axis=model.jnt_axis[joint],
+        ref=model.qpos0[model.jnt_qposadr[joint]],
+        armature=model.dof_armature[model.jnt_dofadr[joint]],
+    )
