@@ -1,6 +1,7 @@
 /** Arrows of joints: round ones, which a shader places about axes, and straight ones along them. */
 
 import * as THREE from "three";
+import { ARROW } from "./geoms.js";
 
 /** @typedef {import("./data.js").Run} Run */
 
@@ -68,7 +69,6 @@ const PLACE = `
   vec3 transformed = vec3(far * out2 + along.y * r * vec2(-out2.y, out2.x), .5 * wide * across.y);
   dark = across.z * striped;`;
 
-export const ARROW = 1; // kind of joints' arrows, `Kind` in Python
 const STRAIGHT = 100; // mjGEOM_ARROW, drawn half as long as its size
 const centre = new THREE.Vector3(), along = new THREE.Vector3(), turn = new THREE.Quaternion();
 const one = new THREE.Vector3(), BACK = new THREE.Quaternion(1, 0, 0, 0); // half a turn about x

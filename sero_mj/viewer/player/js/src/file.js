@@ -3,7 +3,7 @@
 import { addStraight } from "./arrows.js";
 import { Clock, SPEEDS } from "./clock.js";
 import { fixed, textOf, valueOf } from "./data.js";
-import { Geoms, geomsAt } from "./geoms.js";
+import { Geoms, geomsAt, VECTOR } from "./geoms.js";
 import { JointCards } from "./joint_cards.js";
 import { labelsAt } from "./labels.js";
 import { lookToOpen, onOtherLook } from "./look.js";
@@ -29,7 +29,6 @@ const KEYS = [
   ["0 … 9", "initial view, cameras"],
   ["h", "this help"],
 ];
-const VECTOR = 5; // kind of smart arrows, `Kind` in Python
 const BESIDE = 8; // pixels between boxes at the foot of the picture
 const NARROW = 280; // pixels, in which what happened is not told
 

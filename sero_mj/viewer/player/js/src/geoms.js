@@ -2,7 +2,8 @@
 
 /** @typedef {import("./data.js").Run} Run */
 
-const VECTOR = 5; // kind of smart arrows, `Kind` in Python
+/** Kinds of geoms, `Kind` in Python: arrows of joints, and smart arrows. */
+export const ARROW = 1, VECTOR = 5;
 
 /** As many geoms as `count` says. */
 export class Geoms {

@@ -1,6 +1,7 @@
 /** Decor that is drawn geom by geom: smart arrows, axes and what other packages draw. */
 
 import * as THREE from "three";
+import { VECTOR } from "./geoms.js";
 import { stretch, tube } from "./tubes.js";
 
 /** @typedef {import("./geoms.js").Geoms} Geoms */
@@ -8,7 +9,6 @@ import { stretch, tube } from "./tubes.js";
 // mjtGeom
 const SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5, BOX = 6;
 const ARROW = 100, ARROW1 = 101, ARROW2 = 102, LINE = 103, LINEBOX = 104, TRIANGLE = 108;
-const VECTOR = 5; // kind of smart arrows, `Kind` in Python
 const UP = Math.PI / 2;
 
 /** @typedef {(size: number[]) => [number[], number]} Scale scale, and offset along z */

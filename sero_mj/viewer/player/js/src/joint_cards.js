@@ -1,11 +1,11 @@
 /** What the cards of a run in a file say: values of its joints, and of smart arrows. */
 
 import { textOf, valueOf } from "./data.js";
+import { VECTOR } from "./geoms.js";
 
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {import("./cards.js").Content} Content */
 
-const VECTOR = 5; // kind of smart arrows, `Kind` in Python
 const TORQUES = ["torques", "torque_error"];
 
 /** The cards of a run; their keys are `joint N` and `vector N`. */

@@ -2,8 +2,9 @@
 
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import { ARROW, RoundArrows } from "./arrows.js";
+import { RoundArrows } from "./arrows.js";
 import { placeOf, standingBack, viewFrom } from "./eye.js";
+import { ARROW } from "./geoms.js";
 import { Items } from "./items.js";
 import { Lamps } from "./lights.js";
 import { Robots, matrixOf } from "./robots.js";
