@@ -7,10 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from .base import paths
-from .base.errors import DeclarationError, Problem, UnknownName, UsageError, nearest
+from .base import paths, trust
+from .base.errors import (
+    DeclarationError,
+    Problem,
+    UnknownName,
+    UsageError,
+    collect,
+    nearest,
+)
 from .data.drive.wiring import wire
 from .robots.declared.robot import SerialRobot
 from .robots.declared.scene import Scene
@@ -19,20 +26,32 @@ from .robots.importers.imported_tables import NoJoints
 from .robots.importers.importer import find_importer
 from .simulate.sections import is_scenario
 
+if TYPE_CHECKING:
+    from .simulate.scenario import Scenario
+
 
 def load_scene(
-    name: Path | str, overrides: Mapping[str, Any] | None = None, *, by_hand: bool = False
+    name: Path | str,
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    by_hand: bool = False,
+    trusted: bool = False,
+    replay: Path | None = None,
 ) -> Scene:
     """Loads and checks a scene, opening nothing.
 
     A robot or a group of robots is a scene with it alone. A scenario is simulated while its scene
-    is shown.
+    is shown. If it asks to run programs and is not trusted, its scene is shown without simulating,
+    and `scene.withheld` says what it asks for.
 
     Args:
         name: a file (TOML, X3D), or the name of a shipped scene, scenario, robot or group.
         overrides: `robot.field` to its value, over what the file says. An input that is set so
             (`lwr.joint_angles`) is no longer routed to.
         by_hand: whether the robots of a scenario can be pulled by hand, in a window or on a page.
+        trusted: whether a scenario may start the programs and load the libraries that it names.
+            Pass True only for a file that its user has chosen to simulate, see `base.trust`.
+        replay: a recording of the scenario, which will be played instead of simulating it.
 
     Raises:
         UnknownName: none of these; names the nearest.
@@ -40,11 +59,15 @@ def load_scene(
         UsageError: `overrides` names another robot than the one that is loaded.
     """
     name, overrides = str(name), dict(overrides or {})
+
+    def load_scenario(name: str) -> Scene:
+        return _load_scenario(name, overrides, by_hand=by_hand, trusted=trusted, replay=replay)
+
     try:
         path = paths.find_scene(name)
     except UnknownName as error:
         if name in paths.list_scenarios():
-            return _load_scenario(name, overrides, by_hand=by_hand)
+            return load_scenario(name)
         try:
             path = paths.find_model(name)
         except UnknownName as no_robot:
@@ -76,7 +99,7 @@ def load_scene(
         tables = {"name": own, "groups": {own: {"model": path}}}
         return _checked(*scene_from_tables(path, tables, overrides))
     if is_scenario(path):
-        return _load_scenario(str(path), overrides, by_hand=by_hand)
+        return load_scenario(str(path))
     return _checked(*read_scene_file(path, overrides))
 
 
@@ -142,10 +165,41 @@ def _refuse_group(name: str) -> None:
     raise UsageError(f"{name} is a group of robots; expected one robot. It has {names}")
 
 
-def _load_scenario(name: str, overrides: Mapping[str, Any], *, by_hand: bool) -> Scene:
+def _load_scenario(
+    name: str, overrides: Mapping[str, Any], *, by_hand: bool, trusted: bool, replay: Path | None
+) -> Scene:
     # What simulates is imported where something is to be simulated.
     from .simulate.scenario_file import read_scenario
-    from .simulate.simulated_scene import simulated_scene
+    from .simulate.simulated_scene import replayed_scene, simulated_scene
     from .simulate.simulation import Simulation
 
-    return simulated_scene(Simulation(read_scenario(name, overrides), by_hand=by_hand))
+    scenario = read_scenario(name, overrides, trusted=trusted)
+    if replay is not None:
+        return replayed_scene(scenario, replay)
+    withheld = scenario.withheld
+    if withheld is None:
+        return simulated_scene(Simulation(scenario, by_hand=by_hand))
+    _check(scenario)
+    scene = scenario.scene
+    scene.withheld = withheld
+    trust.log.warning(
+        "%s: shown without simulating, because it asks to run %s; `sero-mj simulate %s` runs it",
+        withheld.file, " and ".join(map(str, withheld.actions)), withheld.file,
+    )  # fmt: skip
+    return scene
+
+
+def _check(scenario: Scenario) -> None:
+    """Reports everything that is wrong with a scenario, as far as that shows without running it."""
+    from .simulate.control.controller import ControllerDeclaration
+    from .simulate.simulation import Simulation
+
+    problems: list[Problem] = []
+    for name, declared in scenario.controllers.items():
+        if isinstance(declared, ControllerDeclaration):
+            with collect(problems, f"controllers.{name}"):
+                declared.check_files()
+    with collect(problems, ""):
+        Simulation(scenario.without_programs())
+    if problems:
+        raise DeclarationError(scenario.scene.located(problems))

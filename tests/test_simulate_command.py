@@ -108,7 +108,7 @@ def test_a_recording_holds_every_row_and_replays_to_the_same_states(
         RunSource(run=simulation),
         {"kind": "replay", "file": str(out), "source": SOURCE},
     ):
-        scene = with_routes(simulation.scenario, simulation.layout, source)
+        scene = with_routes(simulation.scenario, simulation.layout.columns, source)
         with Mirror(scene) as mirror:
             for t in (0.0, 0.1003, 0.4, 0.25):
                 mirror.advance(t)
@@ -170,7 +170,7 @@ def test_a_film_and_the_log_show_the_same(scenario: Path) -> None:
     """A mirror that simulates while it films shows what the finished log says."""
     finished = rows_of(scenario)
     fresh = Simulation(read_scenario(scenario))
-    scene = with_routes(fresh.scenario, fresh.layout, RunSource(run=fresh))
+    scene = with_routes(fresh.scenario, fresh.layout.columns, RunSource(run=fresh))
     with Mirror(scene) as mirror:
         for frame in range(12):
             mirror.advance(frame / 30)
@@ -295,7 +295,7 @@ def test_options_that_do_not_fit_are_told(
 
 def test_it_renders_with_decor_from_python(scenario: Path) -> None:
     simulation = rows_of(scenario)
-    scene = with_routes(simulation.scenario, simulation.layout, RunSource(run=simulation))
+    scene = with_routes(simulation.scenario, simulation.layout.columns, RunSource(run=simulation))
     with Mirror(scene) as mirror, HeadlessRenderer(mirror.world, 160, 120) as renderer:
         mirror.advance(0.3)
         assert renderer.render(mirror.data).shape == (120, 160, 3)

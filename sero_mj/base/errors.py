@@ -9,6 +9,7 @@
     ├── RecordingError        a recording that cannot be written on, or read
     ├── SimulationError       a simulation that cannot go on
     ├── CsvError              a table of comma-separated values that cannot be read or written
+    ├── NotTrusted            a file that asks to run something, and may not
     ├── PluginError           an entry point of another package that cannot be loaded
     ├── ClusterError          a cluster that cannot be reached, or whose workers differ
     ├── RenderError           no picture can be made (no GL, no room for the file)
@@ -31,6 +32,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
+    from pathlib import Path
 
 _MAX_SHOWN = 60  # characters of a long text on either side of the error
 _MAX_TEXT = 200  # characters of a text that is wrong as a whole
@@ -338,6 +340,22 @@ class SimulationError(_ProblemError, RuntimeError):
         self.time = time
         self.joint = joint
         self.reason = str(self.problem)
+
+
+class NotTrusted(SeroError, PermissionError):
+    """A file asks to run something, and may not; see `base.trust`.
+
+    Attributes:
+        file: the file.
+        actions: what it asks to run, each as text.
+    """
+
+    def __init__(self, file: Path, actions: list[str]) -> None:
+        self.file, self.actions = file, actions
+        super().__init__(
+            f"{file}: asks to run {' and '.join(actions)}; a file that its user has not trusted "
+            f"runs nothing. `sero-mj simulate {file}` trusts it"
+        )
 
 
 class RenderError(_ProblemError, RuntimeError):

@@ -8,6 +8,7 @@ import json
 import math
 import re
 import signal
+import sys
 import threading
 import time
 import tomllib
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from ..data.record.recording import PacketFile
     from ..robots.declared.scene import Scene
     from ..simulate.runs.run_log import RunLog
+    from ..simulate.scenario import Scenario
 
 # Subparsers have no public type.
 Commands = Any
@@ -229,8 +231,23 @@ def _value(text: str) -> Any:
         return text
 
 
-def read_scene(name: str, settings: Sequence[str] = (), *, by_hand: bool = False) -> Scene:
-    """Loads a scene by name, file or network, see `load_scene`, and applies `--set` options."""
+def read_scene(
+    name: str,
+    settings: Sequence[str] = (),
+    *,
+    by_hand: bool = False,
+    trusted: bool = False,
+    replay: Path | None = None,
+) -> Scene:
+    """Loads a scene by name, file or network, and applies `--set` options.
+
+    Args:
+        name: of the scene.
+        settings: values of `--set`.
+        by_hand: see `load_scene`.
+        trusted: see `load_scene`. Programs that the scene starts are printed.
+        replay: see `load_scene`; `replay_instead` then plays it.
+    """
     from ..load import load_scene
 
     if name.startswith(NETWORK):
@@ -239,7 +256,17 @@ def read_scene(name: str, settings: Sequence[str] = (), *, by_hand: bool = False
         name = str(scene_of_network(name))
     given = overrides(settings)
     with named_settings(given):
-        return load_scene(name, given, by_hand=by_hand)
+        scene = load_scene(name, given, by_hand=by_hand, trusted=trusted, replay=replay)
+    for source in scene.sources.values():
+        print_programs(getattr(getattr(source, "run", None), "scenario", None))
+    return scene
+
+
+def print_programs(scenario: Scenario | None) -> None:
+    """Prints what the simulation of a scenario starts or loads."""
+    request = None if scenario is None else scenario.request()
+    for action in () if request is None else request.actions:
+        print(f"runs {action}", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager

@@ -51,7 +51,7 @@ def view_of_file(path: Path, shown: str | None, source: str | None = None) -> Re
     for scene in _scenes_of(path, shown):
         try:
             with _quiet():
-                replay_instead(read_scene(scene), path, None, source)
+                replay_instead(read_scene(scene, replay=path), path, None, source)
         except SeroError as error:
             if paths.is_temporary(scene):
                 text = str(error).replace(f"{Path(scene).parent}/", "")

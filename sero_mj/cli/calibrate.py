@@ -135,7 +135,7 @@ add_to = command("calibrate", run, CalibrateOptions, _EPILOG)
 
 def _scene_of_photo(options: CalibrateOptions) -> Scene:
     """Returns the scene with the joint angles, or the recording, given in the options."""
-    scene = read_scene(options.robot, options.settings)
+    scene = read_scene(options.robot, options.settings, replay=options.replay)
     if options.joint_angles is not None:
         if len(scene.robots) != 1:
             names = ", ".join(scene.robots)
@@ -145,7 +145,8 @@ def _scene_of_photo(options: CalibrateOptions) -> Scene:
             )
         (name,) = scene.robots
         angles = f"{name}.joint_angles={[*options.joint_angles]}"
-        scene = read_scene(options.robot, [*options.settings, angles])
+        settings = [*options.settings, angles]
+        scene = read_scene(options.robot, settings, replay=options.replay)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start, options.source)
     return scene

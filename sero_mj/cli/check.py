@@ -16,6 +16,7 @@ from .shared_options import PackageOptions, ReplayOptions, SceneArgument
 if TYPE_CHECKING:
     from ..data.receive.source import Source
     from ..robots.declared.robot import SerialRobot
+    from ..robots.declared.scene import Scene
 
 _MOST_NAMED = 24  # joints
 _TIED = "\0"  # a space at which no line is broken
@@ -41,7 +42,7 @@ def run(options: CheckOptions) -> int:
     from ._opening import with_scene
 
     options = with_scene(options)
-    scene = read_scene(options.scene)
+    scene = read_scene(options.scene, replay=options.replay)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start, options.source)
     world = World(scene)
@@ -70,13 +71,7 @@ def run(options: CheckOptions) -> int:
         each = ", ".join(f"{robot.name} {robot.n}" for robot in robots)
         count = f"{joints} joints" + (f", in packets {joints} or {free}" if free < joints else "")
         print(fill(f"  group   {name}: {count}: {each}", 100, subsequent_indent=" " * 10))
-    for name, double in scene.doubles.items():
-        print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
-    for name, arrow in scene.arrows.items():
-        scale = f"{arrow.metres_per_unit:g} m/{arrow.unit_text}"
-        print(f"  arrow   {name}: {arrow.kind} at {arrow.at}, {scale}")
-    for name, frame in scene.frames.items():
-        print(f"  frame   {name}: relative to {frame.relative_to}")
+    _print_decor(scene)
     for target, text in scene.routes.items():
         for event, names in parts_of_origin(text):
             whom = "" if names is None else f": {', '.join(names)}"
@@ -86,12 +81,25 @@ def run(options: CheckOptions) -> int:
         print(f"  object  {item.name}{mass}")
     for camera in list_cameras(world):
         print(f"  camera  {camera}")
+    for action in () if scene.withheld is None else scene.withheld.actions:
+        print(f"  runs    {action}, when it is simulated")
     model = world.model
     print(f"  model   {model.nbody} bodies, {model.ngeom} geoms, {model.nmeshface} mesh triangles")
     return 0
 
 
 add_to = command("check", run, CheckOptions, _EPILOG)
+
+
+def _print_decor(scene: Scene) -> None:
+    """Prints doubles, arrows and frames."""
+    for name, double in scene.doubles.items():
+        print(f"  double  {name}: of {double.of}{', a path' if double.path is not None else ''}")
+    for name, arrow in scene.arrows.items():
+        scale = f"{arrow.metres_per_unit:g} m/{arrow.unit_text}"
+        print(f"  arrow   {name}: {arrow.kind} at {arrow.at}, {scale}")
+    for name, frame in scene.frames.items():
+        print(f"  frame   {name}: relative to {frame.relative_to}")
 
 
 def _kind(robot: SerialRobot) -> str:

@@ -176,7 +176,7 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     from ..data.record.bag import open_recording
     from ..data.record.recording_format import RecordingClock
 
-    scene = read_scene(options.scene)
+    scene = read_scene(options.scene, replay=options.replay)
     begin = time.time() - time.monotonic()  # of the clock of arrivals, s since the epoch
     more: dict[str, Any] = {}
     if options.replay is not None:

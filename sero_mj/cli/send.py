@@ -11,7 +11,7 @@ from ..base.declaration import expecting
 from ..base.errors import UsageError
 from ..base.options import Duration, NotNegative, Option, Options, Positive, Seed
 from ..base.paths import list_scenarios
-from ._arguments import command, read_scene
+from ._arguments import command, print_programs, read_scene
 from ._sending import Sender, SinkOptions, goes_to_shm, make_sink
 from .shared_options import SceneArgument
 
@@ -233,7 +233,9 @@ def _send_simulation(options: SendOptions, scenario: Path) -> int:
     why = ": a scenario is sent as it is simulated, in real time"
     options.refuse(("amplitude", "rate", "speed", "loop", "recorded"), why)
     over = {} if options.duration is None else {"run.duration": options.duration}
-    with Sender(Simulation(read_scenario(scenario, over)), options.scene, options) as sender:
+    declared = read_scenario(scenario, over)
+    print_programs(declared)
+    with Sender(Simulation(declared), options.scene, options) as sender:
         for _ in sender.run():
             pass
     return 0

@@ -148,14 +148,21 @@ class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
 
     look: Literal["light", "dark"] | None = None
 
-    def read(self, name: str, *, by_hand: bool = False) -> Scene:
+    def read(self, name: str, *, by_hand: bool = False, trusted: bool = False) -> Scene:
         """The scene of a name, with what is set over it.
 
         Args:
             name: of the scene.
             by_hand: see `load_scene`.
+            trusted: see `load_scene`.
         """
-        scene = read_scene(name, self.settings, by_hand=by_hand and self.replay is None)
+        scene = read_scene(
+            name,
+            self.settings,
+            by_hand=by_hand and self.replay is None,
+            trusted=trusted,
+            replay=self.replay,
+        )
         if self.look is not None:
             scene.view.look = self.look
         if self.follow is not None:

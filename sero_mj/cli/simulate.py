@@ -25,6 +25,7 @@ from ._arguments import (
     named_settings,
     overrides,
     print_json,
+    print_programs,
     print_table,
     progress_bar,
 )
@@ -119,6 +120,7 @@ def run(options: SimulateOptions) -> int:
     given = overrides(options.settings)
     with named_settings(given):
         scenario = read_scenario(options.scenario, given)
+    print_programs(scenario)
     simulation = Simulation(scenario, options.seed)
     begin = time.perf_counter()
     error = _simulate(simulation, options)

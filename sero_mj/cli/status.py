@@ -51,7 +51,7 @@ def run(options: StatusOptions) -> int:
     from ._opening import with_scene
 
     options = with_scene(options)
-    scene = read_scene(options.scene)
+    scene = read_scene(options.scene, replay=options.replay)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start, options.source)
     wiring = wire(scene).check(scene)

@@ -18,6 +18,7 @@ from ._arguments import (
     overrides,
     pace,
     print_json,
+    print_programs,
     progress_bar,
 )
 from .shared_options import Count, EngineOptions, Figure, JsonOptions, Settings
@@ -151,6 +152,7 @@ def run(options: SweepOptions) -> int:
     keys = dict.fromkeys(design.columns)
     with named_settings(fixed), named_settings(keys, "--vary"):
         sweep = Sweep(find_scenario(options.scenario).resolve(), design, fixed)
+    print_programs(sweep.base)
     if options.print_sbatch is not None:
         print(_sbatch(options.print_sbatch, options), end="")
         return 0

@@ -198,7 +198,8 @@ class Session:
         if options.over is not None and Path(options.over).is_file():
             self.options = options = options.from_its_begin()  # of a video
         with self._noting_warnings():
-            return self._begin(options.read(name, by_hand=not options.simulate))
+            # Its user has typed its path in order to have it simulated.
+            return self._begin(options.read(name, by_hand=not options.simulate, trusted=True))
 
     def _begin(self, scene: Scene, *, is_replayed: bool = False) -> Mirror:
         """Returns what shows a scene that was read, or its simulation; compiled, and checked."""
@@ -245,7 +246,11 @@ class Session:
             is_shown = self.options.scene is not None
             view = view_of_file(view, self.options.scene if is_shown else None)
         with self._noting_warnings():
-            scene = read_scene(view.scene, by_hand=not (self.options.simulate or view.replay))
+            scene = read_scene(
+                view.scene,
+                by_hand=not (self.options.simulate or view.replay),
+                replay=Path(view.replay) if view.replay else None,
+            )
             if self.options.look is not None:
                 scene.view.look = self.options.look
             if view.replay:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
+from copy import copy
 from functools import cache, partial
 from math import ceil
 from pathlib import Path
@@ -15,6 +16,7 @@ from pydantic import Field, model_validator
 from ..base.declaration import Declaration, by_kind, of_shape
 from ..base.errors import DeclarationError, Problem, collect
 from ..base.frames import Array
+from ..base.trust import Origin, Request
 from ..robots.assemble.robot_dynamics import EARTH
 from ..robots.declared.scene import Scene
 from ..robots.declared.surroundings import Object
@@ -175,6 +177,7 @@ class Scenario:
         run: how it is run.
         file: that it was read from.
         settings: dotted key to its value, set over what the file says when it was read.
+        tables: its file, and the scenarios that the file extends.
 
     Raises:
         DeclarationError: everything that is wrong, at once.
@@ -199,6 +202,7 @@ class Scenario:
         self.scene, self.name, self.description = scene, name, description
         self.file: Path | None = scene.file
         self.settings: Mapping[str, Any] = {}
+        self.tables: tuple[Path, ...] = ()
         # Where it is wrong, nothing is said to begin after the end that it would have by default.
         self.run = Run(duration=_LONGEST)
         with collect(self.problems, "run"):
@@ -316,6 +320,40 @@ class Scenario:
         """Whether a fault makes commanded torques larger, behind the controllers' limits."""
         faults = self.faults.values()
         return any(isinstance(each, ControllerFault) and abs(each.gain) > 1 for each in faults)
+
+    def request(self) -> Request | None:
+        """Returns what its simulation would start or load, see `base.trust`; None for nothing."""
+        actions = [
+            action
+            for name, declared in self.controllers.items()
+            if isinstance(declared, ControllerDeclaration)
+            for action in declared.actions(f"controllers.{name}")
+        ]
+        file = self.file or Path(self.name)
+        return Request(file, tuple(actions), self.tables) if actions else None
+
+    def set_origin(self, origin: Origin) -> None:
+        """Says which file its controllers were read from, and whether that is trusted."""
+        for declared in self.controllers.values():
+            if isinstance(declared, ControllerDeclaration):
+                declared.set_origin(origin)
+
+    @property
+    def withheld(self) -> Request | None:
+        """What it asks to run and may not, so that it cannot be simulated; None for nothing."""
+        origins = [getattr(declared, "origin", None) for declared in self.controllers.values()]
+        is_trusted = all(origin is None or origin.is_trusted for origin in origins)
+        return None if is_trusted else self.request()
+
+    def without_programs(self) -> Scenario:
+        """Returns a copy in which robots compensate gravity instead of running anything."""
+        copied = copy(self)
+        copied.controllers = {
+            name: declared
+            for name, declared in self.controllers.items()
+            if not (isinstance(declared, ControllerDeclaration) and declared.actions())
+        }
+        return copied
 
     def has_target(self, robot: str) -> bool:
         """Whether a robot has a target pose: a declared one, or that at which it starts."""

@@ -24,6 +24,7 @@ from ..base.errors import (
 from ..base.frames import Array
 from ..base.paths import find_scenario, find_scene
 from ..base.toml_file import located, read_toml
+from ..base.trust import Origin, is_allowed
 from ..data.record.csv_files import read_csv
 from ..robots.declared.robot import SerialRobot
 from ..robots.declared.scene import Scene
@@ -38,13 +39,18 @@ from .sections import OTHERS, SECTIONS
 _EVERY = 0.02
 
 
-def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) -> Scenario:
-    """Reads and checks a scenario.
+def read_scenario(
+    path: Path | str, overrides: Mapping[str, Any] | None = None, *, trusted: bool = True
+) -> Scenario:
+    """Reads and checks a scenario; runs nothing.
 
     Args:
         path: a TOML file, or a shipped scenario's name.
         overrides: dotted key to its value, over what the file says:
             `controllers.lwr.stiffness`, `run.duration`, `lwr.show_axes`.
+        trusted: whether a simulation of it may start the programs and load the libraries that it
+            names. Pass False for a file that the user has not chosen to simulate: it is then
+            trusted only as `base.trust` says.
 
     A scenario that `extends` another one is that one, with what its table `set` sets (keys as those
     of `overrides`) and the entries of its own sections over it.
@@ -53,7 +59,11 @@ def read_scenario(path: Path | str, overrides: Mapping[str, Any] | None = None) 
         DeclarationError: everything that is wrong in the file, at once.
         UnknownName: there is no such scenario.
     """
-    return _read(find_scenario(str(path)), dict(overrides or {}), ())
+    scenario = _read(find_scenario(str(path)), dict(overrides or {}), ())
+    request = scenario.request()
+    if request is not None:
+        scenario.set_origin(Origin(request.file, trusted or is_allowed(request)))
+    return scenario
 
 
 def _read(file: Path, overrides: dict[str, Any], extending: tuple[Path, ...]) -> Scenario:
@@ -116,6 +126,8 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
     if problems:
         raise DeclarationError(problems)
     scenario.file, scenario.settings = file, overrides
+    scenario.tables = (file,)
+    scenario.set_origin(Origin(file))  # whoever reads files decides whether it is trusted
     return scenario
 
 
@@ -166,6 +178,7 @@ def _read_extended(
     if problems:
         raise DeclarationError(problems)
     scenario.file, scenario.name, scenario.settings = file, file.stem, overrides
+    scenario.tables = (file, *scenario.tables)
     return scenario
 
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable, Collection
+from pathlib import Path
 
 import numpy as np
 
-from ..base.frames import frame
+from ..base.frames import Array, frame
+from ..data.record.bag import open_recording
 from ..robots.declared.cartesian import ReceivedFrame, SmartArrow
 from ..robots.declared.double import Double
 from ..robots.declared.scene import Scene
 from .disturbances import Force
 from .drag_force import DragForce
-from .runs.run_log import RunLayout, event_of
+from .runs.run_log import event_of, recorded_event
+from .runs.run_recording import read_run
 from .runs.run_source import RunSource
 from .scenario import Scenario
 from .simulation import Simulation
@@ -31,16 +35,40 @@ def simulated_scene(simulation: Simulation, source: RunSource | None = None) -> 
         simulation: that is shown.
         source: that hands in its rows; one to its end when None.
     """
-    scenario, layout = simulation.scenario, simulation.layout
-    scene = with_routes(scenario, layout, source or RunSource(run=simulation))
+    scenario, columns = simulation.scenario, simulation.layout.columns
+    scene = with_routes(scenario, columns, source or RunSource(run=simulation))
     if scenario.run.show_paths:
-        _add_paths(scene, scenario, layout, simulation.rows)
+        for name in simulation.layout.targets:
+            angles = simulation.rows[:, columns[event_of(name, "target_angles")]]
+            _add_path(scene, name, angles)
     if simulation.drag_force is not None:
         _show_drag(scene, simulation.drag_force)
     return scene
 
 
-def with_routes(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
+def replayed_scene(scenario: Scenario, file: Path) -> Scene:
+    """Returns a scene that shows a recording of a scenario; nothing is simulated.
+
+    Args:
+        scenario: that was recorded; its controllers are not made.
+        file: the recording; where it has no simulation, `replay_instead` reports that.
+
+    Raises:
+        RecordingError: the file cannot be read.
+    """
+    with open_recording(file) as recording:
+        source = recording.sources.get(SOURCE)
+        recorded = [] if source is None else [*source.events]
+        scene = with_routes(scenario, recorded, {"kind": "replay", "file": str(file)})
+        if scenario.run.show_paths and source is not None:
+            log = read_run(file, SOURCE, scene=scenario.scene)
+            for name in log.robots:
+                if (event := event_of(name, "target_angles")) in log.signals:
+                    _add_path(scene, name, log.signals[event])
+    return scene
+
+
+def with_routes(scenario: Scenario, events: Collection[str], source: object) -> Scene:
     """Returns the scene as it is shown: with the source, and routes from it.
 
     Robots get measured angles and torques and commanded torques, and their external torques where
@@ -49,9 +77,13 @@ def with_routes(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
 
     Args:
         scenario: what is simulated.
-        layout: of the log's rows.
+        events: of the log; in a recording they may have old names, see `recorded_event`.
         source: that hands them in, or a table that declares it.
     """
+
+    def is_there(event: str) -> bool:
+        return recorded_event(event, events) in events
+
     scene = copy.copy(scenario.scene)
     scene.sources = {SOURCE: source, **scene.sources}
     scene.robots = dict(scene.robots)
@@ -59,33 +91,35 @@ def with_routes(scenario: Scenario, layout: RunLayout, source: object) -> Scene:
     routes = {}
     for name, robot in scene.robots.items():
         for key in (*_SHOWN, *robot.inputs):
-            if event_of(name, key) in layout.columns:
+            if is_there(event_of(name, key)):
                 routes[f"{name}.{key}"] = f"{SOURCE}.{event_of(name, key)}"
-        if name in layout.targets and scenario.run.show_targets:
+        if is_there(event_of(name, "target_angles")) and scenario.run.show_targets:
             double = _add_double(scene, name)
             routes[f"{double}.joint_angles"] = f"{SOURCE}.{event_of(name, 'target_angles')}"
-    routes |= _show_pushes(scene, scenario, layout)
+    routes |= _show_pushes(scene, scenario, is_there)
     for each in scene.objects:
-        if (event := event_of(each.name, "frame")) in layout.columns:
+        if is_there(event := event_of(each.name, "frame")):
             routes[f"{each.name}.frame"] = f"{SOURCE}.{event}"
     own = {target: origin for target, origin in routes.items() if scene.routed(target) is None}
     scene.routes = {**own, **scene.routes}
     return scene
 
 
-def _show_pushes(scene: Scene, scenario: Scenario, layout: RunLayout) -> dict[str, str]:
+def _show_pushes(
+    scene: Scene, scenario: Scenario, is_there: Callable[[str], bool]
+) -> dict[str, str]:
     """Adds arrows for pushes and for what robots touch; returns routes to them."""
     routes = {}
     for name, disturbance in scenario.disturbances.items():
         if not isinstance(disturbance, Force) or not disturbance.show:
             continue
         for key in ("force", "torque"):
-            if (event := event_of(name, key)) in layout.columns:
+            if is_there(event := event_of(name, key)):
                 arrow = _add_arrow(scene, name, key, disturbance)
                 routes[f"{arrow}.vector"] = f"{SOURCE}.{event}"
     for name in scene.robots:
         event = event_of(name, "contact_force")
-        if event in layout.columns and (scenario.obstacles or len(scene.robots) > 1):
+        if is_there(event) and (scenario.obstacles or len(scene.robots) > 1):
             arrow = _free(scene, f"{name}_contact")
             scene.arrows[arrow] = SmartArrow(
                 name=arrow, kind="force", at=f"{name}/flange", expressed_in="world"
@@ -94,19 +128,16 @@ def _show_pushes(scene: Scene, scenario: Scenario, layout: RunLayout) -> dict[st
     return routes
 
 
-def _add_paths(scene: Scene, scenario: Scenario, layout: RunLayout, rows: np.ndarray) -> None:
-    """Adds a row of doubles along the way that every robot's target takes."""
-    for name in layout.targets:
-        angles = rows[:, layout.columns[event_of(name, "target_angles")]]
-        if np.ptp(angles, axis=0).max() < 1e-6:
-            continue
-        # Evenly along the way, not in time: resting places would come again and again.
-        steps = np.abs(np.diff(angles, axis=0)).max(axis=1)
-        way = np.hstack([0.0, np.cumsum(steps)])
-        picked = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], 40)))
-        path = angles[picked]
-        double = _free(scene, f"{name}_path")
-        scene.doubles[double] = Double(name=double, of=name, path=path, path_length=6)
+def _add_path(scene: Scene, name: str, angles: Array) -> None:
+    """Adds a row of doubles along the path of a robot's target, angles (T, n)."""
+    if len(angles) == 0 or np.ptp(angles, axis=0).max() < 1e-6:
+        return
+    # Evenly along the path, not in time: the places where it rests would be repeated.
+    steps = np.abs(np.diff(angles, axis=0)).max(axis=1)
+    way = np.hstack([0.0, np.cumsum(steps)])
+    picked = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], 40)))
+    double = _free(scene, f"{name}_path")
+    scene.doubles[double] = Double(name=double, of=name, path=angles[picked], path_length=6)
 
 
 def _add_double(scene: Scene, robot: str) -> str:

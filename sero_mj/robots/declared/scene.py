@@ -14,6 +14,7 @@ from ...base.errors import DeclarationError, Problem, collect, did_you_mean, nea
 from ...base.frames import Array
 from ...base.paths import argument_of
 from ...base.toml_file import key_lines, located
+from ...base.trust import Request
 from .cartesian import WORLD, NamedFrame, ReceivedFrame, SmartArrow, list_frames
 from .double import Double
 from .group_model import has_key, where
@@ -89,6 +90,10 @@ class Scene:
         file: the file it was read from.
         broken: sections (`robots`) and entries (`robots.lwr`) of the file that are invalid.
         lines: of the file by dotted key, if it is not TOML.
+
+    Attributes:
+        withheld: what its scenario asks to run and may not, see `base.trust`, so that the scene is
+            shown without simulating; None for nothing.
 
     Raises:
         DeclarationError: two robots have the same name, or a route is neither text nor numbers.
@@ -166,6 +171,7 @@ class Scene:
         self.note = note
         self.name = name
         self.file = file
+        self.withheld: Request | None = None
         self.broken = frozenset([*broken, *(problem.key for problem in self._excess)])
         self._lines = lines
         for robot in robots or []:

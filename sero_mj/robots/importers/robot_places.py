@@ -7,7 +7,6 @@ packages. Another package adds a place by an entry point in the group `sero_mj.r
 from __future__ import annotations
 
 import os
-import pkgutil
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from xml.sax.saxutils import quoteattr
 
 from ...base.errors import UsageError, nearest
 from ...base.paths import ROBOT_FILE, list_models, model_in, models_dir
+from ...base.trust import import_listed
 from .package_files import find_file
 
 # Names of makers and of their drivers, for what others call otherwise.
@@ -104,7 +104,7 @@ class RobotDescriptions(RobotPlace):
         if module is None:
             return None
         try:
-            found = pkgutil.resolve_name(f"robot_descriptions.{module}")
+            found = import_listed("robot_descriptions", module, self.names())
         except Exception as error:  # of git, of the network, of the package
             told = " ".join(str(error).split())[:300]
             raise UsageError(

@@ -8,12 +8,10 @@ together, with the lines of their elements. An unreadable mesh is left out.
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import unquote
@@ -278,8 +276,7 @@ class UrdfFile:
     def _expanded(self) -> Element:
         """The root element after expansion by xacro."""
         try:
-            import xacro
-            from xacro import substitution_args
+            from . import xacro_file
         except ImportError:
             self._problem(None, "", _NO_XACRO.format(name=self.path.name))
             self._stop()
@@ -292,20 +289,14 @@ class UrdfFile:
                 raise ValueError(f"package '{package}' is not found: --package {package}=DIR")
             return found
 
-        own = getattr(substitution_args, "_eval_find", None)
         try:
-            substitution_args._eval_find = find
-            said = io.StringIO()
-            with redirect_stderr(said), redirect_stdout(said):
-                text = xacro.process_file(str(self.path), mappings=self._arguments).toxml()
-        except (Exception, SystemExit) as error:  # xacro evaluates expressions of the file
+            text = xacro_file.expand(self.path, self._arguments, find)
+        except (Exception, SystemExit) as error:  # whatever xacro makes of a wrong file
             reason = " ".join(str(error).split()) or type(error).__name__
             if (lacking := _NO_ARGUMENT.search(reason)) is not None:
                 reason += f"; --arg {lacking[1]}=VALUE says what it is"
             self._problem(None, "", f"xacro cannot expand it: {reason}")
             self._stop()
-        finally:
-            substitution_args._eval_find = own
         return parse_xml(text.encode())
 
     def _colors(self, root: Element) -> dict[str, Array]:

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator
+from pydantic import AfterValidator, BeforeValidator, PrivateAttr
 
 from ...base.declaration import Declaration, numbers
 from ...base.errors import Problem
 from ...base.frames import Array
+from ...base.trust import Action, Origin
 from ...robots.declared.robot import SerialRobot
 from .robot_model import RobotModel
 
@@ -308,6 +309,34 @@ class ControllerDeclaration(Declaration, ABC):
     torque_limits: MaybePerJoint = None
     torque_rate_limits: MaybePerJoint = None
 
+    _origin: Origin | None = PrivateAttr(None)
+
+    @property
+    def origin(self) -> Origin | None:
+        """The file that it was read from; None if it was made in Python."""
+        return self._origin
+
+    def set_origin(self, origin: Origin) -> None:
+        """Says which file it was read from, and whether that file is trusted."""
+        self._origin = origin
+
+    def actions(self, key: str = "") -> list[Action]:
+        """Returns what it starts or loads, see `base.trust`; nothing by default.
+
+        A kind that starts a program or loads code has to override this.
+
+        Args:
+            key: of its table.
+        """
+        return []
+
+    def check_files(self) -> None:
+        """Checks that the files that it names exist, without opening them.
+
+        Raises:
+            DeclarationError: one does not exist.
+        """
+
     @abstractmethod
     def make(self, model: RobotModel, timestep: float) -> Controller:
         """The controller, without torque limits.
@@ -355,7 +384,9 @@ class ControllerDeclaration(Declaration, ABC):
             DeclarationError: what they cannot be.
         """
         declared = {key: getattr(self, key) for key in self.model_fields_set}
-        return type(self)(**{**declared, **fields})
+        changed = type(self)(**{**declared, **fields})
+        changed._origin = self._origin
+        return changed
 
     def per_joint(self, key: str, n: int) -> Array:
         """A field as (n,) numbers.

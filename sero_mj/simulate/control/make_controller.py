@@ -13,6 +13,7 @@ from ...base.declaration import by_kind
 from ...base.errors import DeclarationError, Problem, SeroError, SimulationError, about_fault
 from ...base.frames import Array, Bools, RowIndex
 from ...base.plugins import CONTROLLERS, load_all
+from ...base.trust import require
 from .controller import Controller, ControllerDeclaration, Sensed, Target
 from .model_rows import ModelRows
 from .robot_model import RobotModel
@@ -229,6 +230,7 @@ def make_controller(
 
     Raises:
         DeclarationError: gains or limits do not fit the robot.
+        NotTrusted: it would run something, and its file may not.
     """
     n = model.n
     limits: Array = np.full(n, np.inf) if torque_limits is None else np.array(torque_limits, float)
@@ -236,6 +238,7 @@ def make_controller(
     found, own = f"found {controller!r}", None
     if isinstance(controller, ControllerDeclaration):
         own = controller
+        require(own.origin, own.actions())
         controller = own.make(model, timestep)  # type: ignore[arg-type]  # some take rows
         found = f"{type(own).__name__}.make returned {controller!r}"
     if isinstance(controller, type):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import select
+import shlex
 import socket
 import struct
 import time as clock
@@ -18,6 +19,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
+from ...base.trust import Action
 from ...robots.declared.robot import SerialRobot
 from ..control.controller import ControllerDeclaration, MaybePerJoint, Sensed, Target
 from ..control.robot_model import RobotModel
@@ -85,6 +87,19 @@ class Reachable(ControllerDeclaration):
         """None: there is no program."""
         return None
 
+    def actions(self, key: str = "") -> list[Action]:
+        """See `ControllerDeclaration`."""
+        if not self.command:
+            return []
+        beside = (self.folder / word for word in self.command)
+        files = tuple(path for path in beside if "\0" not in str(path) and path.is_file())
+        return [Action(key, f"the program {shlex.join(self.command)}", files)]
+
+    def check_files(self) -> None:
+        """See `ControllerDeclaration`."""
+        if self.command:
+            find_program(self.command, self.folder)
+
 
 class Link:
     """A socket to a program, which is started where that is declared.
@@ -106,8 +121,7 @@ class Link:
         self.buffer = bytearray(most + 1)
         self.answered, self.is_silent, self.why_silent, self.why_wrong = 0, False, "", ""
         self._declared, self._robot = declared, robot
-        if declared.command:
-            find_program(declared.command, declared.folder)
+        declared.check_files()
         self._program: Program | None = None
         self._socket: socket.socket | None = None
         self._held: socket.socket | None = None  # see `held_port`

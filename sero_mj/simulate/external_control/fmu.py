@@ -18,6 +18,7 @@ import numpy as np
 
 from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
+from ...base.trust import Action
 from ...robots.declared.robot import SerialRobot
 from ..control.controller import ControllerDeclaration, Sensed, Target
 from ..control.robot_model import RobotModel
@@ -59,6 +60,15 @@ class Fmu(ControllerDeclaration):
         """None: there is no unit."""
         return None
 
+    def actions(self, key: str = "") -> list[Action]:
+        """See `ControllerDeclaration`."""
+        return [Action(key, f"the FMU {self.file}", (self.file,))]
+
+    def check_files(self) -> None:
+        """See `ControllerDeclaration`."""
+        if not self.file.is_file():
+            raise Problem("file", f"no file {self.file}").error()
+
     def make(self, model: RobotModel, timestep: float) -> FmuController:
         """The controller; raises DeclarationError where the unit does not fit the robot."""
         try:
@@ -66,8 +76,7 @@ class Fmu(ControllerDeclaration):
         except ImportError as error:
             hint = f"needs FMPy ({error}): pip install 'sero-mj[fmu]'"
             raise Problem("kind", hint).error() from None
-        if not self.file.is_file():
-            raise Problem("file", f"no file {self.file}").error()
+        self.check_files()
         try:
             description = fmpy.read_model_description(str(self.file))
         except Exception as error:  # FMPy, zipfile and lxml raise many kinds

@@ -21,6 +21,7 @@ from pydantic import Field
 
 from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
+from ...base.trust import Action
 from ...robots.declared.robot import SerialRobot
 from ..control.controller import ControllerDeclaration, Sensed, Target
 from ..control.robot_model import RobotModel
@@ -63,10 +64,18 @@ class Library(ControllerDeclaration):
         """None: there is no library."""
         return None
 
-    def make(self, model: RobotModel, timestep: float) -> LibraryController | IsolatedLibrary:
-        """The controller; raises DeclarationError where the library cannot be loaded."""
+    def actions(self, key: str = "") -> list[Action]:
+        """See `ControllerDeclaration`."""
+        return [Action(key, f"the library {self.file}", (self.file,))]
+
+    def check_files(self) -> None:
+        """See `ControllerDeclaration`."""
         if not self.file.is_file():
             raise Problem("file", f"no file {self.file}").error()
+
+    def make(self, model: RobotModel, timestep: float) -> LibraryController | IsolatedLibrary:
+        """The controller; raises DeclarationError where the library cannot be loaded."""
+        self.check_files()
         if self.isolated:
             return IsolatedLibrary(self, model, timestep)
         return LibraryController(self, model, timestep)

@@ -452,7 +452,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
     def _open_mirror(self) -> Mirror:
         """A mirror of the current episode, with what it shows."""
         source = RunSource(run=_DrivenRun(self))
-        scene = with_routes(self.scenario, self.simulation.layout, source)
+        scene = with_routes(self.scenario, self.simulation.layout.columns, source)
         self._mirror = self._open.enter_context(Mirror(scene))
         return self._mirror
 

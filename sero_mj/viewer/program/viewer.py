@@ -367,7 +367,7 @@ def _to_show(scene: Scene | Overlay | Path | str, look: Look | None) -> Scene | 
             raise UsageError(f"look: found '{look}'; an overlay has the look of its model")
         return scene.world
     if isinstance(scene, str | Path):
-        scene = load_scene(scene, by_hand=True)
+        scene = load_scene(scene, by_hand=True, trusted=True)
     elif not isinstance(scene, Scene):
         hint = "; Scene(robots=[...]) holds robots" if isinstance(scene, SerialRobot) else ""
         raise UsageError(
