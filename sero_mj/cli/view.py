@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Self
 
 from pydantic import model_validator
 
+from ..base import trust
 from ..base.errors import UsageError
 from ..base.options import Option, Port, Size, positional
 from ._arguments import (
@@ -76,6 +77,8 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
         finish_films: finish films of what was kept (K) after the end; else they end with the
             viewer.
         fresh: as the scene declares it, not as it was left the last time.
+        trust: let scenarios in this folder start programs, also if they are opened from the page
+            or dropped; may be repeated.
         over: draw over the pictures of a camera: its number, 0 say, an address, or a video.
     """
 
@@ -91,6 +94,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
     full_screen: bool = False
     finish_films: bool = False
     fresh: bool = False
+    trust: Annotated[list[Path], Option("FOLDER")] = []
     over: Annotated[str | None, Option("CAMERA")] = None
 
     @property
@@ -140,6 +144,10 @@ def run(options: ViewOptions) -> int:
     """Shows the scene until it is closed, or the start page until something is; returns 0."""
     from ._opening import with_scene
 
+    for folder in options.trust:
+        if not folder.is_dir():
+            raise UsageError(f"--trust {folder}: no such folder")
+        trust.trust_folder(folder)
     options = with_scene(options)
     on_page = wants_page(options)
     if not on_page:
@@ -282,8 +290,10 @@ class Session:
     def _offer(self, host: LiveHost) -> None:
         """Offers to simulate the robots that are shown, to show them without, and to go back."""
         from ..simulate.runs.run_source import RunSource
+        from ..viewer.session.recent_views import RecentView
         from ..viewer.tools.rolling_recorder import RollingRecorder
 
+        options = self.options
         host.others.offers["start page"] = self._go_back
         simulated = [each for each in host.mirror.sources.values() if isinstance(each, RunSource)]
         if any(each.live is not None for each in simulated):
@@ -304,6 +314,9 @@ class Session:
 
             host.others.offers["simulate"] = simulate
         host.others.opener = self.open
+        if self.plain.withheld is not None and not options.simulate:
+            name = options.scene or ""
+            host.others.ask(self.plain.withheld, lambda: self.open(RecentView(name)))
         for tool in host.tools.values():
             if isinstance(tool, RollingRecorder):
                 tool.finishes_films = self.options.finish_films
@@ -453,7 +466,8 @@ class _KeptWarnings(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keeps a text."""
-        self.texts.append(record.getMessage())
+        if record.name != trust.log.name:  # of which a dialog tells
+            self.texts.append(record.getMessage())
 
 
 def _absolute(name: Path | str | None) -> str:

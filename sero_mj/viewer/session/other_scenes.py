@@ -6,7 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ...base.errors import SeroError
+from ...base.trust import Request, allow
 from ...data.drive.mirror import Mirror
+from ..panels.request_panel import build_request
 from ..panels.widgets import Widgets
 
 
@@ -21,12 +23,17 @@ class OtherScenes:
         offers: makes of other scenes, by the label of a button; None of what is no scene.
         opener: returns the mirror of a dropped file; None if files cannot be opened.
         chosen: the mirror to be shown after that, if any.
+        request: what the file of the scene asks to run, and may not; None for nothing.
+        asks: whether the dialog about that is shown.
     """
 
     def __init__(self, say: Callable[[str, bool], None], close: Callable[[], object]) -> None:
         self.offers: dict[str, Callable[[], Mirror | None]] = {}
         self.opener: Callable[[Path], Mirror] | None = None
         self.chosen: Mirror | None = None
+        self.request: Request | None = None
+        self.asks = False
+        self._allowed: Callable[[], Mirror] | None = None
         self._say, self._close = say, close
 
     def build(self, ui: Widgets) -> None:
@@ -34,6 +41,35 @@ class OtherScenes:
         for label in self.offers:
             if ui.button(label):
                 self.take(label)
+        if self.request is not None and ui.button("programs of this file ..."):
+            self.asks = True
+
+    def ask(self, request: Request, allowed: Callable[[], Mirror]) -> None:
+        """Shows the dialog of a file that asks to run programs.
+
+        Args:
+            request: what it asks for.
+            allowed: returns the mirror that simulates the file once its request is allowed.
+        """
+        self.request, self._allowed, self.asks = request, allowed, True
+
+    def build_dialog(self, ui: Widgets, *, can_allow: bool) -> None:
+        """Builds that dialog; `can_allow`: whether who has control is on this machine."""
+        if self.request is not None:
+            build_request(
+                ui, self.request, can_allow=can_allow, allow=self.allow, dismiss=self.dismiss
+            )
+
+    def dismiss(self) -> None:
+        """Closes the dialog; the panel can show it again."""
+        self.asks = False
+
+    def allow(self) -> None:
+        """Allows what the file asks for, and continues with its simulation."""
+        if self.request is not None and self._allowed is not None:
+            allow(self.request)
+            self.asks = False
+            self._go_on_with(self._allowed)
 
     def take(self, label: str) -> None:
         """Goes on with an offer, or shows an error message."""

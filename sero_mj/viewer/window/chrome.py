@@ -9,6 +9,7 @@ import mujoco
 from imgui_bundle import ImVec2, imgui
 
 from ..panels import help as help_panel
+from ..panels import request_panel
 from ..panels.robot_panel import build_handle
 from ..panels.status_line import build_status_line
 from ..panels.time_line import build_time_line
@@ -112,6 +113,8 @@ class Chrome(ImguiLayer):
             self._handle()
         if host.shows_help:
             self._help()
+        if host.others.asks:
+            self._request()
 
     @contextmanager
     def _part(self, name: str, rect: Rect, beside: float, above: float) -> Iterator[None]:
@@ -170,18 +173,40 @@ class Chrome(ImguiLayer):
         self.shows_panel = bool(is_open)
 
     def _help(self) -> None:
-        """Builds the help in the middle of the window, to be scrolled where it finds no room."""
-        width, height = self.size
-        host, margin = self._host, round(0.4 * self.text_height)
-        wide = min(help_panel.WIDTH * self.text_height, width - 2 * margin)
-        imgui.set_next_window_pos(ImVec2(width / 2, height / 2), 0, ImVec2(0.5, 0.5))
-        imgui.set_next_window_size(ImVec2(wide, 0.0))
-        largest = ImVec2(wide, max(height - 2 * margin, 1.0))
-        imgui.set_next_window_size_constraints(ImVec2(wide, 0.0), largest)
-        shown, is_open = imgui.begin(f"{help_panel.TITLE}###help", True, _PANEL_FLAGS)
-        self.take_mouse()
+        host = self._host
+        shown, is_open = self._dialog(f"{help_panel.TITLE}###help", help_panel.WIDTH)
         if shown:
             help_panel.build_help(self.widgets, self._columns)
         is_pressed = imgui.is_window_hovered() and imgui.is_mouse_clicked(0)
-        host.shows_help = bool(is_open) and not (is_pressed and not imgui.is_any_item_hovered())
+        host.shows_help = is_open and not (is_pressed and not imgui.is_any_item_hovered())
         imgui.end()
+
+    def _request(self) -> None:
+        others = self._host.others
+        shown, is_open = self._dialog(f"{request_panel.TITLE}###request", request_panel.WIDTH)
+        if shown:
+            others.build_dialog(self.widgets, can_allow=True)  # its user sits at this machine
+        if not is_open:
+            others.dismiss()
+        imgui.end()
+
+    def _dialog(self, title: str, width: float) -> tuple[bool, bool]:
+        """Begins a dialog in the middle of the window, which scrolls if the window is too small.
+
+        Args:
+            title: of the dialog.
+            width: in units of the text's height.
+
+        Returns:
+            whether its contents are visible, and whether its user keeps it open.
+        """
+        wide, high = self.size
+        margin = round(0.4 * self.text_height)
+        width = min(width * self.text_height, wide - 2 * margin)
+        imgui.set_next_window_pos(ImVec2(wide / 2, high / 2), 0, ImVec2(0.5, 0.5))
+        imgui.set_next_window_size(ImVec2(width, 0.0))
+        largest = ImVec2(width, max(high - 2 * margin, 1.0))
+        imgui.set_next_window_size_constraints(ImVec2(width, 0.0), largest)
+        shown, is_open = imgui.begin(title, True, _PANEL_FLAGS)
+        self.take_mouse()
+        return shown, bool(is_open)

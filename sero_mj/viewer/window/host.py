@@ -378,6 +378,8 @@ class Window(LiveHost):
             self.actions.press(event.key, is_repeat=event.is_repeat)
         elif self.shows_help:
             self.shows_help = False
+        elif self.others.asks:
+            self.others.dismiss()
         elif self.gl.is_full_screen:
             self.gl.toggle_full_screen()
 

@@ -1,0 +1,44 @@
+"""The dialog of a file that asks to run programs, see `base.trust`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from ...base.paths import without_temporary
+from ...base.trust import Request
+from .widgets import Widgets
+
+TITLE = "This file asks to run programs"
+WIDTH = 34.0  # of the text's height
+
+
+def build_request(
+    ui: Widgets,
+    request: Request,
+    *,
+    can_allow: bool,
+    allow: Callable[[], object],
+    dismiss: Callable[[], object],
+) -> None:
+    """Builds the dialog.
+
+    Args:
+        ui: takes it.
+        request: what the file asks for.
+        can_allow: whether who has control may allow it: only on the machine that would run it.
+        allow: called when the user allows the request.
+        dismiss: called when the user closes the dialog.
+    """
+    ui.text(f"{without_temporary(str(request.file))} is shown without simulating it.")
+    ui.text("Its simulation would run on this computer, with all your rights:")
+    for action in request.actions:
+        ui.text(f"{without_temporary(action.text)}   ({action.key})", "bad")
+    ui.text("Allow this only if you trust whoever the file comes from.")
+    if not can_allow:
+        ui.text("Only a browser on the computer that serves this page can allow it.", "quiet")
+    if ui.button("show only"):
+        dismiss()
+    if can_allow:
+        ui.same_line()
+        if ui.button("run and simulate"):
+            allow()
