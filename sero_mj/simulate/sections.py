@@ -21,4 +21,4 @@ def is_scenario(path: Path) -> bool:
         tables = read_toml(path)
     except DeclarationError:
         return False
-    return bool({*SECTIONS, "run"} & set(tables))
+    return bool({*SECTIONS, "run", "extends"} & set(tables))

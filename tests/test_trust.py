@@ -1,0 +1,418 @@
+"""Files from strangers: nothing in them runs unless their user has trusted them."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from scripted_widgets import ScriptedWidgets
+from test_cli import run
+
+import sero_mj
+from sero_mj import load_scene, read_scenario
+from sero_mj.base import trust
+from sero_mj.base.errors import DeclarationError, NotTrusted, UnknownName
+from sero_mj.robots.importers.urdf import read_urdf
+from sero_mj.simulate.external_control.datagrams import UdpProgram
+from sero_mj.simulate.simulation import Simulation
+from sero_mj.viewer.session.other_scenes import OtherScenes
+
+PROGRAM = 'kind = "udp"\ncommand = ["sh", "-c", "echo > ran; sleep 9", "x", "{port}"]'
+LIBRARY = 'kind = "library"\nfile = "evil.so"'
+SCENARIO = """
+[robots.lwr]
+model = "lwr"
+[controllers.lwr]
+{controller}
+[run]
+duration = 0.05
+"""
+EVIL = """
+#include <stdio.h>
+__attribute__((constructor)) static void begin(void) { fclose(fopen("{ran}", "w")); }
+void control(void *robot) {}
+"""
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A library whose constructor leaves the file `ran` beside it."""
+    if shutil.which("cc") is None:
+        pytest.skip("needs a C compiler")
+    folder = tmp_path_factory.mktemp("evil")
+    (folder / "evil.c").write_text(EVIL.replace("{ran}", str(folder / "ran")))
+    subprocess.run(["cc", "-shared", "-fPIC", "evil.c", "-o", "evil.so"], cwd=folder, check=True)
+    return folder
+
+
+def with_program(folder: Path) -> Path:
+    file = folder / "evil.toml"
+    file.write_text(SCENARIO.format(controller=PROGRAM))
+    return file
+
+
+def with_library(folder: Path) -> Path:
+    file = folder / "evil.toml"
+    file.write_text(SCENARIO.format(controller=LIBRARY))
+    return file
+
+
+PASSIVE = {
+    "check": ("check", "{file}"),
+    "render": ("render", "{file}", "-o", "{out}/a.png"),
+    "render a video": ("render", "{file}", "-o", "{out}/a.gif", "--duration", "0.1"),
+    "fk": ("fk", "{file}"),
+    "convert": ("convert", "{file}", "{out}/a.x3d"),
+    "export": ("export", "{file}", "-o", "{out}/a.html", "--seconds", "0.1"),
+    "schema": ("schema", "scenario"),
+    "list": ("list",),
+    "status": ("status", "{file}", "--seconds", "0.1"),
+}
+
+
+@pytest.mark.parametrize("command", PASSIVE)
+def test_commands_that_only_show_a_file_run_nothing(command: str, library, tmp_path, capsys):
+    for make, folder in ((with_program, tmp_path), (with_library, library)):
+        words = [word.format(file=make(folder), out=tmp_path) for word in PASSIVE[command]]
+        run(capsys, *words)
+        assert not (folder / "ran").exists()
+
+
+def test_check_says_what_a_scenario_would_run(tmp_path, capsys):
+    status, out, _ = run(capsys, "check", str(with_program(tmp_path)))
+    assert status == 0
+    assert "runs    the program sh -c 'echo > ran; sleep 9' x '{port}' (controllers.lwr)" in out
+
+
+def test_check_finds_what_is_wrong_beside_what_it_does_not_run(tmp_path, capsys):
+    file = tmp_path / "wrong.toml"
+    missing = PROGRAM.replace('"sh"', '"./missing"')
+    motion = "\n[targets.lwr]\nkind = 'constant'\nangles = [0, 9, 0]"
+    file.write_text(SCENARIO.format(controller=missing) + motion)
+    status, _, err = run(capsys, "check", str(file))
+    assert status == 2
+    assert "controllers.lwr.command" in err
+    assert "targets.lwr" in err
+
+
+def test_simulate_runs_the_scenario_that_its_user_names_and_says_so(tmp_path, capsys):
+    _, _, err = run(capsys, "simulate", str(with_program(tmp_path)))
+    assert (tmp_path / "ran").exists()
+    assert "runs the program sh -c" in err
+
+
+def test_sweep_says_what_it_runs(tmp_path, capsys):
+    options = ("--vary", "run.seed=1,2", "--jobs", "1")
+    _, _, err = run(capsys, "sweep", str(with_program(tmp_path)), *options)
+    assert (tmp_path / "ran").exists()
+    assert err.count("runs the program sh -c") == 1
+
+
+def recording_with(file: Path, folder: Path) -> Path:
+    """A recording of a simulation, with another scenario in the place of its own."""
+    own = folder / "own.toml"
+    plain = SCENARIO.format(controller='kind = "gravity_compensation"')
+    own.write_text(plain.replace("0.05", "0.6"))
+    subprocess.run(
+        [sys.executable, "-m", "sero_mj", "simulate", "own.toml", "--record", "own.mcap"],
+        cwd=folder,
+        check=True,
+        capture_output=True,
+    )
+    gift = folder / "elsewhere" / "gift.mcap"
+    gift.parent.mkdir()
+    with (folder / "own.mcap").open("rb") as opened, gift.open("wb") as written:
+        reader, writer = make_reader(opened), Writer(written)
+        summary, header = reader.get_summary(), reader.get_header()
+        assert summary is not None
+        writer.start(header.profile, header.library)
+        schemas = {0: 0} | {
+            key: writer.register_schema(each.name, each.encoding, each.data)
+            for key, each in summary.schemas.items()
+        }
+        channels = {
+            key: writer.register_channel(
+                each.topic, each.message_encoding, schemas[each.schema_id], each.metadata
+            )
+            for key, each in summary.channels.items()
+        }
+        for about in reader.iter_metadata():
+            writer.add_metadata(about.name, about.metadata)
+        for each in reader.iter_attachments():
+            data = file.read_bytes() if each.name.endswith("own.toml") else each.data
+            writer.add_attachment(each.create_time, each.log_time, each.name, each.media_type, data)
+        for _, channel, message in reader.iter_messages():
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time
+            )
+        writer.finish()
+    own.unlink()
+    return gift
+
+
+@pytest.mark.slow
+def test_a_recording_is_played_and_its_scenario_never_runs(tmp_path, capsys, monkeypatch):
+    gift = recording_with(with_program(tmp_path), tmp_path)
+    made: list[object] = []
+    monkeypatch.setattr(Simulation, "__init__", lambda *given, **more: made.append(given))
+    for words in (
+        ("render", str(gift), "-o", str(tmp_path / "a.png"), "--at", "0.02"),
+        ("export", str(gift), "-o", str(tmp_path / "a.html")),
+        ("check", str(gift)),
+        ("compare", str(gift)),
+    ):
+        status, _, err = run(capsys, *words)
+        assert status == 0, (words, err)
+    assert not made
+    assert not list(tmp_path.rglob("ran"))
+    assert (tmp_path / "a.png").stat().st_size > 1000
+
+
+def test_the_scene_of_a_withheld_scenario_stands_still(tmp_path):
+    file = with_program(tmp_path)
+    scene = load_scene(file)
+    assert scene.sources == {}
+    assert scene.withheld is not None
+    assert [action.key for action in scene.withheld.actions] == ["controllers.lwr"]
+    assert load_scene(file, trusted=True).withheld is None
+    assert not (tmp_path / "ran").exists()  # it is started with the first step
+
+
+def test_only_a_trusted_scenario_can_be_simulated(tmp_path):
+    file = with_program(tmp_path)
+    with pytest.raises(NotTrusted) as refused:
+        Simulation(read_scenario(file, trusted=False))
+    assert refused.value.file == file
+    assert "sh -c" in refused.value.actions[0]
+    Simulation(read_scenario(file))  # its user names it
+
+
+def test_a_controller_with_other_gains_is_of_the_same_file(tmp_path):
+    scenario = read_scenario(with_program(tmp_path), trusted=False)
+    declared = scenario.controllers["lwr"]
+    assert declared.changed({"patience": 2.0}).origin == declared.origin
+
+
+def test_a_controller_declared_in_python_is_its_users(tmp_path):
+    declared = UdpProgram(command=["sh", "-c", "exit 0", "x", "{port}"])
+    assert declared.origin is None
+    trust.require(declared.origin, declared.actions())
+
+
+def test_a_request_is_allowed_for_its_contents_alone(tmp_path):
+    script = tmp_path / "control.sh"
+    script.write_text("sleep 9")
+    script.chmod(0o755)
+    file = tmp_path / "own.toml"
+    controller = 'kind = "udp"\ncommand = ["./control.sh", "{port}"]'
+    file.write_text(SCENARIO.format(controller=controller))
+    request = load_scene(file).withheld
+    assert request is not None
+    assert request.actions[0].files == (script,)
+    trust.allow(request)
+    assert load_scene(file).withheld is None
+    script.write_text("rm -r *")
+    assert load_scene(file).withheld is not None
+    script.write_text("sleep 9")
+    assert load_scene(file).withheld is None
+    file.write_text(file.read_text() + "seed = 3\n")
+    assert load_scene(file).withheld is not None
+
+
+def test_a_scenario_that_extends_another_one_asks_for_both(tmp_path):
+    with_program(tmp_path)
+    file = tmp_path / "more.toml"
+    file.write_text('extends = "evil.toml"\n[set]\n"run.seed" = 2\n')
+    request = load_scene(file).withheld
+    assert request is not None
+    trust.allow(request)
+    assert load_scene(file).withheld is None
+    with_program(tmp_path).write_text(SCENARIO.format(controller=PROGRAM.replace("9", "8")))
+    assert load_scene(file).withheld is not None
+
+
+def test_a_trusted_folder_covers_what_is_below_it_and_nothing_else(tmp_path, monkeypatch):
+    monkeypatch.setattr(trust, "_folders", set())
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "others").mkdir()
+    mine, other = with_program(tmp_path / "mine"), with_program(tmp_path / "others")
+    trust.trust_folder(tmp_path / "mine")
+    assert load_scene(mine).withheld is None
+    assert load_scene(other).withheld is not None
+    script = tmp_path / "others" / "control.sh"
+    script.write_text("")
+    script.chmod(0o755)
+    controller = 'kind = "udp"\ncommand = ["../others/control.sh", "{port}"]'
+    mine.write_text(SCENARIO.format(controller=controller))
+    assert load_scene(mine).withheld is not None
+
+
+def test_the_dialog_names_the_program_and_allows_it_on_this_machine_only(tmp_path):
+    request = load_scene(with_program(tmp_path)).withheld
+    assert request is not None
+    closed: list[bool] = []
+    others = OtherScenes(lambda text, is_bad: None, lambda: closed.append(True))
+    others.ask(request, lambda: None)  # type: ignore[arg-type, return-value]
+    far = ScriptedWidgets({"run and simulate": True})
+    others.build_dialog(far, can_allow=False)
+    assert any("sh -c" in text for text in far.texts())
+    assert not closed
+    assert not trust.is_allowed(request)
+    others.build_dialog(ScriptedWidgets({"run and simulate": True}), can_allow=True)
+    assert closed
+    assert trust.is_allowed(request)
+
+
+XACRO = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="arm">
+<xacro:property name="value" value="{expression}"/>
+<link name="base"/><link name="tip"/>
+<joint name="j" type="revolute"><parent link="base"/><child link="tip"/><axis xyz="0 0 1"/>
+<origin xyz="${{value}} 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>
+"""
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        "${(lambda: ().__class__.__base__.__subclasses__())()}",
+        "${[c for c in ().__class__.__base__.__subclasses__()][0]}",
+        "${'{0.__class__}'.format(1)}",
+        "${f'{1 .__class__}'}",
+        "${python.type(1)}",
+        "${python.vars(xacro)}",
+        "${math.__loader__}",
+        "${xacro.load_yaml.__globals__}",
+        "${xacro.load_yaml.func_globals}",
+        "${__import__('os').system('true')}",
+        "$(eval __import__('os').system('true'))",
+        "$(eval (lambda: 1)())",
+        "${9**9**9}",
+        "${'a' * 10**9}",
+        "${python.len(python.list(python.range(10**12)))}",
+    ],
+)
+def test_xacro_does_not_reach_python(expression: str, tmp_path):
+    pytest.importorskip("xacro")
+    file = tmp_path / "arm.urdf.xacro"
+    file.write_text(XACRO.format(expression=expression))
+    with pytest.raises(DeclarationError):
+        read_urdf(file)
+
+
+@pytest.mark.parametrize(
+    "expression",
+    [
+        "${0.1 + 2 * 0.3 - sin(pi / 6)}",
+        "${math.radians(45) if 3 > 2 and not False else 0}",
+        "${max([x * 0.1 for x in [1, 2, 3] if x != 2])}",
+        "${dict(a=0.5, b=[0.25])['b'][0]}",
+        "${xacro.load_yaml('limits.yaml')['arm'].reach}",
+        "${xacro.load_yaml('limits.yaml').arm.angle}",
+        "${len('abc'.upper()) * 1e-1}",
+        "$(eval scale * 2)",
+        "$(eval 0.5 if scale > 0 else 1)",
+        "${min(0.3, 2**-3)}",
+    ],
+)
+def test_expressions_of_xacro_have_the_values_that_xacro_gives_them(expression: str, tmp_path):
+    xacro = pytest.importorskip("xacro")
+    pytest.importorskip("simpleeval")
+    from sero_mj.robots.importers.xacro_file import expand
+
+    (tmp_path / "limits.yaml").write_text("arm: {reach: 0.75, angle: !degrees 30.0}\n")
+    file = tmp_path / "arm.urdf.xacro"
+    argument = '<xacro:arg name="scale" default="0.2"/><xacro:property'
+    text = XACRO.format(expression=expression).replace("<xacro:property", argument, 1)
+    file.write_text(text)
+    expected = xacro.process_file(str(file)).toxml()
+    assert expand(file, {}, lambda package: package) == expected
+    assert 'xyz="${' not in expected
+
+
+def test_a_module_that_a_file_names_is_imported_only_if_its_package_lists_it():
+    assert trust.import_listed("json", "decoder", ["decoder"]).__name__ == "json.decoder"
+    with pytest.raises(UnknownName) as refused:
+        trust.import_listed("json", "tool", ["decoder"])
+    assert refused.value.name == "tool"
+
+
+def test_the_type_names_of_a_bag_are_no_code(tmp_path, capsys):
+    """rosbags makes classes of them, by `exec`."""
+    pytest.importorskip("rosbags")
+    ran = tmp_path / "ran"
+    file = tmp_path / "evil.mcap"
+    name = f"a/msg/B:\n    open({str(ran)!r}, 'w')\nclass C"
+    with file.open("wb") as opened:
+        writer = Writer(opened)
+        writer.start("ros2", "test")
+        schema = writer.register_schema(name, "ros2msg", b"float64 x\n")
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        writer.add_message(channel, 10**9, b"\0\1\0\0" + bytes(8), 10**9)
+        writer.finish()
+    status, _, _ = run(capsys, "check", str(file))
+    assert status != 0
+    assert not ran.exists()
+
+
+# What starts a program, loads code or evaluates text, and why it needs nobody's trust.
+_GUARDED: dict[str, str] = {
+    "base/trust.py": "asks whether the package lists the module",
+    "cli/demo.py": "our own sender",
+    "cli/doctor.py": "our own probes",
+    "robots/importers/mjcf_file.py": "MuJoCo's own library",
+    "simulate/external_control/fmu.py": "made by make_controller, which asks",
+    "simulate/external_control/library.py": "made by make_controller, which asks",
+    "simulate/external_control/library_host.py": "started by library.py",
+    "simulate/external_control/program.py": "made by make_controller, which asks",
+    "simulate/mujoco_timers.py": "MuJoCo's own library",
+    "study/scenario_inputs.py": "reads, with our interpreter, what the user simulates",
+    "viewer/headless/backend.py": "our own probes",
+    "viewer/headless/filament/probe.py": "our own probes",
+    "viewer/program/process.py": "our own viewer",
+    "viewer/program/process_main.py": "messages of the process that has started it",
+    "viewer/session/background_exports.py": "our own export",
+    "__init__.py": "our own modules",
+}
+_CALLS = {
+    "Popen", "system", "CDLL", "LoadLibrary", "exec", "eval", "extract", "import_module",
+    "resolve_name", "process_file", "run_path", "run_module", "__import__", "execv", "execvp",
+    "spawn", "posix_spawn",
+}  # fmt: skip
+_MODULES = {"subprocess", "pickle", "runpy", "marshal", "shelve"}
+
+
+def _starts_something(node: ast.AST) -> bool:
+    if isinstance(node, ast.Call):
+        name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+        of = getattr(getattr(node.func, "value", None), "id", "")
+        is_system_library = name == "CDLL" and all(
+            isinstance(each, ast.Constant) and each.value is None for each in node.args
+        )
+        is_rule = of == "re" or (name == "extract" and of != "fmpy")
+        return (name in _CALLS and not is_rule and not is_system_library) or of in _MODULES
+    return False
+
+
+def test_every_place_that_starts_something_is_known():
+    root = Path(sero_mj.__file__).parent
+    found = {
+        file.relative_to(root).as_posix()
+        for file in root.rglob("*.py")
+        if "snippets" not in file.parts
+        and any(_starts_something(node) for node in ast.walk(ast.parse(file.read_text())))
+    }
+    assert found == {*_GUARDED, "robots/importers/xacro_file.py"}
+
+
+def test_make_controller_asks_before_it_makes(tmp_path, monkeypatch):
+    made: list[object] = []
+    monkeypatch.setattr(UdpProgram, "make", lambda *given: made.append(given))
+    with pytest.raises(NotTrusted):
+        Simulation(read_scenario(with_program(tmp_path), trusted=False))
+    assert not made
