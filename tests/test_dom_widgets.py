@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,7 @@ def test_what_a_user_did_is_returned_once_by_its_widget_only(ui: DomWidgets) -> 
         ui.end_scope()
         ui.end_tree()
 
+    ui.tree_of(lambda: ui.tree("robot"), SIZE)
     ui.fold("robot", is_open=True)
     nodes = ui.tree_of(build, SIZE)[0]["nodes"]
     nothing = (False, False, (False, False), (False, 0), (False, 1.0), (False, 0.5), "", False)
@@ -114,17 +116,40 @@ def test_what_takes_no_input_takes_none(ui: DomWidgets) -> None:
         return pressed
 
     pressed: list[bool] = []
+    ui.tree_of(build, SIZE)
     ui.act("go", True)
+    assert ui.is_asked
     (node,) = ui.tree_of(lambda: pressed.append(build()), SIZE)
     assert (node["off"], pressed) == (True, [False])
 
 
 def test_what_was_done_to_a_widget_that_is_gone_is_not_kept_for_its_return(ui: DomWidgets) -> None:
+    ui.tree_of(lambda: ui.button("go"), SIZE)
     ui.act("go", True)
     ui.tree_of(lambda: ui.text("nothing else"), SIZE)
     pressed: list[bool] = []
     ui.tree_of(lambda: pressed.append(ui.button("go")), SIZE)
     assert pressed == [False]
+
+
+def test_ids_that_no_widget_has_are_not_stored(ui: DomWidgets) -> None:
+    def build() -> None:
+        if ui.header("Section", is_open=True) and ui.tree("node"):
+            ui.end_tree()
+        ui.button("go")
+
+    ui.tree_of(build, SIZE)
+    size = len(pickle.dumps(vars(ui) | {"copy": None}))
+    for k in range(100):
+        ui.act(f"x{k}", True)
+        ui.fold(f"x{k}", is_open=True)
+        ui.act("Section", True)  # it is no widget
+        ui.fold("go", is_open=True)  # it cannot be folded
+    assert len(pickle.dumps(vars(ui) | {"copy": None})) == size
+    assert ui.folds == {}
+    assert not ui.is_asked
+    ui.fold("Section", is_open=False)
+    assert ui.folds == {"Section": False}
 
 
 def test_places_and_tips_belong_to_the_widgets_they_are_given_for(ui: DomWidgets) -> None:

@@ -260,9 +260,9 @@ def test_what_cannot_be_opened_is_told(names: list[str], text: str) -> None:
 
 @given(st.text(max_size=30), st.integers(-3, 10**12))
 def test_no_path_leads_out_of_the_folder(name: str, size: int) -> None:
-    message = json.dumps([{"path": name, "size": size}])
+    message = json.dumps({"key": "k", "files": [{"path": name, "size": size}]})
     try:
-        (found,) = uploads.read_list(message)
+        (found,) = uploads.read_list(message).sizes
     except UsageError:
         return
     assert Path("/folder", found).resolve().is_relative_to("/folder")
@@ -277,6 +277,9 @@ def test_no_path_leads_out_of_the_folder(name: str, size: int) -> None:
         ('[{"path": "a.toml", "size": 1e999}]', "found no list of files"),
         ('[{"path": "a.toml", "size": 1.5}]', "found no list of files"),
         ("[" * 100_000, "found no list of files"),
+        ('{"files": []}', "found no list of files"),  # without a key
+        ('[{"path": "a.toml", "size": 1, "more": 1}]', "found no list of files"),
+        ('[{"path": "' + "a/" * 30 + 'a.toml", "size": 1}]', "found the path 'a/a/"),
         ("[]", "found no file; drop a robot, a scene or a recording"),
         ('[{"path": "../a", "size": 1}]', "found the path '../a'; expected a plain one"),
         ('[{"path": "/etc/a", "size": 1}]', "found the path '/etc/a'"),
@@ -286,6 +289,8 @@ def test_no_path_leads_out_of_the_folder(name: str, size: int) -> None:
     ],
 )
 def test_lists_of_files_are_checked(message: str | bytes, text: str) -> None:
+    if isinstance(message, str) and message.endswith("]"):
+        message = f'{{"key": "k", "files": {message}}}'
     with pytest.raises(UsageError) as told:
         uploads.read_list(message)
     assert str(told.value).startswith(text)
@@ -331,13 +336,16 @@ def test_whatever_a_browser_uploads_is_kept_whole_or_not_at_all(
     ]
     if honest:  # empty files have no message
         said = [content for _, content in files if content]
-    line, opened = Uploading([json.dumps(listed), *said]), list[Path]()
+    first = json.dumps({"key": "k", "files": listed})
+    line, opened = Uploading([first, *said]), list[Path]()
     # On a thread of its own: Playwright keeps a loop running on that of tests.
     with (
         patch.object(uploads, "make_temporary_folder", lambda: folder),
+        patch.object(uploads, "drops", uploads.Drops()),
         ThreadPoolExecutor(1) as thread,
     ):
-        thread.submit(asyncio.run, uploads.take_files(line, opened.append)).result()
+        taken = uploads.take_files(line, lambda key: None, opened.append)
+        thread.submit(asyncio.run, taken).result()
     is_refused = any("error" in answer for answer in line.answers)
     assert len(opened) + is_refused <= 1
     if not opened:

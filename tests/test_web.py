@@ -29,7 +29,7 @@ def visitor(browser: Any, served: Served) -> Iterator[Visitor]:
     served.ask("w.toggles.axes.fill(True) or w.select(3)")
     link = served.ask("w.link")
     served.ask("w.toggles.reset() or setattr(w.toggles, 'selected', None)")
-    visitor = Visitor(browser, served, url=link)
+    visitor = Visitor(browser, served, view=link.partition("#view=")[2])
     served.until("w.toggles.axes.all() and w.toggles.selected == 3")  # by the link
     served.ask("setattr(w.toggles, 'selected', None)")
     yield visitor

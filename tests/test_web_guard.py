@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import json
 import signal
 import socket
 import subprocess
@@ -23,11 +24,15 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from sero_mj import Mirror
+from sero_mj.base.errors import RenderError, UsageError
 from sero_mj.load import load_scene
 from sero_mj.viewer.web.guard import is_loopback
 from sero_mj.viewer.web.host import WebHost
 
-PATHS = ("/", "/index.html", "/player.js", "/player.css", "/uploads.js", "/live", "/sero-mj/files")
+# What a page is made of, without secrets, and what needs its token.
+PUBLIC = ("/", "/index.html", "/player.js", "/player.css", "/access.js", "/uploads.js")
+SECRET = ("/live", "/sero-mj/files", "/sero-mj/page", "/nothing")
+PATHS = (*PUBLIC, *SECRET)
 
 
 @pytest.fixture
@@ -68,7 +73,7 @@ def refusal_of(port: int, path: str, **options: Any) -> str:
 
 
 def test_every_path_refuses_hosts_of_others(page: WebHost) -> None:
-    for path in (*PATHS, "/nothing"):
+    for path in PATHS:
         for host in (
             "evil.example",
             f"evil.example:{page.server.port}",
@@ -80,7 +85,7 @@ def test_every_path_refuses_hosts_of_others(page: WebHost) -> None:
             expected = f"found Host {host!r}; expected localhost; the page is for this machine only"
             assert expected in text
     before = page.server.guard.refused
-    assert before == 4 * 8
+    assert before == 4 * len(PATHS)
 
 
 def test_hosts_that_are_this_machine_are_let_in(page: WebHost) -> None:
@@ -104,10 +109,11 @@ def test_every_path_refuses_origins_of_others(page: WebHost) -> None:
             status, text, _ = get(port, path, Origin=origin)
             assert status == 403, (path, origin)
             assert f"found Origin {origin!r}; expected the page's own" in text
+    token = f"?token={page.server.token}"
     for path in ("/live", "/sero-mj/files"):
-        assert "found Origin" in refusal_of(port, path, origin="http://evil.example")
-    with connect(f"ws://127.0.0.1:{port}/live", origin=f"http://127.0.0.1:{port}") as own:
-        assert read_sections(own.recv(timeout=5)) == {"you": {"id": 1}}
+        assert "found Origin" in refusal_of(port, path + token, origin="http://evil.example")
+    with connect(f"ws://127.0.0.1:{port}/live{token}", origin=f"http://127.0.0.1:{port}") as own:
+        assert read_sections(own.recv(timeout=5))["you"]["id"] == 1
 
 
 def test_what_other_sites_embed_is_refused_and_links_are_not(page: WebHost) -> None:
@@ -124,13 +130,14 @@ def test_what_other_sites_embed_is_refused_and_links_are_not(page: WebHost) -> N
 
 
 def test_no_answer_may_be_read_by_others(page: WebHost) -> None:
-    for path in (*PATHS[:5], "/nothing"):
+    token = f"?token={page.server.token}"
+    for path in (*PUBLIC, "/sero-mj/page" + token, "/nothing" + token, "/nothing"):
         _, _, headers = get(page.server.port, path)
         assert "Access-Control-Allow-Origin" not in headers, path
         assert headers["X-Content-Type-Options"] == "nosniff"
         assert headers["Cross-Origin-Resource-Policy"] == "same-origin"
         assert headers["Cross-Origin-Opener-Policy"] == "same-origin"
-    with connect(f"ws://127.0.0.1:{page.server.port}/live") as own:
+    with connect(f"ws://127.0.0.1:{page.server.port}/live{token}") as own:
         assert own.response is not None
         assert "Access-Control-Allow-Origin" not in own.response.headers
 
@@ -151,7 +158,7 @@ def test_a_page_asks_its_own_server_only_and_runs_no_script_that_stands_in_it(
 
 
 def test_messages_that_are_too_long_end_their_connection(page: WebHost) -> None:
-    with connect(f"ws://127.0.0.1:{page.server.port}/live") as own:
+    with connect(f"ws://127.0.0.1:{page.server.port}/live?token={page.server.token}") as own:
         own.send(bytes(2**20 + 1))
         with pytest.raises(ConnectionClosed, match="1009"):  # message too big
             while True:
@@ -180,55 +187,115 @@ def test_refusals_do_not_fill_the_log(page: WebHost, caplog: pytest.LogCaptureFi
     assert page.server.guard.refused == 30
 
 
-def test_beyond_this_machine_a_token_is_needed(open_page: WebHost) -> None:
-    page, port = open_page, open_page.server.port
+def test_a_page_needs_its_token_and_its_files_do_not(page: WebHost) -> None:
+    port, token = page.server.port, page.server.token
+    assert token is not None and len(token) >= 32
+    assert page.url == f"http://localhost:{port}/?token={token}"
+    for path in PUBLIC:  # reloaded without the token, which the browser has stored
+        status, text, headers = get(port, path)
+        assert status == 200, path
+        assert token not in text
+        assert "Set-Cookie" not in headers
+        for wrong in ("", "x" * len(token), "%FF", f"{token}x", f"{token}&" + "a=1&" * 30):
+            status, text, _ = get(port, f"{path}?token={wrong}")
+            assert (status, "found no valid token; open the link" in text) == (403, True), wrong
+    for path in SECRET:
+        assert get(port, path)[0] == 403, path
+        # Nothing that a browser sends to other ports of this host, too, opens anything.
+        for header in ("Cookie", "Authorization", "Referer"):
+            for value in (token, f"sero-mj-{port}={token}", f"token={token}", page.url):
+                assert get(port, path, **{header: value})[0] == 403, (path, header)
+    assert "found no valid token" in refusal_of(port, "/live")
+    status, text, _ = get(port, f"/?token={token}")
+    assert (status, "<canvas" in text, token in text) == (200, True, False)
+    assert json.loads(get(port, f"/sero-mj/page?token={token}")[1]) == {"page": "/live"}
+    assert get(port, f"/nothing?token={token}")[0] == 404
+    # Who has the token, and is sent by another site, does not come in either.
+    for other in ({"Origin": "http://evil.example"}, {"Host": "evil.example"}):
+        assert get(port, f"/sero-mj/page?token={token}", **other)[0] == 403
+
+
+def test_every_page_has_a_token_of_its_own(page: WebHost) -> None:
+    with Mirror(load_scene("lwr")) as mirror, WebHost(mirror) as other:
+        assert other.server.token != page.server.token
+        assert get(other.server.port, f"/sero-mj/page?token={page.server.token}")[0] == 403
+
+
+def test_a_page_without_a_token_warns_and_is_for_this_machine_only(
+    home: None, caplog: pytest.LogCaptureFixture
+) -> None:
+    with Mirror(load_scene("lwr")) as mirror:
+        with WebHost(mirror, token=False) as page:
+            port = page.server.port
+            assert page.url == f"http://localhost:{port}/"
+            assert f"the page at port {port} has no token" in caplog.text
+            for path in (*PUBLIC, "/sero-mj/page"):
+                assert get(port, path)[0] == 200
+        with pytest.raises(UsageError, match="a page for other machines needs a token"):
+            WebHost(mirror, host="0.0.0.0", token=False)
+
+
+def test_a_page_for_other_machines_is_found_by_their_names_for_it(open_page: WebHost) -> None:
+    page, port, token = open_page, open_page.server.port, open_page.server.token
     assert not page.server.is_private
     assert page.urls[0] == page.url
-    assert page.urls[1].startswith(f"http://{socket.gethostname()}:{port}/?token=")
-    (token,) = parse_qs(urlsplit(page.url).query)["token"]
-    assert len(token) >= 32
-    for path in (*PATHS, "/?token=", "/?token=" + "x" * len(token), "/?token=%FF"):
-        status, text, headers = get(port, path)
-        assert (status, "found no valid token; open the address" in text) == (403, True), path
-        assert "Set-Cookie" not in headers
-    assert "found no valid token" in refusal_of(port, "/live")
-
+    assert page.urls[1] == f"http://{socket.gethostname()}:{port}/?token={token}"
     for host in (f"127.0.0.1:{port}", "192.168.1.7", "[fe80::1]", socket.gethostname()):
-        assert get(port, f"/?token={token}", Host=host)[0] == 200
-    status, text, headers = get(port, f"/?token={token}")
-    assert (status, "<canvas" in text) == (200, True)
-    cookie, *about = headers["Set-Cookie"].split("; ")
-    assert {"HttpOnly", "SameSite=Strict", "Path=/"} == set(about)
-    # Browsers send it to other servers on this host, too.
-    assert cookie.startswith(f"sero-mj-{port}=")
-    assert token not in cookie
-    _, _, elsewhere = get(port, f"/?token={token}", Host="192.168.1.7:9000")
-    assert elsewhere["Set-Cookie"].startswith("sero-mj-9000=")
-    for host in ("127.0.0.1", "[::1]"):
-        _, _, elsewhere = get(port, f"/?token={token}", Host=host)
-        assert elsewhere["Set-Cookie"].startswith("sero-mj-80=")
-    stolen = cookie.partition("=")[2]
-    assert get(port, f"/player.js?token={stolen}")[0] == 403
-    assert get(port, "/player.js", Cookie=f"sero-mj-{port + 1}={stolen}")[0] == 403
-    assert get(port, "/player.js", Cookie=f'junk="{{; a b=[; {cookie}')[0] == 200
-    assert get(port, "/player.js", Cookie=cookie + "x")[0] == 403
-    # Who has the cookie, and is sent by another site, does not come in either.
-    assert get(port, "/player.js", Cookie=cookie, Origin="http://evil.example")[0] == 403
-    assert get(port, "/player.js", Cookie=cookie, Host="evil.example")[0] == 403
-    # Files in the page have it, too: in a frame of another site browsers send no cookie.
-    assert f'"/player.js?token={token}"' in text
-    with connect(f"ws://127.0.0.1:{port}/live?token={token}") as own:
-        assert read_sections(own.recv(timeout=5)) == {"you": {"id": 1}}
+        assert get(port, f"/sero-mj/page?token={token}", Host=host)[0] == 200
+        assert get(port, "/sero-mj/page", Host=host)[0] == 403
 
 
-def test_a_token_can_be_had_on_this_machine_too(home: None) -> None:
-    with Mirror(load_scene("lwr")) as mirror, WebHost(mirror, token=True) as page:
-        assert page.server.is_private
-        assert get(page.server.port)[0] == 403
-        assert get(page.server.port, page.url.partition(str(page.server.port))[2])[0] == 200
-        first = page.url
-    with Mirror(load_scene("lwr")) as mirror, WebHost(mirror, token=True) as page:
-        assert page.url.partition("token=")[2] != first.partition("token=")[2]
+@pytest.mark.parametrize("address", ["127.0.0.1", "::1", "0.0.0.0"])
+def test_nobody_else_can_listen_where_browsers_look_for_localhost(address: str, home: None) -> None:
+    if not has_ipv6():
+        pytest.skip("this machine has no IPv6 loopback")
+    with Mirror(load_scene("lwr")) as mirror, WebHost(mirror, host=address) as page:
+        for family, other in ((socket.AF_INET, "127.0.0.1"), (socket.AF_INET6, "::1")):
+            with socket.socket(family, socket.SOCK_STREAM) as thief:
+                thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                with pytest.raises(OSError, match="in use"):
+                    thief.bind((other, page.server.port))
+                    thief.listen()
+            with connect(f"ws://{'[::1]' if ':' in other else other}:{page.server.port}/live"
+                         f"?token={page.server.token}") as line:  # fmt: skip
+                assert "you" in read_sections(line.recv(timeout=5))
+        # Where somebody is there already, the page goes elsewhere.
+        with socket.socket(socket.AF_INET6, socket.SOCK_STREAM) as thief:
+            thief.bind(("::1", 0))
+            thief.listen()
+            with pytest.raises(RenderError, match="in use"):
+                WebHost(mirror, host="127.0.0.1", port=thief.getsockname()[1])
+
+
+def test_a_browser_on_this_machine_is_known_as_such(open_page: WebHost) -> None:
+    """For what only who sits at this machine may allow."""
+    page, port = open_page, open_page.server.port
+
+    def is_local(address: str, **headers: str) -> bool:
+        with connect(
+            f"ws://{address}:{port}/live?token={page.server.token}", additional_headers=headers
+        ) as line:
+            found: bool = read_sections(line.recv(timeout=5))["you"]["isLocal"]
+            return found
+
+    assert is_local("127.0.0.1")
+    assert not is_local("127.0.0.1", **{"X-Forwarded-For": "192.168.1.7"})
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # sends nothing
+        except OSError:
+            return  # this machine has no network
+        own = probe.getsockname()[0]
+    assert is_loopback(own) or not is_local(own)
+
+
+def has_ipv6() -> bool:
+    try:
+        with socket.socket(socket.AF_INET6, socket.SOCK_STREAM) as found:
+            found.bind(("::1", 0))
+    except OSError:
+        return False
+    return True
 
 
 def test_addresses_of_this_machine_are_known() -> None:
@@ -276,6 +343,7 @@ async function frame() {
 async function attack() {
   return {
     live: await socket("/live"), files: await socket("/sero-mj/files"),
+    which: await read("/sero-mj/page", "cors"),
     player: await read("/player.js", "cors"), blind: await read("/player.js", "no-cors"),
     page: await read("/", "cors"), script: await script("/player.js"),
   };
@@ -288,13 +356,16 @@ class Website:
 
     Args:
         target: the page.
+        told: takes what browsers send to it.
     """
 
-    def __init__(self, target: str) -> None:
+    def __init__(self, target: str, told: list[str] | None = None) -> None:
+        target = target.partition("?")[0]
         body = ATTACK.replace("PAGE", target.rstrip("/")).encode()
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
+                (told if told is not None else []).append(f"{self.path}\n{self.headers}")
                 self.send_response(200)
                 self.send_header("Content-Type", "text/html")
                 self.end_headers()
@@ -359,13 +430,47 @@ def test_a_website_in_the_users_browser_gets_nothing(browser: Any, tmp_path: Pat
 @pytest.mark.timeout(200)
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 def test_a_browser_with_the_address_sees_the_robot(browser: Any, tmp_path: Path) -> None:
-    page = browser.new_page(viewport={"width": 280, "height": 240}, device_scale_factor=0.5)
-    with closing(page), Served(tmp_path, "lwr", token=True) as served:
-        assert page.goto(served.url.partition("?")[0]).status == 403
+    context = browser.new_context(viewport={"width": 280, "height": 240}, device_scale_factor=0.5)
+    with closing(context), Served(tmp_path, "lwr") as served:
+        page = context.new_page()
+        plain = served.url.partition("?")[0]
+        page.goto(plain)
+        page.wait_for_function("() => document.getElementById('problem').innerText.match('locked')")
+        assert served.ask("w.is_seen") is False
+        with closing(context.new_page()) as second:
+            second.goto(f"{served.url}#view=x")
+            second.wait_for_function("() => player.state")
+            # The address bar has lost the token, and a reload does not need it.
+            assert second.url == f"{plain}#view=x"
+            second.reload()
+            second.wait_for_function("() => player.state")
+            # Nor does the tab that was locked, which goes on.
+            page.wait_for_function("() => player.state")
+            served.until("len(w.browsers._browsers) == 2")
+            assert context.cookies() == []
+
+
+@pytest.mark.thorough
+@pytest.mark.gl
+@pytest.mark.timeout(200)
+@pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
+def test_another_users_server_on_another_port_learns_nothing(browser: Any, tmp_path: Path) -> None:
+    """It can ask any port with any headers, and whoever uses the page visits it, too."""
+    told: list[str] = []
+    with closing(browser.new_context()) as user, Served(tmp_path, "lwr") as served:
+        page = user.new_page()
         page.goto(served.url)
-        # A function: Playwright evaluates other texts, which the page's policy refuses.
-        page.wait_for_function("() => document.documentElement.dataset.ready === '1'")
-        served.until("w.is_seen")
+        page.wait_for_function("() => player.state")
+        token = parse_qs(urlsplit(served.url).query)["token"][0]
+        with Website(served.url, told) as site:
+            visited = user.new_page()
+            visited.goto(f"http://localhost:{site.port}/")
+            found = visited.evaluate("attack()")
+            assert set(found.values()) <= {"refused", "opaque"}, found
+            assert visited.evaluate("JSON.stringify(localStorage)") == "{}"
+        assert told
+        assert token not in "".join(told)
+        assert "Cookie" not in "".join(told)
 
 
 def test_the_terminal_says_where_the_page_is_and_what_it_waits_for(tmp_path: Path) -> None:

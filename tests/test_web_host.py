@@ -8,6 +8,7 @@ import struct
 import urllib.parse
 import urllib.request
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from hypothesis import strategies as st
 from page_client import PageClient
 from PIL import Image
 from polling import until
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
 
 from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver, World
 from sero_mj.base.errors import RenderError
@@ -28,7 +31,32 @@ from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.player.capture import shown_bodies
 from sero_mj.viewer.session.restoring import keep, restore
 from sero_mj.viewer.session.scene_decor import SceneDecor
+from sero_mj.viewer.web import browsers
 from sero_mj.viewer.web.host import WebHost
+from sero_mj.viewer.web.messages import (
+    MAX_BYTES,
+    Camera,
+    Card,
+    CloseArea,
+    Control,
+    Fold,
+    ForScene,
+    ForStartPage,
+    Got,
+    Hold,
+    Key,
+    Message,
+    OpenShown,
+    OpenTile,
+    PageSize,
+    Pointer,
+    Reader,
+    Said,
+    Sender,
+    View,
+    Wheel,
+    Widget,
+)
 
 SIZE = (1200, 800)
 
@@ -309,7 +337,7 @@ def test_a_link_opens_the_page_with_its_view(page: WebHost, client: PageClient) 
     page.clock.seek(1.5)
     wanted, link = page.view_state(), page.link
     address, _, text = link.partition("#view=")
-    assert address == page.url
+    assert address == f"http://localhost:{page.server.port}/"  # without the token
     assert wanted.time == 1.5
     page.toggles.reset()
     page.navigator.camera.azimuth = 0.0
@@ -336,7 +364,7 @@ def test_panels_switch_what_is_shown_and_the_time_line_scrubs(
     client.until(lambda: page.clock.time == 0.2)
     client.until(lambda: client.state["time"] == pytest.approx(0.2, abs=1e-3))
     client.say("widget", tree="panel", id="copy a link to this view", value=True)
-    assert client.until(lambda: client.events)[0]["copy"].startswith(f"{page.url}#view=")
+    assert client.until(lambda: client.events)[0]["copy"].startswith(page.link.partition("%22")[0])
     client.say("fold", tree="panel", id="Sources", open=False)
     client.until(lambda: client.widget("panel", "Sources")["nodes"] == [])
 
@@ -450,7 +478,9 @@ def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebHost]:
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(said=st.lists(SAID, max_size=5))
 def test_whatever_a_browser_says_the_page_goes_on(fuzzed: WebHost, said: list[Any]) -> None:
-    fuzzed._input.take(said)
+    reader = Reader(ForScene)
+    messages = [message for each in said if (message := reader.read(json.dumps(each)))]
+    fuzzed._input.take(Said(message, Sender(1, is_local=True)) for message in messages)
     fuzzed.decor.lay_out(fuzzed.data, fuzzed.view.picture(fuzzed.data))
     assert np.isfinite(fuzzed.navigator.camera.lookat).all()
 
@@ -462,7 +492,134 @@ def test_words_that_are_none_are_counted(page: WebHost, client: PageClient) -> N
     client.say("key")
     client.say("pointer", kind="press", x="a", y=0)
     client.say("camera", fixed=-1, lookAt=[0, 0], distance=1, azimuth=0, elevation=0)
-    client.until(lambda: page.browsers.refused >= 6 and page._input.wrong >= 3)
+    client.say("card", kind=1, item=10**6)  # nothing is there
+    client.until(lambda: page.browsers.refused == 10 and page._input.wrong == 1)
+    client.say("key", key="a")
+    client.until(lambda: not page.toggles.arrows.any())
+
+
+# One message of every kind that changes something.
+EXAMPLES: dict[type[Message], dict[str, Any]] = {
+    PageSize: {"w": 640, "h": 400, "page": 640},
+    Camera: {"fixed": -1, "lookAt": [0, 0, 1], "distance": 3, "azimuth": 7, "elevation": -8.5},
+    Pointer: {"kind": "press", "x": 9, "y": 9.5, "button": 2, "shift": True, "ctrl": True},
+    Wheel: {"n": 1.5},
+    Hold: {},
+    Key: {"key": "a", "repeat": False},
+    Card: {"kind": int(Kind.BILLBOARD), "item": 0, "shift": True, "double": False},
+    Widget: {"tree": "panel", "id": "axes", "value": True},
+    Fold: {"tree": "panel", "id": "Sources", "open": False},
+    CloseArea: {"area": "Plots"},
+    View: {"text": '{"switches":{"axes":"1"}}'},
+}
+KINDS = {kind: kind.model_fields["t"].annotation.__args__[0] for kind in EXAMPLES}  # type: ignore[union-attr]
+
+
+def test_every_kind_of_message_is_declared_once_with_who_may_send_it() -> None:
+    assert set(Reader(ForScene).kinds) == {*EXAMPLES, Got, Control}
+    assert set(Reader(ForStartPage).kinds) == {OpenTile, OpenShown, Got, Control}
+    reader = Reader(ForScene)
+    for kind, fields in EXAMPLES.items():
+        message = {"t": KINDS[kind], **fields}
+        assert type(reader.read(json.dumps(message))) is kind
+        # Unknown fields, and none of those that are needed.
+        assert reader.read(json.dumps({**message, "more": 1})) is None
+        required = [name for name, field in kind.model_fields.items() if field.is_required()]
+        for name in required:
+            assert reader.read(json.dumps({k: v for k, v in message.items() if k != name})) is None
+
+
+def test_only_the_browser_in_control_changes_anything(page: WebHost, client: PageClient) -> None:
+    """Every kind of message: from a spectator it does nothing, from the one in control it acts."""
+    acted: list[type[Any]] = []
+    for kind, act in [*page._input._acts.items()]:
+        page._input._acts[kind] = lambda said, act=act: (acted.append(type(said)), act(said))
+
+    def state() -> tuple[Any, ...]:
+        view, layout = page.view_state()._replace(time=None), page.layout
+        return view, layout, page.view.size, page.pointer.at, page.joint, page.folds.copy()
+
+    page.actions.perform("plot")
+    client.until(lambda: client.state.get("areas"))
+    before, acted[:] = state(), []
+    with PageClient(page) as other:
+        for number, (kind, fields) in enumerate(EXAMPLES.items()):
+            other.say(KINDS[kind], **fields)
+            # Every browser tells its size when it connects.
+            other.until(lambda number=number: page.browsers.refused == number)  # size is first
+        for _ in range(3):
+            page.frame()
+        assert state() == before
+        assert acted == []
+        other.say("control")
+        other.until(lambda: page.browsers.holder == other.id)
+        acted.clear()
+        for kind, fields in EXAMPLES.items():
+            other.say(KINDS[kind], **fields)
+        other.until(lambda: acted == [*EXAMPLES])
+        assert page._input.wrong == 0
+        assert page._input.sender == (other.id, True)
+        assert state() != before
+
+
+def test_without_the_token_nothing_is_said_to_a_page(page: WebHost) -> None:
+    port, token = page.server.port, page.server.token
+    assert token is not None
+    for query in ("", "?token=", f"?token={token[:-1]}", f"?token={token}x", f"?tok={token}"):
+        for path in ("/live", "/sero-mj/files", "/sero-mj/page"):
+            with pytest.raises(InvalidStatus) as refused:
+                connect(f"ws://localhost:{port}{path}{query}", additional_headers={"Cookie": token})
+            assert refused.value.response.status_code == 403
+    assert not page.is_seen
+
+
+DEEP = "[" * 5000
+
+
+@pytest.mark.parametrize("text", [
+    DEEP, '{"a":' * 3000, json.dumps({"switches": {"axes": DEEP}}), '{"time":NaN}',
+    '{"time":1e999}', '{"time":1e300}', '{"camera":"nan,nan,nan"}',
+    '{"camera":"1e308,1e308,1e308"}', '{"switches":{"axes":{"a":1}}}', '{"joint":["a"]}',
+    json.dumps({"switches": {"x": "9" * 19000}}),
+])  # fmt: skip
+def test_no_view_of_a_link_ends_the_page(text: str, page: WebHost, client: PageClient) -> None:
+    client.say("view", text=text)
+    client.until(lambda: page.notice.is_bad)
+    client.until(lambda: client.state["message"] is not None)
+    assert np.isfinite(client.state["time"])
+
+
+def test_a_message_that_is_too_long_ends_its_connection_only(
+    page: WebHost, client: PageClient
+) -> None:
+    with PageClient(page) as other:
+        other.line.send(json.dumps({"t": "view", "text": "x" * MAX_BYTES}))
+        client.until(lambda: client.state["control"]["count"] == 1)
+        with pytest.raises(ConnectionClosed, match="1009"):
+            other.line.recv(timeout=5)
+
+
+def test_a_browser_that_sends_too_much_waits(page: WebHost, client: PageClient) -> None:
+    """While the page shows no frames, messages stay in the connection, and later all arrive."""
+    client.say("key", key="t")
+    client.until(lambda: client.state["panel"] is None)
+    refused, sent = page.browsers.refused, 3 * browsers._MOST_SAID
+    with ThreadPoolExecutor(1) as thread:
+        # An odd number of times.
+        sending = thread.submit(lambda: [client.say("key", key="t") for _ in range(sent + 1)])
+        assert until(lambda: len(page.browsers._said) == browsers._MOST_SAID, 20)
+        client.until(lambda: len(page.browsers._said) < 10 and sending.done())
+    client.until(lambda: client.state["panel"] is not None)
+    assert page.browsers.refused == refused
+
+
+def test_no_more_browsers_are_let_in_than_can_be_served(
+    page: WebHost, client: PageClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(browsers, "_MOST_BROWSERS", 1)
+    address = page.url.replace("http", "ws").replace("/?", "/live?")
+    with connect(address) as other, pytest.raises(ConnectionClosed, match="1013"):
+        other.recv(timeout=5)
     client.say("key", key="a")
     client.until(lambda: not page.toggles.arrows.any())
 
@@ -503,7 +660,9 @@ def test_pages_of_one_process_are_beside_each_other(home: None) -> None:
 def test_a_page_is_for_this_machine_only(page: WebHost) -> None:
     assert page.server.address == "127.0.0.1"
     assert page.server.is_private
-    assert page.url == f"http://localhost:{page.server.port}/"
+    token = page.server.token
+    assert token is not None and len(token) >= 32
+    assert page.url == f"http://localhost:{page.server.port}/?token={token}"
     assert page.urls == [page.url]
 
 

@@ -10,13 +10,16 @@ import re
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import pytest
 import trimesh
 from conftest import ROOT
+from page_client import read_sections
+from polling import until
 from test_web_guard import get
 from web_tools import MISSING
 from websockets.exceptions import InvalidStatus
@@ -28,7 +31,9 @@ from sero_mj.base.errors import DeclarationError, UsageError
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.session.recent_views import RecentView
 from sero_mj.viewer.session.start_page import PortMonitor
+from sero_mj.viewer.web import start_host, uploads
 from sero_mj.viewer.web.host import WebHost
+from sero_mj.viewer.web.messages import Control, ForStartPage, Got, Reader
 from sero_mj.viewer.web.start_host import StartHost
 
 PATHS = ("/", "/sero-mj/tiles", "/sero-mj/pictures/0", "/sero-mj/start", "/sero-mj/files")
@@ -38,6 +43,7 @@ class Opened:
     """A start page that is served, and what its user opens."""
 
     def __init__(self, **options: Any) -> None:
+        self.contents: dict[str, bytes] = {}  # of the folder of the last file
         self.asked: queue.SimpleQueue[RecentView | Path] = queue.SimpleQueue()
         self.page = StartHost(
             self._open, PortMonitor([]), options.pop("host", "127.0.0.1"), **options
@@ -47,14 +53,35 @@ class Opened:
         self._thread.start()
 
     def _open(self, what: RecentView | Path) -> Scene:
-        self.asked.put(what)
         if isinstance(what, Path):
+            folder = what.parent
+            self.contents = {
+                file.relative_to(folder).as_posix(): file.read_bytes()
+                for file in folder.rglob("*") if file.is_file()
+            }  # fmt: skip
+            self.asked.put(what)
             raise UsageError(f"{what.name}: found {len(what.read_bytes())} bytes; expected a robot")
+        self.asked.put(what)
         return Scene(name=what.scene)
 
     def line(self, path: str, **options: Any) -> Any:
-        token = f"?token={self.page.server.token}" if self.page.server.token else ""
-        return connect(f"ws://localhost:{self.page.server.port}{path}{token}", **options)
+        return connect(f"ws://localhost:{self.page.server.port}{self.secret(path)}", **options)
+
+    def secret(self, path: str) -> str:
+        """A path with the token of the page."""
+        return f"{path}{'&' if '?' in path else '?'}token={self.page.server.token}"
+
+    def get(self, path: str) -> tuple[int, str, dict[str, str]]:
+        return get(self.page.server.port, self.secret(path))
+
+    def upload(self, key: str, listed: Any, *parts: bytes) -> dict[str, str]:
+        """The answer to files that are dropped."""
+        with self.line("/sero-mj/files") as line:
+            line.send(json.dumps({"key": key, "files": listed}).replace("Infinity", "1e999"))
+            for part in parts:
+                line.send(part)
+            answer: dict[str, str] = json.loads(line.recv(timeout=10))
+            return answer
 
     def close(self) -> None:
         self.page.close()
@@ -68,62 +95,152 @@ def opened() -> Iterator[Opened]:
     found.close()
 
 
-def notice(line: Any) -> dict[str, Any]:
-    """The next message that is no report of what is awaited."""
-    while True:
-        message: dict[str, Any] = json.loads(line.recv(timeout=10))
-        if "awaited" not in message:
-            return message
+class Onlooker:
+    """A browser at the start page, without a browser.
+
+    Attributes:
+        state: sections that came.
+        notices: that came.
+    """
+
+    def __init__(self, opened: Opened) -> None:
+        self._stack = ExitStack()
+        self.line = self._stack.enter_context(opened.line("/sero-mj/start"))
+        self.state: dict[str, Any] = {}
+        self.notices: list[dict[str, Any]] = []
+        self.until(lambda: {"you", "control"} <= self.state.keys())
+        self.key: str = self.state["you"]["key"]
+        self.id: int = self.state["you"]["id"]
+
+    def say(self, what: str, **words: Any) -> None:
+        self.line.send(json.dumps({"t": what, **words}))
+
+    def until(self, found: Callable[[], Any]) -> None:
+        while not found():
+            sections = read_sections(self.line.recv(timeout=10))
+            self.say("got")
+            self.state.update(sections)
+            self.notices += [sections["notice"]] if sections.get("notice") else []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._stack.close()
 
 
 def test_tiles_are_listed_with_pictures_and_open_their_scenes(opened: Opened) -> None:
-    port = opened.page.server.port
-    assert get(port)[0] == 200
-    status, text, headers = get(port, "/sero-mj/tiles")
+    status, text, headers = opened.get("/sero-mj/tiles")
     assert (status, headers["Content-Type"]) == (200, "application/json")
     tiles = {tile["title"]: tile for each in json.loads(text)["sections"] for tile in each["tiles"]}
     number = tiles["impedance_push"]["number"]
-    (section,) = json.loads(get(port, "/sero-mj/tiles?search=IMPEDANCE%20push")[1])["sections"]
+    (section,) = json.loads(opened.get("/sero-mj/tiles?search=IMPEDANCE%20push")[1])["sections"]
     assert {**tiles["impedance_push"]} in section["tiles"]
-    assert json.loads(get(port, "/sero-mj/tiles?search=no%20such")[1])["sections"] == []
-    status, _, headers = get(port, f"/sero-mj/pictures/{number}")
+    assert json.loads(opened.get("/sero-mj/tiles?search=no%20such")[1])["sections"] == []
+    status, _, headers = opened.get(f"/sero-mj/pictures/{number}")
     assert (status, headers["Content-Type"]) == (200, "image/jpeg")
     for wrong in ("/sero-mj/pictures/9999", "/sero-mj/pictures/x", "/etc/passwd", "/sero-mj/"):
-        assert get(port, wrong)[0] == 404
-    with opened.line("/sero-mj/start") as line:
-        for nonsense in ("{", "[]", '{"tile": -1}', '{"tile": "x"}', '{"shown": "/etc/passwd"}'):
-            line.send(nonsense)
-        line.send(json.dumps({"tile": number}))
+        assert opened.get(wrong)[0] == 404
+    with Onlooker(opened) as browser:
+        for nonsense in ("{", "[]", '{"t": "tile", "number": -1}', '{"t": "tile", "number": "x"}',
+                         '{"t": "tile"}', "[" * 5000, "x" * 30_000):  # fmt: skip
+            browser.line.send(nonsense)
+        browser.say("tile", number=10**6)  # none of the page's
+        browser.say("shown", scene="/etc/passwd")
+        browser.say("tile", number=number)
         assert opened.asked.get(timeout=10) == RecentView("impedance_push")
         assert opened.asked.empty()
     opened._thread.join(10)
     assert [scene.name for scene in opened.found if scene] == ["impedance_push"]
 
 
+def test_only_the_browser_in_control_opens_anything(opened: Opened) -> None:
+    """Every kind of message, and uploads, from another browser of the page."""
+    files = [{"path": "a.toml", "size": 3}]
+    with Onlooker(opened) as first, Onlooker(opened) as other:
+        assert other.state["control"] == {"holder": first.id, "count": 2}
+        for kind in Reader(ForStartPage).kinds:
+            if kind not in (Got, Control):
+                name = kind.model_fields["t"].annotation.__args__[0]  # type: ignore[union-attr]
+                refused = opened.page.browsers.refused
+                other.say(name, **{"tile": {"number": 0}, "shown": {"scene": "lwr_udp"}}[name])
+                assert until(lambda refused=refused: opened.page.browsers.refused == refused + 1, 5)
+        for key in (other.key, "", first.key[:-1], f"{first.key}x", "é"):
+            answer = opened.upload(key, files)
+            assert answer["error"].startswith("another browser has control of this page"), key
+        assert opened.asked.empty()
+        other.say("control")
+        first.until(lambda: first.state["control"]["holder"] == other.id)
+        assert "error" in opened.upload(first.key, files)
+        assert opened.upload(other.key, files, b"abc") == {"opening": "a.toml"}
+        assert isinstance(opened.asked.get(timeout=10), Path)
+    # Nobody is in control when all have gone.
+    assert until(lambda: opened.page.browsers.holder is None, 5)
+    assert "error" in opened.upload(other.key, files)
+
+
+def test_who_loses_control_while_files_arrive_uploads_nothing(opened: Opened) -> None:
+    before = uploads.drops.size
+    with Onlooker(opened) as first, Onlooker(opened) as other:
+        with opened.line("/sero-mj/files") as line:
+            listed = [{"path": "a.toml", "size": 6}]
+            line.send(json.dumps({"key": first.key, "files": listed}))
+            line.send(b"abc")
+            assert until(lambda: uploads.drops.size == (before[0] + 1, before[1] + 6), 5)
+            other.say("control")
+            first.until(lambda: first.state["control"]["holder"] == other.id)
+            line.send(b"abc")
+            assert "another browser" in json.loads(line.recv(timeout=10))["error"]
+        assert uploads.drops.size == before
+    assert opened.asked.empty()
+
+
 def test_files_are_taken_whole_and_what_is_wrong_is_told(opened: Opened) -> None:
     contents = os.urandom(300_000)
-    with opened.line("/sero-mj/start") as start:
-        json.loads(start.recv(timeout=10))
-        with opened.line("/sero-mj/files") as line:
-            line.send(json.dumps([{"path": "r/r.urdf", "size": 300_000},
-                                  {"path": "r/m/a.stl", "size": 3}]))  # fmt: skip
-            for part in (contents[:200_000], contents[200_000:], b"abc"):
-                line.send(part)
-            assert json.loads(line.recv(timeout=10)) == {"opening": "r.urdf"}
-        path = opened.asked.get(timeout=10)
-        assert isinstance(path, Path)
-        assert path.read_bytes() == contents
-        assert (path.parent / "m" / "a.stl").read_bytes() == b"abc"
-        told = notice(start)
-        told = told if told["is_bad"] else notice(start)
-        assert told["notice"] == "r.urdf: found 300000 bytes; expected a robot"
+    with Onlooker(opened) as browser:
+        listed = [{"path": "r/r.urdf", "size": 300_000}, {"path": "r/m/a.stl", "size": 3}]
+        answer = opened.upload(browser.key, listed, contents[:200_000], contents[200_000:], b"abc")
+        assert answer == {"opening": "r.urdf"}
+        assert opened.asked.get(timeout=10).name == "r.urdf"
+        assert opened.contents == {"r.urdf": contents, "m/a.stl": b"abc"}
+        browser.until(lambda: browser.notices and browser.notices[-1]["isBad"])
+        told = browser.notices[-1]
+        assert told["text"] == "r.urdf: found 300000 bytes; expected a robot"
         assert 1 < told["seconds"] < 60
-    with opened.line("/sero-mj/files") as line:
-        line.send(json.dumps([{"path": "a.toml", "size": 2}]))
-        line.send(b"abc")
-        told = json.loads(line.recv(timeout=10))
-        assert told == {"error": "a.toml: found other contents than its 2 bytes"}
+        answer = opened.upload(browser.key, [{"path": "a.toml", "size": 2}], b"abc")
+        assert answer == {"error": "a.toml: found other contents than its 2 bytes"}
     assert opened.asked.empty()
+
+
+def test_refused_drops_leave_nothing_and_full_space_is_told(
+    opened: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(uploads, "drops", uploads.Drops())
+    monkeypatch.setattr(start_host, "drops", uploads.drops)
+    monkeypatch.setattr(uploads, "MOST_BYTES", 1000)
+    folders = paths.make_temporary_folder().parent
+    with Onlooker(opened) as browser:
+        before = set(folders.iterdir())
+        for _ in range(4):
+            listed = [{"path": "a.toml", "size": 900}]
+            assert opened.upload(browser.key, listed, b"x" * 900) == {"opening": "a.toml"}
+            opened.asked.get(timeout=10)
+            # It cannot be opened, see `Opened`, so it is refused.
+            assert until(lambda: uploads.drops.size == (0, 0), 10)
+            assert set(folders.iterdir()) == before
+        shown = uploads.drops.reserve(1, 900)
+        uploads.drops.show(shown / "a.toml")
+        error = opened.upload(browser.key, [{"path": "b.toml", "size": 101}])["error"]
+        assert error.startswith("no space for 1 files of 0 MB: this viewer already stores 1 drops")
+        assert set(folders.iterdir()) == {*before, shown}
+        uploads.drops.show()  # another scene is shown: its space is given to others
+        with opened.line("/sero-mj/files") as line:
+            listed = [{"path": "b.toml", "size": 101}]
+            line.send(json.dumps({"key": browser.key, "files": listed}))
+            assert until(lambda: uploads.drops.size == (1, 101), 10)
+            assert not shown.exists()
+        assert until(lambda: uploads.drops.size == (0, 0), 10)  # the browser has gone
+        assert set(folders.iterdir()) == before
 
 
 @pytest.mark.parametrize(
@@ -139,9 +256,8 @@ def test_files_that_cannot_be_kept_are_told_by_their_own_names(
 ) -> None:
     kept = paths.make_temporary_folder().parent
     before = set(kept.iterdir())
-    with opened.line("/sero-mj/files") as line:
-        line.send(json.dumps(listed).replace("Infinity", "1e999"))
-        error = json.loads(line.recv(timeout=10))["error"]
+    with Onlooker(opened) as browser:
+        error = opened.upload(browser.key, listed)["error"]
     assert error.startswith(told)
     assert str(kept) not in error
     assert set(kept.iterdir()) == before
@@ -164,27 +280,21 @@ def test_faults_in_files_that_were_dropped_have_their_names_there(home: None) ->
 
 
 def test_other_sites_and_who_has_no_token_are_refused(opened: Opened) -> None:
+    port = opened.page.server.port
     for path in PATHS:
         for headers in ({"Origin": "http://evil.example"}, {"Sec_Fetch_Site": "cross-site"},
                         {"Host": "evil.example"}):  # fmt: skip
             if (path, *headers) != ("/", "Sec_Fetch_Site"):
-                assert get(opened.page.server.port, path, **headers)[0] == 403, (path, headers)
+                assert get(port, opened.secret(path), **headers)[0] == 403, (path, headers)
+        assert get(port, path)[0] == (200 if path == "/" else 403)
+        assert get(port, f"{path}?token=wrong")[0] == 403
     for path in PATHS[3:]:
         with pytest.raises(InvalidStatus), opened.line(path, origin="http://evil.example"):
             pass
-    guarded = Opened(token=True)
-    try:
-        for path in PATHS:
-            assert get(guarded.page.server.port, path)[0] == 403
-            assert get(guarded.page.server.port, f"{path}?token=wrong")[0] == 403
-        assert (
-            get(guarded.page.server.port, f"/sero-mj/tiles?token={guarded.page.server.token}")[0]
-            == 200
-        )
-        with guarded.line("/sero-mj/start") as line:
-            assert json.loads(line.recv(timeout=10)) == {"awaited": []}
-    finally:
-        guarded.close()
+        with pytest.raises(InvalidStatus), connect(f"ws://localhost:{port}{path}"):
+            pass
+    with Onlooker(opened) as browser:
+        browser.until(lambda: browser.state.get("awaited") == [])
 
 
 URDF = """

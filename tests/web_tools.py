@@ -93,7 +93,7 @@ class Visitor:
         browser: Playwright's.
         served: the page.
         size: of the page, pixels; below a width of 800 its panel is closed at first.
-        url: another address of it.
+        view: of a link, see `ViewState.to_text`.
         **options: of Playwright's pages.
 
     Attributes:
@@ -106,7 +106,7 @@ class Visitor:
         browser: Any,
         served: Served,
         size: tuple[int, int] = SIZE,
-        url: str = "",
+        view: str = "",
         **options: Any,
     ) -> None:
         self._served = served
@@ -119,7 +119,7 @@ class Visitor:
             "console",
             lambda line: self.faults.append(line.text) if line.type == "error" else None,
         )
-        self.page.goto(url or served.url)
+        self.page.goto(f"{served.url}#view={view}" if view else served.url)
         self.until(
             "document.documentElement.dataset.ready === '1' && player.state && player.now.control"
         )

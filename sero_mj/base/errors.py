@@ -25,6 +25,7 @@ import difflib
 import reprlib
 import sys
 import traceback
+import unicodedata
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import KW_ONLY, dataclass, replace
@@ -62,6 +63,21 @@ def did_you_mean(name: str, available: Iterable[str]) -> str:
     return f"; available: {shown}"
 
 
+def printable(text: str) -> str:
+    r"""Returns a text in which nothing can control a terminal or hide: `\x1b` for an escape.
+
+    Escaped are control characters except newline and tab, and characters without a width or with
+    an effect on the direction of others.
+    """
+    if text.replace("\n", "").replace("\t", "").isprintable():
+        return text
+    return "".join(
+        each if each in "\n\t" or each.isprintable() or unicodedata.category(each) == "Zs"
+        else each.encode("unicode_escape").decode("ascii")
+        for each in text
+    )  # fmt: skip
+
+
 def shown(value: object) -> str:
     """Returns a value as messages show it: arrays as lists, and long ones shortened."""
     value = value.tolist() if hasattr(value, "tolist") else value
@@ -71,7 +87,13 @@ def shown(value: object) -> str:
 
 
 class SeroError(Exception):
-    """Base of every error that sero-mj raises on purpose; it can be pickled."""
+    """Base of every error that sero-mj raises on purpose; it can be pickled.
+
+    Its text is `printable`.
+    """
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(printable(each) if isinstance(each, str) else each for each in args))
 
     def __reduce__(self) -> tuple[Callable[..., SeroError], tuple[object, ...]]:
         """Returns how to recreate it from its text, because arguments differ by class."""
@@ -139,7 +161,7 @@ class Problem:
         place = self.file or ""
         if place and self.line is not None:
             place += f":{self.line}"
-        return ": ".join(part for part in (place, self.key, self.message) if part)
+        return printable(": ".join(part for part in (place, self.key, self.message) if part))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Problem) and self._said == other._said

@@ -16,6 +16,7 @@ from ..base.errors import DeclarationError, PluginError, SeroError, UnknownName
 from ..base.plugins import COMMANDS, is_own, load_all, load_plugin, plugins
 from ..viewer.headless.backend import choose_backend
 from ._arguments import OneLineParser, join_negative_values
+from ._terminal import escape_output
 
 log = logging.getLogger(__name__)
 
@@ -43,6 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
 
     Ctrl+C is left to `__main__`, where it is caught while commands are loaded as well.
     """
+    escape_output()
     choose_backend()
     logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING)
     given = sys.argv[1:] if arguments is None else arguments

@@ -20,8 +20,16 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
 import numpy as np
 
 from ..base import paths
-from ..base.errors import DeclarationError, Problem, RecordingError, SeroError, UsageError
+from ..base.errors import (
+    DeclarationError,
+    Problem,
+    RecordingError,
+    SeroError,
+    UsageError,
+    printable,
+)
 from ..base.options import Options
+from ._terminal import make_console, plain
 from .options import add_options, read_options
 
 if TYPE_CHECKING:
@@ -43,7 +51,11 @@ class OneLineParser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Prints the line and exits with 2."""
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(2, printable(f"{self.prog}: {message}; see {self.prog} --help\n"))
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        # Help may be colored (from Python 3.14 on), and has no texts of files.
+        super()._print_message(message, plain(file or sys.stderr))
 
 
 def join_negative_values(arguments: list[str]) -> list[str]:
@@ -137,7 +149,6 @@ def progress_bar(
         note: says more, behind the bar.
     """
     from rich import progress as bars
-    from rich.console import Console
     from rich.table import Column
     from rich.text import Text
 
@@ -145,9 +156,9 @@ def progress_bar(
         def render(self, task: bars.Task) -> Text:
             return Text(note() if note else "")
 
-    console = Console(stderr=True)
+    console = make_console(stderr=True)
     bar = bars.Progress(
-        bars.TextColumn("{task.description}"),
+        bars.TextColumn("{task.description}", markup=False),
         bars.BarColumn(),
         bars.MofNCompleteColumn(),
         bars.TimeRemainingColumn(),
@@ -187,8 +198,6 @@ def offset_of_video(
     """
     if isinstance(offset, float) or not scene.sources:
         return float(offset or 0.0)
-    from rich.console import Console
-
     from ..viewer.photo.camera_file import read_camera
     from ..viewer.photo.footage import Video
     from ..viewer.photo.video_offset import find_offset
@@ -197,7 +206,7 @@ def offset_of_video(
         camera = read_camera(camera_file, opened.size)
     with contextlib.ExitStack() as stack:
         if not quiet:
-            console = Console(stderr=True)
+            console = make_console(stderr=True)
             stack.enter_context(console.status("comparing the motion in video and recording"))
         found = find_offset(scene, video, camera)
     if not quiet:
@@ -374,9 +383,7 @@ def finite(found: Any) -> Any:
 
 def print_table(table: Table) -> None:
     """Prints a table in full width, even if the terminal or pipe is narrower."""
-    from rich.console import Console
-
-    console = Console()
+    console = make_console()
     endless = console.options.update_width(10_000)
     console.width = max(console.width, console.measure(table, options=endless).maximum)
     console.print(table)

@@ -24,6 +24,7 @@ from ..base.plugins import (
     plugins,
 )
 from ._arguments import command
+from ._terminal import make_console
 
 ORDER = 61  # in the help of `sero-mj`
 
@@ -70,10 +71,9 @@ add_to = command("list", run, ListOptions, "See also: sero-mj check SCENE")
 
 def _print_known() -> None:
     from rich.columns import Columns
-    from rich.console import Console
     from rich.padding import Padding
 
-    console = Console(highlight=False)
+    console = make_console()
     for place in paths.robot_places():
         names = sorted(place.names())
         print(place.title if names else f"{place.title}: {place.none}", flush=True)

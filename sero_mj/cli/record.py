@@ -23,6 +23,7 @@ from ._arguments import (
     replay_instead,
     until_ended,
 )
+from ._terminal import make_console
 from .shared_options import Recording, SceneArgument
 
 if TYPE_CHECKING:
@@ -168,8 +169,6 @@ def _status(found: Any) -> int:
 
 def _record_events(options: RecordOptions, condition: str) -> int:
     """Records events; returns 0, or 1 when nothing came."""
-    from rich.console import Console
-
     from ..data.drive.record_sources import record_events
     from ..data.drive.trigger import Trigger
     from ..data.drive.wiring import wire
@@ -200,7 +199,7 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     except RouteError as error:
         raise UsageError(f"--trigger {error}") from None
     path_of = _names_of_events(options.to or Path(), scene.name, begin)
-    console = Console(stderr=True)
+    console = make_console(stderr=True)
     with ExitStack() as stack:
         recorder = stack.enter_context(
             record_events(
@@ -285,7 +284,8 @@ def _play_through(
             source.advance_to(now)
         recorder.wait_until_seen()
         if not quiet and console.is_terminal:
-            console.print(f"{min(now, end):.1f} of {end:.1f} s", end="\r")
+            console.file.write(f"{min(now, end):.1f} of {end:.1f} s\r")
+            console.file.flush()
 
 
 def _watch(
@@ -295,11 +295,10 @@ def _watch(
     *,
     quiet: bool,
 ) -> None:
-    from rich.console import Console
     from rich.live import Live
 
     end = time.monotonic() + (float("inf") if duration is None else duration)
-    console = Console(stderr=True)
+    console = make_console(stderr=True)
     with Live(console=console, transient=True, auto_refresh=False) as screen:
         while (left := end - time.monotonic()) > 0 and recorder.error is None:
             time.sleep(min(left, _EVERY))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ..base.errors import UsageError
 from ..base.options import Duration
 from ._arguments import command, print_json, read_scene, replay_instead, until_ended
+from ._terminal import make_console
 from .shared_options import JsonOptions, ReplayOptions, SceneArgument
 
 if TYPE_CHECKING:
@@ -96,7 +97,7 @@ def _watch(sources: list[Source], duration: float | None, *, live: bool) -> None
         while go_on():
             pass
         return
-    with Live(refresh_per_second=1 / _EVERY) as screen:
+    with Live(console=make_console(), refresh_per_second=1 / _EVERY) as screen:
         while go_on():
             screen.update(_table([report(source) for source in sources]))
 

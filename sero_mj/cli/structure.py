@@ -17,6 +17,7 @@ from ..base.declaration import expecting
 from ..base.errors import StructureError
 from ..base.options import Count, Duration, Option, Port, Positive, positional
 from ._arguments import command, print_json, read_scene
+from ._terminal import make_console
 from .shared_options import Flag, JsonOptions
 
 if TYPE_CHECKING:
@@ -152,9 +153,7 @@ def _print_page() -> None:
 
 def _make_console() -> Console:
     """Prints to a terminal in its width, and to files and pipes without a limit."""
-    from rich.console import Console
-
-    return Console(width=None if sys.stdout.isatty() else 250, highlight=False, markup=False)
+    return make_console(width=None if sys.stdout.isatty() else 250)
 
 
 def _print_layout(layout: Structure, title: str = "") -> None:
@@ -189,7 +188,7 @@ def _print_layout(layout: Structure, title: str = "") -> None:
         console.print(f"{title}{layout.text}: {', '.join(notes)}", style="bold")
         console.print(table)
     for line in captured.get().splitlines():
-        print(line.rstrip())
+        print(line.rstrip(), file=console.file)  # escaped, and with colors
 
 
 def _type_in_words(item: Item) -> str:

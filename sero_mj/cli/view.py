@@ -24,6 +24,7 @@ from ._arguments import (
     replay_instead,
     until_ended,
 )
+from ._browser import can_open_browser, open_in_browser
 from .shared_options import EyeOptions, OverOptions, ShownOptions
 
 if TYPE_CHECKING:
@@ -53,8 +54,8 @@ examples:
   sero-mj view lwr --simulate --control joint         a robot to play with, without an end
 
 H in the window or on the page shows what mouse and keys do. Ctrl+Q closes the window, Ctrl+C ends
-the page. Browsers on other machines reach it through `ssh -L 8080:localhost:8080 MACHINE`, or with
---host 0.0.0.0 under the printed address, which has a token; nothing is encrypted.
+the page. The printed address of a page has a secret token. Browsers on other machines reach it
+through `ssh -L 8080:localhost:8080 MACHINE`, or with --host 0.0.0.0; nothing is encrypted.
 """
 ORDER = 10  # in the help of `sero-mj`
 
@@ -68,7 +69,9 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
         web: a page for web browsers.
         port: of the page; default the first free from 8080 on.
         host: address the page is served at; default 127.0.0.1, this machine only.
-        token: the page's address has a token on this machine, too (its other users do not know it).
+        token: without effect; a page has a token by default.
+        no_token: a page without a token, which every user of this machine can see and control.
+        no_browser: print the address of the page, and do not open it in a browser.
         simulate: simulate the robots without an end, to be pulled and steered by their targets.
         control: with --simulate: `gravity`, `joint` or `cartesian`, or another kind of a controller
             that can do without declared gains; default joint.
@@ -88,6 +91,8 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
     port: Port | None = None
     host: Annotated[str | None, Option("ADDR")] = None
     token: bool = False
+    no_token: bool = False
+    no_browser: bool = False
     simulate: bool = False
     control: Annotated[str | None, Option("KIND")] = None
     size: Size | None = None
@@ -100,7 +105,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
     @property
     def of_page(self) -> list[str]:
         """Which options are given that only a page has."""
-        return self.given("port", "host", "token")
+        return self.given("port", "host", "token", "no_token", "no_browser")
 
     @property
     def of_window(self) -> list[str]:
@@ -114,6 +119,8 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
         if self.window and self.of_page:
             what = "is for the page; leave --window out, or take --web"
             raise ValueError(f"{self.of_page[0]} {what}")
+        if self.token and self.no_token:
+            raise ValueError("--token and --no-token: expected one of them")
         if (self.web or self.of_page) and self.of_window:
             name = self.of_window[0]
             reasons = {"--stereo": "has one eye", "--over": "shows no camera's pictures"}
@@ -189,7 +196,7 @@ class Session:
 
         self.options, self.on_page = options, on_page
         self._port: int = options.port or 0
-        self._token: bool | str = options.token  # as browsers know the page
+        self._token: bool | str = not options.no_token  # as browsers know the page
         self.plain = Scene()
         self.is_at_start = options.scene is None
         # Camera, panel with its sections, and switches, to be kept while the same scene is shown.
@@ -225,6 +232,9 @@ class Session:
 
         if self.on_page:
             from ..viewer.web.start_host import StartHost
+            from ..viewer.web.uploads import drops
+
+            drops.show()
 
             host = options.host or _LOOPBACK
             with (
@@ -418,8 +428,10 @@ class Session:
     def _serve(self, mirror: Mirror) -> Mirror | None:
         from ..viewer.program.viewer import open_page
         from ..viewer.session.restoring import restore
+        from ..viewer.web.uploads import drops
 
         options = self.options
+        drops.show(options.scene or "", options.replay or "")
         host = options.host or _LOOPBACK
         with (
             mirror,
@@ -448,6 +460,8 @@ class Session:
             return
         self._is_announced = True
         print(f"{name} is at {' and '.join(server.urls)}  (Ctrl+C ends it)", flush=True)
+        if can_open_browser() and not self.options.no_browser:
+            open_in_browser(server.url)
         if not server.is_private:
             print(
                 f"warning: served at {host}: whoever has this address sees the page and can take "

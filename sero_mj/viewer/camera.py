@@ -19,6 +19,7 @@ _DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height
 _STEEPEST_DEG = 89.0
 _PER_NOTCH = 0.9  # change of distance for one step of the wheel
 _NEAREST, _FARTHEST = 0.02, 500.0  # m
+_MOST = 1e6  # of the numbers of a camera
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 _EXPECTED = (
     "a name or azimuth,elevation,distance (degrees, degrees, m above 0), e.g. 150,-15,2.2; with "
@@ -77,6 +78,8 @@ def _numbers(text: str) -> list[float]:
         numbers = []
     if len(numbers) not in (3, 6) or not np.isfinite(numbers).all() or numbers[2] <= 0:
         raise UsageError(Problem("camera", found=text, expected=_EXPECTED))
+    if np.abs(numbers).max() >= _MOST:
+        raise UsageError(Problem("camera", found=text, expected=f"numbers below {_MOST:g}"))
     return numbers
 
 

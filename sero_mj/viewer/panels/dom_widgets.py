@@ -38,6 +38,8 @@ class DomWidgets:
         self.folds: dict[str, bool] = {}
         self._is_open: dict[str, bool] = {}  # nodes that were folded or unfolded
         self._sections: set[str] = set()  # ids
+        self._nodes_to_fold: set[str] = set()  # ids
+        self._widgets: set[str] = set()  # ids, of the last panel that was built
         self._done: dict[str, Any] = {}  # what the user did, by id
         self._begin((0.0, 0.0))
 
@@ -52,12 +54,16 @@ class DomWidgets:
         self._next: Node = {}  # of the next node
 
     def act(self, id_: str, value: Any) -> None:
-        """Notes what the user did with a widget."""
-        self._done[id_] = value
+        """Notes what the user did with a widget; ignores an id that the panel does not have."""
+        if id_ in self._widgets:
+            self._done[id_] = value
 
     def fold(self, id_: str, *, is_open: bool) -> None:
-        """Folds or unfolds a section or a node."""
-        (self.folds if id_ in self._sections else self._is_open)[id_] = is_open
+        """Folds or unfolds a section or a node; ignores an id that the panel never had."""
+        if id_ in self._sections:
+            self.folds[id_] = is_open
+        elif id_ in self._nodes_to_fold:
+            self._is_open[id_] = is_open
 
     @property
     def is_asked(self) -> bool:
@@ -72,6 +78,7 @@ class DomWidgets:
             size: width and height that the panel has, of the text's height.
         """
         self._begin(size)
+        self._widgets = set()
         build()
         self._done.clear()  # also of widgets that are not shown any more
         return self._nodes
@@ -98,6 +105,7 @@ class DomWidgets:
         id_, shown = self._id(label), label.partition("##")[0]
         words = {"s": shown} if shown else {"s": "", "aria": label.strip("#")}
         self._put(kind, id=id_, **words, **keys)
+        self._widgets.add(id_)
         is_done = id_ in self._done and not any(self._off)
         return is_done, self._done.pop(id_, None)
 
@@ -134,6 +142,7 @@ class DomWidgets:
     def tree(self, label: str) -> bool:
         """Begins a node."""
         id_ = self._id(label)
+        self._nodes_to_fold.add(id_)
         is_open = self._foldable("tree", label, id_, is_open=self._is_open.get(id_, False))
         if is_open:
             self._scopes.append(label)

@@ -180,16 +180,17 @@ def _mirror_of(pickled: bytes) -> tuple[Any, Callable[[Path], ViewerMemory]]:
 
 
 def _open_host(mirror: LiveWorld, options: dict[str, Any]) -> LiveHost:
-    last_port = options.pop("last_port", None)
+    last = options.pop("last", {})  # port and token of the page that is opened again
     if options.pop("web"):
         from .viewer import open_page
 
         try:
-            page = open_page(mirror, **{"port": last_port or 0, **options})
+            page = open_page(mirror, **{**last, **options})
         except RenderError:
-            if last_port is None or "port" in options:
+            if not last or "port" in options:
                 raise
-            page = open_page(mirror, **options)  # another program has taken it meanwhile
+            # Another program has the port, and perhaps the token that browsers sent there.
+            page = open_page(mirror, **options)
         return page
     from ..window.host import Window
 

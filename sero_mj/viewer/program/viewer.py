@@ -6,7 +6,7 @@ import atexit
 import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
-from urllib.parse import urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 import mujoco
 
@@ -249,7 +249,7 @@ def view(
     full_screen: bool = False,
     host: str | None = None,
     port: int | None = None,
-    token: bool = False,
+    token: bool = True,
 ) -> Viewer:
     """Opens a window or a web page on a scene, in a separate process, and returns.
 
@@ -275,15 +275,15 @@ def view(
         full_screen: whether the window covers the screen.
         host: address that the page is served at; None for this machine only.
         port: of the page; None for the first free one from 8080 on.
-        token: whether the page's address contains a secret token; for other machines it always
-            does.
+        token: whether the page needs a secret token, which the printed address contains; a page for
+            other machines always does.
 
     Raises:
         UsageError: arguments contradict each other, or have a wrong type.
         SeroError: a problem of the scene, its sources or the camera, no display for a window, or
             no such address for a page.
     """
-    of_page = {"host": host, "port": port, "token": token or None}
+    of_page = {"host": host, "port": port, "token": None if token else False}
     of_window = {"size": size, "full_screen": full_screen or None}
     if web is None:
         web = not has_display()
@@ -338,7 +338,9 @@ def _replace(scene: Scene, options: dict[str, Any]) -> None:
         if viewer.is_open:
             print(f"{other.name} is opened again; its viewer before is closed", flush=True)
         if viewer.is_open and viewer.url is not None:
-            options["last_port"] = urlsplit(viewer.url).port
+            # Its browsers have stored the token.
+            address = urlsplit(viewer.url)
+            options["last"] = {"port": address.port, **dict(parse_qsl(address.query))}
         viewer._end()
 
 

@@ -75,19 +75,24 @@ class OtherScenes:
         """Goes on with an offer, or shows an error message."""
         self._go_on_with(self.offers[label])
 
-    def open_file(self, path: Path) -> None:
-        """Goes on with the scene, robot or recording of a file, or shows an error message."""
+    def open_file(self, path: Path) -> bool:
+        """Goes on with the scene, robot or recording of a file, or shows an error message.
+
+        Returns:
+            whether the file is opened.
+        """
         opener = self.opener
         if opener is None:
             text = f"{path.name}: files are opened by `sero-mj view` alone"
             self._say(text, True)
-        else:
-            self._go_on_with(lambda: opener(path))
+            return False
+        return self._go_on_with(lambda: opener(path))
 
-    def _go_on_with(self, make: Callable[[], Mirror | None]) -> None:
+    def _go_on_with(self, make: Callable[[], Mirror | None]) -> bool:
         try:
             self.chosen = make()
         except SeroError as error:
             self._say(str(error), True)
-        else:
-            self._close()
+            return False
+        self._close()
+        return True

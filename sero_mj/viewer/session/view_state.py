@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import mujoco
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ...base.errors import SeroError, UnknownName, UsageError, did_you_mean
 from ...robots.assemble.world_view import WorldView
@@ -29,8 +30,20 @@ MODELLED = "modelled"
 _MOST = {"arrow_quantity": len(ARROW_QUANTITIES) - 1, "part_names": len(PART_NAMES) - 1}
 _DECIMALS = 4  # of degrees and m
 _MAX_CHARACTERS = 20_000  # of a state as text
+_MAX_TIME = 1e9  # s
 _CAMERA = ("type", "fixedcamid", "trackbodyid", "azimuth", "elevation", "distance")
 _SWITCHES = (*SWITCH_NAMES, "clicked")
+
+
+class _Text(BaseModel):
+    """A state as text; the parser limits how deep it can be nested."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    camera: str = ""
+    switches: dict[str, str] = {}
+    joint: str = ""
+    time: Annotated[float, Field(gt=-_MAX_TIME, lt=_MAX_TIME)] | None = None
 
 
 class ViewState(NamedTuple):
@@ -62,14 +75,18 @@ class ViewState(NamedTuple):
         Raises:
             UsageError: the text is invalid.
         """
+        if len(text) > _MAX_CHARACTERS:
+            expected = f"at most {_MAX_CHARACTERS}"
+            raise UsageError(f"view: found {len(text)} characters; expected {expected}")
         try:
-            found = json.loads(text[: _MAX_CHARACTERS + 1])
-            state = cls(**found)
-            switches = {str(key): str(value) for key, value in state.switches.items()}
-            time = None if state.time is None else float(state.time)
-        except (ValueError, TypeError, AttributeError) as error:
-            raise UsageError(f"found no state of a view in {text[:60]!r}: {error}") from None
-        return cls(str(state.camera), switches, str(state.joint), time)
+            state = _Text.model_validate_json(text)
+        except (ValidationError, UnicodeEncodeError) as error:
+            reason = str(error)
+            if isinstance(error, ValidationError):
+                first = error.errors(include_url=False, include_input=False)[0]
+                reason = ": ".join([*map(str, first["loc"]), first["msg"]])
+            raise UsageError(f"found no state of a view in {text[:60]!r}: {reason}") from None
+        return cls(state.camera, state.switches, state.joint, state.time)
 
 
 def view_state_of(

@@ -1,64 +1,76 @@
-"""`Browsers`: everybody who looks at a page. One of them has control, the others look on."""
+"""`Browsers`: all browsers that show a page. One of them has control, the others only see it."""
 
 from __future__ import annotations
 
 import asyncio
 import collections
 import json
+import secrets
 import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
+from .guard import is_local, same_text
+from .messages import MAX_BYTES, Control, Got, Left, PageSize, Reader, Said, Sender
 from .sections import Sections, message_of
-
-Said = dict[str, Any]  # what a browser says; "t" is its kind
 
 # Messages on the way to a browser: with more, a slow one would lag behind.
 _MOST_AHEAD = 3
-_MOST_SAID = 2000  # messages that wait to be taken
+_MOST_SAID = 2000  # messages that wait to be taken; the next ones wait in their connections
+_MOST_BROWSERS = 64
+_MOST_PER_SECOND = 1000  # messages of a browser; it sends some 150 while a mouse is dragged
+_PAUSE = 0.02  # s, between two looks whether there is room for another message
+_TOO_BIG, _TRY_LATER = 1009, 1013  # codes of closed websockets
 
 
 class Browsers:
-    """The browsers of a page; the server's thread and the page's use it.
+    """The browsers of a page; used by the server's thread and by that of the page.
 
     Args:
         sections: the state that they are sent.
+        kinds: the messages that they may send, see `Reader`.
 
     Attributes:
         sent: number of states that were sent to any of them.
-        refused: number of messages that were none of a page's, or of one without control.
+        refused: number of messages that were malformed, or came from a browser without control.
     """
 
-    def __init__(self, sections: Sections) -> None:
-        self._sections = sections
+    def __init__(self, sections: Sections, kinds: Any) -> None:
+        self._sections, self._reader = sections, Reader(kinds)
         self._lock = threading.Lock()
         self._browsers: dict[int, _Browser] = {}  # in the order in which they came
         self._last_id = 0
         self._holder: int | None = None
-        self._said: collections.deque[Said] = collections.deque(maxlen=_MOST_SAID)
+        self._said: collections.deque[Said] = collections.deque()
         self.sent = self.refused = 0
         self._put_control()
 
     @property
     def are_there(self) -> bool:
-        """Whether there are any."""
+        """Whether any browser is connected."""
         return bool(self._browsers)
 
     @property
     def holder(self) -> int | None:
-        """Id of the one in control; None without browsers."""
+        """Id of the browser in control; None without browsers."""
         return self._holder
 
+    def is_in_control(self, key: str) -> bool:
+        """Whether a key is that of the browser in control, which only its connection was sent."""
+        browser = self._browsers.get(self._holder or 0)
+        return browser is not None and same_text(key, browser.key)
+
     def take(self) -> Iterator[Said]:
-        """Yields what the one in control has said since the last time, the oldest first."""
+        """Yields the messages of the browser in control since the last call, oldest first."""
         while self._said:
             yield self._said.popleft()
 
-    def tell(self, event: Said) -> None:
-        """Sends an event to the one in control; call `wake` on the server's thread after it."""
+    def tell(self, event: dict[str, Any]) -> None:
+        """Sends an event to the browser in control; call `wake` on the server's thread after it."""
         with self._lock:
             browser = self._browsers.get(self._holder or 0)
         if browser is not None:
@@ -72,23 +84,43 @@ class Browsers:
     # ---- on the server's thread
 
     async def talk(self, connection: ServerConnection) -> None:
-        """Sends a browser the state of the page, and hears what it says, until it goes."""
+        """Sends a browser the state of the page, and reads its messages, until it goes."""
+        if len(self._browsers) >= _MOST_BROWSERS:
+            reason = f"{_MOST_BROWSERS} browsers show this page already"
+            await connection.close(_TRY_LATER, reason)
+            return
         browser = self._join(connection)
         sending = asyncio.create_task(self._send_all(browser))
         try:
             async for message in connection:
+                if len(message) > MAX_BYTES:
+                    await connection.close(_TOO_BIG, f"expected at most {MAX_BYTES} bytes")
+                    break
                 self._hear(browser, message)
+                await self._wait_for_room(browser)
         except ConnectionClosed:
             pass
         finally:
             sending.cancel()
             self._leave(browser)
 
+    async def _wait_for_room(self, browser: _Browser) -> None:
+        """Lets a browser wait that sends too much; its messages stay in its connection."""
+        while len(self._said) >= _MOST_SAID and browser.id == self._holder:
+            await asyncio.sleep(_PAUSE)
+        now = time.monotonic()
+        if now - browser.second >= 1.0:
+            browser.second, browser.messages = now, 0
+        browser.messages += 1
+        if browser.messages >= _MOST_PER_SECOND:
+            await asyncio.sleep(browser.second + 1.0 - now)
+
     async def _send_all(self, browser: _Browser) -> None:
         """Sends what changes, as fast as a browser answers."""
         send, seen = browser.connection.send, 0
+        you = {"id": browser.id, "isLocal": browser.sender.is_local, "key": browser.key}
         try:
-            await send(message_of({"you": json.dumps({"id": browser.id})}))
+            await send(message_of({"you": json.dumps(you)}))
             browser.ahead += 1
             while True:
                 await browser.wake.wait()
@@ -119,40 +151,48 @@ class Browsers:
             self._browsers.pop(browser.id, None)
             if self._holder == browser.id:
                 self._holder = next(iter(self._browsers), None)
-                self._said.append({"t": "left"})
+                self._said.append(Said(Left(), browser.sender))
         self._put_control()
 
     def _put_control(self) -> None:
         self._sections.put("control", {"holder": self._holder, "count": len(self._browsers)})
         self.wake()
 
-    def _hear(self, browser: _Browser, message: str | bytes) -> None:
-        try:
-            said = json.loads(message)
-            kind = said["t"]
-        except (ValueError, KeyError, TypeError, RecursionError):
-            self.refused += 1
-            return
-        if kind == "got":
-            browser.ahead = max(browser.ahead - 1, 0)
-            browser.wake.set()
-        elif kind == "control":
-            if self._holder != browser.id:
-                self._holder = browser.id
-                self._said.append({"t": "left"})  # whoever had it holds no button any more
-                self._put_control()
-        elif browser.id == self._holder and isinstance(kind, str):
-            self._said.append(said)
-        elif kind != "size":
-            self.refused += 1
+    def _hear(self, browser: _Browser, text: str | bytes) -> None:
+        message = self._reader.read(text)
+        match message:
+            case None:
+                self.refused += 1
+            case Got():
+                browser.ahead = max(browser.ahead - 1, 0)
+                browser.wake.set()
+            case Control():
+                if self._holder != browser.id:
+                    self._holder = browser.id
+                    # The browser that had it holds no button any more.
+                    self._said.append(Said(Left(), browser.sender))
+                    self._put_control()
+            case _ if browser.id == self._holder:
+                self._said.append(Said(message, browser.sender))
+            case PageSize():  # every browser sends it when it connects
+                pass
+            case _:
+                self.refused += 1
 
 
 class _Browser:
-    """A connection, and what is on its way to it."""
+    """A connection, and what is on its way to it.
+
+    Attributes:
+        key: shows that an upload comes from the same page as this connection.
+    """
 
     def __init__(self, id_: int, connection: ServerConnection) -> None:
         self.id, self.connection = id_, connection
+        self.sender = Sender(id_, is_local(connection))
+        self.key = secrets.token_urlsafe(16)
         self.wake = asyncio.Event()
         self.wake.set()
         self.ahead = 0  # messages that were not answered yet
         self.events: collections.deque[str] = collections.deque(maxlen=100)
+        self.second, self.messages = 0.0, 0  # those since that time, s

@@ -1,15 +1,30 @@
 """Access control of the page's server.
 
-Any website open in a browser can send requests to this machine and open websockets, to which the
-same-origin policy does not apply. But it cannot choose the headers `Host`, `Origin` and
-`Sec-Fetch-Site`. So these are checked on every path, before anything is answered:
+Two kinds of requests are kept out: those that a website in the user's browser makes, and those of
+other users of this machine, who can connect to every port and send any headers.
+
+Against websites, three headers that they cannot choose are checked on every path:
 
 - `Host` must name this machine; this excludes foreign names that resolve to it (DNS rebinding).
 - `Origin`, if present, must be that of the page.
 - Requests of other sites are refused, except opening the page itself.
-- A token, if required, must be in the address (`?token=`), or what was made of it in the cookie
-  that the page sets. Browsers send cookies to every port of a host, so other servers there get to
-  know the cookie: it is named by the port, and does not tell the token.
+
+Against everyone else there is a token, which a page has by default:
+
+- The printed link contains it (`?token=`). A script of the page, `access.js`, stores the token in
+  the browser's `localStorage`, which belongs to one origin (scheme, name and port), and removes it
+  from the address bar. So a reload, a second tab, and a link to a view need no token.
+- There is no cookie: browsers send cookies to every port of a host, so another user's server on
+  another port would receive it.
+- The page's HTML, scripts and styles contain no secret and need no token. Everything else does: the
+  websockets, the scenes and pictures of the start page, and uploads. The script adds the token to
+  their addresses.
+- An upload also needs the key of a connection in control, which only that connection was sent, see
+  `Browsers.is_in_control`. A token alone takes control first, which all browsers see.
+- The server listens on both loopback addresses. Otherwise another user could listen on the other
+  one, and browsers that resolve `localhost` to it would send the token there.
+- A token is valid as long as its server. After that, whoever gets the port receives a token that
+  opens nothing.
 
 Programs send neither `Origin` nor `Sec-Fetch-Site`; they are admitted by Host and token.
 """
@@ -22,7 +37,9 @@ import logging
 import secrets
 import socket
 import urllib.parse
+from collections.abc import Collection
 
+from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.http11 import Request, Response
 
@@ -31,6 +48,7 @@ log = logging.getLogger(__name__)
 TOKEN_BYTES = 24
 _MOST_TOLD = 10  # refused requests that are logged; all are counted
 _PAGE_PATHS = ("/", "/index.html")
+_FORWARDED = ("Forwarded", "X-Forwarded-For", "X-Real-IP", "Via")  # headers of proxies
 # Of a page: it asks its own server, and nobody else, and runs no script that stands in it.
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -48,6 +66,23 @@ def is_loopback(address: str) -> bool:
     return (mapped or found).is_loopback
 
 
+def is_local(connection: ServerConnection) -> bool:
+    """Whether a connection comes from this machine.
+
+    The near ends of SSH tunnels do, because their users can run programs here. So do notebooks,
+    whose kernel runs here. What a proxy forwards does not, if the proxy says so.
+    """
+    request, peer = connection.request, connection.remote_address
+    if request is None or not isinstance(peer, tuple) or not is_loopback(str(peer[0])):
+        return False
+    return not any(name in request.headers for name in _FORWARDED)
+
+
+def same_text(given: str, expected: str) -> bool:
+    """Whether two texts are the same; takes the same time wherever they differ."""
+    return hmac.compare_digest(given.encode("utf-8", "replace"), expected.encode())
+
+
 def make_token() -> str:
     """Returns a random token for the address of a page."""
     return secrets.token_urlsafe(TOKEN_BYTES)
@@ -60,18 +95,21 @@ class Guard:
         bound: the IP address that the server listens on.
         host: the address or name that the user specified for it.
         token: required token; None for none.
+        public: paths of the page's own files, which need no token.
 
     Attributes:
         refused: number of refused requests.
     """
 
-    def __init__(self, bound: str, host: str, token: str | None) -> None:
+    def __init__(
+        self, bound: str, host: str, token: str | None, public: Collection[str] = ()
+    ) -> None:
         self.token = token
+        self._public = {*_PAGE_PATHS, *public}
         self.refused = 0
         self._is_private = is_loopback(bound)
         self._machine = "" if self._is_private else socket.gethostname().lower()
         self._names = {"localhost", host.lower(), self._machine} - {""}
-        self._pass = hmac.digest((token or "").encode(), b"cookie", "sha256").hex()
 
     def refusal(self, request: Request) -> Response | None:
         """Returns a refusal of a request; None for one that may be answered."""
@@ -86,22 +124,22 @@ class Guard:
         headers["Cross-Origin-Resource-Policy"] = "same-origin"
         headers["X-Content-Type-Options"] = "nosniff"
         headers["Referrer-Policy"] = "no-referrer"
-        path, _, query = request.path.partition("?")
-        if path not in _PAGE_PATHS:
-            return
-        headers["Content-Security-Policy"] = _POLICY
-        if self.token is not None and self._is_token(_token_of(query)):
-            cookie = f"{_cookie_name(request.headers)}={self._pass}"
-            headers["Set-Cookie"] = f"{cookie}; Path=/; HttpOnly; SameSite=Strict"
+        if request.path.partition("?")[0] in _PAGE_PATHS:
+            headers["Content-Security-Policy"] = _POLICY
 
     def _refusal(self, headers: Headers, path: str, query: str) -> str | None:
         """Returns why a request is refused, or None."""
         reason = self._cross_site_reason(headers, path)
         if reason is not None:
             return reason
-        if self.token is not None and not self._has_token(headers, query):
+        if self.token is None:
+            return None
+        given = _token_of(query)
+        if given is None and path in self._public:
+            return None
+        if given is None or not same_text(given, self.token):
             return (
-                "found no valid token; open the address that was printed where this page "
+                "found no valid token; open the link that was printed where this page "
                 f"was started: http://{headers['Host']}/?token=..."
             )
         return None
@@ -140,18 +178,6 @@ class Guard:
             return "localhost; the page is for this machine only"
         return f"an IP address, or {' or '.join(sorted(self._names))}"
 
-    def _is_token(self, given: str) -> bool:
-        return hmac.compare_digest(given.encode(), (self.token or "").encode())
-
-    def _has_token(self, headers: Headers, query: str) -> bool:
-        if self._is_token(_token_of(query)):
-            return True
-        # Cookies of other servers on this host are sent too and may be malformed.
-        pairs = [pair.strip() for text in headers.get_all("Cookie") for pair in text.split(";")]
-        start = f"{_cookie_name(headers)}="
-        given = [pair.removeprefix(start) for pair in pairs if pair.startswith(start)]
-        return any(hmac.compare_digest(each.encode(), self._pass.encode()) for each in given)
-
     def _refuse(self, path: str, reason: str) -> Response:
         self.refused += 1
         if self.refused <= _MOST_TOLD:
@@ -172,15 +198,10 @@ def _host_name(host: str) -> str:
     return host.partition(":")[0]
 
 
-def _cookie_name(headers: Headers) -> str:
-    """Returns the name of a page's cookie, by the port that the browser knows: of a tunnel, say."""
-    port = headers["Host"].rpartition("]")[2].partition(":")[2]
-    return f"sero-mj-{port if port.isdecimal() else 80}"
-
-
-def _token_of(query: str) -> str:
+def _token_of(query: str) -> str | None:
+    """Returns the token of a query; None without one, an empty text for an unreadable query."""
     try:
-        found = urllib.parse.parse_qs(query, max_num_fields=20).get("token", [""])
+        fields = urllib.parse.parse_qs(query, keep_blank_values=True, max_num_fields=20)
     except ValueError:
         return ""
-    return found[0]
+    return fields["token"][0] if "token" in fields else None

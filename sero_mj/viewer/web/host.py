@@ -20,12 +20,14 @@ from ..sampling import recorded_poses
 from ..session.live import LiveHost
 from ..session.scene_decor import SceneDecor
 from .browsers import Browsers
+from .messages import ForScene
 from .page_input import PageInput
 from .page_panels import PagePanels
 from .page_state import PageState
 from .page_view import PageView
 from .sections import Sections
 from .server import LOOPBACK, PageServer
+from .uploads import NOT_IN_CONTROL, drops
 
 if TYPE_CHECKING:
     from ..headless.render import HeadlessRenderer
@@ -65,7 +67,7 @@ class WebHost(LiveHost):
         camera: str | None = None,
         host: str = LOOPBACK,
         port: int = 0,
-        token: bool | str = False,
+        token: bool | str = True,
         waits: bool = False,
         folder: Path | None = None,
     ) -> None:
@@ -84,7 +86,7 @@ class WebHost(LiveHost):
         self._is_held = waits and not self.clock.is_live
         self._is_closing = self._is_closed = False
         self.actions.add({"link": self._copy_link, "panel": self.toggle_status})
-        self.browsers = Browsers(self._sections)
+        self.browsers = Browsers(self._sections, ForScene)
         self._panels = PagePanels(self, self._sections)
         self._input = PageInput(self, self.view, self._panels)
         self._dropped: list[Path] = []
@@ -96,6 +98,7 @@ class WebHost(LiveHost):
             own,
             self.browsers.talk,
             "/live",
+            self._may_upload,
             self._dropped.append,
             host=host,
             port=port,
@@ -144,7 +147,9 @@ class WebHost(LiveHost):
         self._is_held &= not self.is_seen
         self._input.take(self.browsers.take())
         while self._dropped:
-            self.others.open_file(self._dropped.pop(0))
+            path = self._dropped.pop(0)
+            if not self.others.open_file(path):
+                drops.discard(path)
         self._advance(lambda: self.clock.advance(0.0 if self._is_held else passed))
         self.navigator.advance(self.data)
         self.decor.lay_out(self.data, self.view.picture(self.data))
@@ -165,8 +170,12 @@ class WebHost(LiveHost):
 
     @property
     def link(self) -> str:
-        """Address that opens the page with this view: camera, switches, selection, time."""
-        return f"{self.url}#view={urllib.parse.quote(self.view_state().to_text(), safe='')}"
+        """Address that opens the page with this view: camera, switches, selection, time.
+
+        It has no token: it is for browsers that have opened the page before.
+        """
+        view = urllib.parse.quote(self.view_state().to_text(), safe="")
+        return f"{self.server.plain_url}#view={view}"
 
     def _copy_link(self) -> str:
         self.to_clipboard(self.link)
@@ -239,6 +248,12 @@ class WebHost(LiveHost):
         renderer = self._renderer
         renderer.camera, renderer.toggles = self.navigator.camera, self.toggles
         return renderer.render(self.data).copy()
+
+    def _may_upload(self, key: str) -> str | None:
+        """See `uploads.MayUpload`."""
+        if self.others.opener is None:
+            return "files are opened by `sero-mj view` alone"
+        return None if self.browsers.is_in_control(key) else NOT_IN_CONTROL
 
     def _end_renderer(self) -> None:
         if self._renderer is not None:

@@ -9,22 +9,36 @@ from typing import Any
 
 from ...base.errors import UsageError
 from ..decor.geom_buffer import Kind
-from ..session.input import LEFT, Clicked, Event, Mouse, Moved
+from ..session.input import Clicked, Event, Mouse, Moved
 from ..session.live import LiveHost
 from ..session.picking import Pixel, picked_of
 from ..session.restoring import show_state
 from ..session.view_state import ViewState
+from .messages import (
+    Camera,
+    Card,
+    CloseArea,
+    Fold,
+    Hold,
+    Key,
+    Left,
+    Message,
+    PageSize,
+    Pointer,
+    Said,
+    Sender,
+    View,
+    Wheel,
+    Widget,
+)
 from .page_panels import PagePanels
 from .page_view import PageView
 
 log = logging.getLogger(__name__)
 
-_MOST_PIXELS = 20_000  # of a page, in either direction
-_BUTTONS = (0, 1, 2)
-
 
 class PageInput:
-    """Takes messages of the browser in control; those that are wrong are counted and left.
+    """Acts on messages of the browser in control; those that do not fit are counted and ignored.
 
     Args:
         host: of the page.
@@ -32,7 +46,8 @@ class PageInput:
         panels: of the page.
 
     Attributes:
-        wrong: number of messages with wrong contents.
+        wrong: number of messages about something that is not there.
+        sender: the browser whose message is handled.
         is_dragging: whether a tool has the drag, and the camera stays.
         is_on_handle: whether the pointer is over a handle.
     """
@@ -41,30 +56,33 @@ class PageInput:
         self._host, self._page_view, self._panels = host, view, panels
         self._mouse = Mouse()
         self.wrong = 0
+        self.sender = Sender(0, is_local=False)
         self.is_dragging = self.is_on_handle = False
-        self._takes: dict[str, Callable[[dict[str, Any]], None]] = {
-            "size": self._size,
-            "camera": self._camera,
-            "pointer": self._pointer,
-            "wheel": self._wheel,
-            "hold": self._hold,
-            "key": self._key,
-            "card": self._card,
-            "widget": self._widget,
-            "fold": self._fold,
-            "close": self._close,
-            "view": self._view,
-            "left": self._leave,
+        # One for each kind of `ForScene`, except those that `Browsers` handles.
+        self._acts: dict[type[Message | Left], Callable[[Any], None]] = {
+            PageSize: self._size,
+            Camera: self._camera,
+            Pointer: self._pointer,
+            Wheel: self._wheel,
+            Hold: self._hold,
+            Key: self._key,
+            Card: self._card,
+            Widget: self._widget,
+            Fold: self._fold,
+            CloseArea: self._close,
+            View: self._view,
+            Left: self._leave,
         }
 
-    def take(self, said: Iterable[dict[str, Any]]) -> None:
-        """Takes messages, the oldest first."""
-        for each in said:
+    def take(self, said: Iterable[Said]) -> None:
+        """Acts on messages, the oldest first."""
+        for message, sender in said:
+            self.sender = sender
             try:
-                self._takes[each["t"]](each)
-            except (KeyError, TypeError, ValueError, OverflowError):
+                self._acts[type(message)](message)
+            except (ArithmeticError, LookupError, TypeError, ValueError):
                 self.wrong += 1
-                log.debug("a page's message is wrong: %.200r", each)
+                log.debug("a page's message is wrong: %.200r", message, exc_info=True)
 
     def point(self) -> None:
         """Names what is under the pointer, and lights the handle there."""
@@ -73,43 +91,29 @@ class PageInput:
 
     # ---- messages
 
-    def _size(self, said: dict[str, Any]) -> None:
-        sizes = [int(said[key]) for key in ("w", "h", "page")]
-        if not all(0 < size < _MOST_PIXELS for size in sizes):
-            raise ValueError
-        self._page_view.size = sizes[0], sizes[1]
-        self._panels.fit(sizes[2])
+    def _size(self, said: PageSize) -> None:
+        self._page_view.size = said.w, said.h
+        self._panels.fit(said.page)
         self._look_again()
 
-    def _camera(self, said: dict[str, Any]) -> None:
-        numbers = [float(said[key]) for key in ("distance", "azimuth", "elevation")]
-        self._page_view.take(int(said["fixed"]), [*map(float, said["lookAt"])], numbers)
+    def _camera(self, said: Camera) -> None:
+        numbers = (said.distance, said.azimuth, said.elevation)
+        self._page_view.take(said.fixed, said.lookAt, numbers)
         self._look_again()
 
     def _look_again(self) -> None:
         """Lets pixels be those of the camera as it is now, before one is pressed."""
         self._host.decor.view = self._page_view.picture(self._host.data)
 
-    def _at(self, said: dict[str, Any]) -> Pixel:
-        x, y = float(said["x"]), float(said["y"])
-        if not (abs(x) < _MOST_PIXELS and abs(y) < _MOST_PIXELS):  # nor NaN
-            raise ValueError
-        return x, self._page_view.size[1] - y
-
-    def _pointer(self, said: dict[str, Any]) -> None:
-        kind = said["kind"]
-        if kind == "leave":  # a finger was taken away, say: what was pressed is not released
-            self._leave(said)
+    def _pointer(self, said: Pointer) -> None:
+        if said.kind == "leave":  # a finger was taken away: what was pressed is not released
+            self._leave()
             return
-        at = self._at(said)
-        button = int(said.get("button", LEFT))
-        if kind not in ("press", "release", "move") or button not in _BUTTONS:
-            raise ValueError
+        at = said.x, self._page_view.size[1] - said.y
         pointer = self._host.pointer
         pointer.at = at if self._is_inside(at) else None
-        control = bool(said.get("ctrl"))
-        shift = bool(said.get("shift")) or control
-        event = Event(kind, *at, time.monotonic(), button, shift=shift, control=control)
+        shift = said.shift or said.ctrl
+        event = Event(said.kind, *at, time.monotonic(), said.button, shift=shift, control=said.ctrl)
         found = self._mouse.take(event)
         if isinstance(found, Clicked):
             self._click(found)
@@ -130,52 +134,49 @@ class PageInput:
         else:
             self._host.pointer.click(clicked)
 
-    def _wheel(self, said: dict[str, Any]) -> None:
-        notches = float(said["n"])
-        if abs(notches) < _MOST_PIXELS and self.is_dragging:
+    def _wheel(self, said: Wheel) -> None:
+        if self.is_dragging:
             pointer = self._host.pointer
-            pointer.dragging.take(Moved("zoom", 0.0, notches), pointer.at, None, None)
+            pointer.dragging.take(Moved("zoom", 0.0, said.n), pointer.at, None, None)
 
-    def _hold(self, said: dict[str, Any]) -> None:
+    def _hold(self, said: Hold) -> None:
         del said
         if self._mouse.is_down and self._mouse.hold(self._host.pointer.dragging.announce):
             self.is_dragging = True
 
-    def _key(self, said: dict[str, Any]) -> None:
-        key = str(said["key"])
-        if key == "escape":
+    def _key(self, said: Key) -> None:
+        if said.key == "escape":
             if self._host.shows_help:
                 self._host.toggle_help()
             return
-        self._host.actions.press(key, is_repeat=bool(said.get("repeat")))
+        self._host.actions.press(said.key, is_repeat=said.repeat)
 
-    def _card(self, said: dict[str, Any]) -> None:
+    def _card(self, said: Card) -> None:
         """A click on text of the page, which stands for what it belongs to."""
-        picked = picked_of(self._host.world, Kind(int(said["kind"])), int(said["item"]))
+        picked = picked_of(self._host.world, Kind(said.kind), said.item)
         # Clicks in a row on one card are at one place, those on another one are elsewhere.
-        at = (1e5 * (1 + picked.index), 1e5 * int(said["kind"]))
-        shift = bool(said.get("shift"))
-        self._host.pointer.click_item(picked, at, time.monotonic(), shift=shift)
+        at = (1e5 * (1 + picked.index), 1e5 * said.kind)
+        self._host.pointer.click_item(picked, at, time.monotonic(), shift=said.shift)
 
-    def _widget(self, said: dict[str, Any]) -> None:
-        self._panels.act(str(said["tree"]), str(said["id"]), said["value"])
+    def _widget(self, said: Widget) -> None:
+        self._panels.act(said.tree, said.id, said.value)
 
-    def _fold(self, said: dict[str, Any]) -> None:
-        self._panels.fold(str(said["tree"]), str(said["id"]), is_open=bool(said["open"]))
+    def _fold(self, said: Fold) -> None:
+        self._panels.fold(said.tree, said.id, is_open=said.open)
 
-    def _close(self, said: dict[str, Any]) -> None:
+    def _close(self, said: CloseArea) -> None:
         for tool in self._host.areas:
-            if tool.area == said["area"]:
+            if tool.area == said.area:
                 tool.shows_area = False
 
-    def _view(self, said: dict[str, Any]) -> None:
+    def _view(self, said: View) -> None:
         try:
-            show_state(self._host, ViewState.from_text(str(said["text"])))
+            show_state(self._host, ViewState.from_text(said.text))
         except UsageError as error:
             self._host.say(str(error), is_bad=True)
 
-    def _leave(self, said: dict[str, Any]) -> None:
-        """Whoever had control has gone, and a button is no longer down."""
+    def _leave(self, said: Left | None = None) -> None:
+        """The browser that had control has gone, and a button is no longer down."""
         del said
         self._mouse, self._host.pointer.at, self.is_dragging = Mouse(), None, False
         self._host.pointer.dragging.release()

@@ -7,27 +7,32 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import functools
+import json
+import logging
 import socket
 import threading
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from ...base.errors import RenderError
+from ...base.errors import RenderError, UsageError
 from .compression import DEFLATE, CompressedResponses
 from .guard import Guard, is_loopback, make_token
-from .uploads import is_for_files, take_files
+from .uploads import MayUpload, is_for_files, take_files
+
+log = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
 ANY_ADDRESS = ("", "0.0.0.0", "::")
 _FIRST_PORT, _MOST_PORTS = 8080, 100
 _BACKLOG = 128  # connections that wait to be accepted
-_LONGEST_MESSAGE = 2**20  # bytes; messages of browsers are much shorter
+_MAX_PART = 2**20  # bytes of an uploaded file in one message; see `messages` for all others
 _REQUEST_TIMEOUT = 10.0  # s for a connection's request
 _STATIC = Path(__file__).with_name("static")
 _TYPES = {
@@ -37,7 +42,10 @@ _TYPES = {
     ".jpg": "image/jpeg",
     ".json": "application/json",
 }
-_SHARED = ("uploads.js", "uploads.css")  # of all pages
+_SHARED = ("access.js", "uploads.js", "uploads.css")  # of all pages
+_WHICH = "/sero-mj/page"  # answers which page is served, to who has its token
+# Where browsers may find `localhost`, by where the server listens.
+_TWINS = {"127.0.0.1": "::1", "::1": "127.0.0.1", "0.0.0.0": "::1"}
 
 Talk = Callable[[ServerConnection], Awaitable[None]]
 
@@ -60,16 +68,17 @@ class PageServer:
     """Serves a page until it is closed.
 
     Args:
-        page: HTML; a token is added to addresses of files in it.
-        files: of the page, by their name.
+        page: HTML, without secrets.
+        files: of the page, by their name, without secrets.
         talk: is given every connection to the websocket at `socket_path`.
         socket_path: of the websocket.
+        may_upload: see `take_files`.
         on_file: is given what was dropped on the page.
         find: answers other paths, given path and query; None for one that is not there.
         host: address to listen on.
         port: 0 for the first free one from 8080 on.
-        token: whether the page's address contains a secret token; for other machines it always
-            does. A text is that token.
+        token: whether the page needs a secret token, which its address contains; a text is that
+            token.
 
     Attributes:
         port: that it listens on.
@@ -79,6 +88,7 @@ class PageServer:
 
     Raises:
         RenderError: the page cannot be served there.
+        UsageError: a page for other machines without a token.
     """
 
     def __init__(
@@ -87,30 +97,36 @@ class PageServer:
         files: Mapping[str, bytes],
         talk: Talk,
         socket_path: str,
+        may_upload: MayUpload,
         on_file: Callable[[Path], None],
         *,
         find: Callable[[str, str], Answer | None] = lambda path, query: None,
         host: str = LOOPBACK,
         port: int = 0,
-        token: bool | str = False,
+        token: bool | str = True,
     ) -> None:
         if not (isinstance(port, int) and 0 <= port < 65536):
             raise RenderError(f"port {port!r}: expected a number from 1 to 65535, or 0 for any")
         self.is_private = is_loopback(check_address(host))
         self.token: str | None = None
-        if token or not self.is_private:
+        if token:
             self.token = token if isinstance(token, str) else make_token()
-        self._socket = listen(host, port)
-        self.address, self.port = self._socket.getsockname()[:2]
+        elif not self.is_private:
+            raise UsageError(f"host {host}: a page for other machines needs a token")
+        self._sockets = listen(host, port)
+        self.address, self.port = self._sockets[0].getsockname()[:2]
         self._host = host
-        self.guard = Guard(self.address, host, self.token)
         own = {name: (_STATIC / name).read_bytes() for name in _SHARED}
         self._files = {f"/{name}": body for name, body in {**own, **files}.items()}
-        query = "" if self.token is None else f"?token={self.token}"
-        for path in self._files:
-            page = page.replace(f'"{path}"', f'"{path}{query}"')
+        self.guard = Guard(self.address, host, self.token, self._files)
+        if self.token is None:
+            log.warning(
+                "the page at port %d has no token: every user of this machine can see and "
+                "control it", self.port,
+            )  # fmt: skip
         self._page = page.encode()
-        self._talk, self._path, self._on_file, self._find = talk, socket_path, on_file, find
+        self._talk, self._path, self._find = talk, socket_path, find
+        self._may_upload, self._on_file = may_upload, on_file
         self._compressed = CompressedResponses()
         self._stop: asyncio.Event | None = None
         self.loop: asyncio.AbstractEventLoop | None = None
@@ -120,6 +136,11 @@ class PageServer:
         )
         self._thread.start()
         self._is_serving.wait()
+
+    @property
+    def plain_url(self) -> str:
+        """Address of the page without its token, for browsers that have opened it before."""
+        return page_url(self._host, self.port)
 
     @property
     def url(self) -> str:
@@ -148,30 +169,34 @@ class PageServer:
         if self._stop is not None and self._thread.is_alive():
             self.call(self._stop.set)
         self._thread.join()
-        self._socket.close()
+        for each in self._sockets:
+            each.close()
 
     # ---- on the server's thread
 
     async def _serve(self) -> None:
         self._stop, self.loop = asyncio.Event(), asyncio.get_running_loop()
-        async with serve(
-            self._handle,
-            sock=self._socket,
-            max_size=_LONGEST_MESSAGE,
-            process_request=self._request,
-            process_response=self._response,
-            # A slow link takes any time for an answer, see `_Connection`.
-            open_timeout=None,
-            create_connection=_Connection,
-            extensions=[DEFLATE],
-            close_timeout=1.0,
-        ):
+        async with contextlib.AsyncExitStack() as stack:
+            for each in self._sockets:
+                server = serve(
+                    self._handle,
+                    sock=each,
+                    max_size=_MAX_PART,
+                    process_request=self._request,
+                    process_response=self._response,
+                    # A slow link takes any time for an answer, see `_Connection`.
+                    open_timeout=None,
+                    create_connection=_Connection,
+                    extensions=[DEFLATE],
+                    close_timeout=1.0,
+                )
+                await stack.enter_async_context(server)
             self._is_serving.set()
             await self._stop.wait()
 
     async def _handle(self, connection: ServerConnection) -> None:
         if connection.request is not None and is_for_files(connection.request):
-            await take_files(connection, self._on_file)
+            await take_files(connection, self._may_upload, self._on_file)
         else:
             await self._talk(connection)
 
@@ -195,6 +220,8 @@ class PageServer:
             return Answer(self._page, ".html")
         if path in self._files:
             return Answer(self._files[path], Path(path).suffix, is_kept=True)
+        if path == _WHICH:
+            return Answer(json.dumps({"page": self._path}).encode(), ".json")
         return self._find(path, query)
 
     def _response(
@@ -223,8 +250,8 @@ def static_text(name: str) -> str:
     return (_STATIC / name).read_text("utf-8")
 
 
-def listen(host: str, port: int) -> socket.socket:
-    """Returns a socket that listens.
+def listen(host: str, port: int) -> list[socket.socket]:
+    """Returns sockets that listen at an address and, for `localhost`, at its other IP version.
 
     Args:
         host: address.
@@ -238,20 +265,46 @@ def listen(host: str, port: int) -> socket.socket:
     wanted = [port] if port else range(_FIRST_PORT, _FIRST_PORT + _MOST_PORTS)
     error: OSError | None = None
     for number in wanted:
-        found = socket.socket(family, socket.SOCK_STREAM)
+        found: list[socket.socket] = []
         try:
-            found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            found.bind((address[0], number, *address[2:]))
-            # At once: until somebody listens, others can bind the same port.
-            found.listen(_BACKLOG)
+            found.append(_listening(family, (address[0], number, *address[2:])))
+            found += _twin(str(address[0]), number)
         except OSError as failure:
-            found.close()
+            for each in found:
+                each.close()
             error = failure
         else:
             return found
     where = f"{host}:{port}" if port else host
     assert error is not None
     raise RenderError(f"no page at {where}: {error.strerror}") from error
+
+
+def _listening(family: int, address: tuple[Any, ...]) -> socket.socket:
+    """Returns a socket that listens; raises OSError."""
+    found = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        found.bind(address)
+        # At once: until somebody listens, others can bind the same port.
+        found.listen(_BACKLOG)
+    except OSError:
+        found.close()
+        raise
+    return found
+
+
+def _twin(address: str, port: int) -> list[socket.socket]:
+    """Returns a socket at the other address of `localhost`; raises OSError if it is in use."""
+    twin = _TWINS.get(address)
+    if twin is None:
+        return []
+    try:
+        return [_listening(socket.AF_INET6 if ":" in twin else socket.AF_INET, (twin, port))]
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise
+        return []  # this machine has only one IP version
 
 
 def check_address(host: str) -> str:

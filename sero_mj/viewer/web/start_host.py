@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import time
 import urllib.parse
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Self
 
-from websockets.asyncio.server import ServerConnection
-from websockets.exceptions import ConnectionClosed
-
+from ...base.errors import SeroError
 from ...data.drive.mirror import Mirror
-from ..panels.message import Message
+from ..panels.message import Message as Notice
+from ..session.recent_views import RecentView
 from ..session.start_page import (
     DROP_HINT,
     MORE_HINT,
@@ -24,15 +24,21 @@ from ..session.start_page import (
     PortMonitor,
     StartPage,
 )
+from .browsers import Browsers
+from .messages import ForStartPage, Left, Message, OpenShown, OpenTile, Sender
+from .sections import Sections
 from .server import Answer, PageServer, static_text
+from .uploads import NOT_IN_CONTROL, drops
 
 _LIVE, _TILES, _PICTURES = "/sero-mj/start", "/sero-mj/tiles", "/sero-mj/pictures/"
 _EVERY = 0.4  # s between two reports of what is awaited
-_LOOKS = 0.2  # s after which it is looked whether the server still runs
+_LOOKS = 0.05  # s between two looks at messages of browsers
 
 
 class StartHost:
     """Shows on a web page what can be opened, until something is.
+
+    Any number of browsers can connect; one at a time has control, and can open something.
 
     Args:
         opener: returns what shows what was chosen.
@@ -43,6 +49,8 @@ class StartHost:
 
     Attributes:
         server: of the page.
+        browsers: that look at it.
+        sender: the browser whose message is handled.
 
     Raises:
         RenderError: the page cannot be served there.
@@ -55,15 +63,28 @@ class StartHost:
         host: str,
         port: int = 0,
         *,
-        token: bool | str = False,
+        token: bool | str = True,
     ) -> None:
-        self._page = StartPage(opener, listening)
+        self._opener = opener
+        self._page = StartPage(self._open, listening)
+        self._sections = Sections()
+        self.browsers = Browsers(self._sections, ForStartPage)
+        self.sender = Sender(0, is_local=False)
+        # One for each kind of `ForStartPage`, except those that `Browsers` handles.
+        self._acts: dict[type[Message | Left], Callable[[Any], None]] = {
+            OpenTile: self._open_tile,
+            OpenShown: self._open_shown,
+            Left: lambda message: None,
+        }
+        self._reported = float("-inf")
+        self._told = Notice()
         own = {name: static_text(name).encode() for name in ("start.js", "start.css")}
         self.server = PageServer(
             static_text("start.html"),
             own,
-            self._talk,
+            self.browsers.talk,
             _LIVE,
+            self._may_upload,
             self._page.choose,
             find=self._find,
             host=host,
@@ -74,9 +95,25 @@ class StartHost:
     def run(self) -> Mirror | None:
         """Returns what shows the scene that was chosen; None when the server has ended."""
         while self.server.is_running:
+            for message, sender in self.browsers.take():
+                self.sender = sender
+                self._acts[type(message)](message)
+            self._report()
             if self._page.open_next(_LOOKS):
                 return self._page.chosen
         return None
+
+    def _open(self, what: RecentView | Path) -> Mirror:
+        try:
+            return self._opener(what)
+        except SeroError:
+            if isinstance(what, Path):
+                drops.discard(what)
+            raise
+
+    def _may_upload(self, key: str) -> str | None:
+        """See `uploads.MayUpload`."""
+        return None if self.browsers.is_in_control(key) else NOT_IN_CONTROL
 
     def _find(self, path: str, query: str) -> Answer | None:
         if path == _TILES:
@@ -117,41 +154,31 @@ class StartHost:
             ],
         }
 
-    async def _talk(self, connection: ServerConnection) -> None:
-        """Tells a browser what is awaited, and hears what it chooses."""
-        report = asyncio.create_task(self._report(connection))
-        try:
-            async for message in connection:
-                self._hear(message)
-        except ConnectionClosed:
-            pass
-        finally:
-            report.cancel()
+    def _open_tile(self, message: OpenTile) -> None:
+        tiles = self._page.tiles
+        if message.number < len(tiles):
+            self._page.choose(tiles[message.number].view)
 
-    def _hear(self, message: str | bytes) -> None:
-        """Opens a tile, or what shows the data of a place; other messages are not ours."""
-        try:
-            found = json.loads(message)
-            if "tile" in found:
-                by_number = dict(enumerate(self._page.tiles))
-                self._page.choose(by_number[found["tile"]].view)
-            else:
-                shown = {view.scene: view for each in self._page.awaited() for view in each.shown}
-                self._page.choose(shown[found["shown"]])
-        except (ValueError, KeyError, TypeError):
+    def _open_shown(self, message: OpenShown) -> None:
+        shown = {view.scene: view for each in self._page.awaited() for view in each.shown}
+        if message.scene in shown:
+            self._page.choose(shown[message.scene])
+
+    def _report(self) -> None:
+        """Puts what is awaited, and what is said about the files that were chosen."""
+        now = time.monotonic()
+        told = self._page.notice
+        if told != self._told:
+            self._told = told
+            notice = {"text": told.text, "isBad": told.is_bad, "seconds": told.until - now}
+            self._sections.put("notice", notice)
+        elif now - self._reported < _EVERY:
             return
-
-    async def _report(self, connection: ServerConnection) -> None:
-        told = Message()
-        while True:
-            if self._page.notice != told:
-                told = self._page.notice
-                seconds = told.until - time.monotonic()
-                notice = {"notice": told.text, "is_bad": told.is_bad, "seconds": seconds}
-                await connection.send(json.dumps(notice))
-            awaited = [_as_json(each) for each in self._page.awaited()]
-            await connection.send(json.dumps({"awaited": awaited}))
-            await asyncio.sleep(_EVERY)
+        elif not told.is_shown:
+            self._sections.put("notice", None)  # for browsers that come later
+        self._reported = now
+        self._sections.put("awaited", [_as_json(each) for each in self._page.awaited()])
+        self.server.call(self.browsers.wake)
 
     def close(self) -> None:
         """Ends the server."""

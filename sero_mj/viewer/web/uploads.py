@@ -1,18 +1,21 @@
-"""Files that are dropped on a page: the script that sends them, and who takes them.
+"""Files that are dropped on a page: the script that sends them, and where they are stored.
 
-A browser tells contents, and no paths. So a robot whose meshes are files of their own is dropped as
-a folder, or together with them. What was dropped is kept until this process ends.
+Browsers send contents without paths. So a robot whose meshes are files of their own is dropped as
+a folder, or together with them. A drop is stored until this process ends, until it turns out that
+its file cannot be opened, or until it is no longer shown and another drop needs its space.
 """
 
 from __future__ import annotations
 
+import asyncio
 import json
-import operator
 import shutil
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any, NamedTuple
 
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request
 
@@ -26,8 +29,13 @@ from ...base.paths import (
 )
 
 FILES = "/sero-mj/files"  # where the script sends them
-MOST_BYTES, MOST_FILES = 500_000_000, 2000
-_LONGEST_PATH = 400
+MOST_BYTES, MOST_FILES = 500_000_000, 2000  # of all drops of this process, together
+_LONGEST_PATH, _DEEPEST_PATH = 400, 20
+NOT_IN_CONTROL = "another browser has control of this page; take control, then drop the files again"
+_PATIENCE = 60.0  # s for the next part of a file
+
+# Returns why an upload with the key of a connection is refused; None if it may go on.
+MayUpload = Callable[[str], str | None]
 
 
 def is_for_files(request: Request) -> bool:
@@ -35,83 +43,207 @@ def is_for_files(request: Request) -> bool:
     return request.path.partition("?")[0] == FILES
 
 
-async def take_files(connection: Any, on_file: Callable[[Path], None]) -> None:
-    """Takes the files that the script sends by a connection, and answers with what is wrong.
+class _Size(NamedTuple):
+    files: int
+    bytes: int
+
+
+class Drops:
+    """All files that were dropped on pages of this process, with one limit for all of them."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._sizes: dict[Path, _Size] = {}  # by folder, the oldest first
+        self._shown: set[Path] = set()  # folders
+        self._arriving: set[Path] = set()  # or not shown yet
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Number of files and bytes that are stored or reserved."""
+        sizes = self._sizes.values()
+        return sum(each.files for each in sizes), sum(each.bytes for each in sizes)
+
+    def reserve(self, files: int, size: int) -> Path:
+        """Returns a new folder for a drop.
+
+        Drops that are not shown any more are deleted if their space is needed.
+
+        Args:
+            files: number of files.
+            size: of all of them, bytes.
+
+        Raises:
+            UsageError: the drops that are shown or arrive leave too little space.
+        """
+        with self._lock:
+            while not self._has_space(files, size):
+                unused = self._sizes.keys() - self._shown - self._arriving
+                if not unused:
+                    stored = sum(each.bytes for each in self._sizes.values()) / 1e6
+                    raise UsageError(
+                        f"no space for {files} files of {size / 1e6:.0f} MB: this viewer already "
+                        f"stores {len(self._sizes)} drops of {stored:.0f} MB, and at most "
+                        f"{MOST_FILES} files of {MOST_BYTES / 1e6:.0f} MB together. "
+                        "Close it and start it again, or open the file with `sero-mj view FILE`"
+                    )
+                self._remove(next(each for each in self._sizes if each in unused))
+            folder = make_temporary_folder()
+            self._sizes[folder] = _Size(files, size)
+            self._arriving.add(folder)
+            return folder
+
+    def discard(self, path: Path | str) -> None:
+        """Deletes the drop that a file belongs to, if it belongs to one and is not shown."""
+        with self._lock:
+            for folder in self._folders([path]) - self._shown:
+                self._remove(folder)
+
+    def show(self, *paths: Path | str) -> None:
+        """Notes which files are shown from now on, after the page before has closed.
+
+        All other drops may be deleted.
+        """
+        with self._lock:
+            self._shown = self._folders(paths)
+            self._arriving.clear()
+
+    def _has_space(self, files: int, size: int) -> bool:
+        stored, space = self.size
+        return stored + files <= MOST_FILES and space + size <= MOST_BYTES
+
+    def _folders(self, paths: Sequence[Path | str]) -> set[Path]:
+        parents = {parent for path in paths for parent in Path(path).parents}
+        return parents & self._sizes.keys()
+
+    def _remove(self, folder: Path) -> None:
+        shutil.rmtree(folder, ignore_errors=True)
+        del self._sizes[folder]
+        self._arriving.discard(folder)
+
+
+drops = Drops()
+
+
+async def take_files(
+    connection: Any, may_upload: MayUpload, on_file: Callable[[Path], None]
+) -> None:
+    """Stores the files that the script sends by a connection, and answers what is wrong.
 
     Args:
         connection: of `websockets`; its first message lists the files, the others are contents.
+        may_upload: is asked with the key of the first message, also while contents arrive.
         on_file: is given the file that is to be opened.
     """
     try:
         try:
-            path = await _take(connection)
+            path = await _take(connection, may_upload)
         except UsageError as error:
             await connection.send(json.dumps({"error": str(error)}))
         else:
             on_file(path)
             await connection.send(json.dumps({"opening": path.name}))
-    except ConnectionClosed:  # the page was closed meanwhile
+    except (ConnectionClosed, TimeoutError):  # the page was closed meanwhile
         return
 
 
-async def _take(connection: Any) -> Path:
-    sizes = read_list(await connection.recv())
+async def _take(connection: Any, may_upload: MayUpload) -> Path:
+    listed = read_list(await _next(connection))
+    sizes = listed.sizes
+
+    def check() -> None:
+        if (reason := may_upload(listed.key)) is not None:
+            raise UsageError(reason)
+
+    check()
     main = main_file(list(sizes))
-    folder = make_temporary_folder()
+    folder = drops.reserve(len(sizes), sum(sizes.values()))
     try:
         for name, size in sizes.items():
             try:
-                await _take_file(connection, folder / name, size)
+                await _take_file(connection, folder / name, size, check)
             except OSError as error:
                 raise UsageError(f"{name}: cannot be kept: {error.strerror}") from error
             except ValueError as error:
                 raise UsageError(f"{name}: {error}") from error
+        check()
     except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
+        drops.discard(folder / main)
         raise
     return folder / main
 
 
-async def _take_file(connection: Any, file: Path, size: int) -> None:
+async def _take_file(connection: Any, file: Path, size: int, check: Callable[[], None]) -> None:
     """Writes a file of so many bytes; raises ValueError where others come."""
     file.parent.mkdir(parents=True, exist_ok=True)
     left = size
     with file.open("wb") as stream:
         while left > 0:
-            part = await connection.recv()
+            part = await _next(connection)
+            check()
             if not isinstance(part, bytes) or len(part) > left:
                 raise ValueError(f"found other contents than its {size} bytes")
             stream.write(part)
             left -= len(part)
 
 
-def read_list(message: Any) -> dict[PurePosixPath, int]:
-    """Reads the list of files: paths below the folder that they are put in, and sizes in bytes.
+async def _next(connection: Any) -> str | bytes:
+    message: str | bytes = await asyncio.wait_for(connection.recv(), _PATIENCE)
+    return message
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    path: str
+    size: int
+
+
+class _Listed(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    key: Annotated[str, Field(max_length=100)]
+    files: list[_Entry]
+
+
+class Listed(NamedTuple):
+    """The list of files of a drop.
+
+    Attributes:
+        key: of the connection in control.
+        sizes: bytes of each file, by its path below the folder of the drop.
+    """
+
+    key: str
+    sizes: dict[PurePosixPath, int]
+
+
+def read_list(message: str | bytes) -> Listed:
+    """Reads the list of files.
 
     Raises:
         UsageError: it is none, or too much.
     """
     try:
-        listed = [(str(entry["path"]), operator.index(entry["size"]))
-                  for entry in json.loads(message)]  # fmt: skip
-    except (ValueError, KeyError, TypeError, RecursionError):
+        listed = _Listed.model_validate_json(message)
+    except (ValidationError, UnicodeEncodeError):
         raise UsageError("found no list of files; expected paths and sizes") from None
-    found = {_checked(path): size for path, size in listed}
+    if len(listed.files) > MOST_FILES:
+        raise UsageError(f"found {len(listed.files)} files; at most {MOST_FILES} are taken")
+    found = {_checked(entry.path): entry.size for entry in listed.files}
     if not found or min(found.values()) < 0:
         raise UsageError("found no file; drop a robot, a scene or a recording")
-    if len(found) > MOST_FILES:
-        raise UsageError(f"found {len(found)} files; at most {MOST_FILES} are taken")
     if sum(found.values()) > MOST_BYTES:
         size, most = sum(found.values()) / 1e6, MOST_BYTES / 1e6
         raise UsageError(
             f"found {size:.0f} MB; a page takes at most {most:.0f}: `sero-mj view FILE` opens it"
         )
-    return found
+    return Listed(listed.key, found)
 
 
 def _checked(text: str) -> PurePosixPath:
     path = PurePosixPath(text)
-    is_good = bool(path.parts) and len(text) <= _LONGEST_PATH and text.isprintable()
+    is_good = 0 < len(path.parts) <= _DEEPEST_PATH and len(text) <= _LONGEST_PATH
+    is_good = is_good and text.isprintable()
     if not is_good or ".." in path.parts or path.is_absolute() or set(r"\:") & set(text):
         raise UsageError(f"found the path {text[:80]!r}; expected a plain one")
     return path

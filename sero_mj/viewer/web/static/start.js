@@ -17,16 +17,25 @@ const add = (parent, kind, text = "", name = "") => {
   made.className = name;
   return made;
 };
-const of = (path) => path + location.search; // with the token, if there is one
-const line = new WebSocket(
-  Object.assign(new URL(of("/sero-mj/start"), location.href), { protocol: "ws:" }));
+const line = new WebSocket(access.socket("/sero-mj/start"));
+line.binaryType = "arraybuffer";
 const send = (message) => line.send(JSON.stringify(message));
+const lock = () => drops.tell(access.locked, true, 1e6);
+
+// Who is in control: only that browser can open something.
+let you = null, control = null;
+const isInControl = () => you !== null && control?.holder === you.id;
+const act = (message) => isInControl() ? send(message) : drops.tell("another browser has control");
+Object.assign(drops, { may: isInControl, key: () => you?.key ?? "" });
+document.getElementById("take").onclick = () => send({ t: "control" });
 
 const search = document.getElementById("search");
 search.oninput = async () => {
-  const words = search.value, url = new URL(of("/sero-mj/tiles"), location.href);
+  const words = search.value, url = access.url("/sero-mj/tiles");
   url.searchParams.set("search", words);
-  const page = await (await fetch(url)).json();
+  const answer = await fetch(url);
+  if (answer.status === 403) return lock();
+  const page = await answer.json();
   if (words !== search.value) return; // more was typed meanwhile
   document.querySelector("h1").textContent = page.title;
   search.placeholder = page.search;
@@ -44,11 +53,11 @@ search.oninput = async () => {
       if (has_picture) {
         picture.loading = "lazy";
         picture.alt = "";
-        picture.src = of(`/sero-mj/pictures/${number}`);
+        picture.src = access.url(`/sero-mj/pictures/${number}`);
       }
       add(tile, "strong", title);
       add(tile, "span", about, "dim");
-      tile.onclick = () => send({ tile: number });
+      tile.onclick = () => act({ t: "tile", number });
     }
   }
 };
@@ -67,7 +76,7 @@ function showData(awaited) {
     for (const scene of shown) {
       const name = scene.split("/").pop();
       add(add(entry, "div"), "button", `show ${name}`, "small").onclick =
-        () => send({ shown: scene });
+        () => act({ t: "shown", scene });
     }
     if (command === "") continue;
     const tried = add(entry, "div", `try ${command} `, "dim");
@@ -76,23 +85,33 @@ function showData(awaited) {
   }
 }
 
+// A message has its sections as JSON behind the length of that text, see `sections.py`.
 line.onmessage = ({ data }) => {
-  const { awaited, notice, is_bad, seconds } = JSON.parse(data);
-  if (awaited) showData(awaited);
-  if (notice) drops.tell(notice, is_bad, seconds);
+  const length = new DataView(data).getUint32(0, true);
+  const { json } = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
+  send({ t: "got" });
+  you = json.you ?? you;
+  control = json.control ?? control;
+  document.getElementById("control").hidden = you === null || control === null || isInControl();
+  if (json.awaited) showData(json.awaited);
+  if (json.notice) drops.tell(json.notice.text, json.notice.isBad, json.notice.seconds);
 };
 // What was chosen is soon served at this address.
 const SOON = 20; // s
 line.onclose = async () => {
   const begin = performance.now();
-  drops.tell("opening ...", false, SOON);
+  if (you !== null) drops.tell("opening ...", false, SOON);
   for (let isTold = false;;) {
+    const page = await access.page();
+    if (page === "locked") {
+      lock();
+      await access.unlocked();
+    } else if (page !== "") return location.reload();
+    else if (!isTold && performance.now() - begin > 1000 * SOON) {
+      drops.tell("sero-mj has ended", true, 3600);
+      isTold = true;
+    }
     await new Promise((done) => setTimeout(done, 250));
-    const page = await fetch(location.href).catch(() => null);
-    if (page?.ok) return location.reload();
-    if (isTold || performance.now() - begin < 1000 * SOON) continue;
-    drops.tell("sero-mj has ended", true, 3600);
-    isTold = true;
   }
 };
 for (const id of ["files", "folder"]) {

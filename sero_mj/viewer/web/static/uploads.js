@@ -1,6 +1,7 @@
 // Files that are dropped on the page, folders with all that is in them, are sent to its server.
 const CHUNK = 262144; // bytes
-var drops = { may: () => true, told: "" };
+// `may` returns whether this browser is in control, and `key` the key of its connection.
+var drops = { may: () => true, key: () => "", told: "" };
 drops.tell = function (text, isBad = true, seconds = 12) {
   let box = document.getElementById("sero-told");
   if (box === null) {
@@ -35,16 +36,15 @@ drops.inside = async function (entry) { // all files of a folder, or the file
   }
 };
 drops.send = async function (files) {
-  const url = new URL("/sero-mj/files" + location.search, location.href);
-  url.protocol = url.protocol.replace("http", "ws");
-  const line = new WebSocket(url);
+  const line = new WebSocket(access.socket("/sero-mj/files"));
   line.onmessage = ({ data }) => {
     const { error, opening } = JSON.parse(data);
     if (error) drops.tell(error); else drops.tell(`opening ${opening} ...`, false, 4);
     line.close();
   };
   await new Promise((done, failed) => { line.onopen = done; line.onerror = failed; });
-  line.send(JSON.stringify(files.map(({ path, file }) => ({ path, size: file.size }))));
+  const listed = files.map(({ path, file }) => ({ path, size: file.size }));
+  line.send(JSON.stringify({ key: drops.key(), files: listed }));
   for (const { file } of files) {
     for (let at = 0; at < file.size; at += CHUNK) {
       const part = await file.slice(at, at + CHUNK).arrayBuffer();
@@ -55,6 +55,7 @@ drops.send = async function (files) {
   }
 };
 drops.take = async function (files) {
+  if (!drops.may()) return drops.tell("another browser has control of this page");
   try {
     await drops.send(files);
   } catch (error) {
@@ -68,7 +69,6 @@ for (const kind of ["dragenter", "dragover", "dragleave", "drop"]) {
     event.stopImmediatePropagation();
     drops.show(kind === "dragenter" || kind === "dragover");
     if (kind !== "drop") return;
-    if (!drops.may()) return drops.tell("another browser has control of this page");
     const items = [...event.dataTransfer.items].filter(({ kind }) => kind === "file");
     const entries = items.map((item) => item.webkitGetAsEntry?.() ?? null);
     const plain = items.map((item) => item.getAsFile()); // before the event is over

@@ -8,7 +8,7 @@ import { byId, valueIn } from "./page.js";
 import { readSections } from "./sections.js";
 import { State } from "./state.js";
 import { Surround } from "./surround.js";
-import { SocketTransport, liveUrl } from "./transport.js";
+import { SocketTransport, accessOf } from "./transport.js";
 import { View, tell } from "./view.js";
 
 /** @typedef {import("./transport.js").Transport} Transport */
@@ -21,7 +21,7 @@ const IN_PICTURE = ["labels", "cards", "camera", "lookAt", "selected", "shading"
 /** The page. */
 export class Live {
   /** @param {Transport & {open: () => void}} transport */
-  constructor(transport = new SocketTransport(liveUrl(location))) {
+  constructor(transport = new SocketTransport("/live", accessOf())) {
     this.transport = transport;
     /** What has come and is not shown yet, the latest of each. @type {import("./sections.js").Sections} */
     this.waiting = { json: new Map(), bytes: new Map() };
@@ -56,7 +56,8 @@ export class Live {
     });
     this.#listen();
     // Files that are dropped are sent by a script of their own, `uploads.js`.
-    Object.assign(/** @type {any} */ (globalThis).drops ?? {}, { may: () => this.isInControl });
+    Object.assign(/** @type {any} */ (globalThis).drops ?? {},
+      { may: () => this.isInControl, key: () => this.now.you?.key ?? "" });
     this.#connect();
   }
 
@@ -80,6 +81,7 @@ export class Live {
       this.#tellSize();
     };
     transport.onclose = () => tell("server", "The viewer has gone. This page connects again as soon as it is back.");
+    transport.onlocked = () => tell("server", accessOf().locked);
     transport.onmessage = (message) => {
       if (typeof message === "string") this.#event(JSON.parse(message));
       else this.#receive(message);

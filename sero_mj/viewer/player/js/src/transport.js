@@ -3,23 +3,35 @@
 /**
  * What a page needs of a connection; a notebook's channel can take the websocket's place.
  * @typedef {{send: (message: string | ArrayBuffer) => void, onopen: () => void,
- *   onmessage: (message: ArrayBuffer | string) => void, onclose: () => void, onother: () => void}} Transport
+ *   onmessage: (message: ArrayBuffer | string) => void, onclose: () => void, onlocked: () => void,
+ *   onother: () => void}} Transport
  *   onopen: it is there, and the state comes from the start; onclose: it is gone;
- *   onother: another page is served there now
+ *   onlocked: it needs a token that this browser does not have; onother: another page is served there now
  */
+
+/**
+ * The access of a page to its server, see `web/static/access.js`.
+ * @typedef {{token: () => string, socket: (path: string) => URL, page: () => Promise<string>,
+ *   unlocked: () => Promise<unknown>, locked: string}} Access
+ */
+
+/** That of this page; none in files and notebooks. */
+export const accessOf = () => /** @type {Access} */ (/** @type {any} */ (globalThis).access);
 
 const LEAST_PAUSE = 250, MOST_PAUSE = 2000; // ms, between two attempts
 
 /** @implements {Transport} */
 export class SocketTransport {
-  /** @param {string} url */
-  constructor(url) {
-    this.url = url;
+  /** @param {string} path of the websocket @param {Access} access */
+  constructor(path, access) {
+    this.path = path;
+    this.access = access;
     this.pause = LEAST_PAUSE;
     /** @type {WebSocket | null} */
     this.socket = null;
     this.onopen = () => {};
     this.onclose = () => {};
+    this.onlocked = () => {};
     this.onother = () => {};
     /** @type {Transport["onmessage"]} */
     this.onmessage = () => {};
@@ -27,7 +39,12 @@ export class SocketTransport {
 
   /** Connects, and again whenever it is gone. */
   open() {
-    const socket = this.socket = new WebSocket(this.url);
+    if (this.access.token()) this.#connect();
+    else this.#openAgain(); // a page without a token, or one that is locked
+  }
+
+  #connect() {
+    const socket = this.socket = new WebSocket(this.access.socket(this.path));
     socket.binaryType = "arraybuffer";
     socket.addEventListener("open", () => {
       this.pause = LEAST_PAUSE;
@@ -37,16 +54,24 @@ export class SocketTransport {
     socket.addEventListener("close", () => {
       this.socket = null;
       this.onclose();
-      setTimeout(() => this.#openAgain(), this.pause);
-      this.pause = Math.min(2 * this.pause, MOST_PAUSE);
+      this.#wait();
     });
   }
 
-  /** Connects, unless another page is served there, the start page say. */
+  #wait() {
+    setTimeout(() => this.#openAgain(), this.pause);
+    this.pause = Math.min(2 * this.pause, MOST_PAUSE);
+  }
+
+  /** Connects, unless another page is served there, for example the start page. */
   async #openAgain() {
-    const page = await fetch(location.href).then((found) => found.text(), () => "");
-    if (page && !page.includes("data-live")) this.onother();
-    else this.open();
+    const page = await this.access.page();
+    if (page === "locked") {
+      this.onlocked();
+      await this.access.unlocked();
+      this.#openAgain();
+    } else if (page && page !== this.path) this.onother();
+    else this.#connect();
   }
 
   /** Sends, unless it is gone. @param {string | ArrayBuffer} message */
@@ -54,10 +79,6 @@ export class SocketTransport {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(message);
   }
 }
-
-/** The address of a page's own server. @param {Location} location */
-export const liveUrl = ({ protocol, host, search }) =>
-  `${protocol === "https:" ? "wss" : "ws"}://${host}/live${search}`;
 
 const ASKING = 500, ALIVE = 4000, GONE = 20_000, LOST = 2000; // ms
 
@@ -75,6 +96,7 @@ export class CellTransport {
     this.heard = 0; // when, ms
     this.onopen = () => {};
     this.onclose = () => {};
+    this.onlocked = () => {};
     this.onother = () => {};
     this.onlost = () => {}; // it is gone, and does not come back soon
     /** @type {Transport["onmessage"]} */

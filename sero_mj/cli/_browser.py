@@ -1,0 +1,53 @@
+"""Opens a page in the user's browser, without showing its token to other users."""
+
+from __future__ import annotations
+
+import html
+import os
+import sys
+import threading
+import webbrowser
+from contextlib import suppress
+from pathlib import Path
+
+from ..base.paths import make_temporary_folder
+from ..viewer.headless.backend import has_display
+
+
+def can_open_browser() -> bool:
+    """Whether someone sits at this machine, with a terminal and a display."""
+    is_remote = bool(os.environ.get("SSH_CONNECTION") or os.environ.get("SSH_TTY"))
+    return sys.stdout.isatty() and has_display() and not is_remote
+
+
+def open_in_browser(url: str) -> None:
+    """Opens a page in the user's browser, if there is one.
+
+    All users of a machine can see the arguments of its programs. So the browser is started with
+    the name of a file that only its user can read, and that file leads to the page.
+
+    Args:
+        url: of the page, with its token.
+    """
+    file = leading_to(url)
+
+    def open_it() -> None:
+        with suppress(webbrowser.Error, OSError):
+            webbrowser.open(file.as_uri())
+
+    # Some browsers let their caller wait.
+    threading.Thread(target=open_it, name="sero-mj browser", daemon=True).start()
+
+
+def leading_to(url: str) -> Path:
+    """Returns a file that leads a browser to a page; it exists until this process ends."""
+    file = make_temporary_folder() / "open.html"
+    file.touch(0o600)
+    target = html.escape(url)
+    file.write_text(
+        f'<!doctype html><meta charset="utf-8"><title>sero-mj</title>'
+        f'<meta http-equiv="refresh" content="0; url={target}">'
+        f'<a href="{target}">sero-mj</a>\n',
+        encoding="utf-8",
+    )
+    return file

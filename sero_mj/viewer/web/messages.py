@@ -1,0 +1,226 @@
+"""Messages that browsers send to a page: each kind with its fields, their types and bounds.
+
+`Reader` is the only place that reads a browser's message. A new kind is a class in this file, in
+one of the unions `ForScene` and `ForStartPage`, and a handler of the page. All kinds except `Got`
+and `Control` act only if they come from the browser in control, see `Browsers`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, NamedTuple, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+MAX_BYTES = 2**15  # of a message; only a view in a link is longer than some 100 bytes
+MAX_PIXELS = 20_000  # of a page, in either direction
+_MAX_LENGTH = 1e6  # m
+_MAX_DEGREES = 1e6
+_MAX_COUNT = 2**31
+_MAX_NUMBER = 1e300
+
+
+class Message(BaseModel):
+    """Base of all messages; unknown fields and values of other types are errors."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+_Pixels = Annotated[int, Field(gt=0, lt=MAX_PIXELS)]
+_Pixel = Annotated[float, Field(gt=-MAX_PIXELS, lt=MAX_PIXELS)]
+_Metres = Annotated[float, Field(gt=-_MAX_LENGTH, lt=_MAX_LENGTH)]
+_Degrees = Annotated[float, Field(gt=-_MAX_DEGREES, lt=_MAX_DEGREES)]
+_Index = Annotated[int, Field(ge=0, lt=_MAX_COUNT)]
+_Name = Annotated[str, Field(max_length=300)]
+_Path = Annotated[str, Field(max_length=4096)]
+_Id = Annotated[str, Field(max_length=2000)]  # of a widget: labels, with those around it
+
+
+class Got(Message):
+    """The browser has received a state, and can receive another one."""
+
+    t: Literal["got"]
+
+
+class Control(Message):
+    """The browser takes control."""
+
+    t: Literal["control"]
+
+
+class PageSize(Message):
+    """The size of the picture and the width of the page, pixels."""
+
+    t: Literal["size"]
+    w: _Pixels
+    h: _Pixels
+    page: _Pixels
+
+
+class Camera(Message):
+    """The camera: a camera of the scene, or -1 and a free one."""
+
+    t: Literal["camera"]
+    fixed: Annotated[int, Field(ge=-1, lt=_MAX_COUNT)]
+    lookAt: tuple[_Metres, _Metres, _Metres]
+    distance: Annotated[float, Field(ge=1e-6, lt=_MAX_LENGTH)]
+    azimuth: _Degrees
+    elevation: _Degrees
+
+
+class Pointer(Message):
+    """The pointer at a pixel, from the upper left corner of the picture."""
+
+    t: Literal["pointer"]
+    kind: Literal["press", "release", "move", "leave"]
+    x: _Pixel
+    y: _Pixel
+    button: Literal[0, 1, 2] = 0
+    shift: bool = False
+    ctrl: bool = False
+
+
+class Wheel(Message):
+    """Steps of the wheel, away from the user."""
+
+    t: Literal["wheel"]
+    n: _Pixel
+
+
+class Hold(Message):
+    """A finger is held still."""
+
+    t: Literal["hold"]
+
+
+class Key(Message):
+    """A key or a combination of keys."""
+
+    t: Literal["key"]
+    key: Annotated[str, Field(max_length=40)]
+    repeat: bool = False
+
+
+class Card(Message):
+    """A click on a text over the picture: the kind and index of what it belongs to."""
+
+    t: Literal["card"]
+    kind: _Index
+    item: _Index
+    shift: bool = False
+    double: bool = False
+
+
+class Widget(Message):
+    """What the user did with a widget of a panel."""
+
+    t: Literal["widget"]
+    tree: _Name
+    id: _Id
+    value: (
+        bool
+        | Annotated[int, Field(gt=-_MAX_COUNT, lt=_MAX_COUNT)]
+        | Annotated[float, Field(gt=-_MAX_NUMBER, lt=_MAX_NUMBER)]
+        | Annotated[str, Field(max_length=1000)]
+    )
+
+
+class Fold(Message):
+    """A section of a panel is folded or unfolded."""
+
+    t: Literal["fold"]
+    tree: _Name
+    id: _Id
+    open: bool
+
+
+class CloseArea(Message):
+    """The user closes an area beside the picture."""
+
+    t: Literal["close"]
+    area: _Name
+
+
+class View(Message):
+    """A view from a link, see `ViewState.from_text`."""
+
+    t: Literal["view"]
+    text: Annotated[str, Field(max_length=20_000)]
+
+
+class OpenTile(Message):
+    """The user opens a tile of the start page."""
+
+    t: Literal["tile"]
+    number: _Index
+
+
+class OpenShown(Message):
+    """The user opens a scene that shows received packets."""
+
+    t: Literal["shown"]
+    scene: _Path
+
+
+# Only these are read from browsers without control.
+ForAll = Got | Control
+ForScene = (
+    ForAll
+    | PageSize
+    | Camera
+    | Pointer
+    | Wheel
+    | Hold
+    | Key
+    | Card
+    | Widget
+    | Fold
+    | CloseArea
+    | View
+)
+ForStartPage = ForAll | OpenTile | OpenShown
+
+
+class Left(NamedTuple):
+    """The browser in control has gone or lost control; made by the server, not read."""
+
+
+class Sender(NamedTuple):
+    """The browser that has sent a message.
+
+    Attributes:
+        id: of its connection.
+        is_local: whether the connection comes from this machine, see `is_local` in `guard.py`.
+    """
+
+    id: int
+    is_local: bool
+
+
+class Said(NamedTuple):
+    """A message, and the browser that has sent it."""
+
+    message: Message | Left
+    sender: Sender
+
+
+class Reader:
+    """Reads messages of the kinds of a page.
+
+    Args:
+        kinds: `ForScene` or `ForStartPage`.
+    """
+
+    def __init__(self, kinds: Any) -> None:
+        self.kinds: tuple[type[Message], ...] = get_args(kinds)
+        found: Any = Annotated[kinds, Field(discriminator="t")]
+        self._adapter: TypeAdapter[Message] = TypeAdapter(found)
+
+    def read(self, message: str | bytes) -> Message | None:
+        """Returns a message; None if it is not one of these kinds, or not within their bounds."""
+        # The parser limits nesting; texts that are too long are not parsed.
+        if not isinstance(message, str) or len(message) > MAX_BYTES:
+            return None
+        try:
+            return self._adapter.validate_json(message)
+        except (ValidationError, UnicodeEncodeError):
+            return None
