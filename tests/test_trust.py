@@ -7,21 +7,25 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from page_client import PageClient
 from scripted_widgets import ScriptedWidgets
 from test_cli import run
 
 import sero_mj
-from sero_mj import load_scene, read_scenario
+from sero_mj import Mirror, load_scene, read_scenario
 from sero_mj.base import trust
 from sero_mj.base.errors import DeclarationError, NotTrusted, UnknownName
 from sero_mj.robots.importers.urdf import read_urdf
 from sero_mj.simulate.external_control.datagrams import UdpProgram
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.viewer.session.other_scenes import OtherScenes
+from sero_mj.viewer.web import browsers
+from sero_mj.viewer.web.host import WebHost
 
 PROGRAM = 'kind = "udp"\ncommand = ["sh", "-c", "echo > ran; sleep 9", "x", "{port}"]'
 LIBRARY = 'kind = "library"\nfile = "evil.so"'
@@ -416,3 +420,47 @@ def test_make_controller_asks_before_it_makes(tmp_path, monkeypatch):
     with pytest.raises(NotTrusted):
         Simulation(read_scenario(with_program(tmp_path), trusted=False))
     assert not made
+
+
+def button_of(state: dict[str, Any], label: str) -> str | None:
+    """The id of a button in the dialog of a page."""
+    todo = [*((state.get("request") or {}).get("nodes", ()))]
+    while todo:
+        node = todo.pop()
+        if isinstance(node, dict):
+            if label in node.values():
+                return str(node["id"])
+            todo += node.values()
+        elif isinstance(node, list):
+            todo += node
+    return None
+
+
+@pytest.mark.parametrize("is_near", [True, False])
+def test_only_a_browser_on_this_machine_can_allow_a_file(is_near: bool, tmp_path, monkeypatch):
+    scene = load_scene(with_program(tmp_path))
+    request = scene.withheld
+    assert request is not None
+    shown: list[str] = []
+    with Mirror(scene) as mirror, WebHost(mirror, folder=tmp_path) as page:
+        page.others.ask(request, lambda: shown.append("simulated"))  # type: ignore[arg-type, return-value]
+        with PageClient(page) as near:
+            near.until(lambda: button_of(near.state, "run and simulate"))
+            run_it = button_of(near.state, "run and simulate")
+            if not is_near:
+                monkeypatch.setattr(browsers, "is_local", lambda connection: False)
+                with PageClient(page) as far:
+                    far.say("control")
+                    far.until(lambda: not button_of(far.state, "run and simulate"))
+                    for _ in range(3):
+                        far.say("widget", tree="request", id=run_it, value=True)
+                    far.until(lambda: page._input.wrong == 3)
+                    assert not trust.is_allowed(request)
+                    assert shown == []
+                    show_only = button_of(far.state, "show only")
+                    assert show_only  # it can see what the file asks for
+                return
+            near.say("widget", tree="request", id=run_it, value=True)
+            near.until(lambda: shown)
+            assert trust.is_allowed(request)
+            assert not page.is_open  # the next page shows the simulation

@@ -329,6 +329,17 @@ _DROP = """(files) => {
 }"""
 
 
+def evil(ran: Path) -> bytes:
+    """A scenario that makes a file if it is simulated."""
+    command = json.dumps(["touch", str(ran), "{port}"])
+    return f"""[robots.lwr]
+model = "lwr"
+[controllers.lwr]
+kind = "udp"
+command = {command}
+""".encode()
+
+
 @pytest.mark.thorough
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {' and '.join(MISSING)}")
 def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
@@ -370,6 +381,18 @@ def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
             assert page.evaluate("player.state.run.joints.map((joint) => joint.name)") == [
                 "pair/turn"
             ]
+            ran = tmp_path / "ran"
+            page.evaluate(_DROP, {"r/evil.toml": base64.b64encode(evil(ran)).decode()})
+            page.wait_for_function("() => document.title === 'evil - sero-mj'", timeout=60_000)
+            dialog = page.get_by_role("dialog", name="This file asks to run programs")
+            dialog.get_by_text(f"the program touch {ran} '{{port}}'").wait_for()
+            dialog.get_by_role("button", name="show only").click()
+            dialog.wait_for(state="hidden")
+            page.get_by_role("button", name="programs of this file").click()
+            assert not ran.exists()
+            dialog.get_by_role("button", name="run and simulate").click()
+            page.wait_for_function("() => player.now.status", timeout=60_000)
+            assert until(ran.exists, 60)
             page.get_by_role("button", name="start page").click()
             page.wait_for_selector(".tiles", timeout=60_000)
             page.close()

@@ -33,7 +33,7 @@ def build_request(
     ui.text("Its simulation would run on this computer, with all your rights:")
     for action in request.actions:
         ui.text(f"{without_temporary(action.text)}   ({action.key})", "bad")
-    ui.text("Allow this only if you trust whoever the file comes from.")
+    ui.text("Allow this only if you trust the author of the file.")
     if not can_allow:
         ui.text("Only a browser on the computer that serves this page can allow it.", "quiet")
     if ui.button("show only"):

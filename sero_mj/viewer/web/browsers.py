@@ -59,6 +59,12 @@ class Browsers:
         """Id of the browser in control; None without browsers."""
         return self._holder
 
+    @property
+    def holder_is_local(self) -> bool:
+        """Whether the browser in control is on this machine."""
+        browser = self._browsers.get(self._holder or 0)
+        return browser is not None and browser.sender.is_local
+
     def is_in_control(self, key: str) -> bool:
         """Whether a key is that of the browser in control, which only its connection was sent."""
         browser = self._browsers.get(self._holder or 0)

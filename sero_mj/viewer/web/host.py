@@ -158,7 +158,12 @@ class WebHost(LiveHost):
         self.view.put(self._sections, self.browsers.holder)
         self._sections.put("dragging", self._input.is_dragging)
         self._sections.put("onHandle", self._input.is_on_handle)
-        self._panels.put(1.0 / max(self._interval, 1e-6), self._state.count, self.view.size)
+        self._panels.put(
+            1.0 / max(self._interval, 1e-6),
+            self._state.count,
+            self.view.size,
+            is_local=self.browsers.holder_is_local,
+        )
         self.server.call(self.browsers.wake)
         self.work = time.monotonic() - begin
         self._give_picture(self.picture)

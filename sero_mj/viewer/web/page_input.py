@@ -31,7 +31,7 @@ from .messages import (
     Wheel,
     Widget,
 )
-from .page_panels import PagePanels
+from .page_panels import REQUEST, PagePanels
 from .page_view import PageView
 
 log = logging.getLogger(__name__)
@@ -148,6 +148,8 @@ class PageInput:
         if said.key == "escape":
             if self._host.shows_help:
                 self._host.toggle_help()
+            else:
+                self._host.others.dismiss()
             return
         self._host.actions.press(said.key, is_repeat=said.repeat)
 
@@ -159,6 +161,8 @@ class PageInput:
         self._host.pointer.click_item(picked, at, time.monotonic(), shift=said.shift)
 
     def _widget(self, said: Widget) -> None:
+        if said.tree == REQUEST and not self.sender.is_local:
+            raise ValueError("only a browser on this machine may say what runs on it")
         self._panels.act(said.tree, said.id, said.value)
 
     def _fold(self, said: Fold) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..panels import help as help_panel
+from ..panels import request_panel
 from ..panels.dom_widgets import DomWidgets, Node
 from ..panels.time_line import build_time_line
 from ..session.interaction import help_columns
@@ -15,6 +16,7 @@ from ..session.status_line import status_pieces
 from ..session.tool import Tool, tool_keys
 from .sections import Sections
 
+REQUEST = "request"  # the tree with the dialog of a file that asks to run programs
 _EM = 14.0  # pixels, the height of text in `page.css`
 _INTERVAL = 1.0 / 15.0  # s between two updates of panels
 _NARROW = 800  # width of a page, pixels, below which it begins without its panel
@@ -61,13 +63,16 @@ class PagePanels:
             self.shows_panel = not self._is_narrow
         self._width = width
 
-    def put(self, frame_rate: float, geoms: int, size: tuple[int, int]) -> None:
+    def put(
+        self, frame_rate: float, geoms: int, size: tuple[int, int], *, is_local: bool = False
+    ) -> None:
         """Puts the panels; less often than pictures, but at once where the user has acted.
 
         Args:
             frame_rate: frames per second.
             geoms: number of geoms of decor.
             size: of the picture, pixels.
+            is_local: whether the browser in control is on this machine.
         """
         host, put, now = self._host, self._sections.put, time.monotonic()
         ongoing = host.ongoing
@@ -84,6 +89,8 @@ class PagePanels:
         self._put_tree("timeLine", host.has_time_line, self._time_line, (wide, 2.0))
         room = min(help_panel.WIDTH, wide - 2), _TALL
         self._put_tree("help", host.shows_help, self._help, room)
+        room = min(request_panel.WIDTH, wide - 2), _TALL
+        put("request", self._request(room, is_local=is_local) if host.others.asks else None)
         areas = host.areas
         high = size[1] / _EM / max(len(areas), 1) - _FRAME
         room = min(_AREA_WIDTH, wide), max(min(_AREA_HEIGHT, high), 0.0)
@@ -106,6 +113,12 @@ class PagePanels:
             self._trees[name].folds = self._host.folds
         ui = self._trees[name]
         return ui.tree_of(lambda: build(ui), size)
+
+    def _request(self, size: tuple[float, float], *, is_local: bool) -> Node:
+        def build(ui: DomWidgets) -> None:
+            self._host.others.build_dialog(ui, can_allow=is_local)
+
+        return {"title": request_panel.TITLE, "nodes": self._nodes(REQUEST, build, size)}
 
     def _area(self, tool: Tool, size: tuple[float, float]) -> Node:
         def build(ui: DomWidgets) -> None:

@@ -150,6 +150,11 @@ export class Live {
   #takeJson(name, value) {
     if (this.state?.takeJson(name, value)) this.view.isDirty = true;
     if (name === "hover" && !this.isInControl) return; // it is beside the pointer of another one
+    if (name === "request") {
+      this.now.request = value;
+      this.#showRequest();
+      return;
+    }
     if (this.surround.take(name, value)) return;
     const before = this.now[name];
     this.now[name] = value;
@@ -258,6 +263,7 @@ export class Live {
     byId("who").textContent = isInControl ? `in control · ${control?.count} see this` : "another browser is in control";
     byId("take").hidden = isInControl;
     byId("follow").hidden = isInControl || this.isFollowing;
+    this.#showRequest();
     if (!isInControl || this.wasInControl) {
       this.wasInControl = isInControl;
       return;
@@ -268,6 +274,13 @@ export class Live {
     const view = new URLSearchParams(location.hash.slice(1)).get("view");
     if (view && !this.hasAsked) this.transport.send(JSON.stringify({ t: "view", text: view }));
     this.hasAsked = true;
+  }
+
+  /** The dialog of a file that asks to run programs, for who can answer it. */
+  #showRequest() {
+    const { request } = this.now;
+    if (request) byId("asks").textContent = request.title;
+    this.surround.request.show(this.isInControl && request ? request.nodes : null);
   }
 
   wasInControl = false;

@@ -22,18 +22,20 @@ class Room {
   }
 }
 
-/** The help, in a dialog that the server opens and closes. */
-class Help {
-  /** @param {Send} send */
-  constructor(send) {
-    this.dialog = byId("helptext");
-    this.tree = new Tree(byId("keys"), "help", send);
-    const close = () => send({ t: "key", key: "h", repeat: false });
+/** A dialog that the server opens and closes. */
+class Dialog {
+  /**
+   * @param {string} id of the dialog @param {string} room of its tree
+   * @param {string} name of the tree @param {Send} send @param {string} key that closes it
+   */
+  constructor(id, room, name, send, key) {
+    this.dialog = byId(id);
+    this.tree = new Tree(byId(room), name, send);
+    this.close = () => send({ t: "key", key, repeat: false });
     this.element.addEventListener("cancel", (event) => {
       event.preventDefault();
-      close();
+      this.close();
     });
-    byId("close").addEventListener("click", close);
   }
 
   get element() { return /** @type {HTMLDialogElement} */ (/** @type {unknown} */ (this.dialog)); }
@@ -94,7 +96,10 @@ export class Surround {
   constructor(send) {
     this.panel = new Room(byId("panel"), "panel", send);
     this.timeLine = new Room(byId("timeline"), "timeLine", send);
-    this.help = new Help(send);
+    this.help = new Dialog("helptext", "keys", "help", send, "h");
+    byId("close").addEventListener("click", this.help.close);
+    /** What a file asks to run. */
+    this.request = new Dialog("request", "actions", "request", send, "escape");
     this.areas = new Areas(byId("areas"), send);
   }
 
