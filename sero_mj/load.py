@@ -183,8 +183,8 @@ def _load_scenario(
     scene = scenario.scene
     scene.withheld = withheld
     trust.log.warning(
-        "%s: shown without simulating, because it asks to run %s; `sero-mj simulate %s` runs it",
-        withheld.file, " and ".join(map(str, withheld.actions)), withheld.file,
+        "%s: shown without simulating, because it asks to %s; `sero-mj simulate %s` allows it",
+        withheld.file, " and to ".join(map(str, withheld.actions)), withheld.file,
     )  # fmt: skip
     return scene
 

@@ -91,7 +91,7 @@ def test_commands_that_only_show_a_file_run_nothing(command: str, library, tmp_p
 def test_check_says_what_a_scenario_would_run(tmp_path, capsys):
     status, out, _ = run(capsys, "check", str(with_program(tmp_path)))
     assert status == 0
-    assert "runs    the program sh -c 'echo > ran; sleep 9' x '{port}' (controllers.lwr)" in out
+    assert "would   run the program sh -c 'echo > ran; sleep 9' x '{port}' (controllers.lwr)" in out
 
 
 def test_check_finds_what_is_wrong_beside_what_it_does_not_run(tmp_path, capsys):
@@ -108,14 +108,14 @@ def test_check_finds_what_is_wrong_beside_what_it_does_not_run(tmp_path, capsys)
 def test_simulate_runs_the_scenario_that_its_user_names_and_says_so(tmp_path, capsys):
     _, _, err = run(capsys, "simulate", str(with_program(tmp_path)))
     assert (tmp_path / "ran").exists()
-    assert "runs the program sh -c" in err
+    assert "will run the program sh -c" in err
 
 
 def test_sweep_says_what_it_runs(tmp_path, capsys):
     options = ("--vary", "run.seed=1,2", "--jobs", "1")
     _, _, err = run(capsys, "sweep", str(with_program(tmp_path)), *options)
     assert (tmp_path / "ran").exists()
-    assert err.count("runs the program sh -c") == 1
+    assert err.count("will run the program sh -c") == 1
 
 
 def recording_with(file: Path, folder: Path) -> Path:
@@ -464,3 +464,16 @@ def test_only_a_browser_on_this_machine_can_allow_a_file(is_near: bool, tmp_path
             near.until(lambda: shown)
             assert trust.is_allowed(request)
             assert not page.is_open  # the next page shows the simulation
+
+
+def test_a_scenario_asks_before_it_sends_to_the_network(tmp_path):
+    """A robot's controller that listens there could take a state for a command."""
+    file = tmp_path / "far.toml"
+    file.write_text(SCENARIO.format(controller='kind = "udp"\nhost = "192.0.2.7"\nport = 30200'))
+    request = load_scene(file).withheld
+    assert request is not None
+    assert "192.0.2.7:30200" in request.actions[0].text
+    file.write_text(SCENARIO.format(controller='kind = "ros2"\ndomain = 7'))
+    request = load_scene(file).withheld
+    assert request is not None
+    assert "domain 7" in request.actions[0].text

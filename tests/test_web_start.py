@@ -385,7 +385,7 @@ def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
             page.evaluate(_DROP, {"r/evil.toml": base64.b64encode(evil(ran)).decode()})
             page.wait_for_function("() => document.title === 'evil - sero-mj'", timeout=60_000)
             dialog = page.get_by_role("dialog", name="This file asks to run programs")
-            dialog.get_by_text(f"the program touch {ran} '{{port}}'").wait_for()
+            dialog.get_by_text(f"run the program touch {ran} '{{port}}'").wait_for()
             dialog.get_by_role("button", name="show only").click()
             dialog.wait_for(state="hidden")
             page.get_by_role("button", name="programs of this file").click()

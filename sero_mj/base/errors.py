@@ -369,14 +369,14 @@ class NotTrusted(SeroError, PermissionError):
 
     Attributes:
         file: the file.
-        actions: what it asks to run, each as text.
+        actions: what it asks for, each as text.
     """
 
     def __init__(self, file: Path, actions: list[str]) -> None:
         self.file, self.actions = file, actions
         super().__init__(
-            f"{file}: asks to run {' and '.join(actions)}; a file that its user has not trusted "
-            f"runs nothing. `sero-mj simulate {file}` trusts it"
+            f"{file}: asks to {' and to '.join(actions)}; a file that its user has not trusted "
+            f"does nothing of this kind. `sero-mj simulate {file}` trusts it"
         )
 
 

@@ -1,7 +1,8 @@
 """What may run: the one place that decides whether a file may start a program or load code.
 
-A file is data. What it asks to run (a controller's program, a library, an FMU) is read and checked,
-but not run, unless the file is trusted. A file is trusted in three cases:
+A file is data. What it asks for (to run a controller's program, to load a library or an FMU, to
+exchange packets with a program on the network) is read and checked, but not done, unless the file
+is trusted. A file is trusted in three cases:
 
 - Its user typed its path in order to simulate it: `sero-mj simulate`, `sweep`, `send --play` and
   `view`, or `read_scenario` and `view` in Python. It then runs as FILE does in `python FILE`.
@@ -37,11 +38,11 @@ _allowed: set[str] = set()  # digests of requests
 
 @dataclass(frozen=True)
 class Action:
-    """Something that a file asks to run.
+    """Something that a file asks to do besides showing robots.
 
     Attributes:
         key: table that asks, `controllers.lwr` for example.
-        text: what is run, as a command or a file, for people.
+        text: what it does, as a verb phrase: `run the program ./controller 5000`.
         files: the files that would be run, as far as they are known.
     """
 
@@ -68,7 +69,7 @@ class Origin:
 
 @dataclass(frozen=True)
 class Request:
-    """Everything that a file asks to run.
+    """Everything that a file asks for.
 
     Attributes:
         file: the file that was opened.

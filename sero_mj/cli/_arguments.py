@@ -275,7 +275,7 @@ def print_programs(scenario: Scenario | None) -> None:
     """Prints what the simulation of a scenario starts or loads."""
     request = None if scenario is None else scenario.request()
     for action in () if request is None else request.actions:
-        print(f"runs {action}", file=sys.stderr, flush=True)
+        print(f"will {action}", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager

@@ -82,7 +82,7 @@ def run(options: CheckOptions) -> int:
     for camera in list_cameras(world):
         print(f"  camera  {camera}")
     for action in () if scene.withheld is None else scene.withheld.actions:
-        print(f"  runs    {action}, when it is simulated")
+        print(f"  would   {action}, if it is simulated")
     model = world.model
     print(f"  model   {model.nbody} bodies, {model.ngeom} geoms, {model.nmeshface} mesh triangles")
     return 0

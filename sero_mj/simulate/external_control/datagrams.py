@@ -90,10 +90,15 @@ class Reachable(ControllerDeclaration):
     def actions(self, key: str = "") -> list[Action]:
         """See `ControllerDeclaration`."""
         if not self.command:
-            return []
+            return [Action(key, f"exchange packets with {self._peer}")]
         beside = (self.folder / word for word in self.command)
         files = tuple(path for path in beside if "\0" not in str(path) and path.is_file())
-        return [Action(key, f"the program {shlex.join(self.command)}", files)]
+        return [Action(key, f"run the program {shlex.join(self.command)}", files)]
+
+    @property
+    def _peer(self) -> str:
+        """The program that runs already, for people."""
+        return f"{self.host}:{self.port}"
 
     def check_files(self) -> None:
         """See `ControllerDeclaration`."""

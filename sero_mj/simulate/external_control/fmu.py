@@ -62,7 +62,7 @@ class Fmu(ControllerDeclaration):
 
     def actions(self, key: str = "") -> list[Action]:
         """See `ControllerDeclaration`."""
-        return [Action(key, f"the FMU {self.file}", (self.file,))]
+        return [Action(key, f"load the FMU {self.file}", (self.file,))]
 
     def check_files(self) -> None:
         """See `ControllerDeclaration`."""

@@ -66,7 +66,7 @@ class Library(ControllerDeclaration):
 
     def actions(self, key: str = "") -> list[Action]:
         """See `ControllerDeclaration`."""
-        return [Action(key, f"the library {self.file}", (self.file,))]
+        return [Action(key, f"load the library {self.file}", (self.file,))]
 
     def check_files(self) -> None:
         """See `ControllerDeclaration`."""

@@ -86,6 +86,11 @@ class Ros2Node(Answering):
             raise Problem("port", "is not for ROS 2; leave it out").error()
         return self
 
+    @property
+    def _peer(self) -> str:
+        domain = "" if self.domain is None else f" {self.domain}"
+        return f"the nodes of ROS 2 domain{domain}"
+
     def make(self, model: RobotModel, timestep: float) -> ProgramController:
         """The controller; it joins the domain with its first step."""
         n = model.n

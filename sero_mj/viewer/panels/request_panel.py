@@ -30,7 +30,7 @@ def build_request(
         dismiss: called when the user closes the dialog.
     """
     ui.text(f"{without_temporary(str(request.file))} is shown without simulating it.")
-    ui.text("Its simulation would run on this computer, with all your rights:")
+    ui.text("Its simulation would do this on your computer, with all your rights:")
     for action in request.actions:
         ui.text(f"{without_temporary(action.text)}   ({action.key})", "bad")
     ui.text("Allow this only if you trust the author of the file.")
