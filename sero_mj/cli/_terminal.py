@@ -66,9 +66,14 @@ def make_console(*, stderr: bool = False, width: int | None = None) -> Console:
     """
     from rich.console import Console
     from rich.segment import Segment
+    from rich.text import Text
 
     class EscapedConsole(Console):
         """Escapes all texts that it renders, but not its own sequences for colors."""
+
+        def render_str(self, text: str, **how: Any) -> Text:
+            # Before anything is laid out.
+            return super().render_str(printable(text), **how)
 
         def render(self, renderable: Any, options: Any = None) -> Iterable[Segment]:
             for segment in super().render(renderable, options):
