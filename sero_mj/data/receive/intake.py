@@ -122,7 +122,6 @@ class Intake:
 
     Attributes:
         nan_allowed: as above.
-        limits: as above.
         on_fault: as above.
         counters: what came in.
         timing: rate, jitter and delay.
@@ -143,7 +142,8 @@ class Intake:
         self.layout = layout
         self.counters = Counters()
         self.timing = Timing()
-        self.nan_allowed, self.limits = nan_allowed, limits
+        self.nan_allowed = nan_allowed
+        self.limits = limits
         self._sequence, self._time = sequence, time
         self._time_scale = time_scale
         self._lossless = lossless
@@ -157,6 +157,16 @@ class Intake:
         if sequence:
             dtype = layout.event_rows(np.zeros((1, layout.size), np.uint8), sequence).dtype
             self._modulus = 2 ** (8 * dtype.itemsize) if dtype.kind in "iu" else 0
+
+    @property
+    def limits(self) -> Mapping[str, Array]:
+        """Event name to the largest magnitude of each of its numbers, flat, (k,)."""
+        return self._limits
+
+    @limits.setter
+    def limits(self, limits: Mapping[str, Array]) -> None:
+        self._limits, self._limited = limits, frozenset(limits)
+        self._bound = min((float(each.min()) for each in limits.values()), default=np.inf)
 
     def take(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
@@ -205,7 +215,7 @@ class Intake:
             self._count_not_finite(rows, arrivals, good)
         if required := layout.required_frames:
             good &= self._are_frames(rows, arrivals, good, required)
-        if self.limits:
+        if self._limited and layout.find_large(rows, self._limited, self._bound).any():
             good &= self._are_plausible(rows, arrivals, good)
         self._time_good(good, arrivals, stamps, places, begins)
         # Malformed packets have been counted, and are not counted again, as late for instance.
@@ -320,16 +330,17 @@ class Intake:
         """Which packets have no number beyond its limit; NaN and infinity are checked elsewhere."""
         good = np.ones(len(rows), bool)
         found = self.layout.decode_rows(rows, self.limits)
-        for event, values in found.items():
+        for event, limit in self.limits.items():
+            values = found[event].reshape(len(rows), -1)
             with np.errstate(invalid="ignore"):
-                beyond = np.abs(values.reshape(len(rows), -1)) > self.limits[event]
+                beyond = np.abs(values) > limit
             if beyond.any():
-                good &= ~(beyond & np.isfinite(values.reshape(len(rows), -1))).any(axis=1)
+                good &= ~(beyond & np.isfinite(values)).any(axis=1)
         bad = before & ~good
         if bad.any():
             self._tally.implausible += int(bad.sum())
             last = int(np.flatnonzero(bad)[-1])
-            single = {event: values[last] for event, values in found.items()}
+            single = {event: found[event][last] for event in self.limits}
             self._fault(_describe_implausible(single, self.limits), arrivals[last])
         return good
 
