@@ -21,7 +21,7 @@ from pydantic import Field
 from ...base.errors import SourceError
 from ..receive import receiving_thread
 from ..receive.connecting import Address, addresses
-from ..receive.receiving_thread import Disconnected
+from ..receive.receiving_thread import ClosedHere, Disconnected
 from .dds import MOST_DOMAIN, domain_number
 from .ros_source import TYPES, Listener, RosSource, ros_type, wrong_with
 
@@ -107,7 +107,7 @@ class Session:
         source = self._source
         zenoh = _zenoh(source.name)
         try:
-            session = zenoh.open(self._configuration(addresses(source.host, source.port, wake)))
+            session = self._open(addresses(source.host, source.port, wake))
         # zenoh has one error for everything that may be wrong with a router.
         except (zenoh.ZError, OSError) as error:
             trouble = f"no router of zenoh at {source.place_of_router}"
@@ -122,8 +122,20 @@ class Session:
             with suppress(zenoh.ZError):
                 session.close()
 
-    def _configuration(self, found: Sequence[tuple[Any, ...]]) -> Any:
-        """The configuration of a session; `found` are the addresses of the router."""
+    def _open(self, found: Sequence[tuple[Any, ...]]) -> Any:
+        """Opens a session by the first address that answers; zenoh would stay with the first."""
+        zenoh = _zenoh(self._source.name)
+        failure: Exception = OSError("no address")
+        for *_, address in found:
+            if self._source.closing.is_set():
+                raise ClosedHere
+            try:
+                return zenoh.open(self._configuration(_endpoint(address)))
+            except zenoh.ZError as error:
+                failure = error
+        raise failure
+
+    def _configuration(self, endpoint: str) -> Any:
         configuration = _zenoh(self._source.name).Config()
         patience, shortest, longest = (
             round(1e3 * t) for t in (_PATIENCE, receiving_thread.SHORTEST, receiving_thread.LONGEST)
@@ -131,7 +143,7 @@ class Session:
         again = {"period_init_ms": shortest, "period_max_ms": longest}
         for key, value in {
             "mode": "client",
-            "connect/endpoints": [f"tcp/{_endpoint(address)}" for *_, address in found],
+            "connect/endpoints": [endpoint],
             "connect/timeout_ms": patience,
             "connect/retry": {**again, "period_increase_factor": 2},
             "transport/unicast/open_timeout": patience,
@@ -220,7 +232,7 @@ def _zenoh(owner: str) -> Any:
 def _endpoint(address: tuple[Any, ...]) -> str:
     """An address of `socket.getaddrinfo` as zenoh has it."""
     host, port = address[:2]
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+    return f"tcp/[{host}]:{port}" if ":" in host else f"tcp/{host}:{port}"
 
 
 def _publisher(attachment: Any) -> bytes:
