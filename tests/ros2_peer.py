@@ -3,6 +3,7 @@
 Takes a line of JSON for each action: `{"match": TOPIC, "kind": TYPE}` to wait for a reader,
 `{"write": TOPIC, "message": {...}}`, `{"leave": TOPIC}`; says `done` after each. `"as": NAME` tells
 several publishers of a topic apart. They are reliable, and transient local if their names say so.
+Arguments are the domain and, if given, the time (s) after which others miss it once it is killed.
 """
 
 # No `from __future__ import annotations`: Cyclone DDS reads the annotations.
@@ -26,7 +27,8 @@ from cyclonedds.util import duration
 LOOPBACK = (
     "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast></General><Discovery>"
     "<Peers><Peer Address='127.0.0.1'/></Peers><ParticipantIndex>auto</ParticipantIndex>"
-    "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex></Discovery></Domain></CycloneDDS>"
+    "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
+    "<LeaseDuration>{lease}s</LeaseDuration></Discovery></Domain></CycloneDDS>"
 )
 
 
@@ -154,7 +156,8 @@ def made(kind: Any, values: Any) -> Any:
 
 def main() -> None:
     number = int(sys.argv[1])
-    domain = Domain(number, LOOPBACK)
+    lease = float(sys.argv[2]) if len(sys.argv) > 2 else 10.0
+    domain = Domain(number, LOOPBACK.format(lease=lease))
     participant = DomainParticipant(number)
     writers: dict[str, DataWriter] = {}
     kinds: dict[str, Any] = {}

@@ -25,6 +25,7 @@ from websockets.sync.server import ServerConnection, serve
 from sero_mj.base.errors import DeclarationError, SourceError
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.record_sources import record_sources
+from sero_mj.data.receive import connecting, receiving_thread
 from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.source import make_source
 from sero_mj.data.record.recording import Recording
@@ -53,8 +54,8 @@ port = {port}
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts to connect, and looks at topics, follow each other quickly."""
-    monkeypatch.setattr(foxglove, "_SHORTEST", 0.002)
-    monkeypatch.setattr(foxglove, "_LONGEST", 0.02)
+    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.002)
+    monkeypatch.setattr(receiving_thread, "LONGEST", 0.02)
     monkeypatch.setattr(foxglove, "_LOOKS", 0.02)
 
 
@@ -337,7 +338,7 @@ def test_what_the_server_says_is_told_once(
 def test_who_is_no_such_server_is_told_and_tried_again(
     answer: bytes | None, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(foxglove, "_PATIENCE", 0.1)
+    monkeypatch.setattr(connecting, "PATIENCE", 0.1)
     tries = 0
 
     def serve_nonsense(listening: socket.socket) -> None:

@@ -23,7 +23,7 @@ from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.record_sources import record_sources
-from sero_mj.data.receive import connecting, franka
+from sero_mj.data.receive import connecting, franka, receiving_thread
 from sero_mj.data.receive.franka import ERRORS, FrankaReceiver, state_fields, state_size
 from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.source import make_source
@@ -53,8 +53,8 @@ of = "fr3"
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts to connect follow each other quickly."""
-    monkeypatch.setattr(connecting, "SHORTEST", 0.002)
-    monkeypatch.setattr(connecting, "LONGEST", 0.02)
+    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.002)
+    monkeypatch.setattr(receiving_thread, "LONGEST", 0.02)
 
 
 @pytest.fixture

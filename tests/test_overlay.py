@@ -229,6 +229,10 @@ def test_values_that_are_no_numbers_are_counted_and_not_shown(caplog: Any) -> No
     overlay.set("goal.joint_angles", [0.1, np.nan, 0, 0])
     assert overlay.frame("goal/fore") == pytest.approx(kept)  # its last good pose
     assert overlay.not_finite == 3
+    overlay.set("goal.joint_angles", [0.1, 1e308, 0, 0])
+    assert overlay.frame("goal/fore") == pytest.approx(kept)
+    overlay.set("arm.torques", [1e300, 18.0, 1.0, 0.3])
+    assert overlay.not_finite == 5
     data.xpos[:], data.xmat[:], data.xanchor[:], data.xaxis[:] = [np.nan] * 4
     geoms = drawn(overlay)
     assert np.isfinite(geoms.rows["pos"][: geoms.count]).all()

@@ -28,6 +28,7 @@ from sero_mj.data.drive.record_sources import record_sources
 from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.source import LedJoint, make_source
 from sero_mj.data.record.replay import Replay
+from sero_mj.data.ros import dds
 from sero_mj.data.ros.dds import Ros2
 from sero_mj.data.ros.network import Address
 from sero_mj.load import load_scene
@@ -465,6 +466,29 @@ def kilted_driver(python: Path, domain: int) -> Iterator[None]:
             driver.wait(10.0)
         finally:
             driver.kill()
+
+
+def test_a_driver_that_is_killed_is_replaced_by_another_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(dds, "_LOOKS", 0.05)
+    domain = DOMAIN - 90  # where nobody else publishes
+    missed = f"nobody publishes in domain {domain}"
+    with source_of(domain=domain) as source:
+        for driver in range(2):
+            with publishing(domain, lease=1.0) as peer:
+                peer.say(match="/joint_states", kind="JointState")
+                received = source.receive_trigger
+
+                def arrives(peer: Peer = peer, received: int = received) -> bool:
+                    peer.joints(name=[*ARM], position=[1, 2])
+                    return source.receive_trigger > received
+
+                assert until(arrives, 10.0), (driver, source.trouble, source.error)
+                peer.kill()
+            # Once its lease is over, its entry is left, without the topic's name.
+            assert until(lambda: source.trouble.startswith(missed), 15.0), source.trouble
+            assert (source.error, source.counters.failures) == (None, 0)
 
 
 @pytest.mark.thorough

@@ -26,7 +26,7 @@ from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.record_sources import record_sources
-from sero_mj.data.receive import connecting, rtde
+from sero_mj.data.receive import connecting, receiving_thread, rtde
 from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.rtde import STRUCTURE, VARIABLES, RtdeReceiver
 from sero_mj.data.receive.source import make_source
@@ -74,8 +74,8 @@ if len(sys.argv) > 1:
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts to connect follow each other quickly."""
-    monkeypatch.setattr(connecting, "SHORTEST", 0.002)
-    monkeypatch.setattr(connecting, "LONGEST", 0.02)
+    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.002)
+    monkeypatch.setattr(receiving_thread, "LONGEST", 0.02)
 
 
 @pytest.fixture

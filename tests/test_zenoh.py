@@ -20,6 +20,7 @@ from ros_bytes import JOINT_STATE, Peer, joint_state, text, transform
 from sero_mj.base.errors import DeclarationError, SourceError
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.record_sources import record_sources
+from sero_mj.data.receive import receiving_thread
 from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.source import make_source
 from sero_mj.data.record.recording import Recording
@@ -49,8 +50,8 @@ domain = 0
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Attempts to connect, and looks at publishers, follow each other quickly."""
-    monkeypatch.setattr(zenoh, "_SHORTEST", 0.01)
-    monkeypatch.setattr(zenoh, "_LONGEST", 0.04)
+    monkeypatch.setattr(receiving_thread, "SHORTEST", 0.01)
+    monkeypatch.setattr(receiving_thread, "LONGEST", 0.04)
     monkeypatch.setattr(zenoh, "_LOOKS", 0.02)
     monkeypatch.setattr(zenoh, "_PATIENCE", 0.4)
 

@@ -75,7 +75,7 @@ class Overlay:
 
     @property
     def not_finite(self) -> int:
-        """Number of NaN and infinite values that were set; these are not shown."""
+        """Number of NaN, infinite and implausible values that were set; these are not shown."""
         return self.world.not_finite
 
     def set(self, target: str, values: Any) -> None:

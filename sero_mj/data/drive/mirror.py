@@ -114,8 +114,6 @@ class Mirror:
         self._listeners: list[Listener] = []
         self._listeners_to_all: list[Listener] = []
         self._news = threading.Event()
-        for source in self.sources.values():
-            source.on_receive(self._news.set)
         self._started = time.monotonic()
 
     def open(self) -> None:
@@ -131,6 +129,10 @@ class Mirror:
         self._news.clear()
         try:
             for source in self.sources.values():
+                source.remove_callback(self._news.set)  # where it was opened before
+                source.on_receive(self._news.set)
+                if self._listeners_to_all:
+                    source.keep_all()
                 source.open()
         except Exception:
             self.close()
@@ -138,9 +140,12 @@ class Mirror:
         self._started = time.monotonic()
 
     def close(self) -> None:
-        """Closes every source."""
+        """Closes every source; what it has registered with them is removed."""
         for source in self.sources.values():
             source.close()
+            source.remove_callback(self._news.set)
+            if self._listeners_to_all:
+                source.keep_none()
 
     def __enter__(self) -> Mirror:
         self.open()
@@ -321,17 +326,26 @@ class _SourceStates:
                 counters.late,
                 counters.duplicates,
                 counters.restarts,
-                _dropped(source),
+                counters.dropped,
                 # One sender is normal, and a recording has none.
                 counters.senders if counters.senders > 1 else 0,
-                self._link_age(name, counters, _dropped(source), now),
+                self._link_age(name, counters, now),
                 counters.foreign,
                 self._foreign_age(name, counters.foreign, now),
+                counters.implausible,
+                counters.failures,
+                float(source.error is not None),
             )
 
-    def _link_age(self, name: str, counters: Counters, dropped: int, now: float) -> float:
+    def _link_age(self, name: str, counters: Counters, now: float) -> float:
         """Time (s) since the link last lost or reordered packets; -1 for never."""
-        counts = (counters.lost, counters.late, counters.duplicates, counters.restarts, dropped)
+        counts = (
+            counters.lost,
+            counters.late,
+            counters.duplicates,
+            counters.restarts,
+            counters.dropped,
+        )
         before, since = self._link.get(name, ((0,) * len(counts), -1.0))
         if counts != before:
             # Smaller than before after a restart, or when missing numbers have arrived late.
@@ -346,11 +360,6 @@ class _SourceStates:
             self._foreign[name] = foreign, now
             return 0.0
         return max(now - since, 0.0) if since >= 0 else -1.0
-
-
-def _dropped(source: Source) -> int:
-    """Packets dropped by the kernel, if relevant: the newest one is never dropped."""
-    return 0 if source.only_latest_packet else source.counters.dropped
 
 
 class Watch:

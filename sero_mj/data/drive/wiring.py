@@ -33,6 +33,7 @@ from ...base.errors import (
     nearest,
     problems_of,
 )
+from ...base.frames import Array
 from ...robots.declared.cartesian import WORLD
 from ...robots.declared.couplings import CoupledJoints
 from ...robots.declared.inputs import (
@@ -125,6 +126,7 @@ def wire(scene: Scene) -> Wiring:
                     wiring.frame_routes.append(route)
     wiring.routes += [whole_route(scene, each) for each in parts.values()]
     _allow_blanks(wiring)
+    _limit_numbers(wiring)
     try:
         wiring.later = _routes_in_order(scene, wiring.routes)
     except CycleError as error:
@@ -217,6 +219,21 @@ def _allow_blanks(wiring: Wiring) -> None:
     for name, source in wiring.sources.items():
         # NaN in unused events is harmless, and many events may be unused.
         source.allow_nan({e for e in source.events if Origin(name, e, True) not in finite})
+
+
+def _limit_numbers(wiring: Wiring) -> None:
+    """Limits the numbers of events to what the inputs take that they are routed to."""
+    for name, source in wiring.sources.items():
+        limits: dict[str, Array] = {}
+        routed = ((route.to.limits.ravel(), route.value.terms) for route in wiring.routes)
+        for largest, term in ((largest, term) for largest, terms in routed for term in terms):
+            key = term.origin.key
+            if not term.origin.is_event or term.origin.name != name or key not in source.events:
+                continue
+            numbers = limits.setdefault(key, np.full(int(np.prod(source.events[key])), np.inf))
+            with np.errstate(divide="ignore"):  # by a factor of 0
+                np.minimum.at(numbers, term.take, largest[term.at] / np.abs(term.times))
+        source.limit({key: each for key, each in limits.items() if np.isfinite(each).any()})
 
 
 def _routes_in_order(scene: Scene, routes: Sequence[Route]) -> list[Route]:

@@ -1,8 +1,9 @@
 """Opens UDP sockets, with clear errors, and reads them in batches.
 
-On Linux one `recvmmsg` call reads up to 256 packets, with the kernel's arrival time of each; a
-Python call per packet would be too slow for a hundred thousand a second. Elsewhere they are read
-one by one.
+On Linux one `recvmmsg` call reads up to 256 packets, with the kernel's arrival time of each. A
+Python call per packet would be too slow for a hundred thousand a second, and would let other
+threads run each time: beside a busy one, reading what has come takes 30 ms by `recvmsg_into` and 3
+by `recvmmsg` (99th percentile at 1 kHz). Elsewhere packets are read one by one.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ _MAPPED = bytes(10) + b"\xff\xff"  # prefix of an IPv4 address in IPv6
 # Linux's numbers; not in Python's socket module.
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
+_WSAEMSGSIZE = 10040  # of Windows: a packet was longer than the buffer
+_UNKNOWN = ("0.0.0.0", 0)
 
 
 class _Iovec(ctypes.Structure):
@@ -251,19 +254,31 @@ class Datagrams:
         return self._dropped
 
     def _one_by_one(self) -> int:
-        first, most = self.waiting, self._rows.shape[1]
+        first = self.waiting
         for i in range(first, BATCH):
             try:
-                length, _, flags, sender = self._socket.recvmsg_into([self._rows[i].data])
+                length, sender = self._receive_into(self._rows[i].data)
             except BlockingIOError:
                 return i - first
             self._came[i] = time.monotonic()
-            self._lengths[i] = most + 1 if flags & socket.MSG_TRUNC else length
+            self._lengths[i] = length
             packed = pack_address(*sender[:2])
             if self.on_arrival is not None:
                 self.on_arrival(self._rows[i].data, int(self._lengths[i]), packed)
             self._senders[i] = np.frombuffer(packed, np.uint8)
         return BATCH - first
+
+    def _receive_into(self, row: memoryview) -> tuple[int, Any]:
+        """Reads one packet; returns its length and its sender."""
+        if hasattr(self._socket, "recvmsg_into"):
+            length, _, flags, sender = self._socket.recvmsg_into([row])
+            return (len(row) + 1 if flags & socket.MSG_TRUNC else length), sender
+        try:
+            return self._socket.recvfrom_into(row)
+        except OSError as error:  # Windows does not report the sender of a packet that is too long
+            if getattr(error, "winerror", None) != _WSAEMSGSIZE:
+                raise
+            return len(row) + 1, _UNKNOWN
 
 
 def _places(rows: NDArray[Any]) -> Ints:

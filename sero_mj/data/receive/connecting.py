@@ -1,31 +1,49 @@
-"""`ConnectingSource`: the common base of sources that connect to a robot's controller by TCP.
+"""Connections by TCP to robots' controllers and to servers, made again when they are lost.
 
-They connect again and again, survive whatever the controller says, and tell it in words.
+`connect` tries all addresses of a name; `ConnectingSource` is the base of the sources that speak a
+protocol of a controller over it.
 """
 
 from __future__ import annotations
 
+import errno
+import ipaddress
 import os
 import selectors
 import socket
+import threading
 import time as clock
 from abc import abstractmethod
+from collections.abc import Callable
 from contextlib import suppress
-from typing import ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import Field, PrivateAttr, field_validator
+from pydantic import AfterValidator, Field, PrivateAttr
 
 from ...base.errors import Problem
-from .source import ReceivingThread, Source, log
+from .receiving_thread import ClosedHere, Disconnected
+from .source import Source
 
 PATIENCE = 2.0  # s for an answer, or for the next packet
-SHORTEST, LONGEST = 0.1, 5.0  # s between attempts to connect
 _MOST_KEPT = 2048  # bytes of what is no message
-_MOST_TOLD = 100  # different texts
 
 
-class ClosedHere(Exception):
-    """The source is being closed."""
+def is_address(expected: str) -> Callable[[str], str]:
+    """Returns a validator of the address or name of a machine.
+
+    Args:
+        expected: for the error, such as `an address such as 127.0.0.1`.
+    """
+
+    def validate(host: str) -> str:
+        if not host or any(character.isspace() for character in host):
+            raise Problem(found=host, expected=expected).error()
+        return host
+
+    return validate
+
+
+Address = Annotated[str, AfterValidator(is_address("an address such as 192.168.0.3"))]
 
 
 class Nonsense(Exception):
@@ -48,23 +66,13 @@ class ConnectingSource(Source):
         port: its port.
     """
 
-    host: str
+    host: Address
     port: int = Field(ge=1, le=65535)
 
     # The kind of its link as it is shown to the user.
     _link: ClassVar[str] = ""
     _if_refused: ClassVar[str] = ""  # what to do about it
-    _thread: ReceivingThread | None = PrivateAttr(None)
-    _trouble: str = PrivateAttr("")
-    _told: set[str] = PrivateAttr(default_factory=set)
     _state: str = PrivateAttr("")  # of the connection, for people
-
-    @field_validator("host")
-    @classmethod
-    def _host_is_an_address(cls, host: str) -> str:
-        if not host or any(character.isspace() for character in host):
-            raise Problem(found=host, expected="an address such as 192.168.0.3").error()
-        return host
 
     @property
     def about(self) -> str:
@@ -72,25 +80,16 @@ class ConnectingSource(Source):
         state = f", {self._state}" if self._state else ""
         return f"{self._link} of {self.host}:{self.port}{state}"
 
-    @property
-    def trouble(self) -> str:
-        """Why no packets arrive, as shown to the user; empty when unknown."""
-        return self._trouble
-
     def open(self) -> None:
         """Starts the thread that connects; the controller need not be there."""
         self.close()
         self.reset()
-        self._trouble = self._state = ""
-        self._told = set()
-        self._thread = ReceivingThread(f"{self._link} {self.name}", self._receive)
+        self._state = ""
+        self.start_receiving(self._receive, name=f"{self._link} {self.name}")
 
     def close(self) -> None:
         """Ends the connection; harmless when it is not open."""
-        if self._thread is not None:
-            self.closing.set()
-            self._thread.end()
-        self._thread = None
+        self.stop_receiving()
 
     @abstractmethod
     def _converse(self, wake: socket.socket) -> None:
@@ -103,28 +102,20 @@ class ConnectingSource(Source):
         """
 
     def _receive(self, wake: socket.socket) -> None:
-        """Connects again and again, until it is closed."""
-        pause = SHORTEST
-        while not self.closing.is_set():
-            good = self.receive_trigger
-            try:
-                self._converse(wake)
-            except ClosedHere:
-                break
-            except Nonsense as error:
-                self._end(f"{self.host}:{self.port} {error}")
-                if raw := error.received[:_MOST_KEPT]:
-                    self.accept([raw + b"\0" * (len(raw) == self.size)])
-            except ConnectionRefusedError as error:
-                self._end(f"{self.host}:{self.port}: {error.strerror}{self._if_refused}")
-            except OSError as error:
-                self._end(f"{self.host}:{self.port}: {error.strerror or error}")
-            except UnicodeError:  # of names that no resolver is asked for
-                self._end(f"{self.host}:{self.port}: not an address")
-            if self.receive_trigger > good:
-                pause = SHORTEST
-            self.closing.wait(pause)
-            pause = min(2.0 * pause, LONGEST)
+        """Connects and receives once; see `Source.start_receiving`."""
+        place = f"{self.host}:{self.port}"
+        try:
+            self._converse(wake)
+        except Nonsense as error:
+            if raw := error.received[:_MOST_KEPT]:
+                self.accept([raw + b"\0" * (len(raw) == self.size)])
+            raise Disconnected(f"{place} {error}") from error
+        except ConnectionRefusedError as error:
+            raise Disconnected(f"{place}: {error.strerror}{self._if_refused}") from error
+        except OSError as error:
+            raise Disconnected(f"{place}: {error.strerror or error}") from error
+        finally:
+            self._state = ""
 
     def _begin(self, state: str) -> None:
         """Notes that packets come from here on; `state` is that of the connection."""
@@ -132,15 +123,84 @@ class ConnectingSource(Source):
             self.intake.restart()
         self._trouble, self._state = "", state
 
-    def _end(self, trouble: str) -> None:
-        self._trouble, self._state = trouble, ""
-        self._tell(f"{trouble}; it is tried again")
 
-    def _tell(self, text: str) -> None:
-        """Logs something once."""
-        if self.debug_level >= 1 and text not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(text)
-            log.warning("source '%s': %s", self.name, text)
+def connect(host: str, port: int, wake: socket.socket) -> socket.socket:
+    """Connects to the first of a machine's addresses that accepts; the socket does not block.
+
+    Raises:
+        OSError: none accepts within `PATIENCE`, or the name is unknown.
+        ClosedHere: `wake` can be read.
+    """
+    failure = OSError("no address")
+    for family, kind, _, _, address in addresses(host, port, wake):
+        sock = None
+        try:
+            sock = socket.socket(family, kind)
+            sock.setblocking(False)
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with suppress(BlockingIOError):
+                sock.connect(address)
+            if not _wait(wake, sock, selectors.EVENT_WRITE, PATIENCE):
+                raise TimeoutError(errno.ETIMEDOUT, "does not answer")
+            if number := sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+                raise OSError(number, os.strerror(number))
+        except BaseException as error:
+            if sock is not None:
+                sock.close()
+            if not isinstance(error, OSError):
+                raise
+            failure = error
+        else:
+            return sock
+    raise failure
+
+
+def addresses(host: str, port: int, wake: socket.socket) -> list[tuple[Any, ...]]:
+    """All addresses of a machine, as of `socket.getaddrinfo`.
+
+    A name is looked up on another thread, since that can take long and cannot be interrupted.
+
+    Raises:
+        OSError: the name is unknown.
+        ClosedHere: `wake` can be read.
+    """
+    with suppress(ValueError):
+        ipaddress.ip_address(host.partition("%")[0])
+        return socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    found: list[tuple[Any, ...]] = []
+    failures: list[Exception] = []
+    here, there = socket.socketpair()
+
+    def look_up() -> None:
+        with there:  # `here` can be read once it is closed
+            try:
+                found.extend(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM))
+            except UnicodeError:  # of names that no resolver is asked for
+                failures.append(OSError("not an address"))
+            except OSError as error:
+                failures.append(error)
+
+    with here:
+        threading.Thread(target=look_up, name=f"address of {host}", daemon=True).start()
+        _wait(wake, here, selectors.EVENT_READ, None)
+    if failures:
+        raise failures[0]
+    return found
+
+
+def _wait(wake: socket.socket, sock: socket.socket, event: int, timeout: float | None) -> bool:
+    """Waits for an event of a socket; returns whether it came within `timeout` s.
+
+    Raises:
+        ClosedHere: `wake` can be read.
+    """
+    with selectors.DefaultSelector() as selector:
+        selector.register(wake, selectors.EVENT_READ)
+        selector.register(sock, event)
+        ready = [key.fileobj for key, _ in selector.select(timeout)]
+    if wake in ready:
+        raise ClosedHere
+    return sock in ready
 
 
 class Connection:
@@ -148,28 +208,15 @@ class Connection:
 
     Raises:
         OSError: it cannot be made, or is lost, in any method.
-        ClosedHere: likewise.
+        ClosedHere: `wake` can be read, in any method.
     """
 
     def __init__(self, host: str, port: int, wake: socket.socket) -> None:
         self._wake = wake
+        self.socket = connect(host, port, wake)
         self._selector = selectors.DefaultSelector()
-        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        self.socket = socket.socket(family, kind)
-        try:
-            self._selector.register(wake, selectors.EVENT_READ)
-            self.socket.setblocking(False)
-            self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            with suppress(BlockingIOError):
-                self.socket.connect(address)
-            self._selector.register(self.socket, selectors.EVENT_WRITE)
-            self.wait(clock.monotonic() + PATIENCE, "does not answer")
-            if error := self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-                raise OSError(error, os.strerror(error))
-            self._selector.modify(self.socket, selectors.EVENT_READ)
-        except BaseException:
-            self.__exit__()
-            raise
+        self.watch(wake)
+        self.watch(self.socket)
 
     def __enter__(self) -> Self:
         return self

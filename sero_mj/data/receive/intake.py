@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from .structure import LAST_ROW, LAST_ROW_TOLERANCE, Rows, Structure, are_frames
 
 # In the order of their updates: malformed counts are last, so that waiting for them suffices.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
-            "wrong_constant", "wrong_size", "received")  # fmt: skip
+            "implausible", "wrong_constant", "wrong_size", "received")  # fmt: skip
 _MAX_KEPT = 4096  # bytes of a packet, if it is malformed or comes encoded
 
 
@@ -55,6 +56,7 @@ class Counters:
         wrong_constant: malformed ones: a number differs from the structure's constant.
         not_finite: malformed ones: with NaN or infinity where these are not allowed.
         not_frames: malformed ones: with a matrix that is not a rigid frame.
+        implausible: malformed ones: with a number beyond its limit; see `Source.limit`.
         foreign: from senders other than the configured `sender`; not examined.
         lost: missing sequence numbers.
         late: arrived after one with a higher number; applied only when none may be lost.
@@ -66,6 +68,7 @@ class Counters:
         superseded: valid ones replaced by a later packet before use, as intended when a robot sends
             faster than the frame rate.
         dropped: packets that the kernel dropped because its buffer was full.
+        failures: how often reception, or a callback, raised an exception.
         last_fault: error of the last malformed packet.
         last_size: bytes of the last packet of a wrong size.
         last_fault_time: arrival of the last malformed packet, on the clock of `Source.now`.
@@ -76,6 +79,7 @@ class Counters:
     wrong_constant: int = 0
     not_finite: int = 0
     not_frames: int = 0
+    implausible: int = 0
     foreign: int = 0
     lost: int = 0
     late: int = 0
@@ -86,6 +90,7 @@ class Counters:
     blanked: int = 0
     superseded: int = 0
     dropped: int = 0
+    failures: int = 0
     last_fault: str = ""
     last_size: int = 0
     last_fault_time: float = 0.0
@@ -93,7 +98,13 @@ class Counters:
     @property
     def malformed(self) -> int:
         """Number of malformed packets, which are not applied."""
-        return self.wrong_size + self.wrong_constant + self.not_finite + self.not_frames
+        return (
+            self.wrong_size
+            + self.wrong_constant
+            + self.not_finite
+            + self.not_frames
+            + self.implausible
+        )
 
 
 class Intake:
@@ -106,6 +117,7 @@ class Intake:
         time_scale: s per unit of `time`.
         lossless: whether late packets are applied as well.
         nan_allowed: events in which NaN means `no data`.
+        limits: event name to the largest magnitude of each of its numbers, flat, (k,).
         on_fault: called with a line about the last fault of a batch.
 
     Attributes:
@@ -124,12 +136,14 @@ class Intake:
         time_scale: float = 1.0,
         lossless: bool = False,
         nan_allowed: frozenset[str] = frozenset(),
+        limits: Mapping[str, Array] = MappingProxyType({}),
         on_fault: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.layout = layout
         self.counters = Counters()
         self.timing = Timing()
         self.nan_allowed = nan_allowed
+        self.limits = limits
         self._sequence, self._time = sequence, time
         self._time_scale = time_scale
         self._lossless = lossless
@@ -143,6 +157,16 @@ class Intake:
         if sequence:
             dtype = layout.event_rows(np.zeros((1, layout.size), np.uint8), sequence).dtype
             self._modulus = 2 ** (8 * dtype.itemsize) if dtype.kind in "iu" else 0
+
+    @property
+    def limits(self) -> Mapping[str, Array]:
+        """Event name to the largest magnitude of each of its numbers, flat, (k,)."""
+        return self._limits
+
+    @limits.setter
+    def limits(self, limits: Mapping[str, Array]) -> None:
+        self._limits, self._limited = limits, frozenset(limits)
+        self._bound = min((float(each.min()) for each in limits.values()), default=np.inf)
 
     def take(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
@@ -191,6 +215,8 @@ class Intake:
             self._count_not_finite(rows, arrivals, good)
         if required := layout.required_frames:
             good &= self._are_frames(rows, arrivals, good, required)
+        if self._limited and layout.find_large(rows, self._limited, self._bound).any():
+            good &= self._are_plausible(rows, arrivals, good)
         self._time_good(good, arrivals, stamps, places, begins)
         # Malformed packets have been counted, and are not counted again, as late for instance.
         if places.any():
@@ -298,6 +324,26 @@ class Intake:
             self._fault(fault, arrivals[last])
         return good
 
+    def _are_plausible(
+        self, rows: Rows, arrivals: Array, before: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Which packets have no number beyond its limit; NaN and infinity are checked elsewhere."""
+        good = np.ones(len(rows), bool)
+        found = self.layout.decode_rows(rows, self.limits)
+        for event, limit in self.limits.items():
+            values = found[event].reshape(len(rows), -1)
+            with np.errstate(invalid="ignore"):
+                beyond = np.abs(values) > limit
+            if beyond.any():
+                good &= ~(beyond & np.isfinite(values)).any(axis=1)
+        bad = before & ~good
+        if bad.any():
+            self._tally.implausible += int(bad.sum())
+            last = int(np.flatnonzero(bad)[-1])
+            single = {event: found[event][last] for event in self.limits}
+            self._fault(_describe_implausible(single, self.limits), arrivals[last])
+        return good
+
     def _follow(
         self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Rows | None
     ) -> NDArray[np.int8]:
@@ -357,6 +403,18 @@ def _describe_not_finite(values: Mapping[str, Array], but: Collection[str]) -> s
         if not good.all():
             index = tuple(np.argwhere(~good)[0].tolist())
             return f"{event}[{', '.join(map(str, index))}] is {array[index]}"
+    return ""
+
+
+def _describe_implausible(values: Mapping[str, Array], limits: Mapping[str, Array]) -> str:
+    """Describes the first number beyond its limit."""
+    for event, array in values.items():
+        limit = limits[event].reshape(array.shape)
+        beyond = np.isfinite(array) & (np.abs(array) > limit)
+        if beyond.any():
+            index = tuple(np.argwhere(beyond)[0].tolist())
+            place = f"{event}[{', '.join(map(str, index))}]"
+            return f"{place} is {array[index]:g}; expected at most {limit[index]:g} in magnitude"
     return ""
 
 

@@ -115,10 +115,11 @@ class Mailbox:
         last = rows[-1:].copy()
         if self._heard is not None:
             with self._room:
-                self._heard.append((rows.copy(), arrivals.copy()))
-                self._heard_bytes += rows.size
-                while self._heard_bytes > HEARD_BYTES:
-                    self._heard_bytes -= self._heard.popleft()[0].size
+                if (heard := self._heard) is not None:
+                    heard.append((rows.copy(), arrivals.copy()))
+                    self._heard_bytes += rows.size
+                    while self._heard_bytes > HEARD_BYTES:
+                        self._heard_bytes -= heard.popleft()[0].size
         if not self.is_lossless:
             self.number = number = self.number + len(rows)
             self._last = (last, arrivals[-1:].copy(), number)
@@ -166,6 +167,11 @@ class Mailbox:
         """Starts to keep all packets for `take_all`, independent of `take`."""
         with self._room:
             self._heard, self._heard_bytes = deque(), 0
+
+    def keep_none(self) -> None:
+        """Ends `keep_all`, and drops the packets that nobody has taken."""
+        with self._room:
+            self._heard, self._heard_bytes = None, 0
 
     def take_all(self) -> Packets | None:
         """All packets since the last call, at most 16 MB; None without any."""

@@ -6,6 +6,7 @@ import time
 from dataclasses import fields
 from typing import Any
 
+from ...base.errors import SourceError
 from .intake import Counters
 from .source import Source, age
 
@@ -20,10 +21,12 @@ MEANINGS = {
     "wrong_constant": "another number where the structure demands one",
     "not_finite": "NaN or infinity where something would move",
     "not_frames": "a matrix that is no frame",
+    "implausible": "a number beyond what a robot can have",
     "foreign": "from others than the sender that is named",
     "torn": "reads given up because the writer was in between",
     "blanked": "with values that are no data",
     "dropped": "dropped by the kernel, its buffer was full",
+    "failures": "of reception, which then started again",
 }
 
 
@@ -36,7 +39,8 @@ def report(source: Source) -> dict[str, Any]:
         since the last good packet, None before the first), `jitter` and `delay` (s, None where
         the packets have no time stamp), `clock` (s by which the sender's clock is behind ours, with
         the time that the fastest packet took; None where its stamps are not of a clock), `good`,
-        `trouble` (why no packets arrive, if known: missing shared memory, say), `controller` (what
+        `trouble` (why no packets arrive, if known: missing shared memory, say), `error` (the last
+        failure of reception; empty once packets arrive again), `controller` (what
         the last good packet says of the robot's controller, in words), `fault_age` (s since the
         last rejected packet, None for none).
     """
@@ -55,11 +59,18 @@ def report(source: Source) -> dict[str, Any]:
         "delay": timing.delay if source.time else None,
         "clock": _clock(source),
         "trouble": source.trouble,
+        "error": error_text(source),
         "controller": "" if latest is None else source.original.describe_link(latest.values),
         "malformed": counters.malformed,
         "fault_age": source.now() - counters.last_fault_time if counters.malformed else None,
         **{field.name: getattr(counters, field.name) for field in fields(Counters)},
     }
+
+
+def error_text(source: Source) -> str:
+    """A source's `error` for people, without the name of the source; empty for none."""
+    error = source.error
+    return error.reason if isinstance(error, SourceError) else str(error or "")
 
 
 def _clock(source: Source) -> float | None:
@@ -85,6 +96,8 @@ def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
         rows.append(("state", f"{found['rate']:.1f}/s", jitter))
     else:
         rows.append(("state", "quiet", f"no good packet for {found['age']:.1f} s{why}"))
+    if found["error"]:
+        rows.append(("error", "", found["error"]))
     if found["controller"]:
         rows.append(("controller", "", found["controller"]))
     if found["clock"] is not None:

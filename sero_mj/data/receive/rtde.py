@@ -159,7 +159,7 @@ class RtdeReceiver(ConnectingSource):
         self._begin(f"{rate:g} Hz")
         if MEASURED in left_out and COMMANDED not in left_out:
             self._state += ", torques are commanded, not measured"
-            self._tell(
+            self.tell_once(
                 f"controller {'.'.join(map(str, version[:3]))} does not measure torques "
                 "(actual_current_as_torque, from PolyScope 5.23 and 10.11 on); those shown are "
                 "the commanded ones (target_moment)"
@@ -181,11 +181,11 @@ class RtdeReceiver(ConnectingSource):
             lacking.add(name)
             if other == NOT_FOUND:
                 if name != MEASURED:  # which is told when it is known what stands in for it
-                    self._tell(f"the controller has no {name}")
+                    self.tell_once(f"the controller has no {name}")
             elif other == IN_USE:
-                self._tell(f"{name} is in use by another client")
+                self.tell_once(f"{name} is in use by another client")
             else:
-                self._tell(f"{name} is of type {other[:40]}; expected {kind}")
+                self.tell_once(f"{name} is of type {other[:40]}; expected {kind}")
         return frozenset(lacking)
 
     def _is_data(self, kind: int, payload: bytes) -> bool:
@@ -199,7 +199,7 @@ class RtdeReceiver(ConnectingSource):
         """Passes on what a controller has to say: length, text, length, source, level."""
         is_whole = bool(payload) and 1 + payload[0] <= len(payload)
         text = payload[1 : 1 + payload[0]] if is_whole else payload
-        self._tell(f"the controller says: {text.decode('utf-8', 'replace').strip()}")
+        self.tell_once(f"the controller says: {text.decode('utf-8', 'replace').strip()}")
 
 
 class RtdeLayout(Structure):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time as clock
 
@@ -59,14 +60,12 @@ class ShmReader(Source):
     settle: float = Field(2e-5, ge=0, le=10.0)
 
     _block: Block | None = PrivateAttr(None)
-    _thread: threading.Thread | None = PrivateAttr(None)
     _reading: threading.Lock = PrivateAttr(default_factory=threading.Lock)
     _wake: threading.Lock = PrivateAttr(default_factory=threading.Lock)
     _owes_call_back: bool = PrivateAttr(False)
     _packets: _PacketFinder | None = PrivateAttr(None)
     _look_next: float = PrivateAttr(0.0)
     _count_next: float = PrivateAttr(0.0)
-    _trouble: str = PrivateAttr("")  # with the block itself
     # Packets of any length to be checked, and when they were read.
     _gathered: list[tuple[bytes, float]] = PrivateAttr(default_factory=list)
     _checked: float = PrivateAttr(-np.inf)  # when others were
@@ -123,7 +122,6 @@ class ShmReader(Source):
         self._packets = _PacketFinder(self)
         self._gathered, self._checked = [], -np.inf
         self._count_next, self._look_next = 0.0, clock.monotonic() + _BLOCK_POLL_INTERVAL
-        self._trouble = ""
         try:
             self._block = Block(self.block)
         except FileNotFoundError:
@@ -134,19 +132,15 @@ class ShmReader(Source):
             log.info("source '%s': reading %s", self.name, self.about)
         self._wake = threading.Lock()
         self._wake.acquire()
-        self._thread = threading.Thread(target=self._receive, name=f"shm {self.name}", daemon=True)
-        self._thread.start()
+        self.start_receiving(self._receive, self._wake.release, name=f"shm {self.name}")
 
     def close(self) -> None:
         """Stops the thread and closes the block; harmless when it is not open."""
-        if self._thread is not None:
-            self.closing.set()
-            self._wake.release()
-            self._thread.join()
+        self.stop_receiving()
         with self._reading:
             if self._block is not None:
                 self._block.close()
-            self._block = self._thread = None
+            self._block = None
 
     def latest(self) -> Packet | None:
         """Returns the newest good packet, or None when there was none yet.
@@ -166,7 +160,7 @@ class ShmReader(Source):
 
     def _look_now(self) -> None:
         # If no packet may be lost, the caller must not wait for room that only it can make.
-        if self._thread in (None, threading.current_thread()) or not self.only_latest_packet:
+        if self._thread is None or self._thread.is_current or not self.only_latest_packet:
             return
         # The thread may be reading, which takes less, or in a callback that waits for us.
         if self._reading.acquire(timeout=_LOCK_TIMEOUT):
@@ -174,6 +168,8 @@ class ShmReader(Source):
                 if not self.closing.is_set():
                     self._poll()
                     self._check()
+            except Exception as error:  # which must not end the consumer's loop
+                self.note_failure(error)
             finally:
                 self._reading.release()
 
@@ -189,11 +185,11 @@ class ShmReader(Source):
 
     def _call_back(self) -> None:
         # Not on a consumer's thread, which may hold a lock that the callback waits for.
-        self._owes_call_back = threading.current_thread() is not self._thread
+        self._owes_call_back = self._thread is None or not self._thread.is_current
         if not self._owes_call_back:
             super()._call_back()
 
-    def _receive(self) -> None:
+    def _receive(self, _: socket.socket) -> None:
         period, reading, wake = 1.0 / self.poll_rate, self._reading, self._wake
         while not self.closing.is_set():
             with reading:

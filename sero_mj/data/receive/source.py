@@ -11,6 +11,7 @@ import threading
 import time as clock
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -21,6 +22,7 @@ from ...base.declaration import file_fields, kind_of
 from ...base.errors import (
     PluginError,
     Problem,
+    SourceError,
     UnknownName,
 )
 from ...base.frames import Array, Ints
@@ -29,6 +31,7 @@ from ._tracking import Timing
 from .intake import Counters, Intake, pad_packets
 from .mailbox import Mailbox, Packet, Packets
 from .packet_declaration import PacketDeclaration
+from .receiving_thread import LONGEST, Disconnected, ReceivingThread
 from .structure import Rows
 
 log = logging.getLogger(__name__)
@@ -38,29 +41,10 @@ log = logging.getLogger(__name__)
 SIGNALS: dict[str, tuple[int, ...]] = {"receiving": (1,), "receive_trigger": (1,)}
 QUIET_AFTER = 0.5  # s without a packet until a source counts as silent
 _WARN_INTERVAL = 10.0  # s
+_MOST_TOLD = 100  # different texts
+_ERROR_SHOWN_FOR = 2 * LONGEST  # s after the last failure, if no packets arrive
 # Receives raw packets: rows (n, bytes), lengths (n,) bytes, arrivals (n,) s.
 Tap = Callable[[Rows, Ints, Array], object]
-
-
-class ReceivingThread:
-    """A thread that waits for sockets, among them one by which it is woken to end.
-
-    Args:
-        name: of the thread.
-        work: what it does; gets the socket that can be read once it is to end.
-    """
-
-    def __init__(self, name: str, work: Callable[[socket.socket], object]) -> None:
-        self._wake, self._waker = socket.socketpair()
-        self._thread = threading.Thread(target=work, args=(self._wake,), name=name, daemon=True)
-        self._thread.start()
-
-    def end(self) -> None:
-        """Wakes it, and waits until it has ended."""
-        self._waker.send(b"x")
-        self._thread.join()
-        self._wake.close()
-        self._waker.close()
 
 
 class LedJoint(NamedTuple):
@@ -80,8 +64,8 @@ class LedJoint(NamedTuple):
 class Source(PacketDeclaration):
     """A source of packets of one structure; also the base of sources in other packages.
 
-    A subclass calls `reset` in `open`, passes packets to `accept` on its own thread, and in `close`
-    sets `closing` before it waits for that thread.
+    In `open`, a subclass calls `reset`, then `start_receiving` with a function that passes packets
+    to `accept`. In `close`, it calls `stop_receiving`.
 
     Attributes:
         name: the source's name in routes.
@@ -95,9 +79,16 @@ class Source(PacketDeclaration):
 
     _intake: Intake | None = PrivateAttr(None)
     _kept: Mailbox | None = PrivateAttr(None)
+    _limits: Mapping[str, Array] = PrivateAttr(default_factory=dict)
     _callbacks: list[Callable[[], None]] = PrivateAttr(default_factory=list)
     _tap: Tap | None = PrivateAttr(None)
+    _thread: ReceivingThread | None = PrivateAttr(None)
+    _trouble: str = PrivateAttr("")
+    _failure: SourceError | None = PrivateAttr(None)
+    _failed_at: float = PrivateAttr(-np.inf)  # s, of `time.monotonic`
     _warned: float = PrivateAttr(-np.inf)
+    _logged_failure: float = PrivateAttr(-np.inf)
+    _told: set[str] = PrivateAttr(default_factory=set)
 
     def __reduce__(self) -> tuple[Callable[..., Source], tuple[type[Source], dict[str, Any]]]:
         """Pickles the declaration only, not what it has received or opened."""
@@ -124,6 +115,7 @@ class Source(PacketDeclaration):
             time_scale=self.time_scale,
             lossless=not self.only_latest_packet,
             nan_allowed=self._nan_allowed,
+            limits=self._limits,
             on_fault=self._warn,
         )
 
@@ -171,12 +163,14 @@ class Source(PacketDeclaration):
     @property
     def trouble(self) -> str:
         """Why no packets arrive, as shown to the user; empty when unknown."""
-        return ""
+        return self._trouble
 
     @property
     def error(self) -> Exception | None:
-        """Why it has failed since it was opened; else None."""
-        return None
+        """The last failure of reception, until packets arrive without one or 10 s have passed."""
+        if clock.monotonic() - self._failed_at > _ERROR_SHOWN_FOR:
+            return None
+        return self._failure
 
     @property
     def receiving(self) -> bool:
@@ -237,6 +231,17 @@ class Source(PacketDeclaration):
         self._nan_allowed = frozenset(events)
         self.intake.nan_allowed = self._nan_allowed
 
+    def limit(self, limits: Mapping[str, Array]) -> None:
+        """Sets the largest magnitudes of numbers; a packet with a larger one is malformed.
+
+        It is counted as `implausible`. Takes effect with the next packet.
+
+        Args:
+            limits: event name to the limit of each of its numbers, flat, (k,).
+        """
+        self._limits = dict(limits)
+        self.intake.limits = self._limits
+
     def led_to(self, joints: Sequence[LedJoint]) -> None:
         """Tells it the joints of the first robot or group that routes from it lead to, in order.
 
@@ -248,8 +253,16 @@ class Source(PacketDeclaration):
         return False
 
     def on_receive(self, callback: Callable[[], None]) -> None:
-        """Registers a callback, on the source's thread, for the arrival of good packets."""
+        """Registers a callback, on the source's thread, for the arrival of good packets.
+
+        An exception in it becomes the source's `error`; reception continues.
+        """
         self._callbacks.append(callback)
+
+    def remove_callback(self, callback: Callable[[], None]) -> None:
+        """Removes a callback of `on_receive`, if it is registered."""
+        with suppress(ValueError):
+            self._callbacks.remove(callback)
 
     def record_to(self, tap: Tap | None) -> None:
         """Passes all packets, malformed ones included, to `tap` as they arrive; None ends that."""
@@ -262,6 +275,60 @@ class Source(PacketDeclaration):
     @abstractmethod
     def close(self) -> None:
         """Stops receiving; harmless when it is not open."""
+
+    def start_receiving(
+        self,
+        receive: Callable[[socket.socket], object],
+        interrupt: Callable[[], object] | None = None,
+        name: str = "",
+    ) -> None:
+        """Starts the thread that receives, and receives again after every failure.
+
+        Args:
+            receive: receives packets until `closing` is set; its argument becomes readable then.
+                It may raise `Disconnected`, whose text becomes the source's `trouble`; any other
+                exception becomes its `error`.
+            interrupt: called by `stop_receiving`, for a `receive` that waits for something else.
+            name: of the thread; the source's name when empty.
+        """
+        self._thread = ReceivingThread(self, name or self.name, receive, interrupt)
+        self._thread.start()
+
+    def stop_receiving(self) -> None:
+        """Sets `closing`, and waits until the thread has ended; harmless without one."""
+        if self._thread is not None:
+            self.closing.set()
+            self._thread.end()
+        self._thread = None
+
+    def note_failure(self, error: BaseException, what: str = "reception failed") -> None:
+        """Shows that reception has failed, counts it, and logs it at a limited rate.
+
+        Args:
+            error: the reason.
+            what: the failure; without an effect for `Disconnected`, which is only `trouble`.
+        """
+        if isinstance(error, Disconnected):
+            self._trouble = error.trouble
+            detail = f" ({error.detail})" if error.detail else ""
+            self.tell_once(f"{error.trouble}{detail}; it is tried again")
+            return
+        text = getattr(error, "strerror", None) or str(error)
+        found = SourceError(self.name, f"{what}: {type(error).__name__}: {text}")
+        found.__cause__ = error
+        now = clock.monotonic()
+        self.counters.failures += 1
+        self._failure, self._failed_at = found, now
+        if self.debug_level >= 1 and now - self._logged_failure > _WARN_INTERVAL:
+            self._logged_failure = now
+            # A system's error says enough; of another one the traceback shows the line.
+            log.warning("%s", found, exc_info=None if isinstance(error, OSError) else error)
+
+    def tell_once(self, text: str) -> None:
+        """Logs a text once until the source is opened again."""
+        if self.debug_level >= 1 and text not in self._told and len(self._told) < _MOST_TOLD:
+            self._told.add(text)
+            log.warning("source '%s': %s", self.name, text)
 
     def __enter__(self) -> Self:
         self.open()
@@ -298,7 +365,8 @@ class Source(PacketDeclaration):
         self._intake = self._new_intake()
         self._mail.is_lossless = not self.only_latest_packet
         self._mail.empty()
-        self._warned = -np.inf
+        self._trouble, self._failure, self._told = "", None, set()
+        self._warned = self._logged_failure = -np.inf
 
     def latest(self) -> Packet | None:
         """Returns the newest good packet, or None when there was none yet."""
@@ -315,6 +383,10 @@ class Source(PacketDeclaration):
     def keep_all(self) -> None:
         """Starts to keep all good packets for `take_all`, independent of `take`."""
         self._mail.keep_all()
+
+    def keep_none(self) -> None:
+        """Ends `keep_all`, and drops the packets that nobody has taken."""
+        self._mail.keep_none()
 
     def take_all(self) -> Packets | None:
         """Returns all good packets since the last call, or None when there is none.
@@ -367,8 +439,16 @@ class Source(PacketDeclaration):
             self._call_back()
 
     def _call_back(self) -> None:
-        for callback in self._callbacks:
-            callback()
+        failure: Exception | None = None
+        for callback in (*self._callbacks,):
+            try:
+                callback()
+            except Exception as error:  # others are to hear of the packets all the same
+                failure = error
+        if failure is not None:
+            self.note_failure(failure, "a callback of on_receive failed")
+        else:
+            self._failure = None
 
     def _warn(self, fault: str) -> None:
         """Logs a fault, at a limited rate."""

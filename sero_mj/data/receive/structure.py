@@ -27,6 +27,7 @@ LAST_ROW_TOLERANCE = 1e-6
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 _IDENTITY = np.eye(3)
 _DOUBLE = np.dtype(np.float64)
+_FLOAT_MAX = 1e38  # within float32
 
 
 _ALIGNMENTS: tuple[Alignment, ...] = (1, 2, 4, 8)
@@ -108,6 +109,10 @@ class Structure:
         ]
         self._is_plain = not any(item for *_, item in self._plan)
         self._blocks: dict[frozenset[str], list[_Block]] = {}
+        self._others: dict[frozenset[str], frozenset[str]] = {}  # the events that are not these
+        self._integers = [
+            name for name, item in self._by_event.items() if not (item.is_float or item.is_bool)
+        ]
 
     def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
         """Turns packets as they come into those that this structure describes.
@@ -273,6 +278,32 @@ class Structure:
                     numbers = numbers.astype(np.float64) * self.scale
             bad |= ~np.isfinite(numbers).all(axis=1)
         return bad
+
+    def find_large(self, rows: Rows, events: frozenset[str], bound: float) -> NDArray[np.bool_]:
+        """Which packets may have a number beyond a bound in these events, (n,); a quick check.
+
+        NaN and infinity count as large.
+
+        Args:
+            rows: (n, `size` or more), one packet a row.
+            events: the names of the events to check.
+            bound: of the magnitude, as decoded.
+        """
+        if events not in self._others:
+            self._others[events] = frozenset(self._by_event.keys() - events)
+        large = np.zeros(len(rows), bool)
+        bound = min(bound / max(self.scale, 1.0), _FLOAT_MAX)
+        for start, end, dtype, columns in self._float_blocks(self._others[events]):
+            numbers = rows[:, start:end].view(dtype)
+            if columns is not None:
+                numbers = numbers[:, columns]
+            large |= ~(np.abs(numbers) <= bound).all(axis=1)
+        for name in self._integers:
+            item = self._by_event[name]
+            if name in events and limits(item)[1] > bound:
+                numbers = _numbers(rows, item).astype(np.float64)
+                large |= (np.abs(numbers) > bound).any(axis=1)
+        return large
 
     def _float_blocks(self, but: frozenset[str]) -> list[_Block]:
         """Blocks that can be checked together: numbers of one type, aligned to its size."""

@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator, Field, PrivateAttr, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, field_validator
 
 from ...base.errors import Problem
 from ._scheduling import request_short_slices
@@ -24,7 +24,8 @@ from ._udp_socket import (
     open_socket,
     pack_address,
 )
-from .source import ReceivingThread, Source, log
+from .connecting import is_address
+from .source import Source, log
 
 # At high rates it is cheaper to gather packets; the renderer shares the interpreter with this
 # thread.
@@ -55,7 +56,9 @@ class UdpReceiver(Source):
 
     name: str = "udp"
     udpport: int = Field(0, alias="port", ge=0, le=65535)
-    host: str = "127.0.0.1"
+    host: Annotated[str, AfterValidator(is_address("an address such as 127.0.0.1 or 0.0.0.0"))] = (
+        "127.0.0.1"
+    )
     interface: str = ""
     sender: Annotated[
         list[str], BeforeValidator(_as_list, json_schema_input_type=str | list[str])
@@ -63,15 +66,7 @@ class UdpReceiver(Source):
     buffer_size: int = Field(0, ge=0, le=2**31 - 1)
 
     _socket: socket.socket | None = PrivateAttr(None)
-    _thread: ReceivingThread | None = PrivateAttr(None)
     _allowed: frozenset[tuple[bytes, int]] = PrivateAttr(frozenset())
-
-    @field_validator("host")
-    @classmethod
-    def _host_is_an_address(cls, host: str) -> str:
-        if not host or any(character.isspace() for character in host):
-            raise Problem(found=host, expected="an address such as 127.0.0.1 or 0.0.0.0").error()
-        return host
 
     @field_validator("sender")
     @classmethod
@@ -111,16 +106,14 @@ class UdpReceiver(Source):
         )
         if self.debug_level >= 2:
             log.info("source '%s': listening on %s", self.name, self.about)
-        self._thread = ReceivingThread(f"udp {self.name}", self._receive)
+        self.start_receiving(self._receive, name=f"udp {self.name}")
 
     def close(self) -> None:
         """Stops the thread and closes the socket; harmless when it is not open."""
-        if self._thread is not None:
-            self.closing.set()
-            self._thread.end()
+        self.stop_receiving()
         if self._socket is not None:
             self._socket.close()
-        self._socket = self._thread = None
+        self._socket = None
 
     def _receive(self, wake: socket.socket) -> None:
         sock = self._socket
@@ -138,11 +131,7 @@ class UdpReceiver(Source):
             while not self.closing.is_set():
                 try:
                     count = datagrams.read()
-                except OSError as error:
-                    # An ICMP answer to another program's packet may surface here; continue
-                    # receiving.
-                    self.counters.last_fault = f"socket: {error.strerror}"
-                    self.closing.wait(0.01)  # a persistent error must not occupy a whole core
+                except ConnectionError:  # Windows reports that an answer found no listener
                     continue
                 if answers and datagrams.waiting < BATCH:
                     # The next answer is more urgent than checking packets.

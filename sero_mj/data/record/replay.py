@@ -19,6 +19,7 @@ from ...base.errors import (
     SourceError,
     did_you_mean,
 )
+from ...base.frames import Array
 from ...base.plugins import SOURCES, load_plugin, plugins
 from ..receive.intake import Intake
 from ..receive.mailbox import Packets
@@ -77,8 +78,7 @@ class Replay(Source):
     _beyond: float = PrivateAttr(0.0)  # s since it ended
     _anchor: tuple[float, float] = PrivateAttr((0.0, 0.0))  # the clock's time, and the position
     _paused: bool = PrivateAttr(False)
-    _told: int = PrivateAttr(0)  # faults of the recording
-    _told_of: set[str] = PrivateAttr(default_factory=set)  # its messages
+    _faults_told: int = PrivateAttr(0)  # of the recording
     _lock: Any = PrivateAttr(default_factory=threading.RLock)
 
     @field_validator("file")
@@ -153,12 +153,6 @@ class Replay(Source):
     def of_ros(self) -> RosSource | None:
         """What it reads of a recording of ROS, once its joints are known; None for ours."""
         return self._of_ros
-
-    def _tell(self, text: str) -> None:
-        """Logs something once."""
-        if self.debug_level and text not in self._told_of:
-            self._told_of.add(text)
-            log.warning("source '%s': %s", self.name, text)
 
     @property
     def _wanted(self) -> Mapping[str, RosSource] | None:
@@ -237,6 +231,11 @@ class Replay(Source):
         super().allow_nan(events)
         self.original.allow_nan(events)  # whose decoder this is
 
+    def limit(self, limits: Mapping[str, Array]) -> None:
+        """Sets the largest magnitudes of numbers; see `Source.limit`."""
+        super().limit(limits)
+        self.original.limit(limits)  # whose decoder this is
+
     def _new_intake(self) -> Intake:
         return self.original._new_intake()
 
@@ -248,14 +247,14 @@ class Replay(Source):
         """
         self.close()
         try:
-            self._recording = open_recording(self.file, self._wanted, self._tell)
+            self._recording = open_recording(self.file, self._wanted, self.tell_once)
             self._recording.check_readable(self.source)
         except RecordingError as error:
             self.close()
             raise SourceError(self.name, str(error)) from error
         self.reset()
         self._paused = False
-        self._told = 0
+        self._faults_told = 0
         self._anchor = (0.0, self._begin)
         self._go_to(self._begin)
 
@@ -357,9 +356,9 @@ class Replay(Source):
         """Logs errors of the recording when they are found."""
         assert self._recording is not None
         faults = self._recording.faults
-        for fault in faults[self._told :] if self.debug_level else []:
+        for fault in faults[self._faults_told :] if self.debug_level else []:
             log.warning("%s: %s", self.file, fault)
-        self._told = len(faults)
+        self._faults_told = len(faults)
 
     def _hand_in(self, batch: list[tuple[float, bytes]]) -> None:
         arrivals, packets = zip(*batch, strict=True)

@@ -7,18 +7,20 @@ use any DDS: Fast DDS, which is ROS 2's usual one, and Cyclone DDS were tried.
 from __future__ import annotations
 
 import os
+import socket
 import threading
 import time as clock
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 from xml.sax.saxutils import quoteattr
 
-from pydantic import Field, PrivateAttr, field_validator
+from pydantic import AfterValidator, Field, PrivateAttr
 
 from ...base.errors import Problem, SourceError
+from ..receive.connecting import is_address
 from . import messages
 from .ros_source import TYPES, Listener, RosSource, ros_type, wrong_with
 
@@ -42,19 +44,11 @@ class Ros2(RosSource):
             and gets nothing from publishers that are not.
     """
 
-    host: str = LOCALHOST
+    host: Annotated[
+        str, AfterValidator(is_address("localhost, subnet, or an address such as 192.168.0.3"))
+    ] = LOCALHOST
     domain: int | None = Field(None, ge=0, le=MOST_DOMAIN)
     reliability: Literal["best_effort", "reliable"] = "best_effort"
-
-    _readers: Readers | None = PrivateAttr(None)
-
-    @field_validator("host")
-    @classmethod
-    def _host_is_an_address(cls, host: str) -> str:
-        if not host or any(character.isspace() for character in host):
-            expected = "localhost, subnet, or an address such as 192.168.0.3"
-            raise Problem(found=host, expected=expected).error()
-        return host
 
     @property
     def about(self) -> str:
@@ -62,46 +56,50 @@ class Ros2(RosSource):
         topics = ", ".join(dict.fromkeys(topic for topic, _ in self.topics))
         return f"ROS 2 {topics}, domain {domain_number(self.domain)} of {self.host}"
 
-    @property
-    def trouble(self) -> str:
-        """Why no packets arrive, as shown to the user; empty when unknown."""
-        return "" if self._readers is None or self.receiving else self._readers.trouble
+    _readers: Readers | None = PrivateAttr(None)
 
     def _subscribe(self, listener: Listener) -> None:
-        self._readers = Readers(self, listener)
+        self._readers = readers = Readers(self, listener)
+        self.start_receiving(readers.receive, readers.participant.wake, f"ros2 {self.name}")
 
     def close(self) -> None:
         """Leaves the domain; harmless when it is not open."""
+        super().close()
         if self._readers is not None:
-            self.closing.set()
-            self._readers.close()
+            self._readers.participant.close()
         self._readers = None
 
 
 class Readers:
-    """Reads a source's topics on a thread of its own.
+    """Reads a source's topics.
 
     Args:
         source: says what is read.
         listener: gets the messages.
 
     Attributes:
-        trouble: why nothing comes, as far as it is known.
+        participant: of the domain.
     """
 
     def __init__(self, source: Ros2, listener: Listener) -> None:
-        self.trouble = ""
         self._source, self._listener = source, listener
-        self._participant = Participant(source.host, source.domain, source.name)
+        self.participant = Participant(source.host, source.domain, source.name)
         self._readers = [
-            (tells, self._participant.reader(topic, TYPES[tells], source.reliability))
+            (tells, self.participant.reader(topic, TYPES[tells], source.reliability))
             for topic, tells in source.topics
         ]
-        self._participant.run(f"ros2 {source.name}", self._read, self._look)
 
-    def close(self) -> None:
-        """Ends the thread, and leaves the domain."""
-        self._participant.close()
+    def receive(self, _: socket.socket) -> None:
+        """Passes messages on; see `Source.start_receiving`."""
+        due = clock.monotonic() + _LOOKS
+        while not self._source.closing.is_set():
+            self.participant.wait(_LOOKS)
+            if self._source.closing.is_set():
+                break
+            self._read()
+            if clock.monotonic() > due:
+                self._look()
+                due = clock.monotonic() + _LOOKS
 
     def _read(self) -> None:
         received = [
@@ -114,19 +112,21 @@ class Readers:
 
     def _look(self) -> None:
         """Finds out why nothing comes."""
-        if self._source.receiving:
-            self.trouble = ""
+        source = self._source
+        if source.receiving:
+            source.note_trouble("")
             return
-        published = self._participant.published()
+        published = self.participant.published()
         if not published:
-            self.trouble = f"nobody publishes in domain {self._participant.domain}"
-            if self._source.host == LOCALHOST:
-                self.trouble += " of this machine; host = 'subnet' looks on the network"
+            trouble = f"nobody publishes in domain {self.participant.domain}"
+            if source.host == LOCALHOST:
+                trouble += " of this machine; host = 'subnet' looks on the network"
+            source.note_trouble(trouble)
             return
         wrong: list[str] = []
-        for topic, tells in self._source.topics:
+        for topic, tells in source.topics:
             wrong += self._wrong_with(topic, TYPES[tells], published)
-        self.trouble = "; ".join(wrong) or "its publisher is silent"
+        source.note_trouble("; ".join(wrong) or "its publisher is silent")
 
     def _wrong_with(self, topic: str, kind: str, published: list[Publication]) -> list[str]:
         """What is wrong with a topic, in words."""
@@ -203,7 +203,7 @@ class Writer:
 
 
 class Participant:
-    """A participant of a domain, with readers and a thread that waits for them.
+    """A participant of a domain, with readers and writers.
 
     Args:
         host: see `Ros2.host`.
@@ -229,8 +229,6 @@ class Participant:
         except core.DDSException as error:
             raise SourceError(owner, f"domain {self.domain} cannot be joined: {error}") from error
         self._waits.attach(self._end)
-        self._thread: threading.Thread | None = None
-        self._closing = threading.Event()
         self._kept: list[Any] = []  # which Cyclone DDS would otherwise delete
 
     def reader(
@@ -290,9 +288,10 @@ class Participant:
 
     def published(self) -> list[Publication]:
         """Everything that others publish in the domain."""
-        _, qos = _cyclone("")
+        core, qos = _cyclone("")
         reliability, durability = qos.Policy.Reliability, qos.Policy.Durability
         own = self._participant.guid
+        # The entry of a publisher that has gone is not alive, and may lack even the topic's name.
         return [
             Publication(
                 sample.topic_name.removeprefix("rt"),
@@ -301,7 +300,10 @@ class Participant:
                 is_kept=sample.qos[durability] == durability.TransientLocal,
             )
             for sample in self._publications.read(_MOST_PUBLISHERS)
-            if getattr(sample, "topic_name", "").startswith("rt/") and sample.participant_key != own
+            if sample.sample_info.valid_data
+            and sample.sample_info.instance_state == core.InstanceState.Alive
+            and (sample.topic_name or "").startswith("rt/")
+            and sample.participant_key != own
         ]
 
     def wait(self, seconds: float) -> bool:
@@ -310,29 +312,12 @@ class Participant:
 
         return bool(self._waits.wait(duration(nanoseconds=round(max(seconds, 0.0) * 1e9))))
 
-    def run(self, name: str, read: Callable[[], None], look: Callable[[], None]) -> None:
-        """Starts a thread that calls `read` when messages have come, and `look` each second."""
-
-        def work() -> None:
-            due = clock.monotonic() + _LOOKS
-            while not self._closing.is_set():
-                self.wait(_LOOKS)
-                if self._closing.is_set():
-                    break
-                read()
-                if clock.monotonic() > due:
-                    look()
-                    due = clock.monotonic() + _LOOKS
-
-        self._thread = threading.Thread(target=work, name=name, daemon=True)
-        self._thread.start()
+    def wake(self) -> None:
+        """Ends the present `wait` and all later ones at once."""
+        self._end.set(True)
 
     def close(self) -> None:
-        """Ends the thread, and leaves the domain."""
-        self._closing.set()
-        self._end.set(True)
-        if self._thread is not None:
-            self._thread.join()
+        """Leaves the domain."""
         self._kept.clear()
         del self._publications, self._waits, self._end, self._participant
 

@@ -8,10 +8,7 @@ and the one before it, which has the same messages.
 
 from __future__ import annotations
 
-import errno
 import json
-import os
-import select
 import socket
 import ssl
 import struct
@@ -19,10 +16,12 @@ import time as clock
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, Field, PrivateAttr
+from pydantic import BaseModel, Field
 
-from ..receive.source import ReceivingThread
-from .ros_source import MOST_KEPT, TYPES, Address, Listener, RosSource, ros_type, wrong_with
+from ..receive import connecting
+from ..receive.connecting import Address
+from ..receive.receiving_thread import ClosedHere, Disconnected
+from .ros_source import MOST_KEPT, TYPES, Listener, RosSource, ros_type, wrong_with
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -33,9 +32,7 @@ ENCODING = "cdr"
 _DATA = 1  # the opcode of messages of topics; others are not asked for
 _HEAD = struct.Struct("<BIQ")
 _MOST_BYTES = 1 << 26  # of what comes at once; a list of topics has all of their definitions
-_PATIENCE = 2.0  # s for an answer
 _LOOKS = 1.0  # s between looks at the topics, as long as nothing comes
-_SHORTEST, _LONGEST = 0.1, 5.0  # s between attempts to connect
 _FAREWELL = 0.2  # s for the peer's part in ending a connection
 _WARNING = 1  # the lowest level of what a server says that is told
 _MOST_SAID, _MOST_SHOWN = 200, 80  # characters of what it says, and of what is not understood
@@ -59,8 +56,6 @@ class Foxglove(RosSource):
     port: int = Field(PORT, ge=1, le=65535)
     tls: bool = False
 
-    _client: Client | None = PrivateAttr(None)
-
     @property
     def url(self) -> str:
         """Where the server is."""
@@ -73,20 +68,9 @@ class Foxglove(RosSource):
         topics = ", ".join(dict.fromkeys(topic for topic, _ in self.topics))
         return f"ROS 2 {topics}, Foxglove at {self.url}"
 
-    @property
-    def trouble(self) -> str:
-        """Why no packets arrive, as shown to the user; empty when unknown."""
-        return "" if self._client is None or self.receiving else self._client.trouble
-
     def _subscribe(self, listener: Listener) -> None:
-        self._client = Client(self, listener)
-
-    def close(self) -> None:
-        """Ends the connection; harmless when it is not open."""
-        if self._client is not None:
-            self.closing.set()
-            self._client.close()
-        self._client = None
+        client = Client(self, listener)
+        self.start_receiving(client.receive, client.interrupt, f"foxglove {self.name}")
 
 
 class _Channel(BaseModel):
@@ -117,23 +101,15 @@ class _Said(BaseModel):
     message: str
 
 
-class _ClosedHere(Exception):
-    """The source is being closed."""
-
-
 class Client:
-    """Reads a source's topics on a thread of its own.
+    """Reads a source's topics.
 
     Args:
         source: says what is read.
         listener: gets the messages.
-
-    Attributes:
-        trouble: why nothing comes, as far as it is known.
     """
 
     def __init__(self, source: Foxglove, listener: Listener) -> None:
-        self.trouble = ""
         self._source, self._listener = source, listener
         self._channels: dict[int, _Channel] = {}
         self._subscribed: dict[int, tuple[int, str]] = {}  # number to channel, and what it tells
@@ -141,53 +117,38 @@ class Client:
         self._number = 0  # of the last subscription
         self._lever: socket.socket | None = None  # ends the connection, whoever waits for it
         self._connection: ClientConnection | None = None
-        self._thread = ReceivingThread(f"foxglove {source.name}", self._work)
 
-    def close(self) -> None:
-        """Ends the connection and the thread; after `closing` of the source is set."""
+    def interrupt(self) -> None:
+        """Ends the connection; after `closing` of the source is set."""
         if (connection := self._connection) is not None:
             connection.close()
         if (lever := self._lever) is not None:
-            _cut(lever)
-        self._thread.end()
+            with suppress(OSError):  # for all who use it
+                lever.shutdown(socket.SHUT_RDWR)
 
-    def _work(self, wake: socket.socket) -> None:
-        """Connects again and again, until it is closed."""
+    def receive(self, wake: socket.socket) -> None:
+        """Connects and receives once; see `Source.start_receiving`."""
         from websockets.exceptions import (
             ConnectionClosed,
             InvalidMessage,
             WebSocketException,
         )
 
-        source, pause = self._source, _SHORTEST
-        while not source.closing.is_set():
-            good = source.receive_trigger
-            try:
-                self._connect(wake)
-            except _ClosedHere:
-                break
-            except ConnectionClosed as error:
-                said = "" if error.rcvd is None else error.rcvd.reason[:_MOST_SAID]
-                self._end("it closed the connection" + (f": {said}" if said else ""))
-            except (InvalidMessage, EOFError):
-                self._end("no server for Foxglove: its answer is no HTTP")
-            except TimeoutError as error:
-                self._end(error.strerror or "does not answer as a server for Foxglove")
-            except OSError as error:
-                self._end(f"{error.strerror or error}")
-            except UnicodeError:  # of names that no resolver is asked for
-                self._end("not an address")
-            except (WebSocketException, ValueError) as error:  # the latter of redirections
-                self._end(f"no server for Foxglove: {str(error)[:_MOST_SAID]}")
-            if source.receive_trigger > good:
-                pause = _SHORTEST
-            source.closing.wait(pause)
-            pause = min(2.0 * pause, _LONGEST)
-
-    def _end(self, trouble: str) -> None:
-        if not self._source.closing.is_set():
-            self.trouble = f"{self._source.url}: {trouble}"
-            self._source.tell_once(f"{self.trouble}; it is tried again")
+        url = self._source.url
+        try:
+            self._connect(wake)
+        except ConnectionClosed as error:
+            said = "" if error.rcvd is None else error.rcvd.reason[:_MOST_SAID]
+            reason = "it closed the connection" + (f": {said}" if said else "")
+        except (InvalidMessage, EOFError):
+            reason = "no server for Foxglove: its answer is no HTTP"
+        except TimeoutError as error:
+            reason = error.strerror or "does not answer as a server for Foxglove"
+        except OSError as error:
+            reason = f"{error.strerror or error}"
+        except (WebSocketException, ValueError) as error:  # the latter of redirections
+            reason = f"no server for Foxglove: {str(error)[:_MOST_SAID]}"
+        raise Disconnected(f"{url}: {reason}")
 
     def _connect(self, wake: socket.socket) -> None:
         """Connects, and receives until the connection ends."""
@@ -196,13 +157,14 @@ class Client:
         from websockets.typing import Subprotocol
 
         source = self._source
-        sock = _open_socket(source.host, source.port, wake)
+        sock = connecting.connect(source.host, source.port, wake)
+        sock.setblocking(True)
         with sock.dup() as lever:
             self._lever = lever
             try:
                 if source.closing.is_set():
                     sock.close()
-                    raise _ClosedHere
+                    raise ClosedHere
                 options: dict[str, Any] = {}
                 if source.tls:
                     options["ssl"] = ssl.create_default_context()
@@ -211,7 +173,7 @@ class Client:
                     sock=sock,
                     subprotocols=[Subprotocol(name) for name in SUBPROTOCOLS],
                     compression=None,
-                    open_timeout=_PATIENCE,
+                    open_timeout=connecting.PATIENCE,
                     close_timeout=_FAREWELL,
                     max_size=_MOST_BYTES,
                     **options,
@@ -290,7 +252,7 @@ class Client:
 
     def _advertise(self, channels: list[_Channel], connection: ClientConnection) -> None:
         """Subscribes to the topics that are wanted."""
-        self.trouble = ""
+        self._source.note_trouble("")
         wanted = []
         for channel in channels:
             if len(self._channels) >= _MOST_TOPICS:
@@ -318,13 +280,13 @@ class Client:
     def _look(self) -> None:
         """Finds out why nothing comes."""
         if self._source.receiving:
-            self.trouble = ""
+            self._source.note_trouble("")
             return
         wrong = [self._wrong_with(topic, TYPES[tells]) for topic, tells in self._source.topics]
         if not self._channels:
-            self.trouble = f"{self._source.url} has no topics"
+            self._source.note_trouble(f"{self._source.url} has no topics")
         else:
-            self.trouble = "; ".join(filter(None, wrong)) or "its publisher is silent"
+            self._source.note_trouble("; ".join(filter(None, wrong)) or "its publisher is silent")
 
     def _wrong_with(self, topic: str, kind: str) -> str:
         """What is wrong with a topic, in words."""
@@ -335,42 +297,3 @@ class Client:
         if encodings and ENCODING not in encodings:
             return f"{topic} is encoded as {min(encodings)[:40]!r}; expected {ENCODING!r}"
         return ""
-
-
-def _open_socket(host: str, port: int, wake: socket.socket) -> socket.socket:
-    """Connects to the first of a host's addresses that accepts it, until `wake` can be read.
-
-    Raises:
-        OSError: none accepts it.
-        _ClosedHere: `wake` can be read.
-    """
-    failure: OSError = OSError("no address")
-    for family, kind, _, _, address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
-        sock = socket.socket(family, kind)
-        try:
-            sock.setblocking(False)
-            with suppress(BlockingIOError):
-                sock.connect(address)
-            woken, ready, _ = select.select([wake], [sock], [], _PATIENCE)
-            if woken:
-                raise _ClosedHere
-            if not ready:
-                raise TimeoutError(errno.ETIMEDOUT, "does not answer")
-            if error := sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-                raise OSError(error, os.strerror(error))
-            sock.setblocking(True)
-        except OSError as error:
-            sock.close()
-            failure = error
-        except BaseException:
-            sock.close()
-            raise
-        else:
-            return sock
-    raise failure
-
-
-def _cut(sock: socket.socket) -> None:
-    """Ends a connection for all who use it."""
-    with suppress(OSError):
-        sock.shutdown(socket.SHUT_RDWR)

@@ -6,13 +6,13 @@ import time as clock
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, PrivateAttr, field_validator, model_validator
+from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from ...base.errors import Problem, SourceError
-from ..receive.source import LedJoint, Source, log
+from ..receive.source import LedJoint, Source
 from . import messages
 from .joined_packets import (
     COMMANDS,
@@ -34,17 +34,7 @@ TYPES = {
     FRAMES: messages.TRANSFORMS,
 }
 MOST_KEPT = 2048  # bytes of a malformed message
-_MOST_TOLD = 100  # different texts
 _MOST_NAMED = 5  # topics in a text
-
-
-def _as_address(host: str) -> str:
-    if not host or any(character.isspace() for character in host):
-        raise Problem(found=host, expected="an address such as 192.168.0.3").error()
-    return host
-
-
-Address = Annotated[str, AfterValidator(_as_address)]  # of a machine
 
 
 class RosSource(Source):
@@ -88,7 +78,6 @@ class RosSource(Source):
         frozenset(("joint_velocities", "torques", "commanded_torques", "force", "moment"))
     )
     _led: list[LedJoint] = PrivateAttr(default_factory=list)
-    _told: set[str] = PrivateAttr(default_factory=set)
     _kinds: dict[str, str] = PrivateAttr(default_factory=dict)
 
     @field_validator("joints")
@@ -208,11 +197,14 @@ class RosSource(Source):
         other.led_to(self._led)
         return other
 
-    def tell_once(self, text: str) -> None:
-        """Logs something that the user should know, once until it is opened again."""
-        if self.debug_level >= 1 and text not in self._told and len(self._told) < _MOST_TOLD:
-            self._told.add(text)
-            log.warning("source '%s': %s", self.name, text)
+    @property
+    def trouble(self) -> str:
+        """Why no packets arrive, as shown to the user; empty when unknown."""
+        return "" if self.receiving else self._trouble
+
+    def note_trouble(self, trouble: str) -> None:
+        """Sets `trouble`; for what reads the messages."""
+        self._trouble = trouble
 
     def open(self) -> None:
         """Starts to receive; publishers need not be there.
@@ -224,10 +216,13 @@ class RosSource(Source):
         if self.joint_states and not self.joint_names:
             problem = Problem("joints", "no route says which", expected="the names of joints")
             raise SourceError(self.name, problem)
-        self._told = set()
         self.reset()
         messages.type_store()
         self._subscribe(Listener(self))
+
+    def close(self) -> None:
+        """Stops receiving; harmless when it is not open."""
+        self.stop_receiving()
 
     @abstractmethod
     def _subscribe(self, listener: Listener) -> None:

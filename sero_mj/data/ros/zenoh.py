@@ -9,23 +9,26 @@ Messages are in CDR; what is attached to them ends in the number of the publishe
 from __future__ import annotations
 
 import json
-import threading
+import socket
 import time as clock
+from collections.abc import Sequence
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field
 
 from ...base.errors import SourceError
+from ..receive import receiving_thread
+from ..receive.connecting import Address, addresses
+from ..receive.receiving_thread import ClosedHere, Disconnected
 from .dds import MOST_DOMAIN, domain_number
-from .ros_source import TYPES, Address, Listener, RosSource, ros_type, wrong_with
+from .ros_source import TYPES, Listener, RosSource, ros_type, wrong_with
 
 PORT = 7447
 KEPT = "/tf_static"  # its publishers keep the last messages, for who comes later
 _PATIENCE = 0.8  # s for a router's answer, and so for the end of an attempt to connect
 _LOOKS = 1.0  # s between looks at the publishers, as long as nothing comes
-_SHORTEST, _LONGEST = 0.1, 4.0  # s between attempts to connect
 _MOST_WAITING = 10_000  # messages
 _GID = b"source_gid"  # comes before a publisher's number, of 16 random bytes
 _TOKEN = "@ros2_lv/{}/**"
@@ -49,8 +52,6 @@ class Zenoh(RosSource):
     port: int = Field(PORT, ge=1, le=65535)
     domain: int | None = Field(None, ge=0, le=MOST_DOMAIN)
 
-    _session: Session | None = PrivateAttr(None)
-
     @property
     def place_of_router(self) -> str:
         """Address and port of the router."""
@@ -64,20 +65,9 @@ class Zenoh(RosSource):
         domain = domain_number(self.domain)
         return f"ROS 2 {topics}, domain {domain}, zenoh at {self.place_of_router}"
 
-    @property
-    def trouble(self) -> str:
-        """Why no packets arrive, as shown to the user; empty when unknown."""
-        return "" if self._session is None or self.receiving else self._session.trouble
-
     def _subscribe(self, listener: Listener) -> None:
-        self._session = Session(self, listener)
-
-    def close(self) -> None:
-        """Ends the connection; harmless when it is not open."""
-        if self._session is not None:
-            self.closing.set()
-            self._session.close()
-        self._session = None
+        session = Session(self, listener)
+        self.start_receiving(session.receive, session.interrupt, f"zenoh {self.name}")
 
 
 class _Message(NamedTuple):
@@ -89,14 +79,11 @@ class _Message(NamedTuple):
 
 
 class Session:
-    """Reads a source's topics on a thread of its own.
+    """Reads a source's topics.
 
     Args:
         source: says what is read.
         listener: gets the messages.
-
-    Attributes:
-        trouble: why nothing comes, as far as it is known.
 
     Raises:
         SourceError: zenoh is not installed.
@@ -104,57 +91,59 @@ class Session:
 
     def __init__(self, source: Zenoh, listener: Listener) -> None:
         _zenoh(source.name)
-        self.trouble = ""
         self._source, self._listener = source, listener
         self._domain = domain_number(source.domain)
         self._waiting: SimpleQueue[_Message | None] = SimpleQueue()
-        name = f"zenoh {source.name}"
-        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
-        self._thread.start()
 
-    def close(self) -> None:
-        """Ends the connection and the thread; after `closing` of the source is set."""
+    def interrupt(self) -> None:
+        """Wakes what waits for messages; after `closing` of the source is set."""
         self._waiting.put(None)
-        self._thread.join()
 
-    def _work(self) -> None:
-        """Connects, which zenoh repeats by itself once it has succeeded, and receives."""
-        zenoh = _zenoh(self._source.name)
-        while (session := self._open()) is not None:
-            try:
-                subscribers = [self._read(session, *each) for each in self._source.topics]
-                self._receive(session)
-                del subscribers  # which would otherwise end before
-            except zenoh.ZError as error:  # such as of a topic that no key can have
-                self.trouble = f"zenoh refuses: {_first(error)}"
-                self._source.tell_once(self.trouble)
-                self._source.closing.wait(_LONGEST)
-            finally:
-                with suppress(zenoh.ZError):
-                    session.close()
+    def receive(self, wake: socket.socket) -> None:
+        """Connects, which zenoh repeats once it has succeeded, and receives.
 
-    def _open(self) -> Any:
-        """Opens a session; None when it is to end before there is one."""
+        See `Source.start_receiving`.
+        """
+        source = self._source
+        zenoh = _zenoh(source.name)
+        try:
+            session = self._open(addresses(source.host, source.port, wake))
+        # zenoh has one error for everything that may be wrong with a router.
+        except (zenoh.ZError, OSError) as error:
+            trouble = f"no router of zenoh at {source.place_of_router}"
+            raise Disconnected(trouble, _first(error)) from error
+        try:
+            subscribers = [self._read(session, *each) for each in source.topics]
+            self._receive(session)
+            del subscribers  # which would otherwise end before
+        except zenoh.ZError as error:  # such as of a topic that no key can have
+            raise Disconnected(f"zenoh refuses: {_first(error)}") from error
+        finally:
+            with suppress(zenoh.ZError):
+                session.close()
+
+    def _open(self, found: Sequence[tuple[Any, ...]]) -> Any:
+        """Opens a session by the first address that answers; zenoh would stay with the first."""
         zenoh = _zenoh(self._source.name)
-        pause = _SHORTEST
-        while not self._source.closing.is_set():
+        failure: Exception = OSError("no address")
+        for *_, address in found:
+            if self._source.closing.is_set():
+                raise ClosedHere
             try:
-                return zenoh.open(self._configuration())
+                return zenoh.open(self._configuration(_endpoint(address)))
             except zenoh.ZError as error:
-                # It says the same of all that may be wrong with a router.
-                self.trouble = f"no router of zenoh at {self._source.place_of_router}"
-                self._source.tell_once(f"{self.trouble} ({_first(error)}); it is tried again")
-            self._source.closing.wait(pause)
-            pause = min(2.0 * pause, _LONGEST)
-        return None
+                failure = error
+        raise failure
 
-    def _configuration(self) -> Any:
+    def _configuration(self, endpoint: str) -> Any:
         configuration = _zenoh(self._source.name).Config()
-        patience, shortest, longest = (round(1e3 * t) for t in (_PATIENCE, _SHORTEST, _LONGEST))
+        patience, shortest, longest = (
+            round(1e3 * t) for t in (_PATIENCE, receiving_thread.SHORTEST, receiving_thread.LONGEST)
+        )
         again = {"period_init_ms": shortest, "period_max_ms": longest}
         for key, value in {
             "mode": "client",
-            "connect/endpoints": [f"tcp/{self._source.place_of_router}"],
+            "connect/endpoints": [endpoint],
             "connect/timeout_ms": patience,
             "connect/retry": {**again, "period_increase_factor": 2},
             "transport/unicast/open_timeout": patience,
@@ -206,18 +195,19 @@ class Session:
         """Finds out why nothing comes."""
         source = self._source
         if source.receiving:
-            self.trouble = ""
+            source.note_trouble("")
             return
         if not (session.info.routers_zid() or session.info.peers_zid()):
-            self.trouble = f"the router of zenoh at {source.place_of_router} is gone"
-            source.tell_once(f"{self.trouble}; it is tried again")
+            trouble = f"the router of zenoh at {source.place_of_router} is gone"
+            source.note_trouble(trouble)
+            source.tell_once(f"{trouble}; it is tried again")
             return
         published = self._published(session)
         wrong = [wrong_with(topic, TYPES[tells], published) for topic, tells in source.topics]
         if not published:
-            self.trouble = f"nobody publishes in domain {self._domain}"
+            source.note_trouble(f"nobody publishes in domain {self._domain}")
         else:
-            self.trouble = "; ".join(filter(None, wrong)) or "its publisher is silent"
+            source.note_trouble("; ".join(filter(None, wrong)) or "its publisher is silent")
 
     def _published(self, session: Any) -> list[tuple[str, str]]:
         """Topics that are published in the domain, and their types as ROS has them."""
@@ -237,6 +227,12 @@ def _zenoh(owner: str) -> Any:
         reason = f"rmw_zenoh's topics need zenoh ({error}): pip install 'sero-mj[zenoh]'"
         raise SourceError(owner, reason) from error
     return zenoh
+
+
+def _endpoint(address: tuple[Any, ...]) -> str:
+    """An address of `socket.getaddrinfo` as zenoh has it."""
+    host, port = address[:2]
+    return f"tcp/[{host}]:{port}" if ":" in host else f"tcp/{host}:{port}"
 
 
 def _publisher(attachment: Any) -> bytes:

@@ -185,8 +185,8 @@ class World(WorldView):
 
         Raises:
             UnknownName: no such name or input.
-            ValueError: wrong number of values, NaN in an input that moves something, or not a
-                frame.
+            ValueError: wrong number of values, NaN in an input that moves something, not a frame,
+                or a number beyond `Input.limits`.
         """
         if target not in self.inputs and target not in (shares := self.shares(target, values)):
             for each, share in shares.items():
@@ -200,6 +200,10 @@ class World(WorldView):
             found = array.tolist() if array.size else values
             many = item.meaning if item.count == 1 else f"{item.count} finite numbers"
             raise Problem(target, f"found {found}", expected=many).error()
+        if (beyond := finite & (np.abs(array) > item.limits)).any():
+            found = array[beyond].flat[0]
+            limit = item.limits[beyond].flat[0]
+            raise Problem(target, found=found, expected=f"at most {limit:g} in magnitude").error()
         if not is_finite:
             array = np.where(finite, array, np.nan)
         if item.shape == (4, 4):

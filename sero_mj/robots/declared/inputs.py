@@ -39,16 +39,26 @@ SOURCE_FIELDS = (
     "link_age",  # s since one of these counts rose, except senders; -1 when none has
     "foreign",  # packets from other senders than the configured `sender`
     "foreign_age",  # s since the last of these, -1 when there was none
+    "implausible",  # count, included in malformed
+    "failures",  # of reception: exceptions, after which it restarted
+    "is_failing",  # 1 until packets arrive after the last failure, or 10 s have passed
 )
 # Toggles that a packet can set; a value above 0.5 is on. `arrow_quantity` is an index.
 OWNER_TOGGLES = ("show_arrows", "show_billboards", "show_axes", "arrow_quantity")
 # Inputs of every robot, in addition to its own `inputs`.
 ROBOT_INPUTS = ("joint_angles", *VALUE_INPUTS, "base_frame", "flange_check", *OWNER_TOGGLES)
+_TORQUES = ("torques", "commanded_torques", "joint_accelerations")
 SCENE = "toggles"  # `toggles.legend` switches for the whole scene
 
 InputKind = Literal["angles", "values", "pose", "frame", "vector", "toggle"]
 # Kinds in which NaN means "no data"; the others move something, so NaN is an error.
 BLANKABLE = ("values", "vector", "toggle", "frame")
+# Largest magnitudes of values that are applied; a packet with a larger one is garbage. They are far
+# above what any robot has, and far below where pictures fail: at 1e6 m, float32 resolves 6 cm.
+MAX_ANGLE = 1e6  # rad, or m for prismatic joints: 160,000 turns
+MAX_POSITION = 1e6  # m
+MAX_TORQUE = 1e9  # Nm or N, also of forces, and rad/s^2 of accelerations
+MAX_OTHER = 1e15  # of numbers of any unit that are only displayed
 
 
 @dataclass(frozen=True)
@@ -80,6 +90,18 @@ class Input:
     def count(self) -> int:
         """Number of values."""
         return int(np.prod(self.shape))
+
+    @property
+    def limits(self) -> Array:
+        """Largest magnitude of each value that is applied, in the input's shape."""
+        if self.shape == (4, 4):
+            limits = np.full(self.shape, np.inf)
+            limits[:3, 3] = MAX_POSITION
+            return limits
+        limit = {"angles": MAX_ANGLE, "vector": MAX_TORQUE, "toggle": np.inf}.get(
+            self.kind, MAX_TORQUE if self.key in _TORQUES else MAX_OTHER
+        )
+        return np.full(self.shape, limit)
 
     @property
     def meaning(self) -> str:

@@ -73,7 +73,7 @@ class ModelWorld(WorldView):
 
     Attributes:
         options: its constructor arguments except model and data.
-        not_finite: number of NaN and infinite values that were set; these are not shown.
+        not_finite: number of NaN, infinite and implausible values that were set; not shown.
         changes: how often inputs were set or cleared.
 
     Raises:
@@ -297,9 +297,9 @@ class ModelWorld(WorldView):
             target: `name.input`, e.g. `arm.torques`; see `inputs`.
             values: (n,), (3,), or one number, SI units. Of joint values also a vector (nv,) of
                 the model, `data.qfrc_actuator` say, of which the robot's are taken; or a mapping
-                from joint names to numbers, without data for the other joints. NaN and infinity
-                mean no data: they are not shown, do not move a double, and are counted in
-                `not_finite`.
+                from joint names to numbers, without data for the other joints. NaN, infinity and
+                numbers beyond `Input.limits` mean no data: they are not shown, do not move a
+                double, and are counted in `not_finite`.
 
         Raises:
             UnknownName: no such name, input or joint.
@@ -320,10 +320,10 @@ class ModelWorld(WorldView):
             if item.kind == "values" and item.shape != (self.model.nv,):
                 many += f", or one per degree of freedom of the model: shape ({self.model.nv},)"
             raise Problem(target, reason, found=found, expected=many).error()
-        bad = ~np.isfinite(array)
+        bad = ~np.isfinite(array) | (np.abs(array) > item.limits)
         if bad.any() and not isinstance(values, _ByName):
             if not self.not_finite:
-                log.warning("%s: NaN or infinite values; they are counted and not shown", target)
+                log.warning("%s: NaN, infinite or too large; counted and not shown", target)
             self.not_finite += int(bad.sum())
             if item.kind not in BLANKABLE:
                 return

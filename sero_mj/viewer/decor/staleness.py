@@ -19,6 +19,7 @@ from .picture_view import PictureView
 
 _AGE = SOURCE_FIELDS.index("age")
 _FAULT_AGE = SOURCE_FIELDS.index("fault_age")
+_IS_FAILING = SOURCE_FIELDS.index("is_failing")
 _RGBA = (0.12, 0.12, 0.13, 0.88)
 NO_DATA_YET = "no data yet"
 
@@ -81,12 +82,14 @@ class Staleness:
         for item in self._routed:
             indices = _awaited(item, data)
             ages = data.userdata[indices]
+            failing = data.userdata[indices + _IS_FAILING - _AGE].any()
+            reason = ", reception failed" if failing else ""
             if (ages < 0).any():
-                stale[item.name] = NO_DATA_YET
+                stale[item.name] = f"{NO_DATA_YET}{reason}"
             elif ages.max(initial=0.0) > item.stale_after:
                 faults = data.userdata[indices + _FAULT_AGE - _AGE]
                 good = "good " if ((faults >= 0) & (faults < ages)).any() else ""
-                stale[item.name] = f"no {good}data for {_duration(float(ages.max()))}"
+                stale[item.name] = f"no {good}data for {_duration(float(ages.max()))}{reason}"
         return stale
 
     def joints(self, stale: dict[str, str]) -> NDArray[np.bool_]:

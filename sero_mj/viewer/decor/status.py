@@ -36,6 +36,9 @@ def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
     """Returns the faults of one source, one per line."""
     message = "" if source is None else source.layout.message
     lines = []
+    if state.is_failing:
+        times = f" {state.failures:.0f} times" if state.failures > 1 else ""
+        lines.append(f"{name}: reception failed{times}, and is tried again")
     if state.malformed and state.fault_age < SHOWN_FOR:
         lines.append(f"{name}: {state.malformed:.0f} of {state.received:.0f} packets not applied")
         if state.wrong_size:
@@ -46,7 +49,10 @@ def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
             lines.append("  a matrix that is not a frame")
         if state.wrong_constant:
             lines.append("  another kind of packet: a constant is wrong")
-        if state.malformed > state.wrong_size + state.not_frames + state.wrong_constant:
+        if state.implausible:
+            lines.append("  a number that no robot can have")
+        explained = state.wrong_size + state.not_frames + state.wrong_constant + state.implausible
+        if state.malformed > explained:
             lines.append("  NaN or infinity")
     return lines
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Collection, Sequence
 from typing import Any
 
-from ...data.receive.report import describe, report
+from ...data.receive.report import describe, error_text, report
 from ...data.receive.source import Source
 from ..session.clock import Clock
 from ..session.status_line import Piece, clock_text, source_text
@@ -66,9 +66,10 @@ class SourcesPanel:
             ui.text("no sources: pose as declared, or set by a program", "dim")
 
     def _source(self, ui: Widgets, source: Source) -> None:
-        if source.error is not None:
-            ui.text(f"{source.name}: {source.error}", "bad")
-            return
+        if error := error_text(source):
+            ui.text(f"{source.name}: {error}", "bad")
+            if not source.is_live:
+                return
         found = self._report(source)
         ui.text(*source_text(found, is_live=source.is_live))
         if found["trouble"]:

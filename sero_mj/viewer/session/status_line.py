@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any, Literal
 
-from ...data.receive.report import report
+from ...data.receive.report import error_text, report
 from ...data.receive.source import Source
 from ..decor.status import SHOWN_FOR
 from .clock import Clock, time_text
@@ -84,8 +84,8 @@ def status_pieces(sources: Iterable[Source], clock: Clock, frame_rate: float) ->
     """
     pieces = [clock_text(clock)]
     for source in sources:
-        if source.error is not None:
-            pieces.append((f"{source.name}: {source.error}", "bad"))
+        if error := error_text(source):
+            pieces.append((f"{source.name}: {error}", "bad"))
         else:
             pieces.append(source_text(report(source), is_live=source.is_live))
     pieces.append((f"{frame_rate:.0f} frames/s", "plain"))
