@@ -49,6 +49,9 @@ duration = {duration}
 LIBRARY = 'kind = "library"\nfile = "law.so"'
 PROGRAM = 'kind = "udp"\ncommand = ["{python}", "peer.py", "{{port}}", "{mode}"]'
 LAW = """
+#include <stdio.h>
+#include <stdlib.h>
+#include <unistd.h>
 #include "sero_mj_controller.h"
 void control(struct sero_mj_robot *r) {
   for (int i = 0; i < r->n; i++)
@@ -63,6 +66,13 @@ static void all(struct sero_mj_robot *r, double x) {
 void first(struct sero_mj_robot *r) { all(r, r->is_first); }
 void without(struct sero_mj_robot *r) { all(r, !r->gravity); }
 void eight(struct sero_mj_robot *r) { r->torques_out[7] = 0.0; control(r); }
+void forks(struct sero_mj_robot *r) {
+  pid_t child = r->is_first ? fork() : 1;
+  if (child == 0) { sleep(600); _exit(0); }
+  if (r->is_first) { FILE *file = fopen("forked", "w"); fprintf(file, "%d", child); fclose(file); }
+  control(r);
+}
+void forks_and_exits(struct sero_mj_robot *r) { forks(r); exit(0); }
 """
 # A program that is right, but for what its mode says; the law is that of the library.
 PEER = """
@@ -240,6 +250,61 @@ def test_a_library_in_a_process_of_its_own_may_fail(folder: Path, function: str,
     settings = {"function": function, "isolated": True, "patience": 0.5}
     with pytest.raises(SimulationError, match=rf"lwr at 0.051\d* s: .*{said}"):
         signals(simulation(folder, LIBRARY, **settings))
+
+
+@pytest.mark.parametrize(
+    ("constructor", "said"),
+    [
+        ("*(volatile int *)0 = 1", "SIGSEGV; Fatal Python error: Segmentation fault"),
+        ("exit(0)", "exit status 0; constructor"),
+        ("for (;;) pause()", "is not loaded within 0.5 s"),
+        ("", "SIGBUS; Fatal Python error: Bus error"),  # the file is torn
+    ],
+)
+def test_what_a_library_does_as_it_is_loaded_ends_its_own_process_only(
+    tmp_path: Path, constructor: str, said: str
+) -> None:
+    begin = 'fprintf(stderr, "constructor in %d\\n", getpid());'
+    boot = f"static void __attribute__((constructor)) boot(void) {{ {begin} {constructor}; }}"
+    compiled(tmp_path, f"{LAW}\n{boot}")
+    if not constructor:
+        library = tmp_path / "law.so"
+        library.write_bytes(library.read_bytes()[: library.stat().st_size // 2])
+    settings = {"isolated": True, "first_patience": 10.0 if "pause" not in constructor else 0.5}
+    with pytest.raises(DeclarationError) as caught:
+        simulation(tmp_path, LIBRARY, **settings)
+    (problem,) = caught.value.problems
+    assert problem.key == "controllers.lwr.file"
+    assert "law.so" in problem.message and said in problem.message
+
+
+def test_simulate_fails_where_an_isolated_library_exits(tmp_path: Path, capsys: Any) -> None:
+    boot = "static void __attribute__((constructor)) boot(void) { exit(0); }"
+    compiled(tmp_path, f"{LAW}\n{boot}")
+    with pytest.raises(DeclarationError):
+        simulation(tmp_path, LIBRARY, isolated=True)
+    isolated = "controllers.lwr.isolated=true"
+    status, _, err = run(capsys, "simulate", str(tmp_path / "scenario.toml"), "--set", isolated)
+    assert status == 2 and "law.so has ended the process that loads it: exit status 0" in err
+
+
+def test_an_isolated_library_is_never_loaded_here(folder: Path) -> None:
+    shutil.copy(folder / "law.so", folder / "alone.so")
+    signals(simulation(folder, LIBRARY, isolated=True, file="alone.so"))
+    assert "alone.so" not in Path("/proc/self/maps").read_text()
+
+
+def test_what_an_isolated_library_has_forked_ends_with_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    simulated = simulation(folder, LIBRARY, isolated=True, function="forks")
+    signals(simulated)
+    pid = int((folder / "forked").read_text())
+    assert until(lambda: not is_running(pid))
+    simulated = simulation(folder, LIBRARY, isolated=True, function="forks_and_exits")
+    with pytest.raises(SimulationError, match="forks_and_exits has ended its process: exit status"):
+        signals(simulated)
 
 
 @pytest.mark.parametrize("isolated", [False, True])
@@ -544,7 +609,7 @@ def test_in_lockstep_a_program_runs_on_the_core_of_the_simulation(
 ) -> None:
     simulated = simulation(folder, program("right"), same_core=same_core)
     simulated.advance(50)
-    process = simulated.controlled[0].controller.controller._link._program._process
+    process = simulated.controlled[0].controller.controller._link._program._child.process
     cores = os.sched_getaffinity(process.pid)
     simulated.close()
     assert cores <= os.sched_getaffinity(0)

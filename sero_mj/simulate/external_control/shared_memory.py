@@ -127,7 +127,7 @@ class MemoryLink(Link):
             for key, path in names.items():
                 text = text.replace(key, str(path))
             command.append(text)
-        self._program = Program(command, self._declared.folder)
+        self._program = Program(command, self._declared.folder, leftovers=[folder])
         self._given_up = clock.monotonic() + self._declared.first_patience
 
     def close(self) -> None:
