@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import textwrap
 import time as clock
 from collections.abc import Callable
 from pathlib import Path
@@ -138,8 +140,10 @@ open("pid", "w").write(str(os.getpid()))
 while os.read(turn, 1):
     said = np.frombuffer(memory, state, 1)[0]
     k, back = int(said["step"]), np.frombuffer(memory, answer, 1, at)
-    if mode == "never" or (mode == "silent for a while" and 50 <= k < 60):
+    if mode == "never":
         continue
+    if mode == "late once" and k == 50:
+        time.sleep(0.3)
     if mode == "dies" and k >= 50:
         print("the joint is too hot", flush=True)
         sys.exit(3)
@@ -481,11 +485,20 @@ def test_programs_over_shared_memory_may_fail(folder: Path, mode: str, said: str
     assert until(lambda: not is_running(pid))
 
 
-def test_a_program_over_shared_memory_may_be_silent_for_a_while(folder: Path) -> None:
-    settings = {"on_silence": "hold", "patience": 0.05}
-    simulated = simulation(folder, by_memory("silent for a while"), **settings)
+@pytest.mark.parametrize("answer", ["< step:1I 4x torques:7d", "< 8x torques:7d"])
+def test_a_program_over_shared_memory_may_be_late_once(
+    folder: Path, answer: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = {"on_silence": "hold", "patience": 0.1, "answer": answer}
+    simulated = simulation(folder, by_memory("late once"), **settings)
     found = signals(simulated)["lwr_commanded_torques"]
-    assert (found[50:60] == found[49]).all()
+    ages = simulated.log.signals["lwr_command_age"].ravel()
+    late = np.flatnonzero(ages[1:]) + 1  # a row after the step
+    assert late[0] == 50 and late[-1] < 75 and len(late) == late[-1] - 49  # 20 ms for each step
+    assert (found[late] == found[49]).all()
+    after = late[-1] + 1
+    assert found[after] != pytest.approx(found[49], abs=1e-6)
+    assert any("answers again" in record.message for record in caplog.records)
 
 
 def is_running(pid: int) -> bool:
@@ -577,6 +590,44 @@ def test_in_real_time_commands_come_within_their_step(folder: Path) -> None:
     ages = simulated.log.signals["lwr_command_age"].ravel()[1:]
     assert ages.min() == 0.0 and ages.max() < 0.4  # on a machine that is busy with other tests
     assert (simulated.log.signals["lwr_step_lateness"] >= 0.0).all()
+
+
+def test_real_time_that_is_missed_is_reported_and_can_be_expected(
+    folder: Path, capsys: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    simulation(folder, program("right"), duration=0.2)  # writes the file
+    file = folder / "scenario.toml"
+    expect = """
+    [expect.in_time]
+    measure = "real_time_factor"
+    above = 0.95
+    [expect.in_some_time]
+    measure = "real_time_factor"
+    above = 0.001
+    [expect.behind]
+    measure = "step_lateness"
+    above = 0.1
+    """
+    file.write_text(file.read_text() + textwrap.dedent(expect))
+    in_real_time = ("--set", "controllers.lwr.clock=real_time", "--set", "run.timestep=0.00002")
+    status, out, _ = run(capsys, "simulate", str(file), *in_real_time, "--json")
+    told = json.loads(out)
+    assert status == 1
+    holds = {each["name"]: each["holds"] for each in told["expect"]}
+    assert holds == {"in_time": False, "in_some_time": True, "behind": True}
+    factor, late = told["real_time"]["lwr"]["factor"], told["real_time"]["lwr"]["max_lateness"]
+    assert 0.001 < factor < 0.95 and late > 0.1
+    assert factor == pytest.approx(0.2 / (0.2 + late), rel=0.1)
+    texts = [record.message for record in caplog.records if "times real time" in record.message]
+    assert re.match(r"scenario is late: .* s took .* s: [\d.]+ times real time$", texts[0])
+    assert texts[-1].startswith("scenario was late: 0.2 s took")
+    assert len(texts) < 2 + told["took"] / 5.0
+    with pytest.raises(DeclarationError) as caught:
+        read_scenario(file)
+    assert {problem.key for problem in caught.value.problems} == {
+        f"expect.{name}.measure" for name in holds
+    }
+    assert "is not controlled in real time" in str(caught.value)
 
 
 def test_in_real_time_the_end_of_a_program_is_seen_at_once(folder: Path) -> None:
