@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import textwrap
 import time as clock
 from collections.abc import Callable
 from pathlib import Path
@@ -49,6 +51,9 @@ duration = {duration}
 LIBRARY = 'kind = "library"\nfile = "law.so"'
 PROGRAM = 'kind = "udp"\ncommand = ["{python}", "peer.py", "{{port}}", "{mode}"]'
 LAW = """
+#include <stdio.h>
+#include <stdlib.h>
+#include <unistd.h>
 #include "sero_mj_controller.h"
 void control(struct sero_mj_robot *r) {
   for (int i = 0; i < r->n; i++)
@@ -63,6 +68,13 @@ static void all(struct sero_mj_robot *r, double x) {
 void first(struct sero_mj_robot *r) { all(r, r->is_first); }
 void without(struct sero_mj_robot *r) { all(r, !r->gravity); }
 void eight(struct sero_mj_robot *r) { r->torques_out[7] = 0.0; control(r); }
+void forks(struct sero_mj_robot *r) {
+  pid_t child = r->is_first ? fork() : 1;
+  if (child == 0) { sleep(600); _exit(0); }
+  if (r->is_first) { FILE *file = fopen("forked", "w"); fprintf(file, "%d", child); fclose(file); }
+  control(r);
+}
+void forks_and_exits(struct sero_mj_robot *r) { forks(r); exit(0); }
 """
 # A program that is right, but for what its mode says; the law is that of the library.
 PEER = """
@@ -128,8 +140,10 @@ open("pid", "w").write(str(os.getpid()))
 while os.read(turn, 1):
     said = np.frombuffer(memory, state, 1)[0]
     k, back = int(said["step"]), np.frombuffer(memory, answer, 1, at)
-    if mode == "never" or (mode == "silent for a while" and 50 <= k < 60):
+    if mode == "never":
         continue
+    if mode == "late once" and k == 50:
+        time.sleep(0.3)
     if mode == "dies" and k >= 50:
         print("the joint is too hot", flush=True)
         sys.exit(3)
@@ -240,6 +254,61 @@ def test_a_library_in_a_process_of_its_own_may_fail(folder: Path, function: str,
     settings = {"function": function, "isolated": True, "patience": 0.5}
     with pytest.raises(SimulationError, match=rf"lwr at 0.051\d* s: .*{said}"):
         signals(simulation(folder, LIBRARY, **settings))
+
+
+@pytest.mark.parametrize(
+    ("constructor", "said"),
+    [
+        ("*(volatile int *)0 = 1", "SIGSEGV; Fatal Python error: Segmentation fault"),
+        ("exit(0)", "exit status 0; constructor"),
+        ("for (;;) pause()", "is not loaded within 0.5 s"),
+        ("", "SIGBUS; Fatal Python error: Bus error"),  # the file is torn
+    ],
+)
+def test_what_a_library_does_as_it_is_loaded_ends_its_own_process_only(
+    tmp_path: Path, constructor: str, said: str
+) -> None:
+    begin = 'fprintf(stderr, "constructor in %d\\n", getpid());'
+    boot = f"static void __attribute__((constructor)) boot(void) {{ {begin} {constructor}; }}"
+    compiled(tmp_path, f"{LAW}\n{boot}")
+    if not constructor:
+        library = tmp_path / "law.so"
+        library.write_bytes(library.read_bytes()[: library.stat().st_size // 2])
+    settings = {"isolated": True, "first_patience": 10.0 if "pause" not in constructor else 0.5}
+    with pytest.raises(DeclarationError) as caught:
+        simulation(tmp_path, LIBRARY, **settings)
+    (problem,) = caught.value.problems
+    assert problem.key == "controllers.lwr.file"
+    assert "law.so" in problem.message and said in problem.message
+
+
+def test_simulate_fails_where_an_isolated_library_exits(tmp_path: Path, capsys: Any) -> None:
+    boot = "static void __attribute__((constructor)) boot(void) { exit(0); }"
+    compiled(tmp_path, f"{LAW}\n{boot}")
+    with pytest.raises(DeclarationError):
+        simulation(tmp_path, LIBRARY, isolated=True)
+    isolated = "controllers.lwr.isolated=true"
+    status, _, err = run(capsys, "simulate", str(tmp_path / "scenario.toml"), "--set", isolated)
+    assert status == 2 and "law.so has ended the process that loads it: exit status 0" in err
+
+
+def test_an_isolated_library_is_never_loaded_here(folder: Path) -> None:
+    shutil.copy(folder / "law.so", folder / "alone.so")
+    signals(simulation(folder, LIBRARY, isolated=True, file="alone.so"))
+    assert "alone.so" not in Path("/proc/self/maps").read_text()
+
+
+def test_what_an_isolated_library_has_forked_ends_with_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    simulated = simulation(folder, LIBRARY, isolated=True, function="forks")
+    signals(simulated)
+    pid = int((folder / "forked").read_text())
+    assert until(lambda: not is_running(pid))
+    simulated = simulation(folder, LIBRARY, isolated=True, function="forks_and_exits")
+    with pytest.raises(SimulationError, match="forks_and_exits has ended its process: exit status"):
+        signals(simulated)
 
 
 @pytest.mark.parametrize("isolated", [False, True])
@@ -416,11 +485,20 @@ def test_programs_over_shared_memory_may_fail(folder: Path, mode: str, said: str
     assert until(lambda: not is_running(pid))
 
 
-def test_a_program_over_shared_memory_may_be_silent_for_a_while(folder: Path) -> None:
-    settings = {"on_silence": "hold", "patience": 0.05}
-    simulated = simulation(folder, by_memory("silent for a while"), **settings)
+@pytest.mark.parametrize("answer", ["< step:1I 4x torques:7d", "< 8x torques:7d"])
+def test_a_program_over_shared_memory_may_be_late_once(
+    folder: Path, answer: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    settings = {"on_silence": "hold", "patience": 0.1, "answer": answer}
+    simulated = simulation(folder, by_memory("late once"), **settings)
     found = signals(simulated)["lwr_commanded_torques"]
-    assert (found[50:60] == found[49]).all()
+    ages = simulated.log.signals["lwr_command_age"].ravel()
+    late = np.flatnonzero(ages[1:]) + 1  # a row after the step
+    assert late[0] == 50 and late[-1] < 75 and len(late) == late[-1] - 49  # 20 ms for each step
+    assert (found[late] == found[49]).all()
+    after = late[-1] + 1
+    assert found[after] != pytest.approx(found[49], abs=1e-6)
+    assert any("answers again" in record.message for record in caplog.records)
 
 
 def is_running(pid: int) -> bool:
@@ -514,6 +592,44 @@ def test_in_real_time_commands_come_within_their_step(folder: Path) -> None:
     assert (simulated.log.signals["lwr_step_lateness"] >= 0.0).all()
 
 
+def test_real_time_that_is_missed_is_reported_and_can_be_expected(
+    folder: Path, capsys: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    simulation(folder, program("right"), duration=0.2)  # writes the file
+    file = folder / "scenario.toml"
+    expect = """
+    [expect.in_time]
+    measure = "real_time_factor"
+    above = 0.95
+    [expect.in_some_time]
+    measure = "real_time_factor"
+    above = 0.001
+    [expect.behind]
+    measure = "step_lateness"
+    above = 0.1
+    """
+    file.write_text(file.read_text() + textwrap.dedent(expect))
+    in_real_time = ("--set", "controllers.lwr.clock=real_time", "--set", "run.timestep=0.00002")
+    status, out, _ = run(capsys, "simulate", str(file), *in_real_time, "--json")
+    told = json.loads(out)
+    assert status == 1
+    holds = {each["name"]: each["holds"] for each in told["expect"]}
+    assert holds == {"in_time": False, "in_some_time": True, "behind": True}
+    factor, late = told["real_time"]["lwr"]["factor"], told["real_time"]["lwr"]["max_lateness"]
+    assert 0.001 < factor < 0.95 and late > 0.1
+    assert factor == pytest.approx(0.2 / (0.2 + late), rel=0.1)
+    texts = [record.message for record in caplog.records if "times real time" in record.message]
+    assert re.match(r"scenario is late: .* s took .* s: [\d.]+ times real time$", texts[0])
+    assert texts[-1].startswith("scenario was late: 0.2 s took")
+    assert len(texts) < 2 + told["took"] / 5.0
+    with pytest.raises(DeclarationError) as caught:
+        read_scenario(file)
+    assert {problem.key for problem in caught.value.problems} == {
+        f"expect.{name}.measure" for name in holds
+    }
+    assert "is not controlled in real time" in str(caught.value)
+
+
 def test_in_real_time_the_end_of_a_program_is_seen_at_once(folder: Path) -> None:
     with pytest.raises(SimulationError, match="exit status 3") as caught:
         signals(simulation(folder, program("dies"), duration=0.5, clock="real_time"))
@@ -544,7 +660,7 @@ def test_in_lockstep_a_program_runs_on_the_core_of_the_simulation(
 ) -> None:
     simulated = simulation(folder, program("right"), same_core=same_core)
     simulated.advance(50)
-    process = simulated.controlled[0].controller.controller._link._program._process
+    process = simulated.controlled[0].controller.controller._link._program._child.process
     cores = os.sched_getaffinity(process.pid)
     simulated.close()
     assert cores <= os.sched_getaffinity(0)

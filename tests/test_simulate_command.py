@@ -78,7 +78,9 @@ def rows_of(scenario: Path) -> Simulation:
 def test_it_says_what_held(scenario: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert simulate(scenario) == 0
     out = capsys.readouterr().out
-    assert re.search(r"^mine: 0\.4 s in \d+\.\d+ s \(\d+ times real time\), 400 steps$", out, re.M)
+    assert re.search(
+        r"^mine: 0\.4 s in \d+\.\d+ s \([\d.]+ times real time\), 400 steps$", out, re.M
+    )
     assert re.search(r"^  held    torques: torque share 0\.\d+ of the limit at lwr/A\d, expected b",
                      out, re.M)  # fmt: skip
     assert simulate(scenario, "--set", "expect.torques.below=0.01") == 1

@@ -67,8 +67,10 @@ def make_sink(options: SinkOptions, source: Source, structure: Structure) -> Udp
 
 def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
     """Runs a simulation in real time; yields each range of new rows of its log."""
-    timestep = simulation.scenario.run.timestep
-    begin = time.perf_counter()
+    from ..simulate.real_time import RealTimeWatch
+
+    timestep, watch = simulation.scenario.run.timestep, RealTimeWatch(simulation.scenario.name)
+    begin, late = time.perf_counter(), 0.0
     while not simulation.is_done:
         time.sleep(_EVERY)
         first = simulation.step + 1 if simulation.step else 0
@@ -78,6 +80,9 @@ def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
         finally:
             if simulation.step >= first:
                 yield first, simulation.step + 1
+        late = time.perf_counter() - begin - simulation.time
+        watch.update(simulation.time, late)
+    watch.finish(simulation.time, late)
 
 
 class Sender:

@@ -227,13 +227,19 @@ def _print(
     quiet: bool,
 ) -> None:
     if not quiet:
+        from ..simulate.real_time import real_time_of
         from ..study.summary import as_table, summarise
 
         speed = simulation.time / seconds if seconds > 0 else float("inf")
         print(
             f"{simulation.scenario.name}: {simulation.time:g} s in {seconds:.2f} s "
-            f"({speed:.0f} times real time), {simulation.step} steps"
+            f"({speed:{'.0f' if speed >= 10 else '.2g'}} times real time), {simulation.step} steps"
         )
+        for name, found in real_time_of(simulation.log).items():
+            print(
+                f"  real time of {name}: factor {found.factor:.2g}, "
+                f"steps late by up to {found.max_lateness:.3g} s"
+            )
         print_table(as_table(summarise(simulation.log, findings)))
         for finding in findings[:20]:
             print(f"  found   {finding}")
@@ -247,6 +253,7 @@ def _print(
 def _as_json(
     simulation: Simulation, seconds: float, error: Any, outcomes: list[Any], findings: list[Any]
 ) -> dict[str, Any]:
+    from ..simulate.real_time import real_time_of
     from ..study import summary
 
     return {
@@ -257,6 +264,7 @@ def _as_json(
         "expect": [
             {"name": o.name, "holds": o.holds, "text": o.text, "value": o.value} for o in outcomes
         ],
+        "real_time": {name: vars(found) for name, found in real_time_of(simulation.log).items()},
         "findings": [vars(finding) for finding in findings],
         "joints": summary.as_json(summary.summarise(simulation.log, findings)),
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,7 +14,7 @@ from ..base.errors import DeclarationError, Problem
 from ..base.frames import Array, Bools
 from ..robots.declared.scene import Scene
 from .disturbances import Disturbance, Fault
-from .runs.measures import MEASURES, NEED_TARGET, OF_FREE, PER_JOINT, SIGNED
+from .runs.measures import MEASURES, NEED_REAL_TIME, NEED_TARGET, OF_FREE, PER_JOINT, SIGNED
 from .runs.monitor import KINDS, Finding
 from .runs.run_log import RunLog
 
@@ -37,6 +37,9 @@ class RunContext(Protocol):
 
     def has_target(self, robot: str) -> bool:
         """Whether a robot has a target pose."""
+
+    def is_in_real_time(self, robot: str) -> bool:
+        """Whether a robot has a controller that runs in real time."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,8 @@ class Expect(Declaration):
         object: a free object, whose `height`, `displacement` or `tilt` it is.
         joints: names; all when empty.
         signed: whether the measure has its sign; its size counts when not.
-        of: `max`, `rms`, `mean`, `min` or `final`: what of it counts.
+        of: `max`, `rms`, `mean`, `min` or `final`: what of it counts (default: `max`; `final` for
+            `real_time_factor`, which is the simulated time divided by the time that it took).
         below: what this must be below.
         above: what this must be above.
         holds_at: where it must be: at `all` joints of all robots (the default of `below` alone), at
@@ -97,6 +101,14 @@ class Expect(Declaration):
     within: float | None = Field(None, gt=0)
     cause: str | None = None
     finds_nothing: list[str] | Literal["any"] | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _counts_the_whole_run(cls, table: dict[str, Any]) -> dict[str, Any]:
+        """Takes the final real time factor, as that of the whole run."""
+        if table.get("measure") == "real_time_factor":
+            return {"of": "final", **table}
+        return table
 
     @model_validator(mode="after")
     def _asks_one_thing(self) -> Expect:
@@ -200,6 +212,18 @@ class Expect(Declaration):
                 )
                 for robot in self._robots(list(robots))
                 if robot in robots and not scenario.has_target(robot)
+            ]
+        if self.measure in NEED_REAL_TIME:
+            problems += [
+                Problem(
+                    "measure",
+                    "robot",
+                    found=robot,
+                    of="is not controlled in real time",
+                    expected=f'controllers.{robot}.clock = "real_time"',
+                )
+                for robot in self._robots(list(robots))
+                if robot in robots and not scenario.is_in_real_time(robot)
             ]
         problems += self._ambiguous(scenario.scene)
         if self.measure == "contact_force" and not scenario.has_surroundings:

@@ -35,6 +35,7 @@ from .disturbances import (
     Payload,
 )  # fmt: skip
 from .expect import Expect
+from .runs.measures import STEP_LATENESS
 from .runs.monitor import Monitor
 from .sensors import SIGNALS, SensorErrors, Sensors
 
@@ -357,14 +358,20 @@ class Scenario:
 
     def has_target(self, robot: str) -> bool:
         """Whether a robot has a target pose: a declared one, or that at which it starts."""
-        sections = (f"controllers.{robot}", f"targets.{robot}")
-        if any(
-            f"{problem.key}.".startswith(f"{each}.")
-            for problem in self.problems
-            for each in sections
-        ):
+        if self._is_wrong(f"controllers.{robot}", f"targets.{robot}"):
             return True  # its declaration is invalid, which is reported, not missing
         return robot in self.targets or getattr(self.controller_of(robot), "needs_target", True)
+
+    def is_in_real_time(self, robot: str) -> bool:
+        """Whether a robot has a controller that runs in real time, and logs how late steps are."""
+        controller = self.controller_of(robot)
+        is_timed = getattr(controller, "clock", "") == "real_time"
+        is_logged = STEP_LATENESS in getattr(controller, "logged", ())
+        return (is_timed and is_logged) or self._is_wrong(f"controllers.{robot}")
+
+    def _is_wrong(self, *sections: str) -> bool:
+        keys = [f"{problem.key}." for problem in self.problems]
+        return any(key.startswith(f"{each}.") for key in keys for each in sections)
 
     def controller_of(self, robot: str) -> Controller | ControllerDeclaration:
         """The controller of a robot; gravity compensation where none is declared."""

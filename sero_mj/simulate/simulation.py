@@ -25,7 +25,9 @@ from .expect import Outcome
 from .external_loads import Contacts
 from .live_control import LiveControl, LiveRobot
 from .plant import Plant
+from .real_time import RealTimeWatch
 from .run_batch import RunBatch, located_in
+from .runs.measures import STEP_LATENESS
 from .runs.monitor import Finding
 from .runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLayout, RunLog, event_of
 from .scenario import Scenario
@@ -386,6 +388,7 @@ class Simulation:
                 the log.
         """
         first = 0 if self.step == 0 else self.step + 1
+        watch = RealTimeWatch(self.scenario.name)
         while not self.is_done:
             try:
                 self.advance(min(self.step + chunk, self.steps))
@@ -393,6 +396,16 @@ class Simulation:
                 if self.step >= first:
                     yield first, self.step + 1
             first = self.step + 1
+            watch.update(self.time, self._late)
+        watch.finish(self.time, self._late)
+
+    @property
+    def _late(self) -> float:
+        """How late the last step began, of the robots that are controlled in real time, s."""
+        events = (event_of(name, STEP_LATENESS) for name in self._logged)
+        late = [self.rows[self.step, self.layout.columns[event]] for event in events
+                if event in self.layout.columns]  # fmt: skip
+        return max((float(each[0]) for each in late), default=0.0)
 
     def advance(self, to_step: int) -> None:
         """Simulates until a step.

@@ -17,7 +17,7 @@ from ..simulate.log_output import files_of
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
 from .engine import Engine, Result, Variants, Work
-from .variant import outcome_columns
+from .variant import outcome_columns, runs_alone
 from .workers import Processes
 
 # Variants that are run together, and steps and joints of theirs: 250 MB of logs.
@@ -129,6 +129,8 @@ class Sweep:
         todo = [(number, self.variants[number]) for number in wanted]
         run, joints = self.base.run, sum(robot.n for robot in self.base.scene.robots.values())
         most = int(np.clip(_BATCH_STEPS // ((run.steps + 1) * joints), 1, _BATCH))
+        if runs_alone(self.base):
+            most = 1  # so that each result comes as soon as it is ready
         job = Variants(self.file, self.fixed, self.design.choices())
         yield from (engine or Processes()).run(Work(job, todo, most))
 

@@ -39,6 +39,15 @@ def outcome_columns(scenario: Scenario) -> list[str]:
     return columns
 
 
+def runs_alone(scenario: Scenario) -> bool:
+    """Whether a scenario has controllers outside of this process, programs say.
+
+    Runs in a batch all advance together, so their programs would all run at the same time.
+    """
+    controllers = (scenario.controller_of(name) for name in scenario.scene.robots)
+    return not all(getattr(each, "may_be_asked", True) for each in controllers)
+
+
 class VariantRunner:
     """Runs variants of one scenario, those together that differ in numbers only; keeps no logs.
 
@@ -61,7 +70,8 @@ class VariantRunner:
         for values, result in zip(variants, found, strict=True):
             with _error_in(result):
                 scenario = read_scenario(self._file, {**self._fixed, **values})
-                batches.setdefault(batch_key(scenario), []).append((scenario, result))
+                key = len(batches) if runs_alone(scenario) else batch_key(scenario)
+                batches.setdefault(key, []).append((scenario, result))
         with without_timers():
             for batch in batches.values():
                 self._run_batch(batch)
@@ -69,9 +79,10 @@ class VariantRunner:
 
     def _run_batch(self, batch: list[tuple[Scenario, dict[str, Any]]]) -> None:
         """Runs scenarios together and fills their results."""
+        runs: list[Simulation] = []
         try:
             made = Simulation.together([scenario for scenario, _ in batch], self._compiler)
-            runs = [each for each in made if isinstance(each, Simulation)]
+            runs += [each for each in made if isinstance(each, Simulation)]
             if runs:
                 runs[0].advance(runs[0].steps)
         except Exception as error:
@@ -82,6 +93,9 @@ class VariantRunner:
             with _error_in(batch[0][1]):
                 raise error
             return
+        finally:
+            for run in runs:
+                run.close()  # also one that has ended early
         for (scenario, result), one in zip(batch, made, strict=True):
             with _error_in(result):
                 if isinstance(one, DeclarationError):

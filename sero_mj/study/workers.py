@@ -21,6 +21,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
 
+from ..base.child_process import end_all
 from .engine import Job, Result, Runner, Task, Work
 
 _runner: Runner  # of a worker process
@@ -52,6 +53,7 @@ def start_worker(parent: Connection, job: Job) -> None:
 def _exit_with(parent: Connection) -> None:
     with suppress(EOFError, OSError):
         parent.recv_bytes()
+    end_all()
     os._exit(1)
 
 

@@ -7,19 +7,19 @@ import faulthandler
 import mmap
 import os
 import select
-import signal
 import subprocess
 import sys
 import tempfile
 import weakref
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
 
-from ...base.errors import Problem, SimulationError
+from ...base.child_process import ChildProcess
+from ...base.errors import DeclarationError, Problem, SimulationError
 from ...base.frames import Array
 from ...base.trust import Action
 from ...robots.declared.robot import SerialRobot
@@ -34,6 +34,7 @@ _GUARD = b"\xa5" * 64  # behind the torques, where a library for more joints wri
 # Of ELF files.
 _MACHINES = {3: "x86", 8: "mips", 40: "arm", 62: "x86-64", 183: "aarch64", 243: "riscv"}
 _SLICE = 20  # ms, in which an interrupt and the end of the process are seen
+_CLOSED = 0.5  # s that the process may take to end once its pipe is closed
 
 
 class Library(ControllerDeclaration):
@@ -43,9 +44,10 @@ class Library(ControllerDeclaration):
         file: the library, controller.so say; relative to the scenario's folder.
         function: its name.
         gravity: whether the torques that hold the robot are computed for it.
-        isolated: whether the library has a process of its own, so that its crash is an error of
-            the run; it takes a few microseconds a step more.
+        isolated: whether the library is loaded and called in a process of its own only, so that
+            its crash, exit or hang is an error of the run; it takes a few microseconds a step more.
         patience: s that a call may take in a process of its own.
+        first_patience: s that this process may take to start and to load the library.
     """
 
     may_be_asked: ClassVar[bool] = False
@@ -58,6 +60,7 @@ class Library(ControllerDeclaration):
     gravity: bool = True
     isolated: bool = False
     patience: float = Field(10.0, gt=0, le=3600)
+    first_patience: float = Field(10.0, gt=0, le=3600)
 
     @classmethod
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
@@ -86,18 +89,25 @@ def _function_of(file: Path, name: str) -> Any:
     try:
         return library_host.load(str(file.absolute()), name)
     except OSError as error:
-        found, own = _machine(file), _machine(Path(sys.executable))
-        if found and own and found != own:  # of which the system says that there is no such file
-            problem = Problem("file", f"{file} is a library for {found}", expected=f"one for {own}")
-            raise problem.error() from None
-        raise Problem("file", f"{file} cannot be loaded: {error}").error() from None
+        raise _not_loaded(file, str(error)) from None
     except AttributeError:
-        header = (
-            f'void {name}(struct sero_mj_robot *), in C++ extern "C", in Rust #[no_mangle]; '
-            "see sero-mj snippet controller-c"
-        )
-        problem = Problem("function", f"{file} has no function {name}", expected=header)
-        raise problem.error() from None
+        raise _no_function(file, name) from None
+
+
+def _not_loaded(file: Path, reason: str) -> DeclarationError:
+    found, own = _machine(file), _machine(Path(sys.executable))
+    if found and own and found != own:  # of which the system says that there is no such file
+        expected = f"one for {own}"
+        return Problem("file", f"{file} is a library for {found}", expected=expected).error()
+    return Problem("file", f"{file} cannot be loaded: {reason}").error()
+
+
+def _no_function(file: Path, name: str) -> DeclarationError:
+    header = (
+        f'void {name}(struct sero_mj_robot *), in C++ extern "C", in Rust #[no_mangle]; '
+        "see sero-mj snippet controller-c"
+    )
+    return Problem("function", f"{file} has no function {name}", expected=header).error()
 
 
 def _writes_too_much(name: str, model: RobotModel, time: float) -> SimulationError:
@@ -193,19 +203,38 @@ class IsolatedLibrary:
     """Calls a function of a library in a process of its own.
 
     State and torques are in memory that both have; pipes carry whose turn it is, and tell of the
-    end.
+    end. This process never loads the library.
 
     Args:
         declared: the library.
         model: of the robot, for itself.
         timestep: s between two steps.
+
+    Raises:
+        DeclarationError: the library cannot be loaded, has no such function, ends the process that
+            loads it, or does not come back.
     """
 
     def __init__(self, declared: Library, model: RobotModel, timestep: float) -> None:
-        _function_of(declared.file, declared.function)  # so that errors of it are told at once
-        self._declared, self._model, self._timestep = declared, model, timestep
-        self._end: weakref.finalize[Any, Any] | None = None
-        self._process: subprocess.Popen[bytes] | None = None
+        self._declared, self._model = declared, model
+        self._name = f"{declared.file}: {declared.function}"
+        self._start(timestep)
+        answer = self._answer(declared.first_patience)
+        if answer == library_host.READY:
+            return
+        reason = self._child.lines()[-1:] or [""]
+        if answer == library_host.NOT_LOADED:
+            error = _not_loaded(declared.file, reason[0])
+        elif answer == library_host.NO_FUNCTION:
+            error = _no_function(declared.file, declared.function)
+        elif answer is None:
+            what = f"{declared.file} is not loaded within {declared.first_patience:g} s"
+            error = Problem("file", what).error()
+        else:
+            what = f"{declared.file} has ended the process that loads it: {self._how_it_ended()}"
+            error = Problem("file", what).error()
+        self.close()
+        raise error
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         """Writes the torques of this step, (n,).
@@ -214,8 +243,6 @@ class IsolatedLibrary:
             SimulationError: the library has crashed, does not come back, or has written torques of
                 more joints.
         """
-        if self._process is None:
-            self._begin()
         values = self._values
         values[0], values[1], values[2] = sensed.angles, sensed.velocities, sensed.torques
         values[3], values[4], values[5] = target.angles, target.velocities, target.accelerations
@@ -224,35 +251,27 @@ class IsolatedLibrary:
             values[6] = self._model.gravity()
         values[7] = out
         self._time[0] = sensed.time
-        try:
+        answer: bytes | None = b""
+        with suppress(BrokenPipeError):
             os.write(self._to, b"1")
-        except BrokenPipeError:
-            raise self._ended(sensed) from None
-        waited = 0.0
-        while not self._poll.poll(_SLICE):
-            waited += _SLICE / 1e3
-            if waited > self._declared.patience:
-                what = (
-                    f"{self._declared.file}: {self._declared.function} does not come back "
-                    f"within {self._declared.patience:g} s"
-                )
-                self.close()
-                raise SimulationError(sensed.time, self._model.name, what)
-        if os.read(self._from, 1) != b"1":
-            raise self._ended(sensed)
+            answer = self._answer(self._declared.patience)
+        if answer is None:
+            patience = self._declared.patience
+            raise self._error(sensed, f"{self._name} does not come back within {patience:g} s")
+        if answer != library_host.DONE:
+            raise self._error(sensed, f"{self._name} has ended its process: {self._how_it_ended()}")
         if self._memory[-len(_GUARD) :] != _GUARD:
             self.close()
-            name = f"{self._declared.file}: {self._declared.function}"
-            raise _writes_too_much(name, self._model, sensed.time)
+            raise _writes_too_much(self._name, self._model, sensed.time)
         out[:] = values[7]
         self._core.come()  # not before it has begun threads, if it does
 
     def close(self) -> None:
         """Ends the process; harmless when it has ended."""
-        if self._end is not None:
-            self._end()
+        self._end()
 
-    def _begin(self) -> None:
+    def _start(self, timestep: float) -> None:
+        """Starts the process, and opens memory and pipes."""
         declared, n = self._declared, self._model.n
         shared = Path("/dev/shm")
         folder = shared if shared.is_dir() else Path(tempfile.gettempdir())
@@ -268,34 +287,47 @@ class IsolatedLibrary:
         ).reshape(-1, n)
         theirs_in, self._to = os.pipe()
         self._from, theirs_out = os.pipe()
-        errors = tempfile.TemporaryFile()  # noqa: SIM115  # open as long as the process
         arguments = [
             *(declared.file.absolute(), declared.function, path, theirs_in, theirs_out, n),
-            *(repr(self._timestep), int(declared.gravity)),
+            *(repr(timestep), int(declared.gravity)),
         ]
         command = [sys.executable, "-S", "-E", library_host.__file__, *map(str, arguments)]
-        self._process = process = subprocess.Popen(
-            command, pass_fds=(theirs_in, theirs_out), stderr=errors, stdin=subprocess.DEVNULL
-        )
-        os.close(theirs_in)
-        os.close(theirs_out)  # else its end would not be seen
-        self._errors = errors
-        self._core = SharedCore(process.pid)
+        try:
+            self._child = child = ChildProcess(
+                command,
+                pass_fds=(theirs_in, theirs_out),
+                stdin=subprocess.DEVNULL,
+                leftovers=[Path(path)],
+            )
+        finally:
+            os.close(theirs_in)
+            os.close(theirs_out)  # else its end would not be seen
+        self._core = SharedCore(child.process.pid)
         self._poll = select.poll()
         self._poll.register(self._from, select.POLLIN)
-        self._end = weakref.finalize(self, _end, process, (self._to, self._from), errors, path)
+        self._end = weakref.finalize(self, _end, child, (self._to, self._from))
 
-    def _ended(self, sensed: Sensed) -> SimulationError:
-        """What has become of the library."""
-        assert self._process is not None
-        code = self._process.wait()
-        self._errors.seek(0)
-        lines = self._errors.read().decode(errors="replace").strip().splitlines()
-        how = signal.Signals(-code).name if code < 0 else f"exit status {code}"
-        said = f"; {lines[0]}" if lines else ""
-        what = (
-            f"{self._declared.file}: {self._declared.function} has ended its process: {how}{said}"
-        )
+    def _answer(self, patience: float) -> bytes | None:
+        """Waits for a byte; returns None if it does not come in time, and no byte at an end."""
+        waited = 0.0
+        while not self._poll.poll(_SLICE):
+            waited += _SLICE / 1e3
+            # What it has started may keep the pipe open.
+            if self._child.status and not self._poll.poll(0):
+                return b""
+            if waited > patience:
+                return None
+        return os.read(self._from, 1)
+
+    def _how_it_ended(self) -> str:
+        with suppress(subprocess.TimeoutExpired):
+            self._child.process.wait(_CLOSED)
+        how = self._child.status or "it has closed its pipes"
+        lines = self._child.lines()
+        said = [line for line in lines if line.startswith("Fatal Python error")] or lines
+        return how + (f"; {said[-1]}" if said else "")
+
+    def _error(self, sensed: Sensed, what: str) -> SimulationError:
         self.close()
         return SimulationError(sensed.time, self._model.name, what)
 
@@ -303,15 +335,9 @@ class IsolatedLibrary:
         raise TypeError("a library in a process of its own is of this process")
 
 
-def _end(
-    process: subprocess.Popen[bytes], pipes: tuple[int, int], errors: IO[bytes], path: str
-) -> None:
+def _end(child: ChildProcess, pipes: tuple[int, int]) -> None:
     for pipe in pipes:
         os.close(pipe)
-    errors.close()
-    try:
-        process.wait(0.5)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-    Path(path).unlink(missing_ok=True)
+    with suppress(subprocess.TimeoutExpired):
+        child.process.wait(_CLOSED)  # so that the library's own exit handlers run
+    child.end()

@@ -1,6 +1,7 @@
 """Loads a library and calls its function; also the process of a library of its own.
 
-As a process it has nothing of sero-mj but this file, so that it starts at once.
+As a process it has nothing of sero-mj but this file, so that it starts at once. It answers with one
+byte: `READY` once the library is loaded, then `DONE` for each call.
 """
 
 import ctypes
@@ -18,6 +19,8 @@ ARRAYS = (
     "torques_out",
 )
 HEAD = 8  # bytes before the arrays in shared memory: the time
+READY, DONE = b"r", b"1"
+NOT_LOADED, NO_FUNCTION = b"l", b"f"  # a library that cannot be loaded; its reason is in stderr
 
 
 class RobotStruct(ctypes.Structure):
@@ -58,11 +61,17 @@ def main(file: str, name: str, path: str, *numbers: str) -> None:
     import faulthandler
     import mmap
     import os
+    import sys
 
     faulthandler.enable()
     read_end, write_end, n = map(int, numbers[:3])
     timestep, has_gravity = float(numbers[3]), numbers[4] == "1"
-    function = load(file, name)
+    try:
+        function = load(file, name)
+    except (OSError, AttributeError) as error:
+        print(error, file=sys.stderr, flush=True)
+        os.write(write_end, NOT_LOADED if isinstance(error, OSError) else NO_FUNCTION)
+        return
     handle = os.open(path, os.O_RDWR)
     memory = mmap.mmap(handle, 0)
     os.close(handle)
@@ -74,11 +83,12 @@ def main(file: str, name: str, path: str, *numbers: str) -> None:
     if not has_gravity:
         robot.gravity = None
     address = ctypes.addressof(robot)
+    os.write(write_end, READY)
     while os.read(read_end, 1):
         robot.time = time.value
         function(address)
         robot.is_first = 0
-        os.write(write_end, b"1")
+        os.write(write_end, DONE)
 
 
 if __name__ == "__main__":

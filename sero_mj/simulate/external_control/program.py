@@ -6,54 +6,62 @@ import ctypes
 import os
 import random
 import shutil
-import signal
 import socket
 import subprocess
-import tempfile
-import time
-import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
+from ...base.child_process import ChildProcess
 from ...base.errors import Problem
 
 PORT = "{port}"  # in a command: what is put there
-_LINES, _BYTES = 5, 4000  # of its output, in errors
-_GRACE = 2.0  # s between the request to end and the end
-_IS_POSIX = os.name == "posix"
+_LINES, _CHARACTERS = 5, 4000  # of its output, in errors
 # Of the C library on Linux; None elsewhere.
-_current_core: Any = getattr(ctypes.CDLL(None) if _IS_POSIX else None, "sched_getcpu", None)
+_current_core: Any = getattr(
+    ctypes.CDLL(None) if os.name == "posix" else None, "sched_getcpu", None
+)
+_random = random.Random()  # of its own: a seed of the user's neither sets nor is changed by ports
 
 
 class Program:
-    """A running program, in a session of its own: with it end those that it has started.
-
-    What it prints goes to a file, which cannot fill up as a pipe would.
+    """A running program of the user's, which ends together with all that it has started.
 
     Args:
         command: its name or path, and its arguments.
         folder: where it runs.
         environment: what is set over that of this process.
+        leftovers: files and folders that are removed when it has ended.
 
     Attributes:
         name: of its file.
-        output: the file with what it has printed.
 
     Raises:
         DeclarationError: it cannot be started.
     """
 
     def __init__(
-        self, command: Sequence[str], folder: Path, environment: Mapping[str, str] | None = None
+        self,
+        command: Sequence[str],
+        folder: Path,
+        environment: Mapping[str, str] | None = None,
+        leftovers: Sequence[Path] = (),
     ) -> None:
         self.name = Path(command[0]).name
-        handle, path = tempfile.mkstemp(prefix="sero-mj-program-", suffix=".log")
-        self.output = Path(path)
-        with os.fdopen(handle, "wb") as output:
-            self._process = _started(command, folder, output, environment or {})
-        self._core = SharedCore(self._process.pid)
-        self._end = weakref.finalize(self, _end, self._process, self.output)
+        found = find_program(command, folder)
+        try:
+            self._child = ChildProcess(
+                [found, *command[1:]],
+                cwd=folder,
+                env={**os.environ, **(environment or {})},
+                stdin=subprocess.DEVNULL,
+                keeps_stdout=True,
+                leftovers=leftovers,
+            )
+        except OSError as error:
+            problem = Problem("command", f"{command[0]} cannot be started: {error.strerror}")
+            raise problem.error() from None
+        self._core = SharedCore(self._child.process.pid)
 
     def come_beside(self) -> None:
         """See `SharedCore.come`."""
@@ -62,29 +70,28 @@ class Program:
     @property
     def has_ended(self) -> bool:
         """Whether it has ended by itself."""
-        return self._process.poll() is not None
+        return self._child.process.poll() is not None
 
     @property
     def has_failed(self) -> bool:
         """Whether it has ended by itself, and not with exit status 0."""
-        return bool(self._process.poll())
+        return bool(self._child.process.poll())
 
     def why(self) -> str:
         """How it has ended, and its last lines."""
-        code = self._process.poll()
-        if code is None:
+        status = self._child.status
+        if not status:
             how = "goes on"
-        elif code < 0:
-            how = f"was ended by {signal.Signals(-code).name}"
+        elif status.startswith("exit"):
+            how = f"has ended with {status}"
         else:
-            how = f"has ended with exit status {code}"
-        lines = self.output.read_bytes()[-_BYTES:].decode(errors="replace").strip().splitlines()
-        said = " | ".join(lines[-_LINES:])
+            how = f"was ended by {status}"
+        said = " | ".join(self._child.lines()[-_LINES:])[-_CHARACTERS:]
         return f"{self.name} {how}" + (f"; its last lines: {said}" if said else "")
 
     def end(self) -> None:
         """Ends it; harmless when it has ended."""
-        self._end()
+        self._child.end()
 
 
 class SharedCore:
@@ -122,7 +129,7 @@ def held_port() -> socket.socket:
     while True:
         held = socket.socket()
         with socket.socket(type=socket.SOCK_DGRAM) as found:
-            address = "127.0.0.1", random.randrange(20000, 30000)
+            address = "127.0.0.1", _random.randrange(20000, 30000)
             try:
                 held.bind(address)
                 found.bind(address)
@@ -151,42 +158,3 @@ def find_program(command: Sequence[str], folder: Path) -> str:
         where = f"no file {beside}" if os.sep in name else f"no program {name} in the PATH"
         raise Problem("command", where).error()
     return found
-
-
-def _started(
-    command: Sequence[str], folder: Path, output: IO[bytes], environment: Mapping[str, str]
-) -> subprocess.Popen[bytes]:
-    name, found = command[0], find_program(command, folder)
-    try:
-        return subprocess.Popen(
-            [found, *command[1:]],
-            cwd=folder,
-            env={**os.environ, **environment},
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            start_new_session=_IS_POSIX,
-        )
-    except OSError as error:
-        raise Problem("command", f"{name} cannot be started: {error.strerror}").error() from None
-
-
-def _end(process: subprocess.Popen[bytes], output: Path) -> None:
-    """Ends a program with all that it has started, and removes its output."""
-    _signal(process, signal.SIGTERM)
-    deadline = time.monotonic() + _GRACE
-    while process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.005)
-    _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))  # also those it left behind
-    process.wait()
-    output.unlink(missing_ok=True)
-
-
-def _signal(process: subprocess.Popen[bytes], number: int) -> None:
-    try:
-        if _IS_POSIX:
-            os.killpg(process.pid, number)
-        elif process.poll() is None:
-            process.send_signal(number)
-    except (ProcessLookupError, PermissionError):
-        pass

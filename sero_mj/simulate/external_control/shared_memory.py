@@ -38,7 +38,8 @@ class SharedMemoryProgram(Answering):
 
     The state is at the beginning of the file `{memory}`, the answer behind it, at the next multiple
     of 64 bytes. The program reads a byte from the pipe `{turn}`, reads the state, writes the
-    answer, and writes a byte to the pipe `{done}`.
+    answer, and writes a byte to the pipe `{done}`. If its answer is late, the state stays as it is
+    until then, and the program gets the current one afterwards.
 
     Attributes:
         command: starts the program, with {memory}, {turn} and {done} in it.
@@ -97,6 +98,7 @@ class MemoryLink(Link):
         self._at = -(-size // ALIGNMENT) * ALIGNMENT
         self._memory: mmap.mmap | None = None
         self._end: weakref.finalize[Any, Any] | None = None
+        self._is_owed = False  # whether the program has its turn, and has not answered
 
     @property
     def is_open(self) -> bool:
@@ -127,7 +129,8 @@ class MemoryLink(Link):
             for key, path in names.items():
                 text = text.replace(key, str(path))
             command.append(text)
-        self._program = Program(command, self._declared.folder)
+        self._program = Program(command, self._declared.folder, leftovers=[folder])
+        self._is_owed = False
         self._given_up = clock.monotonic() + self._declared.first_patience
 
     def close(self) -> None:
@@ -150,21 +153,34 @@ class MemoryLink(Link):
         if patience is None:
             patience = self._declared.patience if self.answered else self._declared.first_patience
         self._share_core()
-        self._memory[: self._size] = packet
-        if not self.is_silent:  # else it has not taken the last one
-            os.write(self._turn, b"1")
-        left = _SLICE if self.is_silent else patience * 1e3
-        while not self._poll.poll(min(left, _SLICE)):
-            self.check(time)
-            left -= _SLICE
-            if left <= 0.0:
-                return False
-        os.read(self._done, 1)
+        is_late = self._is_owed  # the program still has the turn of an earlier step
+        if not is_late:
+            self._give_turn(packet)
+        deadline = clock.monotonic() + (_SLICE / 1e3 if self.is_silent else patience)
+        while True:
+            if not self._poll.poll(_SLICE):
+                self.check(time)
+                if clock.monotonic() > deadline:
+                    return False
+                continue
+            os.read(self._done, 1)
+            self._is_owed = False
+            if not is_late:
+                break
+            is_late = False  # that was the answer to the earlier step: now it gets this one
+            self._give_turn(packet)
         self.buffer[: self._most] = self._memory[self._at :]
         if not take(self._most):
             return False
         self.answered = step
         return True
+
+    def _give_turn(self, packet: bytes | bytearray) -> None:
+        """Writes a state, which the program does not read at the moment, and says so."""
+        assert self._memory is not None
+        self._memory[: self._size] = packet
+        os.write(self._turn, b"1")
+        self._is_owed = True
 
     def drain(self) -> int:
         """Nothing can come before its turn."""

@@ -11,6 +11,9 @@ from ...robots.declared.mounts import base_frames, carriers
 from .run_log import RunLog, event_of
 
 
+STEP_LATENESS = "step_lateness"  # a signal that controllers in real time log
+
+
 def _actual_signal(log: RunLog, robot: str, signal: str) -> str:
     known = f"actual_{signal}"
     return known if log.has(robot, known) else f"joint_{signal}"
@@ -110,6 +113,18 @@ def _displacement(log: RunLog, name: str) -> Array:
     return np.asarray(np.linalg.norm(at - at[0], axis=1)[:, None])
 
 
+def _step_lateness(log: RunLog, name: str) -> Array:
+    """How late each step began, (T, 1), s; zeros of a robot that is not controlled in real time."""
+    event = event_of(name, STEP_LATENESS)
+    return log.signals[event] if event in log.signals else np.zeros((len(log.times), 1))
+
+
+def _real_time_factor(log: RunLog, name: str) -> Array:
+    """The simulated time up to each row, divided by the time that it took; 1 at first."""
+    late, times = _step_lateness(log, name), log.times[:, None]
+    return np.asarray(np.divide(times, times + late, out=np.ones_like(times), where=times > 0.0))
+
+
 def _tilt(log: RunLog, name: str) -> Array:
     """The angle between z as it is and as it was at first."""
     up = _free_pose(log, name)[:, :3, 2]
@@ -139,6 +154,8 @@ MEASURES: Mapping[str, tuple[str, Callable[[RunLog, str], Array]]] = {
     "height": ("m", _height),
     "displacement": ("m", _displacement),
     "tilt": ("rad", _tilt),
+    "step_lateness": ("s", _step_lateness),
+    "real_time_factor": ("times real time", _real_time_factor),
 }
 # Those with a number for every joint; others have one for each robot, or object.
 PER_JOINT = (
@@ -154,3 +171,5 @@ SIGNED = (
 OF_FREE = ("height", "displacement", "tilt")
 # Those that ask for a target.
 NEED_TARGET = ("position_error", "velocity_error", "flange_error", "orientation_error")
+# Those that need a controller in real time, which logs how late each step began.
+NEED_REAL_TIME = ("step_lateness", "real_time_factor")

@@ -1,0 +1,208 @@
+"""`ChildProcess`: a process that ends together with everything it has started.
+
+It has a process group of its own. Ctrl+C in the terminal does not reach it; this process ends it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import weakref
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any
+
+from . import reaper
+from .reaper import GRACE, remove
+
+_LAST = 1 << 16  # bytes of its output that are read
+
+
+class ChildProcess:
+    """A process in a group of its own. It ends when this object does, or this process.
+
+    What it writes on its standard error goes to a file without a name, which cannot fill up as a
+    pipe would, and leaves nothing behind.
+
+    Args:
+        command: path of the program, and its arguments.
+        grace: time in seconds between the request to end and the end.
+        leftovers: files and folders that are removed afterwards.
+        keeps_stdout: whether its standard output goes to the same file.
+        **options: further options of `subprocess.Popen`.
+
+    Attributes:
+        process: the process; its pipes are closed when it is ended.
+
+    Raises:
+        OSError: the program cannot be started.
+    """
+
+    def __init__(
+        self,
+        command: Sequence[str],
+        *,
+        grace: float = GRACE,
+        leftovers: Sequence[Path] = (),
+        keeps_stdout: bool = False,
+        **options: Any,
+    ) -> None:
+        self._output: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as this)
+        if keeps_stdout:
+            options["stdout"] = self._output
+        if os.name == "posix":
+            options["start_new_session"] = True
+        elif sys.platform == "win32":
+            options["creationflags"] = subprocess.CREATE_NEW_PROCESS_GROUP
+        for path in leftovers:
+            add_leftover(path)
+        # An interrupt may come while it is being started, so its end is arranged for before.
+        self.process: subprocess.Popen[bytes] = subprocess.Popen.__new__(subprocess.Popen)
+        self._end = weakref.finalize(
+            self, _end, self.process, grace, tuple(leftovers), self._output, os.getpid()
+        )
+        try:
+            subprocess.Popen.__init__(self.process, command, stderr=self._output, **options)
+            _note(b"+g%d" % self.process.pid)
+        except BaseException:
+            self._end()
+            raise
+        _running.add(self)
+
+    @property
+    def status(self) -> str:
+        """How it has ended: the name of a signal, or `exit status 1`; empty while it runs."""
+        code = self.process.poll()
+        if code is None:
+            return ""
+        if code < 0:
+            with suppress(ValueError):
+                return signal.Signals(-code).name
+        return f"exit status {code}"
+
+    def lines(self) -> list[str]:
+        """Returns the last lines of its output that are not blank."""
+        if self._output.closed:
+            return []
+        size = os.fstat(self._output.fileno()).st_size
+        text = _read(self._output, max(size - _LAST, 0)).decode(errors="replace")
+        return [line.strip() for line in text.splitlines() if line.strip()]
+
+    def end(self) -> None:
+        """Ends it and all that it has started; has no effect if that is done."""
+        self._end()
+        _running.discard(self)
+
+
+_running: weakref.WeakSet[ChildProcess] = weakref.WeakSet()
+
+
+def end_all() -> None:
+    """Ends all child processes of this process, before `os._exit` say."""
+    for child in list(_running):
+        child.end()
+
+
+def _read(file: IO[bytes], begin: int) -> bytes:
+    if hasattr(os, "pread"):  # seeking would move the place where the child process writes
+        return os.pread(file.fileno(), _LAST, begin)
+    file.seek(begin)
+    return file.read()
+
+
+def _end(
+    process: subprocess.Popen[bytes],
+    grace: float,
+    leftovers: Sequence[Path],
+    output: IO[bytes],
+    owner: int,
+) -> None:
+    """Ends a process, which may not have been started, with its group."""
+    if os.getpid() != owner:  # in a forked copy
+        return
+    pid = getattr(process, "pid", None)
+    if pid is not None:
+        try:
+            _signal(process, signal.SIGTERM)
+            deadline = time.monotonic() + grace
+            while process.poll() is None and time.monotonic() < deadline:
+                time.sleep(0.005)
+        finally:
+            _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))  # also what it started
+            process.wait()
+            for pipe in (process.stdin, process.stdout):
+                if pipe is not None:
+                    with suppress(OSError):
+                        pipe.close()
+            _note(b"-g%d" % pid)
+    output.close()
+    for path in leftovers:
+        remove_leftover(path)
+
+
+def add_leftover(path: Path) -> None:
+    """Has a file or folder removed if this process dies before `remove_leftover`."""
+    _note(b"+p" + os.fsencode(path.absolute()))
+
+
+def remove_leftover(path: Path) -> None:
+    """Removes a file or folder of `add_leftover`."""
+    remove(path)
+    _note(b"-p" + os.fsencode(path.absolute()))
+
+
+def _signal(process: subprocess.Popen[bytes], number: int) -> None:
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, number)
+            return
+        if process.returncode is None:  # it has no group yet
+            process.send_signal(number)
+    elif process.poll() is None:
+        if sys.platform == "win32":  # with the processes that it has started
+            words = ["taskkill", "/F", "/T", "/PID", str(process.pid)]
+            subprocess.run(words, check=False, capture_output=True)
+        else:
+            process.send_signal(number)
+
+
+# The process that ends the others if this one is killed, and whose it is; see `reaper`.
+_reaper: tuple[int, subprocess.Popen[bytes]] | None = None
+_reaper_lock = threading.Lock()
+_is_exiting = False
+
+
+def _note(entry: bytes) -> None:
+    """Sends an entry to the reaper, which is started with the first one."""
+    if os.name != "posix" or not sys.executable or _is_exiting:
+        return
+    global _reaper  # noqa: PLW0603
+    with _reaper_lock:
+        if _reaper is None or _reaper[0] != os.getpid():
+            command = [sys.executable, "-I", "-S", reaper.__file__, str(os.getpid())]
+            started = subprocess.Popen(
+                command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL, cwd="/", start_new_session=True,
+            )  # fmt: skip
+            if _reaper is None:
+                atexit.register(_end_reaper)
+            _reaper = os.getpid(), started
+        pipe = _reaper[1].stdin
+        assert pipe is not None
+        with suppress(OSError):  # it was killed
+            pipe.write(entry + b"\0")
+
+
+def _end_reaper() -> None:
+    """Lets the reaper end what is left when this process exits, and waits for it."""
+    global _is_exiting  # noqa: PLW0603
+    _is_exiting = True
+    if _reaper is not None and _reaper[0] == os.getpid():
+        _reaper[1].communicate()
