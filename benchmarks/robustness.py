@@ -1,5 +1,7 @@
 """Measures what sero-mj withstands: fuzzing, faults, a long run; writes out/robustness/index.html.
 
+The long form also writes the table of attacks of the documentation, docs/attacks.md.
+
     make robustness                              a run of 10 minutes (--seconds 86400: of a day)
     .venv/bin/python benchmarks/robustness.py --quick      the short form, as in CI
 
@@ -55,8 +57,10 @@ class Target:
 
 
 FUZZED = (
+    Target("files that ask to run something", ("test_trust.py",)),
     Target("packets of any bytes", (
         "test_hostile_packets.py",
+        "test_implausible.py",
         "test_structure.py::test_any_float32_is_applied_or_counted",
         "test_matrices.py::test_any_bytes_are_applied_whole_or_counted",
         "test_matrices.py::test_any_numbers_are_applied_or_blanked_or_counted",
@@ -138,6 +142,8 @@ FUZZED = (
 )  # fmt: skip
 
 FAULTS = (
+    Target("an exception while a source receives", ("test_receiving_thread.py",)),
+    Target("Ctrl+C, SIGTERM and kill -9 of what has started programs", ("test_child_process.py",)),
     Target("kill -9", (
         "test_recorder.py::test_a_killed_process_leaves_a_file_that_all_can_read",
         "test_shm_writers.py::test_a_writer_that_is_killed_in_the_middle_of_a_packet_is_replaced",
@@ -380,6 +386,55 @@ def outcomes_table(outcomes: Sequence[Outcome]) -> str:
     return table(["what", "tests", "cases of Hypothesis", "outcome", "time", "which"], rows)
 
 
+_DOCS = """# Attacks and faults
+
+`make robustness` runs these tests and rewrites this page. Each attack is a test that fails if
+something runs, ends, hangs, grows, or applies a value that it should not. Hypothesis makes the
+cases; the same seed makes the same cases.
+
+{about}; seed {seed}.
+
+## Attacks
+
+{fuzzed}
+
+## Faults
+
+{faults}
+
+## A long run
+
+{soak}
+
+## Limits
+
+Whatever exceeds a limit is rejected, with what was found and the limit. Of waiting packets and of
+history, the oldest are dropped.
+
+{limits}
+"""
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in lines)
+
+
+def outcomes_markdown(outcomes: Sequence[Outcome]) -> str:
+    """Targets, with their numbers of tests and cases, and how they ended."""
+    rows = [
+        [
+            each.title,
+            str(sum(each.tests.values())),
+            f"{each.cases:,}" if each.cases else "",
+            ", ".join(f"{count} {what}" for what, count in sorted(each.tests.items())),
+        ]
+        for each in outcomes
+    ]
+    return markdown(["what", "tests", "cases of Hypothesis", "outcome"], rows)
+
+
 _PAGE = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>What sero-mj withstands</title>
 <style>
@@ -456,6 +511,16 @@ def main() -> None:
         limits=table(["what", "at most"], limits()),
     )
     (OUT / "index.html").write_text(page)
+    if not options.quick:
+        text = _DOCS.format(
+            about=about,
+            seed=options.seed,
+            fuzzed=outcomes_markdown(fuzzed),
+            faults=outcomes_markdown(faults),
+            soak=told,
+            limits=markdown(["what", "at most"], limits()),
+        )
+        (ROOT / "docs" / "attacks.md").write_text(text)
     print(f"written: {OUT / 'index.html'}")
     sys.exit("\n".join(problems) or 0)
 
