@@ -12,6 +12,7 @@ import io
 import json
 import os
 import re
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -46,6 +47,7 @@ _MOST_FILES = 3  # that are missing, in one sentence
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
            "capsule": "radius, length"}  # fmt: skip
+_EXPANDING = threading.Lock()
 _XACRO = re.compile(r"\{[^}]*xacro[^}]*\}")
 _COMMAS = re.compile(r"\s*,\s*")
 _SECOND_POINT = re.compile(r"^([+-]?[0-9]+\.[0-9]*)\.$")
@@ -292,20 +294,22 @@ class UrdfFile:
                 raise ValueError(f"package '{package}' is not found: --package {package}=DIR")
             return found
 
-        own = getattr(substitution_args, "_eval_find", None)
         try:
-            substitution_args._eval_find = find
             said = io.StringIO()
-            with redirect_stderr(said), redirect_stdout(said):
-                text = xacro.process_file(str(self.path), mappings=self._arguments).toxml()
+            # xacro keeps packages and arguments in its modules: one thread at a time.
+            with _EXPANDING, redirect_stderr(said), redirect_stdout(said):
+                own = getattr(substitution_args, "_eval_find", None)
+                substitution_args._eval_find = find
+                try:
+                    text = xacro.process_file(str(self.path), mappings=self._arguments).toxml()
+                finally:
+                    substitution_args._eval_find = own
         except (Exception, SystemExit) as error:  # xacro evaluates expressions of the file
             reason = " ".join(str(error).split()) or type(error).__name__
             if (lacking := _NO_ARGUMENT.search(reason)) is not None:
                 reason += f"; --arg {lacking[1]}=VALUE says what it is"
             self._problem(None, "", f"xacro cannot expand it: {reason}")
             self._stop()
-        finally:
-            substitution_args._eval_find = own
         return parse_xml(text.encode())
 
     def _colors(self, root: Element) -> dict[str, Array]:

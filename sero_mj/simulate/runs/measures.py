@@ -10,7 +10,6 @@ from ...base.frames import Array, compose
 from ...robots.declared.mounts import base_frames, carriers
 from .run_log import RunLog, event_of
 
-
 STEP_LATENESS = "step_lateness"  # a signal that controllers in real time log
 
 
