@@ -197,7 +197,7 @@ LIMITS = (
     ("browsers of a page", "viewer.web.browsers", "_MOST_BROWSERS", ""),
     ("uploaded files of a server, together", "viewer.web.uploads", "MOST_BYTES", "bytes"),
     ("uploaded files of a server", "viewer.web.uploads", "MOST_FILES", ""),
-    ("a view in a link", "viewer.session.view_state", "_MAX_CHARACTERS", "characters"),
+    ("a saved view", "viewer.session.view_state", "_MAX_CHARACTERS", "characters"),
     ("the log of a run", "simulate.simulation", "MAX_BYTES", "bytes"),
     ("a simulated run", "simulate.scenario", "_LONGEST", "s"),
     ("the history of a live view", "viewer.session.live_history", "_MAX_BYTES", "bytes"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import re
 import shutil
 import signal
@@ -521,6 +522,18 @@ def test_ports_of_programs_are_given_once() -> None:
     for each in held:
         each.close()
     assert len(numbers) == 300 and max(numbers) < 32768  # from where on the system gives them
+
+
+def test_ports_of_programs_leave_random_numbers_of_the_user_alone() -> None:
+    random.seed(1)
+    before = random.getstate()
+    ports = []
+    for _ in range(2):
+        random.seed(1)
+        with held_port() as held:
+            ports.append(held.getsockname()[1])
+    assert random.getstate() == before
+    assert ports[0] != ports[1]
 
 
 def test_a_run_that_is_given_up_ends_its_program(folder: Path) -> None:

@@ -242,6 +242,36 @@ def test_units_that_do_not_fit_are_told(
 
 
 @pytest.mark.parametrize(
+    ("version", "before", "after", "key", "said"),
+    [
+        (2, 'name="torques[1]"', 'name="torques"', "output", "found 1 number in variable torques"),
+        (2, 'name="angles[1]"', 'name="angles"', "inputs.angles", "found 1 number in variable"),
+        (3, 'causality="output"><Dimension start="7"/>', 'causality="output">', "output",
+         "found 1 number in variable torques of the unit; expected 7"),
+        (3, '<Dimension start="7"/></Float64></M', '<Dimension start="6"/></Float64></M', "output",
+         "found 6 numbers in variable torques"),
+        (3, 'start="0 0 0 0 0 0 0"><Dimension start="7"/></Float64><Float64 name="v',
+         'start="0"></Float64><Float64 name="v', "inputs.angles",
+         "found 1 number in variable angles"),
+    ],
+)  # fmt: skip
+def test_variables_must_have_a_number_per_joint(
+    folder: Path, version: int, before: str, after: str, key: str, said: str
+) -> None:
+    with zipfile.ZipFile(folder / write_fmu(folder, version, name="whole.fmu")) as unit:
+        text = unit.read("modelDescription.xml").decode()
+    assert before in text
+    text = text.replace(before, after)
+    with zipfile.ZipFile(folder / "other.fmu", "w") as unit:
+        unit.writestr("modelDescription.xml", text)
+    with pytest.raises(DeclarationError) as caught:
+        simulation(folder, "other.fmu")
+    (problem,) = caught.value.problems
+    assert problem.key == f"controllers.lwr.{key}"
+    assert said in problem.message
+
+
+@pytest.mark.parametrize(
     ("failing", "said"),
     [("FMU_FAIL", "cannot be initialised"), ("FMU_STEP_FAIL", "fmi2DoStep")],
 )

@@ -242,7 +242,7 @@ def test_a_program_opens_the_panel_of_a_page(page: WebHost, client: PageClient) 
     page.toggle_status()
     client.until(lambda: client.state["panel"] is None)
     page.open_panel()
-    client.until(lambda: client.state["panel"] and client.state["about"]["panel"])
+    client.until(lambda: client.state["panel"])
 
 
 def test_doubles_of_an_overlay_are_more_bodies_of_a_page() -> None:

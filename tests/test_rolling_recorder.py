@@ -4,13 +4,24 @@ import logging
 import os
 import select
 import signal
+import socket
 import subprocess
 import sys
+from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
 
 import pytest
+from polling import until
 
+from sero_mj.base.child_process import ChildProcess
+from sero_mj.cli._arguments import read_scene
+from sero_mj.data.drive.mirror import Mirror
+from sero_mj.viewer.session import background_exports
 from sero_mj.viewer.session.background_exports import BackgroundExports
+from sero_mj.viewer.tools.rolling_recorder import RollingRecorder
 
 pytestmark = pytest.mark.gl
 
@@ -26,7 +37,7 @@ def wait_for(films: BackgroundExports, count: int) -> list[tuple[str, bool]]:
         if told is not None:
             said.append(told)
         elif films._made is not None:
-            films._made[0].wait(60)
+            films._made[0].process.wait(60)
     return said
 
 
@@ -61,6 +72,50 @@ def test_films_are_made_one_after_the_other_and_told(tmp_path: Path) -> None:
     films.close(finish=False)
 
 
+def test_an_export_that_writes_many_lines_does_not_block_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = ChildProcess
+    noisy = "import sys; sys.stderr.write('a line of a warning\\n' * 50_000); sys.exit(1)"
+
+    def noisy_child(command: list[str], **options: Any) -> ChildProcess:
+        return real([sys.executable, "-c", noisy], **options)
+
+    monkeypatch.setattr(background_exports, "ChildProcess", noisy_child)
+    films = BackgroundExports()
+    for name in ("first.mp4", "second.mp4"):
+        films.add(SHORT, tmp_path / name)
+    said = []
+    assert until(lambda: said.append(films.advance()) or len([*filter(None, said)]) == 2, 60.0)
+    assert [*filter(None, said)] == [
+        ("no film first.mp4: a line of a warning", True),
+        ("no film second.mp4: a line of a warning", True),
+    ]
+
+
+def test_two_keys_within_a_second_keep_two_recordings(tmp_path: Path) -> None:
+    with socket.socket(type=socket.SOCK_DGRAM) as robot:
+        robot.bind(("127.0.0.1", 0))
+        port = robot.getsockname()[1]
+    scene = read_scene("lwr_udp", [f"sources.udp.port={port}"])
+    with Mirror(scene) as mirror:
+        recorder = RollingRecorder(SimpleNamespace(mirror=mirror, folder=tmp_path,
+                                                   render_words=list))  # fmt: skip
+        recorder._exports.add_page = lambda recording: 0
+        recorder._exports.add = lambda words, path: 0
+        with socket.socket(type=socket.SOCK_DGRAM) as robot:
+            robot.connect(("127.0.0.1", port))
+            assert until(lambda: robot.send(bytes(112)) and recorder._recorder.statistics.packets)
+        now = datetime(2026, 5, 4, 17, 3, 12)
+        with patch("sero_mj.viewer.tools.rolling_recorder.datetime") as clock:
+            clock.now.return_value = now
+            said = [recorder._keep(), recorder._keep()]
+        recorder.close()
+    names = [text.rpartition(" ")[2] for text in said]
+    assert len({*names}) == 2
+    assert sorted(path.name for path in tmp_path.glob("*.mcap")) == sorted(names)
+
+
 def test_what_is_not_finished_ends_with_the_viewer_and_leaves_nothing(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -70,7 +125,7 @@ def test_what_is_not_finished_ends_with_the_viewer_and_leaves_nothing(
         films.add(LONG, path)
     films.advance()
     assert films._made is not None
-    process = films._made[0].pid
+    process = films._made[0].process.pid
     with caplog.at_level(logging.WARNING):
         films.close(finish=False)
     assert has_ended(process, 0)
@@ -98,7 +153,7 @@ def test_a_film_ends_with_a_viewer_that_is_killed(tmp_path: Path) -> None:
         " from sero_mj.viewer.session.background_exports import BackgroundExports;"
         " films = BackgroundExports();"
         f"films.add({LONG!r}, pathlib.Path('long.mp4')); films.advance();"
-        "print(films._made[0].pid, flush=True); sys.stdin.read()"
+        "print(films._made[0].process.pid, flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(
         [sys.executable, "-c", viewer],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -601,6 +602,29 @@ def test_xacro_is_expanded_where_it_is_installed(tmp_path: Path) -> None:
     assert "xacro cannot expand it" in problems(tmp_path, wrong)[0]
     included = XACRO.replace("<link", '<xacro:include filename="$(find odd)/x.xacro"/><link', 1)
     assert "package 'odd' is not found: --package odd=DIR" in problems(tmp_path, included)[0]
+
+
+def test_threads_expand_xacro_with_packages_of_their_own(tmp_path: Path) -> None:
+    xacro = pytest.importorskip("xacro")
+    find = xacro.substitution_args._eval_find
+    include = '<xacro:include filename="$(find parts)/length.xacro"/><link'
+    robot = XACRO.replace('<xacro:property name="length" value="0.25"/>', "")
+    (tmp_path / "robot.urdf.xacro").write_text(robot.replace("<link", include, 1))
+    for k in range(1, 5):
+        (tmp_path / str(k)).mkdir()
+        (tmp_path / str(k) / "length.xacro").write_text(
+            '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
+            f'<xacro:property name="length" value="{k}"/></robot>'
+        )
+
+    def length(k: int) -> float:
+        read = read_urdf(tmp_path / "robot.urdf.xacro", packages={"parts": tmp_path / str(k)})
+        return float(np.array(read.tables["flange_frame"])[2, 3])
+
+    order = [1, 2, 3, 4] * 10
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(length, order)) == [2.0 * k for k in order]
+    assert xacro.substitution_args._eval_find is find
 
 
 def test_without_xacro_it_is_said_how_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

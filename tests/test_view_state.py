@@ -148,6 +148,11 @@ def test_a_view_is_kept_for_its_scene(
         file.write_text(text)
         with pytest.raises(UsageError, match=r"found no view \(.*--fresh makes a new one"):
             find_view(scene)
+    long = state._replace(switches={"axes": "01" * 50_000}, time=None)
+    keep_view(scene, long, {"plot": True}, {"plot": ["x" * 500_000]})
+    assert find_view(scene) == (long, {"plot": True}, {"plot": ["x" * 500_000]})
+    keep_view(scene, long, {"plot": True}, {"plot": ["x" * 2_000_000]})
+    assert find_view(scene) == (long, {"plot": True}, {})
     file.unlink()
     file.parent.rmdir()
     file.parent.write_text("a file where the folder should be")

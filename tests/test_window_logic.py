@@ -537,8 +537,9 @@ def test_files_get_names_that_are_free(tmp_path: Path) -> None:
     now = datetime(2026, 5, 4, 17, 3, 12)
     first = unused_name(tmp_path, "two arms/1", ".png", now)
     assert first.name == "two_arms_1_2026-05-04_17-03-12.png"
-    first.touch()
     assert unused_name(tmp_path, "two arms/1", ".png", now).name.endswith("-12_2.png")
+    (tmp_path / "two_arms_1_2026-05-04_17-03-12_3.png").touch()
+    assert unused_name(tmp_path, "two arms/1", ".png", now).name.endswith("-12_4.png")
 
 
 def test_no_key_means_two_things_and_each_is_done() -> None:

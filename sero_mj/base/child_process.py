@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import IO, Any
 
 from . import reaper
-from .reaper import GRACE, remove
+from .reaper import remove
 
+_GRACE = 2.0  # s
 _LAST = 1 << 16  # bytes of its output that are read
 
 
@@ -49,7 +50,7 @@ class ChildProcess:
         self,
         command: Sequence[str],
         *,
-        grace: float = GRACE,
+        grace: float = _GRACE,
         leftovers: Sequence[Path] = (),
         keeps_stdout: bool = False,
         **options: Any,

@@ -18,7 +18,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-GRACE = 2.0  # s between SIGTERM and SIGKILL
+_GRACE = 5.0  # s between SIGTERM and SIGKILL
 _EVERY = 1.0  # s between two looks at the parent: a forked copy of it keeps the input open
 
 
@@ -52,7 +52,7 @@ def main(parent: int) -> None:
 
 def _end_groups(groups: set[int]) -> None:
     left = {group for group in groups if _is_signaled(group, signal.SIGTERM)}
-    deadline = time.monotonic() + GRACE
+    deadline = time.monotonic() + _GRACE
     while left and time.monotonic() < deadline:
         time.sleep(0.01)
         left = {group for group in left if _is_signaled(group, 0)}

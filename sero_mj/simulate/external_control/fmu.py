@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import re
-import shutil
+import tempfile
 import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,6 +16,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
+from ...base.child_process import add_leftover, remove_leftover
 from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
 from ...base.trust import Action
@@ -33,7 +34,7 @@ class Fmu(ControllerDeclaration):
     """A Functional Mock-up Unit.
 
     Variables are taken by their names: an input `angles`, a vector, or `angles[1]`, `angles_1` and
-    so on, its elements; outputs `torques` likewise.
+    so on, its elements; outputs `torques` likewise. A vector must have one number per joint.
 
     Attributes:
         file: the unit, controller.fmu say; relative to the scenario's folder.
@@ -115,7 +116,10 @@ class FmuController:
         if wrong:
             expected = f'inputs of {", ".join(VALUES)}, or inputs.{wrong[0]} = "..."'
             raise Problem("inputs", found=", ".join(wrong[:5]), expected=expected).error()
-        taken = [place for place in places.values() if place is not None]
+        fitting = {name: place for name, place in places.items() if place is not None}
+        for each in inputs:
+            _check_size(f"inputs.{each.name}", each, fitting[each.name].joints.size)
+        taken = [*fitting.values()]
         self._outputs = _torques(outputs, declared.output, model.n)
         names = [*dict.fromkeys(place.name for place in taken)]
         text = " ".join(f"{name}:{model.n}d" for name in names)
@@ -157,9 +161,10 @@ class FmuController:
         from fmpy.fmi2 import FMU2Slave
         from fmpy.fmi3 import FMU3Slave
 
-        description, folder = self._description, ""
+        description, folder = self._description, tempfile.mkdtemp(prefix="sero-mj-fmu-")
+        add_leftover(Path(folder))
         try:
-            folder = fmpy.extract(str(self._declared.file))
+            fmpy.extract(str(self._declared.file), folder)
             unit = (FMU3Slave if self._is_3 else FMU2Slave)(
                 guid=description.guid,
                 unzipDirectory=folder,
@@ -178,7 +183,7 @@ class FmuController:
                 unit.enterInitializationMode()
             unit.exitInitializationMode()
         except Exception as error:  # of FMPy, or of the loader of libraries
-            shutil.rmtree(folder, ignore_errors=True)
+            remove_leftover(Path(folder))
             what = f"{self._declared.file} cannot be initialised: {error or type(error).__name__}"
             raise SimulationError(sensed.time, self._model.name, what) from error
         self._unit = unit
@@ -269,13 +274,25 @@ def _first(name: str, names: Sequence[str]) -> int:
     return 0 if 0 in numbers else 1
 
 
+def _check_size(key: str, variable: Any, expected: int) -> None:
+    """Raises DeclarationError if a variable of the unit is not for so many numbers."""
+    size = int(np.prod(variable.shape or ()))  # 1 for a scalar, all that FMI 2 has
+    if size != expected:
+        of = f"number{'s' * (size != 1)} in variable {variable.name} of the unit"
+        raise Problem(key, found=size, of=of, expected=expected).error()
+
+
 def _torques(outputs: Sequence[Any], name: str, n: int) -> list[int]:
     """References of the outputs with torques, in the order of the joints; raises."""
     whole = [each for each in outputs if each.name == name]
     if whole:
+        _check_size("output", whole[0], n)
         return [whole[0].valueReference]
     names = sorted(each.name for each in outputs)
     first = _first(name, names)
+    for each in outputs:
+        if (found := _ELEMENT.match(each.name)) is not None and found["name"] == name:
+            _check_size("output", each, 1)
     by_joint = {
         _number(found) - first: each.valueReference
         for each in outputs
@@ -303,4 +320,4 @@ def _end(unit: Any, folder: str) -> None:
         unit.freeInstance()
     except Exception:  # of a unit that has failed
         pass
-    shutil.rmtree(folder, ignore_errors=True)
+    remove_leftover(Path(folder))

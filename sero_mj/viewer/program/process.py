@@ -12,10 +12,8 @@ import logging
 import os
 import pickle
 import queue
-import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections import deque
@@ -26,6 +24,7 @@ from typing import Any
 
 import mujoco
 
+from ...base.child_process import ChildProcess
 from ...base.errors import RenderError, UsageError
 from ...robots.importers.mjcf_file import as_spec, is_mjcf_object
 from ..headless.film import Pixels
@@ -59,19 +58,14 @@ class ViewerProcess:
 
     def __init__(self, *, is_window: bool) -> None:
         environment = {**os.environ, **({"MUJOCO_GL": "glfw"} if is_window else {})}
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the process)
         # A group of its own: Ctrl+C in the terminal is for the user's loop.
-        group: dict[str, Any] = {"process_group": 0}
-        if sys.platform == "win32":
-            group = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-        self._process = subprocess.Popen(
+        self._child = ChildProcess(
             [sys.executable, "-c", _PROGRAM],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=self._errors,
             env=environment,
-            **group,
         )
+        self._process = self._child.process
         self.clicks: deque[tuple[Picked | None, str]] = deque(maxlen=_MAX_CLICKS)
         self.is_open = True
         self.answers: dict[str, Callable[[Any], None]] = {}
@@ -168,17 +162,11 @@ class ViewerProcess:
     def _ending(self) -> str:
         """Returns how the process has ended, and the last that it wrote."""
         try:
-            code = self._process.wait(_CLOSE_TIMEOUT)
+            self._process.wait(_CLOSE_TIMEOUT)
         except subprocess.TimeoutExpired:  # it lives, and says nothing that can be understood
             self._process.kill()
-            code = self._process.wait()
-        how = f"exit status {code}"
-        if code < 0:
-            with suppress(ValueError):
-                how = signal.Signals(-code).name
-        self._errors.seek(0)
-        lines = self._errors.read().decode(errors="replace").split("\n")
-        said = [line.strip() for line in lines if line.strip()]
+            self._process.wait()
+        how, said = self._child.status, self._child.lines()
         return f"{how}; it wrote: {said[-1]}" if said else how
 
     def picture(self) -> Pixels:
@@ -230,8 +218,7 @@ class ViewerProcess:
         if self._listener.is_alive() and self._listener is not threading.current_thread():
             self._listener.join()
         if not self._listener.is_alive():
-            process.stdout.close()
-            self._errors.close()
+            self._child.end()
 
 
 class _Pickler(pickle.Pickler):

@@ -11,22 +11,12 @@ from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 
+from ...base.child_process import ChildProcess
+
 log = logging.getLogger(__name__)
 
-# A process of its own, which ends when the viewer does, however that ends: the viewer's
-# end of the pipe is closed then.
-_PROGRAM = """
-import os, signal, threading
-
-def end_with_the_viewer():
-    os.read(0, 1)
-    os.kill(os.getpid(), signal.SIGTERM)
-
-threading.Thread(target=end_with_the_viewer, daemon=True).start()
-from sero_mj.__main__ import main
-main()
-"""
 _KINDS = {".mp4": "film", ".html": "page"}
+_GRACE = 10.0  # s for a process that is ended to remove its unfinished file
 
 
 class BackgroundExports:
@@ -34,7 +24,7 @@ class BackgroundExports:
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[list[str], Path]] = deque()
-        self._made: tuple[subprocess.Popen[str], list[str], Path] | None = None
+        self._made: tuple[ChildProcess, list[str], Path] | None = None
 
     def add(self, words: Sequence[str], path: Path) -> int:
         """Adds a file; returns how many are made before it. Any thread may call it.
@@ -53,16 +43,15 @@ class BackgroundExports:
     def advance(self) -> tuple[str, bool] | None:
         """Begins the next file when one is finished; returns what to tell, see `Tool`."""
         said = None
-        if self._made is not None and self._made[0].poll() is not None:
+        if self._made is not None and self._made[0].status:
             said = self._end()
         if self._made is None and self._waiting:
             words, path = self._waiting.popleft()
-            process = subprocess.Popen(
-                [sys.executable, "-c", _PROGRAM, *words],
-                stdin=subprocess.PIPE,
+            process = ChildProcess(
+                [sys.executable, "-m", "sero_mj", *words],
+                grace=_GRACE,
+                stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
             )
             self._made = process, words, path
         return said
@@ -70,16 +59,14 @@ class BackgroundExports:
     def _end(self) -> tuple[str, bool]:
         """Waits for the file that is made; returns what to tell of it."""
         assert self._made is not None
-        process, _, path = self._made
-        with process:  # its input is closed at the end, which would have ended it before
-            assert process.stderr is not None
-            errors = process.stderr.read().strip()
-            process.wait()
+        child, _, path = self._made
+        code, errors = child.process.wait(), child.lines()
+        child.end()
         self._made = None
         kind = _KINDS[path.suffix]
-        if process.returncode == 0:
+        if code == 0:
             return f"{kind} of what was kept: {path.name}", False
-        return f"no {kind} {path.name}: {errors.splitlines()[-1] if errors else 'it ended'}", True
+        return f"no {kind} {path.name}: {errors[-1] if errors else 'it ended'}", True
 
     def close(self, *, finish: bool) -> None:
         """Finishes all files, until Ctrl+C, or ends them and logs how they can be made."""
@@ -93,9 +80,9 @@ class BackgroundExports:
         left = [words for words, _ in self._waiting]
         self._waiting.clear()
         if self._made is not None:
-            process, words, path = self._made
-            process.terminate()
-            self._end()
+            child, words, path = self._made
+            child.end()
+            self._made = None
             path.unlink(missing_ok=True)  # as far as it was made
             left.insert(0, words)
         for words in left:

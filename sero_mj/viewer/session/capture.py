@@ -13,10 +13,13 @@ from ..headless.film import FilmWriter, Pixels, save_picture
 FPS = 30.0
 # Maximum number of queued frames; further ones are replaced by a longer following frame.
 _MAX_WAITING = 8
+_given: set[Path] = set()  # names of files that may not be there yet
 
 
 def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
-    """Returns an unused file name: `lwr_2026-05-04_17-03-12.png`.
+    """Returns an unused file name: `lwr_2026-05-04_17-03-12.png`; no name is returned twice.
+
+    The file may be written later, by another thread.
 
     Args:
         folder: of the file.
@@ -28,9 +31,10 @@ def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
     stem = f"{safe}_{now:%Y-%m-%d_%H-%M-%S}"
     path = folder / f"{stem}{ending}"
     count = 2
-    while path.exists():
+    while path.exists() or path.absolute() in _given:
         path = folder / f"{stem}_{count}{ending}"
         count += 1
+    _given.add(path.absolute())
     return path
 
 

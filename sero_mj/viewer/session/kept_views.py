@@ -18,7 +18,7 @@ from .view_state import ViewState
 
 log = logging.getLogger(__name__)
 
-_MAX_BYTES = 100_000
+_MAX_BYTES = 1_000_000  # that are read, so no more are written
 
 
 def file_of(scene: Scene) -> Path:
@@ -49,7 +49,7 @@ def write_state(path: Path, data: bytes) -> None:
 def keep_view(
     scene: Scene, state: ViewState, layout: Mapping[str, bool], tools: Mapping[str, Any]
 ) -> None:
-    """Saves a view for the next start; logs failures.
+    """Saves a view for the next start, without what tools keep if it is too long; logs failures.
 
     Args:
         scene: that was shown.
@@ -58,8 +58,11 @@ def keep_view(
         tools: what tools keep, by their names.
     """
     view = state._replace(time=None).to_text()
-    text = json.dumps({"view": view, "layout": dict(layout), "tools": dict(tools)})
-    write_state(file_of(scene), text.encode())
+    path, kept = file_of(scene), {"view": view, "layout": dict(layout), "tools": dict(tools)}
+    if len(text := json.dumps(kept).encode()) > _MAX_BYTES:
+        log.warning("%s: the state of tools is not saved: it is too long", path)
+        text = json.dumps({**kept, "tools": {}}).encode()
+    write_state(path, text)
 
 
 def find_view(scene: Scene) -> tuple[ViewState, dict[str, bool], dict[str, Any]] | None:

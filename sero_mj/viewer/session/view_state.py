@@ -29,7 +29,7 @@ MODELLED = "modelled"
 # The largest digit of switches that are not on or off.
 _MOST = {"arrow_quantity": len(ARROW_QUANTITIES) - 1, "part_names": len(PART_NAMES) - 1}
 _DECIMALS = 4  # of degrees and m
-_MAX_CHARACTERS = 20_000  # of a state as text
+_MAX_CHARACTERS = 200_000  # of a state as text; robots have a digit for each switch
 _MAX_TIME = 1e9  # s
 _CAMERA = ("type", "fixedcamid", "trackbodyid", "azimuth", "elevation", "distance")
 _SWITCHES = (*SWITCH_NAMES, "clicked")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import queue
+from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
@@ -47,14 +48,16 @@ class RollingRecorder(Tool):
         self._stack = ExitStack()
         self._said: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
         self._exports = BackgroundExports()
-        self._path = Path()
+        self._paths: deque[Path] = deque()  # of recordings that are to be written
         self._view: Sequence[str] = ()
         live = {name: each for name, each in mirror.sources.items() if each.is_live}
         self.is_on = bool(live)
         if not self.is_on:
             return
         self._recorder = self._stack.enter_context(
-            record_last(live, lambda *_: self._path, mirror.world.scene, SPAN, _SIGNALS_RATE)
+            record_last(
+                live, lambda *_: self._paths.popleft(), mirror.world.scene, SPAN, _SIGNALS_RATE
+            )
         )
         self._recorder.on_event = self._on_event
 
@@ -73,10 +76,11 @@ class RollingRecorder(Tool):
         if not self._recorder.statistics.packets:
             return "nothing has come yet that could be kept"
         name, folder = self._mirror.world.scene.name, self.shown.folder or Path()
-        self._path = unused_name(folder, name, ".mcap", datetime.now())
+        path = unused_name(folder, name, ".mcap", datetime.now())
+        self._paths.append(path)
         self._view = self.shown.render_words()
         self._recorder.record_now("kept by hand")
-        return f"keeps the last minute: {self._path.name}"
+        return f"keeps the last minute: {path.name}"
 
     def _on_event(self, event: RecordedEvent) -> None:
         """Called on the recorder's thread, when an event begins, and when it is complete."""

@@ -81,7 +81,7 @@ class PagePanels:
         if not self._is_asked and now - self._built < _INTERVAL:
             return
         self._built, self._is_asked = now, False
-        put("about", {"title": host.world.scene.name, "geoms": geoms, "panel": self.shows_panel})
+        put("about", {"title": host.world.scene.name, "geoms": geoms})
         sources = host.mirror.sources.values()
         put("status", [list(piece) for piece in status_pieces(sources, host.clock, frame_rate)])
         self._put_tree("panel", self.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))

@@ -126,12 +126,11 @@ export class Surround {
     }
   }
 
-  /** @param {{title?: string, hasPanel?: boolean} | null} about */
+  /** @param {{title?: string} | null} about */
   #about(about) {
     const title = about?.title ?? "";
     document.title = title ? `${title} - sero-mj` : "sero-mj";
     write(byId("title"), title.replaceAll("_", " "));
-    byId("open").hidden = about?.hasPanel === false;
     return true;
   }
 
