@@ -66,6 +66,9 @@ FUZZED = (
         "test_matrices.py::test_any_numbers_are_applied_or_blanked_or_counted",
         "test_joined_packets.py::test_any_bytes_are_taken_or_counted",
     )),
+    Target("finite numbers that no robot can have", (
+        "test_implausible.py",
+    )),
     Target("messages of KUKA FRI, UR RTDE, Franka FCI, foxglove_bridge", (
         "test_fri_iiwa.py::test_random_bytes_are_a_packet_or_an_error",
         "test_fri_iiwa.py::test_a_damaged_message_is_a_packet_or_an_error",
@@ -147,10 +150,20 @@ FAULTS = (
     Target("kill -9", (
         "test_recorder.py::test_a_killed_process_leaves_a_file_that_all_can_read",
         "test_shm_writers.py::test_a_writer_that_is_killed_in_the_middle_of_a_packet_is_replaced",
+        "test_ros2.py::test_a_driver_that_is_killed_is_replaced_by_another_one",
         "test_sweep.py::test_a_process_that_is_killed_costs_its_variant_only",
         "test_viewer_process.py::"
         "test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along",
         "test_web_guard.py::test_a_page_that_is_ended_leaves_no_files",
+    )),
+    Target("exceptions while packets are received", (
+        "test_receiving_thread.py",
+    )),
+    Target("names with several addresses, slow or without any", (
+        "test_connecting.py",
+    )),
+    Target("systems without POSIX", (
+        "test_platforms.py",
     )),
     Target("full disk", (
         "test_recorder.py::test_a_full_disk_ends_the_recording_with_an_error",

@@ -28,7 +28,7 @@ LOOPBACK = (
     "<CycloneDDS><Domain><General><AllowMulticast>false</AllowMulticast></General><Discovery>"
     "<Peers><Peer Address='127.0.0.1'/></Peers><ParticipantIndex>auto</ParticipantIndex>"
     "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
-    "<LeaseDuration>{lease}s</LeaseDuration></Discovery></Domain></CycloneDDS>"
+    "<LeaseDuration>10s</LeaseDuration></Discovery></Domain></CycloneDDS>"
 )
 
 
@@ -156,8 +156,8 @@ def made(kind: Any, values: Any) -> Any:
 
 def main() -> None:
     number = int(sys.argv[1])
-    lease = float(sys.argv[2]) if len(sys.argv) > 2 else 10.0
-    domain = Domain(number, LOOPBACK.format(lease=lease))
+    lease = sys.argv[2] if len(sys.argv) > 2 else "10"
+    domain = Domain(number, LOOPBACK.replace(">10s<", f">{lease}s<"))
     participant = DomainParticipant(number)
     writers: dict[str, DataWriter] = {}
     kinds: dict[str, Any] = {}

@@ -24,7 +24,7 @@ if platform == "win32":  # where Python makes socket pairs of two TCP sockets
     del _socket.socketpair, _socket.AF_UNIX
 import socket, urllib.request
 import mujoco, numpy, pydantic, mcap.writer, zstandard, rich, platformdirs, subprocess, asyncio
-import multiprocessing, tempfile, ssl, concurrent.futures, uuid, lxml.etree, trimesh
+import multiprocessing, tempfile, ssl, concurrent.futures, uuid, zoneinfo, lxml.etree
 for name in dir(os):
     if name.startswith("sched_"):
         delattr(os, name)
@@ -127,7 +127,8 @@ print(json.dumps(found))
 EXPECTED: Any = {"angles": [2.99] * 7, "torques": [299.0] * 7}
 
 
-@pytest.mark.parametrize("platform", ["win32", "darwin"])
+@pytest.mark.slow
+@pytest.mark.parametrize("platform", ["win32", pytest.param("darwin", marks=pytest.mark.thorough)])
 def test_packets_move_a_robot_and_are_recorded_and_replayed(platform: str, tmp_path: Path) -> None:
     command = [sys.executable, "-c", WITHOUT + DATA_PATH, platform, str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-import threading
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,6 @@ class JsonLines(Source):
     port: int = Field(ge=1, le=65535)
 
     _socket: socket.socket | None = PrivateAttr(None)
-    _thread: threading.Thread | None = PrivateAttr(None)
 
     @property
     def about(self) -> str:
@@ -37,7 +35,7 @@ class JsonLines(Source):
         return f"JSON lines from {self.host}:{self.port}"
 
     def open(self) -> None:
-        """Connects, and reads lines on a thread."""
+        """Connects, and reads lines on the source's thread."""
         self.close()
         try:
             self._socket = socket.create_connection((self.host, self.port), timeout=5)
@@ -45,21 +43,24 @@ class JsonLines(Source):
             raise SourceError(self.name, f"{self.host}:{self.port}: {error.strerror}") from error
         self._socket.settimeout(None)
         self.reset()
-        self._thread = threading.Thread(target=self._read, args=(self._socket,), daemon=True)
-        self._thread.start()
+        self.start_receiving(self._read, interrupt=self._end_connection)
 
     def close(self) -> None:
         """Ends the connection."""
-        if self._socket is not None and self._thread is not None:
-            self.closing.set()
+        self.stop_receiving()
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = None
+
+    def _end_connection(self) -> None:
+        if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
-            self._thread.join()
-            self._socket.close()
-        self._socket = self._thread = None
 
-    def _read(self, connection: socket.socket) -> None:
-        with contextlib.suppress(OSError), connection.makefile("rb") as lines:
+    def _read(self, _: socket.socket) -> None:
+        """Passes lines on; what it raises is shown, and it is called again after a pause."""
+        assert self._socket is not None
+        with self._socket.makefile("rb") as lines:
             for line in lines:
                 self.accept([self._packet(line)])
 

@@ -225,7 +225,11 @@ def _limit_numbers(wiring: Wiring) -> None:
     """Limits the numbers of events to what the inputs take that they are routed to."""
     for name, source in wiring.sources.items():
         limits: dict[str, Array] = {}
-        routed = ((route.to.limits.ravel(), route.value.terms) for route in wiring.routes)
+        routed = (
+            (route.to.limits.ravel(), route.value.terms)
+            for route in wiring.routes
+            if route.to.kind != "toggle"  # any number is off or on, and conditions have several
+        )
         for largest, term in ((largest, term) for largest, terms in routed for term in terms):
             key = term.origin.key
             if not term.origin.is_event or term.origin.name != name or key not in source.events:

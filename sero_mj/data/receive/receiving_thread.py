@@ -9,10 +9,7 @@ import socket
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from .source import Source
+from typing import Protocol
 
 SHORTEST, LONGEST = 0.1, 5.0  # s from a failure to the next attempt
 
@@ -34,6 +31,21 @@ class Disconnected(Exception):
         self.trouble, self.detail = trouble, detail
 
 
+class Receives(Protocol):
+    """What a source has for its thread."""
+
+    @property
+    def closing(self) -> threading.Event:
+        """Set while the source is being closed."""
+
+    @property
+    def receive_trigger(self) -> int:
+        """Number of good packets."""
+
+    def note_failure(self, error: BaseException) -> None:
+        """Shows that reception has failed."""
+
+
 class ReceivingThread:
     """Runs the reception of a source until the source is closed.
 
@@ -50,7 +62,7 @@ class ReceivingThread:
 
     def __init__(
         self,
-        source: Source,
+        source: Receives,
         name: str,
         receive: Callable[[socket.socket], object],
         interrupt: Callable[[], object] | None = None,
