@@ -447,6 +447,10 @@ def test_a_browser_with_the_address_sees_the_robot(browser: Any, tmp_path: Path)
             # Nor does the tab that was locked, which goes on.
             page.wait_for_function("() => player.state")
             served.until("len(w.browsers._browsers) == 2")
+            # Who reloads a page stays in control of it.
+            assert second.evaluate("player.isInControl")
+            second.reload()
+            second.wait_for_function("() => globalThis.player?.isInControl")
             assert context.cookies() == []
 
 
