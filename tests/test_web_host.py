@@ -57,6 +57,7 @@ from sero_mj.viewer.web.messages import (
     Wheel,
     Widget,
 )
+from sero_mj.viewer.web.server import socket_url
 
 SIZE = (1200, 800)
 
@@ -617,7 +618,7 @@ def test_no_more_browsers_are_let_in_than_can_be_served(
     page: WebHost, client: PageClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(browsers, "_MOST_BROWSERS", 1)
-    address = page.url.replace("http", "ws").replace("/?", "/live?")
+    address = socket_url(page.url, "/live")
     with connect(address) as other, pytest.raises(ConnectionClosed, match="1013"):
         other.recv(timeout=5)
     client.say("key", key="a")
