@@ -453,7 +453,8 @@ def test_a_browser_with_the_address_sees_the_robot(browser: Any, tmp_path: Path)
             page.wait_for_function("() => player.state")
             served.until("len(w.browsers._browsers) == 2")
             # Who reloads a page stays in control of it.
-            assert second.evaluate("player.isInControl")
+            second.evaluate("document.getElementById('take').click()")
+            second.wait_for_function("() => player.isInControl")
             second.reload()
             second.wait_for_function("() => globalThis.player?.isInControl")
             assert context.cookies() == []
