@@ -29,6 +29,7 @@ from websockets.sync.client import connect
 
 from sero_mj import UdpReceiver
 from sero_mj.viewer.web.host import WebHost
+from sero_mj.viewer.web.server import socket_url
 
 RATE = 1000  # packets/s
 PAUSE = 2.0  # s, of the sender and of the process that shows
@@ -47,7 +48,7 @@ def resources() -> dict[str, Any]:
 
 def take_states(url: str) -> None:
     """Takes and answers messages until the page is closed."""
-    with connect(f"{url.replace('http', 'ws')}live", max_size=None) as line:
+    with connect(socket_url(url, "/live"), max_size=None) as line:
         try:
             while True:
                 if not isinstance(line.recv(), str):

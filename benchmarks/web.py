@@ -255,7 +255,7 @@ def measure_slow_link(browser: Any, name: str) -> None:
         context = browser.new_context(viewport={"width": 480, "height": 320})
         page = context.new_page()
         begin = time.monotonic()
-        page.goto(f"http://localhost:{link.port}/")
+        page.goto(f"http://localhost:{link.port}/?{urlsplit(viewer.url).query}")
         page.wait_for_function(SHOWN)
         opened = time.monotonic() - begin
         context.close()

@@ -12,6 +12,7 @@ from typing import Any, Self
 from websockets.sync.client import connect
 
 from sero_mj.viewer.web.host import WebHost
+from sero_mj.viewer.web.server import socket_url
 
 PATIENCE = 400  # frames
 
@@ -47,8 +48,7 @@ class PageClient:
 
     def __init__(self, page: WebHost, *, answers: bool = True, **options: Any) -> None:
         self._page, self._answers = page, answers
-        path, _, query = page.url.partition("?")
-        url = f"{path.replace('http', 'ws')}live" + (f"?{query}" if query else "")
+        url = socket_url(page.url, "/live")
         self._stack = ExitStack()
         self.line = self._stack.enter_context(
             connect(url, max_size=None, close_timeout=0.2, **options)

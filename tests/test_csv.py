@@ -148,7 +148,7 @@ def test_a_table_with_times_or_a_rate(tmp_path: Path) -> None:
         (",time\n0,0,1\n", "2: found 3 values"),
         ("time;a\n0;1.2.3\n", "2: a: found '1.2.3'"),
         ('time,a\n0,"1,5"\n', "2: a: found '1,5'"),
-        ('time,a\n0,"1\x00\n', "2: a: found '1\x00'; expected a number"),
+        ('time,a\n0,"1\x00\n', r"2: a: found '1\x00'; expected a number"),
     ],
 )
 def test_what_is_wrong_in_a_table_is_told_with_line_and_column(

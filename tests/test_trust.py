@@ -367,20 +367,19 @@ def test_the_type_names_of_a_bag_are_no_code(tmp_path, capsys):
 # What starts a program, loads code or evaluates text, and why it needs nobody's trust.
 _GUARDED: dict[str, str] = {
     "base/trust.py": "asks whether the package lists the module",
+    "base/child_process.py": "starts what others ask for, see below",
     "cli/demo.py": "our own sender",
     "cli/doctor.py": "our own probes",
     "robots/importers/mjcf_file.py": "MuJoCo's own library",
     "simulate/external_control/fmu.py": "made by make_controller, which asks",
     "simulate/external_control/library.py": "made by make_controller, which asks",
     "simulate/external_control/library_host.py": "started by library.py",
-    "simulate/external_control/program.py": "made by make_controller, which asks",
     "simulate/mujoco_timers.py": "MuJoCo's own library",
     "study/scenario_inputs.py": "reads, with our interpreter, what the user simulates",
     "viewer/headless/backend.py": "our own probes",
     "viewer/headless/filament/probe.py": "our own probes",
     "viewer/program/process.py": "our own viewer",
     "viewer/program/process_main.py": "messages of the process that has started it",
-    "viewer/session/background_exports.py": "our own export",
     "__init__.py": "our own modules",
 }
 _CALLS = {

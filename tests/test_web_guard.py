@@ -25,6 +25,7 @@ from websockets.sync.client import connect
 
 from sero_mj import Mirror
 from sero_mj.base.errors import RenderError, UsageError
+from sero_mj.cli._browser import leading_to
 from sero_mj.load import load_scene
 from sero_mj.viewer.web.guard import is_loopback
 from sero_mj.viewer.web.host import WebHost
@@ -438,8 +439,12 @@ def test_a_browser_with_the_address_sees_the_robot(browser: Any, tmp_path: Path)
         page.wait_for_function("() => document.getElementById('problem').innerText.match('locked')")
         assert served.ask("w.is_seen") is False
         with closing(context.new_page()) as second:
-            second.goto(f"{served.url}#view=x")
-            second.wait_for_function("() => player.state")
+            # As `view` opens it, without the token in the arguments of a program.
+            file = leading_to(f"{served.url}#view=x")
+            assert file.stat().st_mode & 0o077 == 0
+            second.goto(file.as_uri())
+            second.wait_for_url(f"{plain}#view=x")
+            second.wait_for_function("() => globalThis.player?.state")
             # The address bar has lost the token, and a reload does not need it.
             assert second.url == f"{plain}#view=x"
             second.reload()
@@ -447,6 +452,11 @@ def test_a_browser_with_the_address_sees_the_robot(browser: Any, tmp_path: Path)
             # Nor does the tab that was locked, which goes on.
             page.wait_for_function("() => player.state")
             served.until("len(w.browsers._browsers) == 2")
+            # Who reloads a page stays in control of it.
+            second.evaluate("document.getElementById('take').click()")
+            second.wait_for_function("() => player.isInControl")
+            second.reload()
+            second.wait_for_function("() => globalThis.player?.isInControl")
             assert context.cookies() == []
 
 

@@ -9,6 +9,7 @@ import urllib.parse
 import urllib.request
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,7 @@ from sero_mj.viewer.web.messages import (
     Got,
     Hold,
     Key,
+    Left,
     Message,
     OpenShown,
     OpenTile,
@@ -57,6 +59,7 @@ from sero_mj.viewer.web.messages import (
     Wheel,
     Widget,
 )
+from sero_mj.viewer.web.server import socket_url
 
 SIZE = (1200, 800)
 
@@ -552,7 +555,8 @@ def test_only_the_browser_in_control_changes_anything(page: WebHost, client: Pag
         assert state() == before
         assert acted == []
         other.say("control")
-        other.until(lambda: page.browsers.holder == other.id)
+        other.until(lambda: acted == [Left])  # the other one holds no button any more
+        assert page.browsers.holder == other.id
         acted.clear()
         for kind, fields in EXAMPLES.items():
             other.say(KINDS[kind], **fields)
@@ -613,11 +617,21 @@ def test_a_browser_that_sends_too_much_waits(page: WebHost, client: PageClient) 
     assert page.browsers.refused == refused
 
 
+def test_a_page_closes_while_a_browser_waits(home: None) -> None:
+    with Mirror(load_scene("lwr")) as mirror, WebHost(mirror) as page, PageClient(page) as client:
+        with ThreadPoolExecutor(1) as thread, suppress(ConnectionClosed):
+            sending = thread.submit(lambda: [client.say("hold") for _ in range(10_000)])
+            assert until(lambda: len(page.browsers._said) == browsers._MOST_SAID, 20)
+            page.close()
+            sending.result(10)
+        assert not page.server.is_running
+
+
 def test_no_more_browsers_are_let_in_than_can_be_served(
     page: WebHost, client: PageClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(browsers, "_MOST_BROWSERS", 1)
-    address = page.url.replace("http", "ws").replace("/?", "/live?")
+    address = socket_url(page.url, "/live")
     with connect(address) as other, pytest.raises(ConnectionClosed, match="1013"):
         other.recv(timeout=5)
     client.say("key", key="a")

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import queue
+import urllib.request
+import webbrowser
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
 from sero_mj.base.errors import DeclarationError, RenderError, UsageError
 from sero_mj.cli import main
-from sero_mj.cli.view import ViewOptions, wants_page
+from sero_mj.cli.view import Session, ViewOptions, wants_page
 from sero_mj.viewer.decor.font import DEFAULT_FONT
 from sero_mj.viewer.decor.panels import labels_at
 from sero_mj.viewer.decor.picture_view import PictureView
@@ -109,6 +115,9 @@ def test_it_says_why_it_is_a_page_once_there_is_a_scene(
         ({"window": True, "port": 8080}, "--port is for the page"),
         ({"window": True, "host": "0.0.0.0"}, "--host is for the page"),
         ({"window": True, "token": True}, "--token is for the page"),
+        ({"window": True, "no_token": True}, "--no-token is for the page"),
+        ({"window": True, "no_browser": True}, "--no-browser is for the page"),
+        ({"token": True, "no_token": True}, "--token and --no-token: expected one"),
         ({"web": True, "size": (640, 480)}, "--size is for the window"),
         ({"port": 8080, "full_screen": True}, "--full-screen is for the window"),
         ({"window": True}, "no display for a window"),
@@ -121,3 +130,39 @@ def test_options_of_the_other_host_are_refused(
     monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: False)
     with pytest.raises((UsageError, DeclarationError), match=expected):
         wants_page(ViewOptions(scene="lwr", **given))
+
+
+def test_a_browser_is_opened_for_who_sits_at_this_machine(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: queue.SimpleQueue[str] = queue.SimpleQueue()
+    monkeypatch.setattr(webbrowser, "open", opened.put)
+    for name in ("SSH_CONNECTION", "SSH_TTY"):
+        monkeypatch.delenv(name, raising=False)
+    session = Session(ViewOptions(), on_page=True)
+    listening = SimpleNamespace(
+        port=8080, token="secret", url="http://localhost:8080/?token=secret",
+        urls=["http://localhost:8080/?token=secret"], is_private=True,
+    )  # fmt: skip
+
+    def announce(*, is_terminal: bool, has_display: bool, **options: bool) -> None:
+        monkeypatch.setattr("sys.stdout.isatty", lambda: is_terminal)
+        monkeypatch.setattr("sero_mj.cli._browser.has_display", lambda: has_display)
+        session.options = ViewOptions(**options)
+        session._is_announced = False
+        session._announce("lwr", listening, "127.0.0.1")
+        assert listening.url in capsys.readouterr().out
+
+    announce(is_terminal=False, has_display=True)
+    announce(is_terminal=True, has_display=False)
+    announce(is_terminal=True, has_display=True, no_browser=True)
+    monkeypatch.setenv("SSH_CONNECTION", "192.0.2.1 1 192.0.2.2 22")
+    announce(is_terminal=True, has_display=True)
+    assert opened.empty()
+    monkeypatch.delenv("SSH_CONNECTION")
+    announce(is_terminal=True, has_display=True)
+    address = opened.get(timeout=10)
+    assert address.startswith("file:")
+    assert "secret" not in address  # all users see the arguments of a browser
+    page = Path(urllib.request.url2pathname(urlsplit(address).path)).read_text()
+    assert f"url={listening.url}" in page

@@ -34,6 +34,7 @@ from sero_mj.viewer.session.start_page import PortMonitor
 from sero_mj.viewer.web import start_host, uploads
 from sero_mj.viewer.web.host import WebHost
 from sero_mj.viewer.web.messages import Control, ForStartPage, Got, Reader
+from sero_mj.viewer.web.server import socket_url
 from sero_mj.viewer.web.start_host import StartHost
 
 PATHS = ("/", "/sero-mj/tiles", "/sero-mj/pictures/0", "/sero-mj/start", "/sero-mj/files")
@@ -65,7 +66,7 @@ class Opened:
         return Scene(name=what.scene)
 
     def line(self, path: str, **options: Any) -> Any:
-        return connect(f"ws://localhost:{self.page.server.port}{self.secret(path)}", **options)
+        return connect(socket_url(self.page.server.url, path), **options)
 
     def secret(self, path: str) -> str:
         """A path with the token of the page."""

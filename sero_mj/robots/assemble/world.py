@@ -181,12 +181,13 @@ class World(WorldView):
             data: what to change.
             target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`. The name may be that of a
                 group: its robots have their shares of the values, as of those of a route.
-            values: (n,), (3,), a frame (4, 4), or one number, SI units; NaN means no data.
+            values: (n,), (3,), a frame (4, 4), or one number, SI units; NaN means no data, and so
+                does a number beyond `Input.limits` in an input that is only displayed.
 
         Raises:
             UnknownName: no such name or input.
-            ValueError: wrong number of values, NaN in an input that moves something, not a frame,
-                or a number beyond `Input.limits`.
+            ValueError: wrong number of values, not a frame, or NaN or a number beyond
+                `Input.limits` in an input that moves something.
         """
         if target not in self.inputs and target not in (shares := self.shares(target, values)):
             for each, share in shares.items():
@@ -200,12 +201,12 @@ class World(WorldView):
             found = array.tolist() if array.size else values
             many = item.meaning if item.count == 1 else f"{item.count} finite numbers"
             raise Problem(target, f"found {found}", expected=many).error()
-        if (beyond := finite & (np.abs(array) > item.limits)).any():
+        beyond = finite & (np.abs(array) > item.limits)
+        if beyond.any() and item.kind not in BLANKABLE:
             found = array[beyond].flat[0]
             limit = item.limits[beyond].flat[0]
             raise Problem(target, found=found, expected=f"at most {limit:g} in magnitude").error()
-        if not is_finite:
-            array = np.where(finite, array, np.nan)
+        array = np.where(finite & ~beyond, array, np.nan)
         if item.shape == (4, 4):
             array = to_frame(target, array)
         userdata = data.userdata

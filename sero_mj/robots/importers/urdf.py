@@ -276,6 +276,9 @@ class UrdfFile:
     def _expanded(self) -> Element:
         """The root element after expansion by xacro."""
         try:
+            import simpleeval  # noqa: F401  # both are needed by `xacro_file`
+            import xacro  # noqa: F401
+
             from . import xacro_file
         except ImportError:
             self._problem(None, "", _NO_XACRO.format(name=self.path.name))

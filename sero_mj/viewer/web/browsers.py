@@ -13,6 +13,7 @@ from typing import Any
 
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
+from websockets.protocol import State
 
 from .guard import is_local, same_text
 from .messages import MAX_BYTES, Control, Got, Left, PageSize, Reader, Said, Sender
@@ -112,7 +113,11 @@ class Browsers:
 
     async def _wait_for_room(self, browser: _Browser) -> None:
         """Lets a browser wait that sends too much; its messages stay in its connection."""
-        while len(self._said) >= _MOST_SAID and browser.id == self._holder:
+        while (
+            len(self._said) >= _MOST_SAID
+            and browser.id == self._holder
+            and browser.connection.state is State.OPEN  # also when the server closes
+        ):
             await asyncio.sleep(_PAUSE)
         now = time.monotonic()
         if now - browser.second >= 1.0:

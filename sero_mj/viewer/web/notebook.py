@@ -19,12 +19,12 @@ from contextlib import suppress
 from importlib.resources import files
 from importlib.util import find_spec
 from typing import Any
-from urllib.parse import urlsplit
 
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 from ..player.page import cell_page
+from .server import socket_url
 
 _HEIGHT = 600  # pixels
 _FIRST = "first"  # the connection that waits for the first page, see `bridge.js`
@@ -234,8 +234,7 @@ class _Visitor:
             self._socket.close()
 
     def _run(self) -> None:
-        parts = urlsplit(self._url)
-        address = f"ws://{parts.netloc}/live{f'?{parts.query}' * bool(parts.query)}"
+        address = socket_url(self._url, "/live")
         with (
             suppress(OSError, TimeoutError, WebSocketException),
             connect(address, compression=None, max_size=None, proxy=None) as self._socket,

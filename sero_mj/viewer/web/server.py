@@ -16,6 +16,7 @@ import threading
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import urlsplit, urlunsplit
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
@@ -319,6 +320,17 @@ def check_address(host: str) -> str:
             f"{LOOPBACK} is for browsers here, 0.0.0.0 for those everywhere"
         ) from error
     return str(address[0])
+
+
+def socket_url(url: str, path: str) -> str:
+    """Returns the address of a websocket of a page, with the token of the page.
+
+    Args:
+        url: of the page.
+        path: of the websocket, for example `/live`.
+    """
+    parts = urlsplit(url)
+    return urlunsplit(("ws", parts.netloc, path, parts.query, ""))
 
 
 def page_url(address: str, port: int, token: str | None = None) -> str:

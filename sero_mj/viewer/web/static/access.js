@@ -34,6 +34,19 @@ access.socket = function (path) {
 };
 // Resolves when another tab has stored another token.
 access.unlocked = () => new Promise((done) => addEventListener("storage", done, { once: true }));
+// Whether this tab was in control before a reload, or of the page that was served before.
+access.hadControl = function () {
+  try {
+    return sessionStorage.getItem("sero-mj control") === "1";
+  } catch {
+    return false;
+  }
+};
+access.noteControl = function (isInControl) {
+  try {
+    sessionStorage.setItem("sero-mj control", isInControl ? "1" : "");
+  } catch { /* The browser stores nothing, so the first one that comes back has control. */ }
+};
 // Returns which page is served now, "locked" without a valid token, or "" without an answer.
 access.page = async function () {
   try {

@@ -91,7 +91,12 @@ line.onmessage = ({ data }) => {
   const { json } = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
   send({ t: "got" });
   you = json.you ?? you;
-  control = json.control ?? control;
+  if (json.control) {
+    const isFirst = control === null;
+    control = json.control;
+    if (isFirst && !isInControl() && access.hadControl()) send({ t: "control" });
+    else access.noteControl(isInControl());
+  }
   document.getElementById("control").hidden = you === null || control === null || isInControl();
   if (json.awaited) showData(json.awaited);
   if (json.notice) drops.tell(json.notice.text, json.notice.isBad, json.notice.seconds);

@@ -78,6 +78,7 @@ export class Live {
       this.unanswered = 0;
       this.serial = -1;
       this.now = {};
+      this.isNew = true;
       this.#tellSize();
     };
     transport.onclose = () => tell("server", "The viewer has gone. This page connects again as soon as it is back.");
@@ -95,7 +96,7 @@ export class Live {
     press("look", () => keep(this.view.look));
     press("open", () => this.#act({ t: "key", key: "t", repeat: false }));
     press("help", () => this.#act({ t: "key", key: "h", repeat: false }));
-    press("take", () => this.transport.send(JSON.stringify({ t: "control" })));
+    press("take", () => this.#takeControl());
     press("follow", () => {
       this.isFollowing = true;
       this.#see(this.now.camera);
@@ -163,7 +164,10 @@ export class Live {
       case "camera": this.#follow(value); break;
       case "lookAt": this.#shift(before, value); break;
       case "shading": this.view.current?.robots.shade(value ?? {}); break;
-      case "you": case "control": this.#showControl(); break;
+      case "you": case "control":
+        this.#keepControl();
+        this.#showControl();
+        break;
       case "dragging": case "onHandle": this.#showHand(); break;
     }
   }
@@ -283,6 +287,18 @@ export class Live {
     this.surround.request.show(this.isInControl && request ? request.nodes : null);
   }
 
+  /** Takes control again after a reload, or on the next page of the server. */
+  #keepControl() {
+    const { control, you } = this.now, { transport } = this;
+    if (!you || !control) return;
+    if (this.isNew && !this.isInControl && transport.hadControl()) this.#takeControl();
+    else transport.noteControl(this.isInControl);
+    this.isNew = false;
+  }
+
+  #takeControl() { this.transport.send(JSON.stringify({ t: "control" })); }
+
+  isNew = true; // whether this connection does not know yet who is in control
   wasInControl = false;
   hasAsked = false; // for the view of a link
 

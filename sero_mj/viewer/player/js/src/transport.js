@@ -4,18 +4,20 @@
  * What a page needs of a connection; a notebook's channel can take the websocket's place.
  * @typedef {{send: (message: string | ArrayBuffer) => void, onopen: () => void,
  *   onmessage: (message: ArrayBuffer | string) => void, onclose: () => void, onlocked: () => void,
- *   onother: () => void}} Transport
+ *   onother: () => void, hadControl: () => boolean, noteControl: (isInControl: boolean) => void}} Transport
  *   onopen: it is there, and the state comes from the start; onclose: it is gone;
- *   onlocked: it needs a token that this browser does not have; onother: another page is served there now
+ *   onlocked: it needs a token that this browser does not have; onother: another page is served there now;
+ *   hadControl, noteControl: whether this tab was in control of the connection before
  */
 
 /**
  * The access of a page to its server, see `web/static/access.js`.
  * @typedef {{token: () => string, socket: (path: string) => URL, page: () => Promise<string>,
- *   unlocked: () => Promise<unknown>, locked: string}} Access
+ *   unlocked: () => Promise<unknown>, locked: string, hadControl: () => boolean,
+ *   noteControl: (isInControl: boolean) => void}} Access
  */
 
-/** That of this page; none in files and notebooks. */
+/** That of this page. */
 export const accessOf = () => /** @type {Access} */ (/** @type {any} */ (globalThis).access);
 
 const LEAST_PAUSE = 250, MOST_PAUSE = 2000; // ms, between two attempts
@@ -74,6 +76,11 @@ export class SocketTransport {
     else this.#connect();
   }
 
+  hadControl() { return this.access.hadControl(); }
+
+  /** @param {boolean} isInControl */
+  noteControl(isInControl) { this.access.noteControl(isInControl); }
+
   /** Sends, unless it is gone. @param {string | ArrayBuffer} message */
   send(message) {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(message);
@@ -102,6 +109,8 @@ export class CellTransport {
     /** @type {Transport["onmessage"]} */
     this.onmessage = () => {};
     this.isAsking = false;
+    this.hadControl = () => false; // a cell does not change its page
+    this.noteControl = () => {};
   }
 
   /** Whether the kernel answers. @param {number} patience ms */
