@@ -202,7 +202,7 @@ class World(WorldView):
             many = item.meaning if item.count == 1 else f"{item.count} finite numbers"
             raise Problem(target, f"found {found}", expected=many).error()
         beyond = finite & (np.abs(array) > item.limits)
-        if beyond.any() and item.kind not in BLANKABLE:
+        if beyond.any() and (item.kind not in BLANKABLE or item.shape == (4, 4)):
             found = array[beyond].flat[0]
             limit = item.limits[beyond].flat[0]
             raise Problem(target, found=found, expected=f"at most {limit:g} in magnitude").error()
