@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from polling import until
 from test_child_process import running_in
+from test_fmu import write_fmu
 from web_tools import ARGUMENTS, CHROMIUM
 
 from sero_mj.base.child_process import ChildProcess
@@ -53,6 +54,7 @@ while True:
     packet, robot = peer.recvfrom(4096)
     peer.sendto(packet[:4] + bytes(4) + packet[-56:], robot)  # step, and torques that hold it
 """
+UNIT = 'kind = "fmu"\nfile = "impedance2.fmu"'
 PROGRAM = f'kind = "udp"\ncommand = ["{sys.executable}", "peer.py", "{{port}}"]'
 LIBRARY = 'kind = "library"\nfile = "law.so"\nisolated = true'
 LAW = """
@@ -85,6 +87,8 @@ class Command:
             (folder / "law.c").write_text(LAW)
             compiled = ["cc", "-shared", "-fPIC", "-I", str(HEADER.parent), "law.c", "-o", "law.so"]
             subprocess.run(compiled, cwd=folder, check=True)
+        if controller == UNIT:
+            write_fmu(folder, 2)
         self.shared: list[str] = []  # files that it shares with libraries
         self.out = folder / "out.txt"
         with self.out.open("wb") as out:
@@ -98,7 +102,9 @@ class Command:
 
     @property
     def started(self) -> int:
-        """How many programs or libraries have started."""
+        """How many programs, libraries or units have started."""
+        if units := len([*self.temporary.glob("sero-mj-fmu-*")]):
+            return units
         file = self.folder / "started"
         return len(file.read_text().splitlines()) if file.exists() else 0
 
@@ -138,7 +144,12 @@ SWEEP = ["--vary", "run.seed=0,1,2,3,4,5,6,7", "--jobs", "2", "-o", "out.csv"]
 
 
 @pytest.mark.parametrize(
-    ("controller", "sent"), [(PROGRAM, signal.SIGINT), (LIBRARY, signal.SIGKILL)]
+    ("controller", "sent"),
+    [
+        (PROGRAM, signal.SIGINT),
+        (LIBRARY, signal.SIGKILL),
+        pytest.param(UNIT, signal.SIGINT, marks=pytest.mark.thorough),
+    ],
 )
 def test_a_sweep_starts_a_program_per_worker_and_ends_it(
     tmp_path: Path, controller: str, sent: signal.Signals

@@ -7,10 +7,12 @@ from datetime import datetime
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import mujoco
 import numpy as np
 import pytest
+from PIL import Image
 from scripted_widgets import ScriptedWidgets
 from shown import Shown
 from source_slots import set_source
@@ -22,7 +24,7 @@ from sero_mj.simulate.tools.bookmarks import Bookmarks
 from sero_mj.viewer.panels.help import build_help
 from sero_mj.viewer.panels.status_line import SourcesPanel, build_status_line
 from sero_mj.viewer.panels.time_line import build_time_line
-from sero_mj.viewer.session.capture import due_frames, unused_name
+from sero_mj.viewer.session.capture import Capture, due_frames, unused_name
 from sero_mj.viewer.session.clock import SPEEDS, Clock, Tick, time_text
 from sero_mj.viewer.session.input import (
     DOUBLE_CLICK_TIME,
@@ -540,6 +542,17 @@ def test_files_get_names_that_are_free(tmp_path: Path) -> None:
     assert unused_name(tmp_path, "two arms/1", ".png", now).name.endswith("-12_2.png")
     (tmp_path / "two_arms_1_2026-05-04_17-03-12_3.png").touch()
     assert unused_name(tmp_path, "two arms/1", ".png", now).name.endswith("-12_4.png")
+
+
+def test_two_screenshots_within_a_second_are_two_files(tmp_path: Path) -> None:
+    capture = Capture("lwr", tmp_path)
+    with patch("sero_mj.viewer.session.capture.datetime") as clock:
+        clock.now.return_value = datetime(2026, 5, 4, 17, 3, 12)
+        for value in (0, 255):
+            capture.picture(np.full((4, 4, 3), value, np.uint8))
+    capture.close()
+    found = {int(np.asarray(Image.open(file)).max()) for file in tmp_path.glob("*.png")}
+    assert found == {0, 255}
 
 
 def test_no_key_means_two_things_and_each_is_done() -> None:

@@ -69,6 +69,7 @@ class ChildProcess:
         self._end = weakref.finalize(
             self, _end, self.process, grace, tuple(leftovers), self._output, os.getpid()
         )
+        self._end.atexit = False  # see `_at_exit`
         try:
             subprocess.Popen.__init__(self.process, command, stderr=self._output, **options)
             _note(b"+g%d" % self.process.pid)
@@ -192,8 +193,6 @@ def _note(entry: bytes) -> None:
                 command, bufsize=0, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL, cwd="/", start_new_session=True,
             )  # fmt: skip
-            if _reaper is None:
-                atexit.register(_end_reaper)
             _reaper = os.getpid(), started
         pipe = _reaper[1].stdin
         assert pipe is not None
@@ -201,9 +200,12 @@ def _note(entry: bytes) -> None:
             pipe.write(entry + b"\0")
 
 
-def _end_reaper() -> None:
-    """Lets the reaper end what is left when this process exits, and waits for it."""
+# Registered early, so that it runs late: what is registered after it may still use the processes.
+@atexit.register
+def _at_exit() -> None:
+    """Ends all child processes when this process exits, and the reaper."""
     global _is_exiting  # noqa: PLW0603
+    end_all()
     _is_exiting = True
     if _reaper is not None and _reaper[0] == os.getpid():
         _reaper[1].communicate()

@@ -66,7 +66,8 @@ class Expect(Declaration):
     of all times, and `holds_at` says at how many joints and robots this one must be within bounds.
 
     Attributes:
-        measure: one of `MEASURES`: `position_error`, `flange_error`, `torque_share`, ...
+        measure: one of `MEASURES`: `position_error`, `flange_error`, `torque_share`,
+            `real_time_factor`, ...
         robot: whose; all robots when None.
         object: a free object, whose `height`, `displacement` or `tilt` it is.
         joints: names; all when empty.

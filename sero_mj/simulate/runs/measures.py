@@ -154,7 +154,7 @@ MEASURES: Mapping[str, tuple[str, Callable[[RunLog, str], Array]]] = {
     "displacement": ("m", _displacement),
     "tilt": ("rad", _tilt),
     "step_lateness": ("s", _step_lateness),
-    "real_time_factor": ("times real time", _real_time_factor),
+    "real_time_factor": ("s/s", _real_time_factor),
 }
 # Those with a number for every joint; others have one for each robot, or object.
 PER_JOINT = (
