@@ -130,11 +130,13 @@ class FriLayout(Structure):
             but = frozenset(but).difference(_COMMANDED)
         return super().find_not_finite(rows, but)
 
-    def find_large(self, rows: Rows, events: frozenset[str], bound: float) -> NDArray[np.bool_]:
-        """Which packets may have a number beyond a bound; see `Structure.find_large`."""
-        if "commanded_angles" in events:  # the sum of two
-            events, bound = events.union(_COMMANDED), bound / 2.0
-        return super().find_large(rows, events, bound)
+    def bounds(self, limits: Mapping[str, float]) -> list[Any]:
+        """Prepares `find_odd`; see `Structure.bounds`."""
+        if "commanded_angles" in limits:  # the sum of two
+            half = limits["commanded_angles"] / 2.0
+            parts = {part: min(half, limits.get(part, half)) for part in _COMMANDED}
+            limits = {**limits, **parts}
+        return super().bounds(limits)
 
     def _derive(self, values: dict[str, Array]) -> dict[str, Array]:
         if all(event in values for event in _COMMANDED):

@@ -165,8 +165,10 @@ class Intake:
 
     @limits.setter
     def limits(self, limits: Mapping[str, Array]) -> None:
-        self._limits, self._limited = limits, frozenset(limits)
-        self._bound = min((float(each.min()) for each in limits.values()), default=np.inf)
+        self._limits = limits
+        self._bounds = self.layout.bounds(
+            {event: float(each.min()) for event, each in limits.items()}
+        )
 
     def take(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
@@ -207,15 +209,17 @@ class Intake:
         begins = None if senders is None else self._note_senders(senders, arrivals)
         stamps = self._stamps(rows) if self._time else None
         places = self._follow(rows, arrivals, stamps, senders)
-        blank = layout.find_not_finite(rows)
-        if is_finite := not blank.any():  # the usual case
-            good = ~blank
-        else:
-            good = ~layout.find_not_finite(rows, self.nan_allowed)
-            self._count_not_finite(rows, arrivals, good)
+        odd = layout.find_odd(rows, self._bounds)
+        is_finite, good = True, ~odd
+        if has_odd := bool(odd.any()):  # seldom
+            blank = layout.find_not_finite(rows)
+            is_finite, good = not blank.any(), ~blank
+            if not is_finite:
+                good = ~layout.find_not_finite(rows, self.nan_allowed)
+                self._count_not_finite(rows, arrivals, good)
         if required := layout.required_frames:
             good &= self._are_frames(rows, arrivals, good, required)
-        if self._limited and layout.find_large(rows, self._limited, self._bound).any():
+        if has_odd and self._limits:
             good &= self._are_plausible(rows, arrivals, good)
         self._time_good(good, arrivals, stamps, places, begins)
         # Malformed packets have been counted, and are not counted again, as late for instance.

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from .language import Item, limits, parse
 Rows = NDArray[np.uint8]  # packets, or addresses of their senders, one per row
 # First and last byte, type, and the selected numbers in between; None for all of them.
 _Block = tuple[int, int, np.dtype[Any], Ints | None]
+_Bounds = tuple[_Block, Array]  # and the largest magnitudes of the selected numbers
 Alignment = Literal[1, 2, 4, 8]
 
 _ROTATION_TOLERANCE = 1e-3  # as in `nearest_rotation` for frames in files
@@ -27,7 +28,6 @@ LAST_ROW_TOLERANCE = 1e-6
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 _IDENTITY = np.eye(3)
 _DOUBLE = np.dtype(np.float64)
-_FLOAT_MAX = 1e38  # within float32
 
 
 _ALIGNMENTS: tuple[Alignment, ...] = (1, 2, 4, 8)
@@ -109,10 +109,6 @@ class Structure:
         ]
         self._is_plain = not any(item for *_, item in self._plan)
         self._blocks: dict[frozenset[str], list[_Block]] = {}
-        self._others: dict[frozenset[str], frozenset[str]] = {}  # the events that are not these
-        self._integers = [
-            name for name, item in self._by_event.items() if not (item.is_float or item.is_bool)
-        ]
 
     def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
         """Turns packets as they come into those that this structure describes.
@@ -279,31 +275,49 @@ class Structure:
             bad |= ~np.isfinite(numbers).all(axis=1)
         return bad
 
-    def find_large(self, rows: Rows, events: frozenset[str], bound: float) -> NDArray[np.bool_]:
-        """Which packets may have a number beyond a bound in these events, (n,); a quick check.
+    def bounds(self, limits: Mapping[str, float]) -> list[_Bounds]:
+        """Prepares `find_odd`.
 
-        NaN and infinity count as large.
+        Args:
+            limits: event name to the largest magnitude of its numbers, as decoded.
+        """
+        factor = max(self.scale, 1.0)
+        found: list[_Bounds] = []
+        for block in self._float_blocks(frozenset()):
+            start, end, dtype, _ = block
+            most = float(np.finfo(dtype).max)
+            bounds = [
+                min(limits.get(name, most), most) / factor
+                for name, item in self._by_event.items()
+                if item.is_float and item.constant is None and item.dtype == dtype
+                if start <= item.offset < end and (item.offset - start) % item.item_bytes == 0
+                for _ in range(item.numbers)
+            ]
+            found.append((block, np.array(bounds, dtype.newbyteorder("="))))
+        for name, limit in limits.items():
+            item = self._by_event.get(name)  # type: ignore[assignment]
+            if item is not None and not (item.is_float or item.is_bool) and _limit(item) > limit:
+                count = item.numbers * item.item_bytes
+                block = item.offset, item.offset + count, item.dtype, None
+                found.append((block, np.full(item.numbers, limit)))
+        return found
+
+    def find_odd(self, rows: Rows, bounds: Sequence[_Bounds]) -> NDArray[np.bool_]:
+        """Which packets may have NaN, infinity or a number beyond its bound, (n,); a quick check.
 
         Args:
             rows: (n, `size` or more), one packet a row.
-            events: the names of the events to check.
-            bound: of the magnitude, as decoded.
+            bounds: what `bounds` returned.
         """
-        if events not in self._others:
-            self._others[events] = frozenset(self._by_event.keys() - events)
-        large = np.zeros(len(rows), bool)
-        bound = min(bound / max(self.scale, 1.0), _FLOAT_MAX)
-        for start, end, dtype, columns in self._float_blocks(self._others[events]):
+        odd = np.zeros(len(rows), bool)
+        for (start, end, dtype, columns), bound in bounds:
             numbers = rows[:, start:end].view(dtype)
             if columns is not None:
                 numbers = numbers[:, columns]
-            large |= ~(np.abs(numbers) <= bound).all(axis=1)
-        for name in self._integers:
-            item = self._by_event[name]
-            if name in events and limits(item)[1] > bound:
-                numbers = _numbers(rows, item).astype(np.float64)
-                large |= (np.abs(numbers) > bound).any(axis=1)
-        return large
+            if dtype.kind != "f":
+                numbers = numbers.astype(np.float64)
+            odd |= ~(np.abs(numbers) <= bound).all(axis=1)
+        return odd
 
     def _float_blocks(self, but: frozenset[str]) -> list[_Block]:
         """Blocks that can be checked together: numbers of one type, aligned to its size."""
@@ -462,6 +476,10 @@ def _as_numbers(item: Item, given: ArrayLike) -> NDArray[Any]:
         problem = Problem(item.name, found=given, expected="numbers, all rows of one length")
         raise problem.error() from None
     return array
+
+
+def _limit(item: Item) -> float:
+    return float(max(map(abs, limits(item))))
 
 
 def _fitted(item: Item, array: NDArray[Any]) -> NDArray[Any]:
