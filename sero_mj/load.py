@@ -18,6 +18,7 @@ from .base.errors import (
     collect,
     nearest,
 )
+from .base.toml_file import read_toml
 from .data.drive.wiring import wire
 from .robots.declared.robot import SerialRobot
 from .robots.declared.scene import Scene
@@ -80,7 +81,7 @@ def load_scene(
                 if not hint and nearest(name, available) is None:
                     hint = no_robot.hint
                 raise UnknownName("scene or robot", name, available, hint) from error
-    if path.name == paths.ROBOT_FILE or path.suffix in paths.robot_endings():
+    if is_robot_file(path):
         own = paths.model_name(path)
         try:
             robot = load_robot(str(path), overrides)
@@ -101,6 +102,19 @@ def load_scene(
     if is_scenario(path):
         return load_scenario(str(path))
     return _checked(*read_scene_file(path, overrides))
+
+
+def is_robot_file(path: Path) -> bool:
+    """Whether a file describes a robot: by its name, its ending, or the keys that only robots have."""
+    if path.name == paths.ROBOT_FILE or path.suffix in paths.robot_endings():
+        return True
+    if path.suffix != ".toml":
+        return False
+    try:
+        keys = read_toml(path).keys()
+    except DeclarationError:
+        return False  # read as a scene, it reports what is wrong
+    return bool(keys & {"dh_params", "joint_frames"}) and "robots" not in keys
 
 
 def _checked(scene: Scene, problems: list[Problem]) -> Scene:

@@ -475,3 +475,34 @@ def test_without_a_command_the_start_page_is_shown(monkeypatch: pytest.MonkeyPat
     with pytest.raises(SystemExit):
         main(["--web", "--port", "8177"])
     assert shown[2].port == 8177
+
+
+ROBOT = """
+dh_convention = "craig"
+dh_params = [[0.0, 0.0, 0.0, 0.35], [1.5708, 0.0, 0.0, 0.0], [0.0, 0.4, 0.0, 0.0]]
+"""
+
+
+def test_a_robot_file_with_any_name_is_a_robot(tmp_path, capsys):
+    file = tmp_path / "crane.toml"
+    file.write_text(ROBOT)
+    status, out, _ = run(capsys, "check", str(file))
+    assert status == 0
+    assert "robot   crane: 3 joints" in out
+
+
+@pytest.mark.parametrize("word", ["True", "FALSE"])
+def test_truth_as_in_python_gets_a_hint(word: str, tmp_path, capsys):
+    file = tmp_path / "scene.toml"
+    file.write_text(f'[robots.lwr]\nmodel = "lwr"\nshow_arrows = {word}\n')
+    status, _, err = run(capsys, "check", str(file))
+    assert status == 2
+    assert f"write {word.lower()} in lower case" in err
+
+
+def test_a_run_of_which_nothing_is_expected_says_so(tmp_path, capsys):
+    file = tmp_path / "scene.toml"
+    file.write_text('[robots.lwr]\nmodel = "lwr"\n[run]\nduration = 0.01\n')
+    status, out, _ = run(capsys, "simulate", str(file))
+    assert status == 0
+    assert "nothing was judged" in out

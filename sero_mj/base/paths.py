@@ -288,7 +288,7 @@ def model_name(path: Path) -> str:
 
     Also the folder's for an MJCF with a generic name, such as `panda/robot.xml`.
     """
-    if path.suffix == ".toml":
+    if path.name in (ROBOT_FILE, GROUP_FILE):
         return path.parent.name
     name, folder = path.stem.removesuffix(".urdf"), path.absolute().parent.name
     if path.suffix == ".xml" and name.lower() in _TELLS_NOTHING and folder:

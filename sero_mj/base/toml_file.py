@@ -91,6 +91,19 @@ def _parse(text: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"{error}{_hint(text, str(error))}") from None
+
+
+def _hint(text: str, message: str) -> str:
+    """Returns what to write instead of a value that is spelled as in Python; empty for others."""
+    place = re.search(r"at line (\d+), column (\d+)", message)
+    if place is None:
+        return ""
+    line, column = int(place[1]), int(place[2])
+    word = re.match(r"\w*", text.split("\n")[line - 1][column - 1 :])
+    lower = word[0].lower() if word else ""
+    return f"; write {lower} in lower case" if lower in ("true", "false") else ""
 
 
 def _kept(function: Callable[[str], _Found]) -> Callable[[str], _Found]:

@@ -245,6 +245,8 @@ def _print(
             print(f"  found   {finding}")
         if len(findings) > 20:
             print(f"  found   ... {len(findings) - 20} more")
+    if not (outcomes or simulation.scenario.expect or quiet):
+        print("  nothing was judged: the file has no [expect]")
     for outcome in outcomes:
         if not (quiet and outcome.holds):
             print(f"  {held if outcome.holds else 'FAILED':7} {outcome.name}: {outcome.text}")
