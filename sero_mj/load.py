@@ -105,7 +105,7 @@ def load_scene(
 
 
 def is_robot_file(path: Path) -> bool:
-    """Whether a file describes a robot: by its name, its ending, or the keys that only robots have."""
+    """Whether a file describes a robot: by its name, its ending, or keys that only robots have."""
     if path.name == paths.ROBOT_FILE or path.suffix in paths.robot_endings():
         return True
     if path.suffix != ".toml":
