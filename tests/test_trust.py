@@ -476,3 +476,17 @@ def test_a_scenario_asks_before_it_sends_to_the_network(tmp_path):
     request = load_scene(file).withheld
     assert request is not None
     assert "domain 7" in request.actions[0].text
+
+
+def test_the_dialog_shows_characters_that_would_hide_a_command(tmp_path):
+    file = tmp_path / "hidden.toml"
+    command = PROGRAM.replace("echo > ran", "\\u202e nar > ohce \\u0007")
+    file.write_text(SCENARIO.format(controller=command))
+    request = load_scene(file).withheld
+    assert request is not None
+    others = OtherScenes(lambda text, is_bad: None, lambda: None)
+    others.ask(request, lambda: None)  # type: ignore[arg-type, return-value]
+    ui = ScriptedWidgets()
+    others.build_dialog(ui, can_allow=True)
+    (shown,) = [text for text in ui.texts() if "ohce" in text]
+    assert r"\u202e nar > ohce \x07" in shown

@@ -4,12 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from ...base.errors import printable
 from ...base.paths import without_temporary
 from ...base.trust import Request
 from .widgets import Widgets
 
 TITLE = "This file asks to run programs"
 WIDTH = 34.0  # of the text's height
+
+
+_MAX_SHOWN = 2000  # characters of an action
+
+
+def _in_one_line(text: str) -> str:
+    """Returns a text that cannot hide its end: escaped, without line breaks, the middle left out."""
+    line = printable(without_temporary(text)).replace("\n", r"\n")
+    if len(line) <= _MAX_SHOWN:
+        return line
+    left_out = f" ... {len(line) - _MAX_SHOWN} more characters ... "
+    return line[: _MAX_SHOWN // 2] + left_out + line[-_MAX_SHOWN // 2 :]
 
 
 def build_request(
@@ -29,10 +42,10 @@ def build_request(
         allow: called when the user allows the request.
         dismiss: called when the user closes the dialog.
     """
-    ui.text(f"{without_temporary(str(request.file))} is shown without simulating it.")
+    ui.text(f"{printable(without_temporary(str(request.file)))} is shown without simulating it.")
     ui.text("Its simulation would do this on your computer, with all your rights:")
     for action in request.actions:
-        ui.text(f"{without_temporary(action.text)}   ({action.key})", "bad")
+        ui.text(f"{_in_one_line(action.text)}   ({printable(action.key)})", "bad")
     ui.text("Allow this only if you trust the author of the file.")
     if not can_allow:
         ui.text("Only a browser on the computer that serves this page can allow it.", "quiet")
