@@ -142,6 +142,9 @@ def test_a_torque_sign_is_the_factor_of_measured_and_commanded_torques(sign: int
     assert got["torques"].tolist() == signed
     assert got["external_torques"].tolist() == numbers
     assert lwr.decoding_fields() == {"torque_sign": sign}
+    sent = lwr.layout.encode({"torques": numbers, "external_torques": numbers})  # as `send` does
+    assert struct.unpack_from("<7f", sent, 444) == tuple(signed)
+    assert struct.unpack_from("<7f", sent, 472) == tuple(numbers)
 
     franka = FrankaReceiver(host="a", torque_sign=sign)
     got = franka.decode(state(tau_J=numbers, tau_J_d=numbers, tau_ext_hat_filtered=numbers))

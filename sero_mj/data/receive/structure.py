@@ -90,7 +90,7 @@ class Structure:
         self.column_major = column_major
         self.alignment = alignment
         self.scale = scale
-        self.signs = signs
+        self.signs = dict(signs)
         self.fields = tuple(parse(text, is_double=is_double, alignment=alignment))
         self.size = self.fields[-1].end
         self._by_event = {item.name: item for item in self.fields if item.name}
