@@ -113,6 +113,7 @@ def test_every_version_is_found_and_every_event_is_there(version: int) -> None:
         assert packet is not None
         got = {event: array.ravel().tolist() for event, array in packet.values.items()}
         empty = [0.0] * (41 - len(flags))
+        # Franka's external torques and forces are those of the robot on its environment.
         assert got == {
             "message_id": [77],
             "torques": fields["tau_J"],
@@ -120,9 +121,9 @@ def test_every_version_is_found_and_every_event_is_there(version: int) -> None:
             "joint_angles": fields["q"],
             "commanded_angles": fields["q_d"],
             "joint_velocities": fields["dq"],
-            "external_torques": fields["tau_ext_hat_filtered"],
-            "tcp_force": wrench[:3],
-            "tcp_moment": wrench[3:],
+            "external_torques": [-x for x in fields["tau_ext_hat_filtered"]],
+            "tcp_force": [-1.0, -2.0, -3.0],
+            "tcp_moment": [-4.0, -5.0, -6.0],
             "errors": [float(flag) for flag in flags] + empty,
             "reflex_reasons": [float(flag) for flag in flags[::-1]] + empty,
             "robot_mode": [4],

@@ -17,6 +17,7 @@ from fri_packets import give
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from iiwa_messages import framed, monitoring, read_command, values
+from newton_euler import inverse_dynamics
 
 from sero_mj.cli import main
 from sero_mj.data.drive.mirror import Mirror
@@ -36,7 +37,10 @@ from sero_mj.data.receive.fri_iiwa import (
 from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.source import make_source
 from sero_mj.data.record.replay import Replay
-from sero_mj.load import load_scene
+from sero_mj.load import load_robot, load_scene
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
+from sero_mj.robots.declared.robot_parts import ARROW_QUANTITIES
+from sero_mj.viewer.decor.quantities import arrow_values, joint_values
 from sero_mj.viewer.decor.status import Status
 from sero_mj.viewer.decor.toggles import Toggles
 
@@ -78,9 +82,9 @@ def test_a_message_is_decoded(version: str) -> None:
     got = FriReceiver(version=version).decode(monitoring(7))
     assert got is not None
     np.testing.assert_array_equal(got["joint_angles"], Q)
-    np.testing.assert_array_equal(got["torques"], 10 * Q)
-    np.testing.assert_array_equal(got["commanded_torques"], 11 * Q)
-    np.testing.assert_array_equal(got["external_torques"], 2 * Q)
+    np.testing.assert_array_equal(got["torques"], -10 * Q)  # KUKA has the load's sign
+    np.testing.assert_array_equal(got["commanded_torques"], -11 * Q)
+    np.testing.assert_array_equal(got["external_torques"], 2 * Q)  # and here ours
     assert got["send_counter"] == 7
     assert got["timestamp"] == 1_700_000_000.25  # s
     assert got["measurement_cycle"] == 0.005  # s
@@ -90,11 +94,46 @@ def test_a_message_is_decoded(version: str) -> None:
     assert np.isnan(got["interpolated_angles"]).all()
 
 
+@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_declared_torque_sign_replaces_that_of_kuka(version: str, sign: int) -> None:
+    receiver = FriReceiver(version=version, torque_sign=sign)
+    got = receiver.decode(monitoring())
+    assert got is not None
+    np.testing.assert_array_equal(got["torques"], sign * 10 * Q)
+    np.testing.assert_array_equal(got["commanded_torques"], sign * 11 * Q)
+    np.testing.assert_array_equal(got["external_torques"], 2 * Q)
+    assert receiver.decoding_fields() == {"version": version, "torque_sign": sign}
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_gravity_explains_the_torques_of_an_iiwa_that_stands(
+    controller: socket.socket, tmp_path: Path, version: str
+) -> None:
+    angles = np.deg2rad([0.0, 50.0, 0.0, -40.0, 0.0, 30.0, 0.0])
+    robot = load_robot("iiwa14")
+    held = inverse_dynamics(robot, robot_dynamics(robot), angles)
+    assert held[1] < -50.0  # A2 leans forward, so its drive pulls back, and KUKA sends +
+    wire = {"measuredJointPosition": values(*angles), "measuredTorque": values(*-held)}
+    file = scene_of(tmp_path, version)
+    file.write_text(file.read_text().replace('"lwr"', '"iiwa14"'))
+    with Mirror(load_scene(file)) as mirror:
+        source = mirror.sources["fri"]
+        assert isinstance(source, FriReceiver)
+        give(source, controller, monitoring(monitorData=wire))
+        mirror.advance()
+        world, data = mirror.world, mirror.data
+        np.testing.assert_allclose(data.userdata[world.slots["arm.torques"]], held, atol=1e-9)
+        quantity = np.full(7, ARROW_QUANTITIES.index("torque_without_gravity"))
+        shown, _ = arrow_values(world, data, joint_values(world, data), quantity)
+        np.testing.assert_allclose(shown, 0.0, atol=1e-9)
+
+
 def test_messages_by_hand_are_decoded_as_kuka_has_them() -> None:
     got = FriReceiver(version="iiwa-1").decode(BY_HAND)
     assert got is not None
     assert got["joint_angles"].tolist() == [2.0] * 7
-    assert got["torques"].tolist() == [0, 1.5, 0, 0, 0, 0, 0]
+    assert got["torques"].tolist() == [0, -1.5, 0, 0, 0, 0, 0]  # KUKA has the load's sign
     assert (got["send_counter"], got["reflected_counter"]) == (5, 128)
     assert (got["state"], got["quality"], got["receive_multiplier"]) == (1, 2, 1)
     assert math.isnan(got["timestamp"][0])
@@ -264,8 +303,8 @@ def test_an_iiwa_is_mirrored_recorded_and_replayed(
         mirror.advance()
         slots, data = mirror.world.slots, mirror.data
         np.testing.assert_array_equal(data.qpos, Q)
-        np.testing.assert_array_equal(data.userdata[slots["arm.torques"]], 10 * Q)
-        np.testing.assert_array_equal(data.userdata[slots["arm.commanded_torques"]], 11 * Q)
+        np.testing.assert_array_equal(data.userdata[slots["arm.torques"]], -10 * Q)
+        np.testing.assert_array_equal(data.userdata[slots["arm.commanded_torques"]], -11 * Q)
         np.testing.assert_array_equal(data.userdata[slots["arm.external_torques"]], 2 * Q)
         good = source.receive_trigger
         assert good == (1 if version == "iiwa-1" else 2)
@@ -274,6 +313,9 @@ def test_an_iiwa_is_mirrored_recorded_and_replayed(
     with Mirror(scene) as again:
         again.advance(1e3)
         np.testing.assert_array_equal(again.data.qpos, Q)
+        # A recording has the packets as they came, so it is converted when it is played.
+        torques = again.data.userdata[again.world.slots["arm.torques"]]
+        np.testing.assert_array_equal(torques, -10 * Q)
         replayed = again.sources["fri"]
         assert (replayed.counters.wrong_size, replayed.receive_trigger) == (3 - good, good)
         assert replayed.original.kind == "fri"

@@ -147,6 +147,18 @@ def test_amperes_become_torques() -> None:
     assert heard.values["torques"] == [20, 15]
 
 
+@pytest.mark.parametrize(
+    ("fields", "factors"),
+    [({}, (-1, -1)), ({"effort_unit": "A", "torque_constants": [10.0, 5.0]}, (-10, -5))],
+)
+def test_efforts_of_the_load_on_the_drive_get_another_sign(
+    fields: dict[str, Any], factors: tuple[int, int]
+) -> None:
+    heard = Heard(torque_sign=-1, **fields)
+    heard.tell(joint_state(ARM, (1, 2), (), (2, 3)))
+    assert heard.values["torques"] == [2 * factors[0], 3 * factors[1]]
+
+
 def test_efforts_that_no_joint_can_have_are_told_once() -> None:
     heard = Heard()
     for k in range(3):

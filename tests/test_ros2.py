@@ -405,11 +405,12 @@ def test_addresses_of_nothing_are_told(
 
 
 def test_an_address_says_how_joints_are_named_and_what_an_ampere_is() -> None:
-    address = "ros2://:3/arm?joints=a,b&effort_unit=A&torque_constants=11.5,9"
+    address = "ros2://:3/arm?joints=a,b&effort_unit=A&torque_constants=11.5,9&torque_sign=-1"
     fields = Address.parse(address).source
     source = Ros2(name="it", **{key: fields[key] for key in fields.keys() - {"kind"}})
     assert (source.joints, source.torque_constants) == (["a", "b"], [11.5, 9.0])
     assert (source.domain, source.namespace, source.effort_unit) == (3, "arm", "A")
+    assert source.torque_sign == -1
 
 
 def test_a_list_of_nothing_says_where_else_to_look(capsys: pytest.CaptureFixture[str]) -> None:

@@ -145,9 +145,10 @@ class LCM:
         self.handler("IIWA_STATUS", b"status")
 """
 _DRAKE = """
-class lcmt_iiwa_status:
-    joint_position_measured, joint_torque_measured = angles, torques
-    joint_torque_commanded, utime = commanded, 1e6 * time
+class lcmt_iiwa_status:  # with KUKA's sign of torques, which the driver passes on
+    joint_position_measured, utime = angles, 1e6 * time
+    joint_torque_measured = [-torque for torque in torques]
+    joint_torque_commanded = [-torque for torque in commanded]
     def decode(data):
         assert data == b"status"
         return lcmt_iiwa_status

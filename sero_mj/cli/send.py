@@ -260,6 +260,7 @@ def _send_fri(options: SendOptions, scene: Scene, source: Any) -> int:
         quality=options.quality or (None if source.answer else "ok"),
         amplitude=options.amplitude,
         faults=NetworkFaults(loss=options.loss, seed=options.seed),
+        layout=source.layout,  # with the receiver's sign of torques
     )
     to_port = options.port or source.udpport
     if not to_port:

@@ -15,12 +15,15 @@ to = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
 
 def send(channel, data):
-    """Sends a status: positions in rad, torques in Nm."""
+    """Sends a status: positions in rad, torques in Nm.
+
+    The driver passes on KUKA's measured and commanded torques, which have the opposite sign.
+    """
     status = lcmt_iiwa_status.decode(data)
     values = (
         *status.joint_position_measured,
-        *status.joint_torque_measured,
-        *status.joint_torque_commanded,
+        *(-torque for torque in status.joint_torque_measured),
+        *(-torque for torque in status.joint_torque_commanded),
     )
     packet = struct.pack(f"<Id{3 * JOINTS}d", next(counts), 1e-6 * status.utime, *values)
     to.sendto(packet, (HOST, PORT))

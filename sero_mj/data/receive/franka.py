@@ -23,7 +23,7 @@ from ...base.frames import Array, Ints
 from . import connecting
 from ._udp_socket import DEFAULT_BUFFER, Batch, Datagrams, canonical_address, pack_address
 from .connecting import ConnectingSource, Connection, Nonsense
-from .structure import Rows, Structure
+from .structure import Rows, Structure, TorqueSign
 
 PORT = 1337
 CONNECT = 0  # the command
@@ -73,6 +73,10 @@ EVENTS = {
     "robot_mode": "robot_mode:1B",
 }
 STRUCTURE = " ".join(EVENTS.values())
+# External torques and forces are those that the robot exerts on its environment, so they have the
+# opposite sign of ours. Sources: libfranka include/franka/robot_state.h (O_F_ext_hat_K) and issue
+# 26, drake manipulation/README.md; docs/conventions.md.
+_EXTERNAL_SIGN = -1.0
 _PACKET = struct.Struct("<Q48d41s41sB")  # shorter strings are filled with zeros
 
 ROBOT_MODES = (
@@ -157,12 +161,13 @@ class FrankaReceiver(ConnectingSource):
     It connects, and connects again when the connection is lost; the version of the robot's server
     is found by asking. As a robot has one client at a time, nobody else can be connected meanwhile.
     Events are in SI units. `torques` include gravity, `commanded_torques` do not. `tcp_force` and
-    `tcp_moment` act at the stiffness frame, in directions of the base, and are positive where the
-    robot pushes; near a singularity they are 0.
+    `tcp_moment` act at the stiffness frame, in directions of the base; near a singularity they are
+    0. Like `external_torques` they are what the environment exerts on the robot.
 
     Attributes:
         host: address of the robot's controller.
         port: its port.
+        torque_sign: factor of measured and commanded torques: 1 or -1.
     """
 
     name: str = "franka"
@@ -171,6 +176,7 @@ class FrankaReceiver(ConnectingSource):
     sequence: str = "message_id"
     time: str = "message_id"
     time_scale: float = 1e-3
+    torque_sign: TorqueSign = 1
 
     _fixed_by: ClassVar[str] = "FCI"
     _link: ClassVar[str] = "Franka FCI"
@@ -180,7 +186,7 @@ class FrankaReceiver(ConnectingSource):
     @cached_property
     def layout(self) -> Structure:
         """The decoder."""
-        return FrankaLayout(STRUCTURE)
+        return FrankaLayout(self.torque_sign)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
         """What a packet says of the robot, in words."""
@@ -307,9 +313,18 @@ class FrankaReceiver(ConnectingSource):
 
 
 class FrankaLayout(Structure):
-    """The packets of `FrankaReceiver`, made of states of all versions."""
+    """The packets of `FrankaReceiver`, made of states of all versions.
+
+    Args:
+        torque_sign: factor of measured and commanded torques.
+    """
 
     message = "state"
+
+    def __init__(self, torque_sign: TorqueSign = 1) -> None:
+        own = dict.fromkeys(("torques", "commanded_torques"), float(torque_sign))
+        external = dict.fromkeys(("external_torques", "tcp_force", "tcp_moment"), _EXTERNAL_SIGN)
+        super().__init__(STRUCTURE, signs={**own, **external})
 
     def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
         """Turns states into packets; see `Structure.unpack`."""

@@ -21,10 +21,11 @@ from ...base.frames import Array
 from . import fri_iiwa
 from ._scheduling import short_turns
 from ._udp_socket import OnArrival
-from .structure import Rows, Structure, are_frames
+from .structure import Rows, Structure, TorqueSign, are_frames
 from .udp import UdpReceiver
 
 PORT = 49938  # FRI's own default
+TORQUE_SIGN: TorqueSign = 1  # of an LWR; not verified on hardware
 CYCLES = (0.001, 0.1)  # s; minimum and maximum of a controller's setting
 ALL_DRIVES = 0x7F  # `power` with all seven on
 
@@ -70,6 +71,7 @@ class FriLayout(Structure):
       its client; the robot follows the sum.
     - `tcp_moment` is sent as z, y, x and returned as x, y, z; so are the last three rows of the
       `jacobian` (6 x 7, row by row).
+    - `torques` are multiplied by `torque_sign`.
     - An invalid frame (zeros, say, before a program has commanded one) is no data, NaN, where that
       is allowed.
 
@@ -77,8 +79,15 @@ class FriLayout(Structure):
         missing: frames that may be no data; in the others, what is no frame is malformed.
     """
 
-    def __init__(self, missing: Collection[str] = FRAMES) -> None:
-        super().__init__(MEASUREMENT, is_double=False, column_major=False)
+    def __init__(
+        self, missing: Collection[str] = FRAMES, torque_sign: TorqueSign = TORQUE_SIGN
+    ) -> None:
+        super().__init__(
+            MEASUREMENT,
+            is_double=False,
+            column_major=False,
+            signs={"torques": float(torque_sign)},
+        )
         self.missing = FRAMES & set(missing)
         self.events["commanded_angles"] = self.events[_COMMANDED[0]]
 
@@ -227,6 +236,8 @@ class FriReceiver(UdpReceiver):
             LWR put into command mode by its program stays there, and the robot follows that
             program; an iiwa that waits for commands, or follows them, gets no answer. Answers have
             priority: packets are processed up to 4 ms later.
+        torque_sign: factor of measured and commanded torques: 1 or -1 (default: 1 for an LWR, -1
+            for an iiwa).
     """
 
     name: str = "fri"
@@ -238,6 +249,7 @@ class FriReceiver(UdpReceiver):
     time: str = "timestamp"
     version: Literal["1", "iiwa-1", "iiwa-2"] = "1"
     answer: bool = False
+    torque_sign: TorqueSign | None = None
 
     protocol: ClassVar[str] = "fri"
     _fixed_by: ClassVar[str] = "FRI"
@@ -271,14 +283,15 @@ class FriReceiver(UdpReceiver):
     def layout(self) -> FriLayout | fri_iiwa.IiwaLayout:
         """The decoder."""
         if self.is_iiwa:
-            return fri_iiwa.IiwaLayout(self.version)
-        return FriLayout(self._nan_allowed)
+            return fri_iiwa.IiwaLayout(self.version, self.torque_sign or fri_iiwa.TORQUE_SIGN)
+        return FriLayout(self._nan_allowed, self.torque_sign or TORQUE_SIGN)
 
     def decoding_fields(self) -> dict[str, Any]:
         """The fields that determine the meaning of packets; for recordings."""
-        if self.is_iiwa:  # which determines the structure
-            return {"version": self.version}
-        return super().decoding_fields()
+        if not self.is_iiwa:
+            return super().decoding_fields()
+        kept = {"version", "torque_sign"}  # which determine the structure and the signs
+        return self.model_dump(mode="json", include=kept, exclude_defaults=True)
 
     @property
     def is_iiwa(self) -> bool:

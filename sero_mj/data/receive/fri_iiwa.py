@@ -18,11 +18,15 @@ from functools import lru_cache
 import numpy as np
 
 from ...base.frames import Array, Ints
-from .structure import Rows, Structure
+from .structure import Rows, Structure, TorqueSign
 
 PORT = 30200  # FRI's own default
 JOINTS = 7
 MONITORING_ID, COMMAND_ID = 0x245142, 0x34001
+# Measured and commanded torques are those of the load on the drive, so they have the opposite sign
+# of ours. External torques, and the torques that a client commands, have our sign. Sources: drake
+# manipulation/README.md and lbr_fri_ros2_stack issue 249; docs/conventions.md.
+TORQUE_SIGN: TorqueSign = -1
 
 UNKNOWN = -1  # of a state that a message leaves out
 STATES = (
@@ -226,12 +230,14 @@ class IiwaLayout(Structure):
 
     Args:
         version: of FRI: `iiwa-1` or `iiwa-2`.
+        torque_sign: factor of measured and commanded torques.
     """
 
     message = "FRI message"
 
-    def __init__(self, version: str) -> None:
-        super().__init__(STRUCTURES[version])
+    def __init__(self, version: str, torque_sign: TorqueSign = TORQUE_SIGN) -> None:
+        signs = dict.fromkeys(("torques", "commanded_torques"), float(torque_sign))
+        super().__init__(STRUCTURES[version], signs=signs)
         self.version = version
 
     def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:

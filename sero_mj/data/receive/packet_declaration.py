@@ -20,6 +20,7 @@ _DECODING = (
     "is_double", "column_major", "alignment", "scale", "structure", "sequence", "time",
     "time_scale",
 )  # fmt: skip
+_SIGNS = ("torque_sign",)  # of the kinds that have it, where files may set it
 
 
 class PacketDeclaration(Declaration):
@@ -146,7 +147,7 @@ class PacketDeclaration(Declaration):
         Required fields (such as `block`) are included.
         """
         required = {key for key, field in type(self).model_fields.items() if field.is_required()}
-        kept = required.union(_DECODING)
+        kept = required.union(_DECODING, _SIGNS)
         fields = self.model_dump(mode="json", include=kept, exclude_defaults=True)
         return {key: value for key, value in fields.items() if value != ""}
 

@@ -22,7 +22,7 @@ from pydantic import Field, PrivateAttr
 from ...base.frames import Array
 from . import connecting
 from .connecting import ConnectingSource, Connection, Nonsense
-from .structure import Structure
+from .structure import Structure, TorqueSign
 
 PORT = 30004
 VERSION = 2  # of the protocol
@@ -80,12 +80,14 @@ class RtdeReceiver(ConnectingSource):
     in A. `torques` are those measured, `actual_current_as_torque`, which controllers have from
     PolyScope 5.23 and 10.11 on; before that they are the commanded ones, which is told, and
     `torques_are_commanded` is 1. `tcp_force` and `tcp_moment` are at the TCP, in directions of the
-    base. What the controller does not have is NaN, a mode -128.
+    base, and are what the environment exerts on the robot. What the controller does not have is
+    NaN, a mode -128.
 
     Attributes:
         host: address of the controller.
         port: its port.
         frequency: of data packages, Hz; 0 for the highest of the controller: 500, or 125 of a CB3.
+        torque_sign: factor of measured and commanded torques: 1 or -1.
     """
 
     name: str = "rtde"
@@ -94,6 +96,7 @@ class RtdeReceiver(ConnectingSource):
     structure: str = STRUCTURE
     sequence: str = "package_number"
     time: str = "timestamp"
+    torque_sign: TorqueSign = 1
 
     _fixed_by: ClassVar[str] = "RTDE"
     _link: ClassVar[str] = "UR RTDE"
@@ -105,7 +108,7 @@ class RtdeReceiver(ConnectingSource):
     @cached_property
     def layout(self) -> Structure:
         """The decoder."""
-        return RtdeLayout(STRUCTURE)
+        return RtdeLayout(self.torque_sign)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
         """What a packet says of the robot's controller, in words."""
@@ -203,9 +206,17 @@ class RtdeReceiver(ConnectingSource):
 
 
 class RtdeLayout(Structure):
-    """The packets of `RtdeReceiver`, which are data packages with `_ADDED`."""
+    """The packets of `RtdeReceiver`, which are data packages with `_ADDED`.
+
+    Args:
+        torque_sign: factor of measured and commanded torques.
+    """
 
     message = "data package"
+
+    def __init__(self, torque_sign: TorqueSign = 1) -> None:
+        signs = dict.fromkeys(("torques", "commanded_torques"), float(torque_sign))
+        super().__init__(STRUCTURE, signs=signs)
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
         """Describes why a packet is none; see `Structure.describe_wrong_size`."""

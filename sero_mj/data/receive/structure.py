@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -21,6 +22,7 @@ Rows = NDArray[np.uint8]  # packets, or addresses of their senders, one per row
 _Block = tuple[int, int, np.dtype[Any], Ints | None]
 _Bounds = tuple[_Block, Array]  # and the largest magnitudes of the selected numbers
 Alignment = Literal[1, 2, 4, 8]
+TorqueSign = Literal[-1, 1]
 
 _ROTATION_TOLERANCE = 1e-3  # as in `nearest_rotation` for frames in files
 # Much smaller: a transposed frame has its position there, which may be only 1 mm.
@@ -44,6 +46,8 @@ class Structure:
             Simulink's Byte Pack.
         scale: every floating-point number is multiplied by it, except those checked against a
             constant; of matrices only the position.
+        signs: event name to a factor of its numbers, 1 or -1, for senders with another convention
+            of signs; not for matrices.
 
     Attributes:
         text: the structure string.
@@ -51,6 +55,7 @@ class Structure:
         column_major: see above.
         alignment: see above.
         scale: see above.
+        signs: see above.
         fields: all items of the string in order, with their offsets.
         events: event name to the shape of its array.
         matrices: names of the events that are matrices.
@@ -74,6 +79,7 @@ class Structure:
         column_major: bool = True,
         alignment: Alignment = 1,
         scale: float = 1.0,
+        signs: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         if alignment not in _ALIGNMENTS:
             raise Problem("alignment", found=alignment, expected="1, 2, 4 or 8").error()
@@ -84,6 +90,7 @@ class Structure:
         self.column_major = column_major
         self.alignment = alignment
         self.scale = scale
+        self.signs = dict(signs)
         self.fields = tuple(parse(text, is_double=is_double, alignment=alignment))
         self.size = self.fields[-1].end
         self._by_event = {item.name: item for item in self.fields if item.name}
@@ -160,10 +167,12 @@ class Structure:
 
     def _unless_plain(self, item: Item) -> Item | None:
         is_plain = item.dtype == _DOUBLE and len(item.shape) == 1
-        return None if is_plain and not self._is_scaled(item) else item
+        return None if is_plain and self._factor(item) == 1.0 else item
 
-    def _is_scaled(self, item: Item) -> bool:
-        return self.scale != 1.0 and item.is_float and item.constant is None
+    def _factor(self, item: Item) -> float:
+        """The factor between the numbers in a packet and their values."""
+        is_scaled = item.is_float and item.constant is None
+        return self.signs.get(item.name, 1.0) * (self.scale if is_scaled else 1.0)
 
     def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
         """Returns every event's array, float64, in the shapes of `events`.
@@ -233,15 +242,15 @@ class Structure:
         if item.is_bool:
             numbers = numbers != 0
         values: Array = numbers.astype(np.float64, copy=False)
-        before = numbers.shape[:-1]
+        before, factor = numbers.shape[:-1], self._factor(item)
         if len(item.shape) == 3:
             frames = self._frames(values, item, before)
-            if self._is_scaled(item):
+            if factor != 1.0:
                 frames = frames.copy()
-                frames[..., :3, 3] *= self.scale
+                frames[..., :3, 3] *= factor
             return frames
-        if self._is_scaled(item):
-            values = values * self.scale
+        if factor != 1.0:
+            values = values * factor
         return values.reshape(*before, *item.shape) if len(item.shape) > 1 else values
 
     def _frames(self, values: Array, item: Item, before: tuple[int, ...]) -> Array:
@@ -368,7 +377,7 @@ class Structure:
     def encode(self, values: Mapping[str, ArrayLike]) -> bytes:
         """Returns the packet of these events; missing events are zero.
 
-        Constants are written, `scale` is undone, and integers are rounded.
+        Constants are written, `scale` and `signs` are undone, and integers are rounded.
 
         Args:
             values: event name to an array in the shape of `events`. A leading 1 may be omitted: (4,
@@ -405,7 +414,7 @@ class Structure:
         """An event's array in the layout and type of the packet."""
         if len(item.shape) == 3:
             array = np.array(array, np.float64)
-            if self._is_scaled(item):
+            if self._factor(item) != 1.0:
                 array[:, :3, 3] = self._unscaled(item, array[:, :3, 3])
             if item.kind == "T":
                 off = np.abs(array[:, 3] - LAST_ROW).max(axis=1)
@@ -416,13 +425,13 @@ class Structure:
                     ).error()
                 array = array[:, :3]
             array = array.swapaxes(1, 2) if self.column_major else array
-        elif self._is_scaled(item):
+        elif self._factor(item) != 1.0:
             array = self._unscaled(item, array)
         return _fitted(item, array)
 
     def _unscaled(self, item: Item, array: NDArray[Any]) -> NDArray[Any]:
         with np.errstate(over="ignore"):
-            unscaled = array / self.scale
+            unscaled = array / self._factor(item)
         if (wrong := np.isinf(unscaled) & np.isfinite(array)).any():
             expected = f"less, for scale {self.scale:g}"
             raise Problem(item.name, found=array[wrong].flat[0], expected=expected).error()

@@ -56,7 +56,7 @@ class JoinedPackets:
         has_forces: bool = False,
         frames: Sequence[str] = (),
         root: str = "",
-        torque_constants: float | Sequence[float] = 1.0,
+        torque_constants: float | Sequence[float] | Array = 1.0,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._joints = list(joints)

@@ -22,6 +22,7 @@ SCHEME = "ros2://"
 _DESCRIPTION = "/robot_description"
 _MOST_DESCRIPTION = 64 << 20  # bytes
 _LISTS = ("joints", "frames", "torque_constants")  # fields of a source with several values
+_SIGNS = ("1", "-1")
 _BETWEEN = 0.05  # s between looks at the publishers
 _MANY = 20  # topics in a message
 # Of these no rate is measured, since it would take the network to do so.
@@ -61,6 +62,7 @@ class Address:
             raise UsageError(problem)
         robot = query.pop("robot", "")
         known = [key for key, each in Ros2.model_fields.items() if isinstance(each.default, str)]
+        known.append("torque_sign")
         fields: dict[str, Any] = {}
         for key, value in query.items():
             if key not in (*known, *_LISTS):
@@ -74,6 +76,8 @@ class Address:
                 found, expected = query["torque_constants"], "numbers, Nm/A"
                 problem = Problem(f"{text}: torque_constants", found=found, expected=expected)
                 raise UsageError(problem) from None
+        if fields.get("torque_sign") in _SIGNS:
+            fields["torque_sign"] = int(fields["torque_sign"])
         return cls(host, domain, unquote(parts.path).strip("/"), robot, fields)
 
     @property

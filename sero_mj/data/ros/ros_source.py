@@ -13,6 +13,7 @@ from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from ...base.errors import Problem, SourceError
 from ..receive.source import LedJoint, Source
+from ..receive.structure import TorqueSign
 from . import messages
 from .joined_packets import (
     COMMANDS,
@@ -56,6 +57,8 @@ class RosSource(Source):
         namespace: stands before topics that do not begin with `/`.
         effort_unit: of efforts: `Nm`, or `A` with `torque_constants`.
         torque_constants: torque per ampere, Nm/A, one for all joints or one for each.
+        torque_sign: factor of efforts, 1 or -1, for drivers that publish the torque of the load on
+            the drive (default: 1, efforts are taken as published).
     """
 
     name: str = "ros"
@@ -68,6 +71,7 @@ class RosSource(Source):
     namespace: str = ""
     effort_unit: Literal["Nm", "A"] = "Nm"
     torque_constants: float | list[float] | None = Field(None)
+    torque_sign: TorqueSign = 1
     structure: str = ""
     time: str = "stamp"
 
@@ -143,7 +147,7 @@ class RosSource(Source):
                 led = [LedJoint(name) for name in self.joints]
             pairs = zip(led, self.joints, strict=True)
             led = [joint._replace(name=name) for joint, name in pairs]
-        constants = self.torque_constants
+        constants = 1.0 if self.torque_constants is None else self.torque_constants
         return JoinedPackets(
             led if self.joint_states else [],
             self.joints if isinstance(self.joints, dict) else {},
@@ -151,7 +155,7 @@ class RosSource(Source):
             has_forces=bool(self.wrench),
             frames=self.frames,
             root=self.root,
-            torque_constants=1.0 if constants is None else constants,
+            torque_constants=self.torque_sign * np.asarray(constants, float),
             tell=self.tell_once if tell is None else tell,
         )
 

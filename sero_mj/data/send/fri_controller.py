@@ -48,6 +48,7 @@ class FriController:
         counter: send counter of the first packet.
         amplitude: of the motion, 0 to 1.
         faults: of the network that `run` sends through; None for a good one.
+        layout: of the packets, with a sign of torques; FRI's own when None.
 
     Attributes:
         cycle: s between packets.
@@ -71,6 +72,7 @@ class FriController:
         counter: int = 0,
         amplitude: float = 1.0,
         faults: NetworkFaults | None = None,
+        layout: FriLayout | None = None,
     ) -> None:
         if robot.n != 7:
             raise UsageError(f"FRI is for 7 joints; '{robot.name}' has {robot.n}")
@@ -87,7 +89,8 @@ class FriController:
         self._commands = commands
         self._first = counter
         self._signals = FriSignals(robot, amplitude)
-        self._layout, self._command = FriLayout(), Structure(COMMAND)
+        self._layout = FriLayout() if layout is None else layout
+        self._command = Structure(COMMAND)
         self.restart()
 
     def restart(self) -> None:

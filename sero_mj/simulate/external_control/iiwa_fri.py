@@ -4,6 +4,7 @@ Its program holds the position and lets a client overlay its own, as KUKA's exam
 waits until the link is good (`MONITORING_WAIT`), calls for commands (`COMMANDING_WAIT`, in which a
 client mirrors the angles of the program), and follows them (`COMMANDING_ACTIVE`). A link that is
 not good any more, or a wrong command, ends the overlay for good, as it ends the robot's program.
+Measured and commanded torques are sent with KUKA's sign, see `fri_iiwa.TORQUE_SIGN`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from ...base.frames import Array
 from ...data.receive import fri_iiwa
 from ...data.receive.fri_iiwa import (
+    TORQUE_SIGN,
     double,
     inner,
     per_joint,
@@ -93,11 +95,11 @@ class IiwaFri(FriRobot):
     def _packet(self, sensed: Sensed) -> bytes:
         declared, is_called = self._declared, self.state >= COMMANDING_WAIT
         seconds, rest = divmod(round(sensed.time * 1e9), 10**9)
-        monitor = [per_joint(1, sensed.angles), per_joint(2, sensed.torques)]
+        monitor = [per_joint(1, sensed.angles), per_joint(2, TORQUE_SIGN * sensed.torques)]
         if declared.version == "iiwa-1":
             monitor.append(per_joint(3, self._base + self._offset))
         monitor += [
-            per_joint(4, self._torques),
+            per_joint(4, TORQUE_SIGN * self._torques),
             per_joint(5, self._observer.external),
             inner(15, whole(1, seconds), whole(2, rest)),
         ]
@@ -175,7 +177,7 @@ class IiwaFri(FriRobot):
             self.state = COMMANDING_ACTIVE
             self._offset[:] = 0.0
             log.info("%s: command begins at %.3f s", self._model.name, self._time)
-        elif mode == "torque":
+        elif mode == "torque":  # with our sign, unlike the torques that the robot reports
             self._extra[:] = added
         elif added is not None:
             turn = np.kron(np.eye(2), self._model.base()[:3, :3])

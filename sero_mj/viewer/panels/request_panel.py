@@ -17,7 +17,7 @@ _MAX_SHOWN = 2000  # characters of an action
 
 
 def _in_one_line(text: str) -> str:
-    """Returns a text that cannot hide its end: escaped, without line breaks, without a long middle."""
+    """Returns a text that cannot hide its end: escaped, in one line, without a long middle."""
     line = printable(without_temporary(text)).replace("\n", r"\n")
     if len(line) <= _MAX_SHOWN:
         return line
