@@ -119,15 +119,15 @@ class _OfMutations:
         self.is_good = not (self._unnoticed or self._failing)
 
     def tell(self) -> None:
-        from rich.markup import escape
         from rich.table import Table
+        from rich.text import Text
 
         shown = Table(box=None, pad_edge=False)
         shown.add_column("mutation")
         shown.add_column("noticed by")
         for name, judged in sorted(self._found.items(), key=lambda each: not each[1].noticed_by):
-            by = escape(_named(judged.noticed_by))
-            shown.add_row(escape(name), by or f"[bold]nothing[/bold]{escape(_moved(judged))}")
+            nothing = Text.assemble(("nothing", "bold"), _moved(judged))
+            shown.add_row(name, _named(judged.noticed_by) or nothing)
         print_table(shown)
         if self._failing:
             failing = ", ".join(self._failing)

@@ -150,7 +150,7 @@ def _table_of(rows: Rows) -> Table:
         error = np.median([row[f"{name}.error"] or np.nan for _, row in known])
         unit = known[0][1][f"{name}.unit"]
         table.add_row(
-            f"{name} \\[{unit}]", f"{len(known)} of {len(rows)}",
+            f"{name} [{unit}]", f"{len(known)} of {len(rows)}",
             f"{np.median(values):.4g}", f"{values.min():.4g}", low, f"{values.max():.4g}", high,
             f"± {error:.2g}",
         )  # fmt: skip
