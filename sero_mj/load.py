@@ -198,8 +198,10 @@ def _load_scenario(
     scene.withheld = withheld
     trust.log.warning(
         "%s: shown without simulating, because it asks to %s; `sero-mj simulate %s` allows it",
-        withheld.file, " and to ".join(map(str, withheld.actions)), withheld.file,
-    )  # fmt: skip
+        paths.without_temporary(str(withheld.file)),
+        " and to ".join(map(str, withheld.actions)),
+        withheld.file.name,
+    )
     return scene
 
 

@@ -208,9 +208,9 @@ def test_a_cell_is_run_again_and_goes_on_while_none_runs(kernel: Kernel) -> None
     kernel.run(_SHOW.replace("web=True", f"web=True, port={port}"))
     kernel.run(_SHOW)  # where the one before was, and not at the first free port
     urls = re.findall(r"lwr is at (http\S+)", kernel.printed)
-    # With the token of the one before as well, which browsers have stored.
-    assert urls == [urls[0]] * 2
-    assert urls[0].startswith(f"http://localhost:{port}/?token=")
+    # With a token of its own: another program could have received the one before in between.
+    assert len(set(urls)) == 2
+    assert all(url.startswith(f"http://localhost:{port}/?token=") for url in urls)
     assert "lwr is opened again; its viewer before is closed" in kernel.printed
     kernel.run("print('pictures', viewer.pictures)")
     seen = len(kernel.said["first"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import shutil
 import subprocess
 import sys
@@ -490,3 +491,72 @@ def test_the_dialog_shows_characters_that_would_hide_a_command(tmp_path):
     others.build_dialog(ui, can_allow=True)
     (shown,) = [text for text in ui.texts() if "ohce" in text]
     assert r"\u202e nar > ohce \x07" in shown
+
+
+def test_what_is_allowed_is_what_was_shown(tmp_path):
+    """A program that changes while the dialog is open asks again."""
+    script = tmp_path / "control.sh"
+    script.write_text("sleep 9")
+    script.chmod(0o755)
+    file = tmp_path / "own.toml"
+    for command in ('["./control.sh", "{port}"]', '["sh", "control.sh", "{port}"]'):
+        script.write_text("sleep 9")
+        file.write_text(SCENARIO.format(controller=f'kind = "udp"\ncommand = {command}'))
+        request = load_scene(file).withheld
+        assert request is not None
+        script.write_text("rm -r *")
+        trust.allow(request)
+        assert load_scene(file).withheld is not None
+
+
+def test_the_program_is_named_by_where_it_is(tmp_path):
+    script = tmp_path / "control.sh"
+    script.write_text("")
+    script.chmod(0o755)
+    command = UdpProgram(command=["./control.sh", "{port}"], folder=tmp_path)
+    (action,) = command.actions("controllers.lwr")
+    assert str(script) in action.text
+
+
+@pytest.mark.parametrize("word", ["x" * 300, "true;" * 100, "a/" * 3000, "a\\u0000b"])
+def test_words_that_no_file_can_be_named_are_words(word: str, tmp_path, capsys):
+    file = tmp_path / "long.toml"
+    for command in (f'["sh", "-c", "{word}", "{{port}}"]', f'["./{word}", "{{port}}"]'):
+        file.write_text(SCENARIO.format(controller=f'kind = "udp"\ncommand = {command}'))
+        status, _, err = run(capsys, "check", str(file))
+        assert status == (0 if '"-c"' in command else 2), err
+
+
+def test_no_line_of_a_command_is_forged(tmp_path, capsys):
+    file = tmp_path / "forged.toml"
+    command = PROGRAM.replace("sleep 9", "sleep 9\\n  model   10 bodies\\n")
+    file.write_text(SCENARIO.format(controller=command))
+    _, out, _ = run(capsys, "check", str(file))
+    assert len([line for line in out.splitlines() if line.startswith("  model")]) == 1
+    assert r"sleep 9\n  model" in out
+
+
+def test_a_file_that_fails_in_any_way_ends_no_viewer():
+    said: list[tuple[str, bool]] = []
+    others = OtherScenes(lambda text, is_bad: said.append((text, is_bad)), lambda: None)
+
+    def fails(path: Path) -> Mirror:
+        raise OSError(36, "File name too long")
+
+    others.opener = fails
+    assert not others.open_file(Path("a.toml"))
+    assert said[0][1]
+    assert "File name too long" in said[0][0]
+
+
+def test_a_program_ends_with_the_view_of_its_run(tmp_path):
+    file = tmp_path / "mine.toml"
+    command = 'kind = "udp"\ncommand = ["sh", "-c", "echo $$ > pid; sleep 99", "x", "{port}"]'
+    scenario = SCENARIO.format(controller=f"{command}\non_silence = 'gravity_compensation'\n")
+    file.write_text(scenario.replace("0.05", "50"))
+    with Mirror(load_scene(file, {"controllers.lwr.first_patience": 0.2}, trusted=True)) as mirror:
+        mirror.advance(0.01)
+        pid = int((tmp_path / "pid").read_text())
+        os.kill(pid, 0)
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)

@@ -29,6 +29,7 @@ from sero_mj.cli._browser import leading_to
 from sero_mj.load import load_scene
 from sero_mj.viewer.web.guard import is_loopback
 from sero_mj.viewer.web.host import WebHost
+from sero_mj.viewer.web.server import Listener, PageServer
 
 # What a page is made of, without secrets, and what needs its token.
 PUBLIC = ("/", "/index.html", "/player.js", "/player.css", "/access.js", "/uploads.js")
@@ -516,3 +517,41 @@ def test_a_page_that_is_ended_leaves_no_files(sent: signal.Signals, tmp_path: Pa
         status = process.wait(timeout=20)
     assert list(folder.iterdir()) == []
     assert status == (-signal.SIGKILL if sent == signal.SIGKILL else 0)
+
+
+def test_nobody_else_gets_the_port_between_two_pages_of_a_viewer() -> None:
+    """Another user's program that listens there would receive the token that browsers send."""
+    listener = Listener("127.0.0.1")
+    port = listener.sockets[0].getsockname()[1]
+
+    def page(text: str) -> PageServer:
+        async def talk(connection: Any) -> None:
+            del connection
+
+        return PageServer(
+            text, {}, talk, "/live", lambda key: None, lambda path: None, port=listener
+        )
+
+    def is_free() -> bool:
+        with socket.socket() as other:
+            other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                other.bind(("127.0.0.1", port))
+                other.listen()
+            except OSError:
+                return False
+        return True
+
+    first = page("<html>first</html>")
+    assert get(port, "/")[1] == "<html>first</html>"
+    first.close()
+    assert not is_free()
+    with socket.create_connection(("127.0.0.1", port), 10) as waiting:  # until the next page
+        waiting.sendall(f"GET / HTTP/1.1\r\nHost: localhost:{port}\r\n\r\n".encode())
+        second = page("<html>second</html>")
+        assert b"second" in waiting.recv(100_000)
+        assert second.port == port
+        second.close()
+    assert not is_free()
+    listener.close()
+    assert is_free()

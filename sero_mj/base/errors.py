@@ -78,6 +78,11 @@ def printable(text: str) -> str:
     )  # fmt: skip
 
 
+def in_one_line(text: str) -> str:
+    r"""Returns a text as `printable` does, and with `\n` for each line break."""
+    return printable(text).replace("\n", r"\n").replace("\t", r"\t")
+
+
 def shown(value: object) -> str:
     """Returns a value as messages show it: arrays as lists, and long ones shortened."""
     value = value.tolist() if hasattr(value, "tolist") else value

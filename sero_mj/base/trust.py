@@ -28,7 +28,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from .errors import NotTrusted, UnknownName
+from .errors import NotTrusted, UnknownName, in_one_line
 
 log = logging.getLogger(__name__)  # what was withheld; windows and pages show a dialog instead
 
@@ -42,13 +42,16 @@ class Action:
 
     Attributes:
         key: table that asks, `controllers.lwr` for example.
-        text: what it does, as a verb phrase: `run the program ./controller 5000`.
+        text: what it does, as a verb phrase in one line: `run the program ./controller 5000`.
         files: the files that would be run, as far as they are known.
     """
 
     key: str
     text: str
     files: tuple[Path, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "text", in_one_line(self.text))
 
     def __str__(self) -> str:
         return f"{self.text} ({self.key})"
@@ -75,15 +78,19 @@ class Request:
         file: the file that was opened.
         actions: what it asks for, at least one.
         tables: the other files that say what is run, such as an extended scenario.
+        digest: SHA-256 of the contents of all its files, and of what is run, as they were when the
+            request was made: what a user allows is what was shown.
     """
 
     file: Path
     actions: tuple[Action, ...]
-    tables: tuple[Path, ...] = field(default=())
+    tables: tuple[Path, ...] = ()
+    digest: str = field(init=False)
 
-    @property
-    def digest(self) -> str:
-        """SHA-256 of the contents of all its files, and of what is run; it changes with them."""
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "digest", self._digest())
+
+    def _digest(self) -> str:
         named = {self.file, *self.tables, *(each for one in self.actions for each in one.files)}
         digest = hashlib.sha256()
         for path in sorted(each.absolute() for each in named):
@@ -103,7 +110,7 @@ def trust_folder(folder: Path | str) -> None:
 
 
 def allow(request: Request) -> None:
-    """Allows a request as long as the contents of its files stay the same."""
+    """Allows a request as long as the contents of its files stay as they were when it was made."""
     _allowed.add(request.digest)
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Set
 from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..base import paths
+from ..base import paths, trust
+from ..base.errors import in_one_line
 from ..base.frames import rpy_from_rotation
 from ._arguments import command, read_scene, replay_instead
 from .shared_options import PackageOptions, ReplayOptions, SceneArgument
@@ -42,6 +44,7 @@ def run(options: CheckOptions) -> int:
     from ._opening import with_scene
 
     options = with_scene(options)
+    trust.log.setLevel(logging.ERROR)  # what is withheld is listed below
     scene = read_scene(options.scene, replay=options.replay)
     if options.replay is not None:
         replay_instead(scene, options.replay, options.start, options.source)
@@ -50,7 +53,7 @@ def run(options: CheckOptions) -> int:
     own = scene.file and not paths.is_temporary(scene.file)
     print(f"{scene.name}: no errors" + (f" in {scene.file}" if own else ""))
     if scene.description:
-        print(f"  about   {scene.description}")
+        print(f"  about   {in_one_line(scene.description)}")
     for name, part in world.robots.items():
         print("\n".join(_about_robot(name, part.robot)))
     wiring = wire(scene)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from ..viewer.session.live import LiveHost
     from ..viewer.session.recent_views import RecentView
     from ..viewer.session.view_state import ViewState
-    from ..viewer.web.server import PageServer
+    from ..viewer.web.server import Listener, PageServer
 
 _SIZE = (1280, 800)
 _LOOPBACK = "127.0.0.1"
@@ -195,7 +195,7 @@ class Session:
         from ..robots.declared.scene import Scene
 
         self.options, self.on_page = options, on_page
-        self._port: int = options.port or 0
+        self._listener: Listener | None = None  # as long as the session: see `Listener`
         self._token: bool | str = not options.no_token  # as browsers know the page
         self.plain = Scene()
         self.is_at_start = options.scene is None
@@ -204,6 +204,15 @@ class Session:
         self._is_announced = False
         self._told: set[str] = set()  # sources that are waited for
         self._warnings: list[str] = []  # of the files of what is shown next
+
+    @property
+    def _listening(self) -> Listener:
+        """The sockets of all pages of the session."""
+        if self._listener is None:
+            from ..viewer.web.server import Listener
+
+            self._listener = Listener(self.options.host or _LOOPBACK, self.options.port or 0)
+        return self._listener
 
     def first(self) -> Mirror | None:
         """Returns what shows the scene of the command; None for the start page."""
@@ -239,7 +248,7 @@ class Session:
             host = options.host or _LOOPBACK
             with (
                 listening() as heard,
-                StartHost(self.open, heard, host, self._port, token=self._token) as page,
+                StartHost(self.open, heard, host, self._listening, token=self._token) as page,
             ):
                 self._announce("the start page", page.server, host)
                 return page.run()
@@ -439,7 +448,7 @@ class Session:
                 mirror,
                 camera=options.camera,
                 host=host,
-                port=self._port,
+                port=self._listening,
                 token=self._token,
                 waits=True,
             ) as page,
@@ -455,7 +464,7 @@ class Session:
 
     def _announce(self, name: str, server: PageServer, host: str) -> None:
         """Says once where the page is, and who else may see it; others will be there, too."""
-        self._port, self._token = server.port, server.token or False
+        self._token = server.token or False
         if self._is_announced:
             return
         self._is_announced = True

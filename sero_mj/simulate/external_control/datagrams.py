@@ -24,7 +24,7 @@ from ...robots.declared.robot import SerialRobot
 from ..control.controller import ControllerDeclaration, MaybePerJoint, Sensed, Target
 from ..control.robot_model import RobotModel
 from .exchange import Answer, State
-from .program import PORT, Program, find_program, held_port
+from .program import PORT, Program, find_program, held_port, is_file
 
 log = logging.getLogger(__name__)
 
@@ -91,9 +91,12 @@ class Reachable(ControllerDeclaration):
         """See `ControllerDeclaration`."""
         if not self.command:
             return [Action(key, f"exchange packets with {self._peer}")]
-        beside = (self.folder / word for word in self.command)
-        files = tuple(path for path in beside if "\0" not in str(path) and path.is_file())
-        return [Action(key, f"run the program {shlex.join(self.command)}", files)]
+        beside = [self.folder / word for word in self.command]
+        files = tuple(path.absolute() for path in beside if is_file(path))
+        name, *words = self.command
+        if os.sep in name:  # where it is, which may be far from the file that was opened
+            name = str(beside[0].absolute())
+        return [Action(key, f"run the program {shlex.join([name, *words])}", files)]
 
     @property
     def _peer(self) -> str:

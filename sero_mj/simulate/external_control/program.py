@@ -139,6 +139,14 @@ def held_port() -> socket.socket:
                 return held
 
 
+def is_file(path: Path) -> bool:
+    """Whether there is a file of any name, also of one that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long, with NUL, or in a folder that cannot be read
+        return False
+
+
 def find_program(command: Sequence[str], folder: Path) -> str:
     """The path of a program.
 
@@ -151,8 +159,11 @@ def find_program(command: Sequence[str], folder: Path) -> str:
     """
     name = command[0]
     beside = folder / name
-    found = shutil.which(str(beside.absolute()) if os.sep in name else name)
-    if found is None and os.sep in name and beside.is_file():
+    try:
+        found = shutil.which(str(beside.absolute()) if os.sep in name else name)
+    except (OSError, ValueError):  # too long for a name, or with NUL
+        found = None
+    if found is None and os.sep in name and is_file(beside):
         raise Problem("command", f"{beside} cannot be executed").error()
     if found is None:
         where = f"no file {beside}" if os.sep in name else f"no program {name} in the PATH"

@@ -183,7 +183,10 @@ class RunSource(Source):
         self.advance_to(0.0)
 
     def close(self) -> None:
-        """Does nothing: there is nothing to free."""
+        """Ends the programs that control the robots; a run that is shown again starts them anew."""
+        end = getattr(self.run, "close", None)
+        if end is not None:
+            end()
 
     def wait(self, timeout: float) -> bool:
         """Whether there are packets at all; nothing is to be waited for."""

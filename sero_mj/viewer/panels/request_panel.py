@@ -16,9 +16,9 @@ WIDTH = 34.0  # of the text's height
 _MAX_SHOWN = 2000  # characters of an action
 
 
-def _in_one_line(text: str) -> str:
-    """Returns a text that cannot hide its end: escaped, in one line, without a long middle."""
-    line = printable(without_temporary(text)).replace("\n", r"\n")
+def _shortened(text: str) -> str:
+    """Returns a text that cannot hide its end: without a long middle."""
+    line = without_temporary(text)
     if len(line) <= _MAX_SHOWN:
         return line
     left_out = f" ... {len(line) - _MAX_SHOWN} more characters ... "
@@ -45,7 +45,7 @@ def build_request(
     ui.text(f"{printable(without_temporary(str(request.file)))} is shown without simulating it.")
     ui.text("Its simulation would do this on your computer, with all your rights:")
     for action in request.actions:
-        ui.text(f"{_in_one_line(action.text)}   ({printable(action.key)})", "bad")
+        ui.text(f"{_shortened(action.text)}   ({printable(action.key)})", "bad")
     ui.text("Allow this only if you trust the author of the file.")
     if not can_allow:
         ui.text("Only a browser on the computer that serves this page can allow it.", "quiet")

@@ -180,7 +180,7 @@ def _mirror_of(pickled: bytes) -> tuple[Any, Callable[[Path], ViewerMemory]]:
 
 
 def _open_host(mirror: LiveWorld, options: dict[str, Any]) -> LiveHost:
-    last = options.pop("last", {})  # port and token of the page that is opened again
+    last = options.pop("last", {})  # the port of the page that is opened again
     if options.pop("web"):
         from .viewer import open_page
 
@@ -189,7 +189,7 @@ def _open_host(mirror: LiveWorld, options: dict[str, Any]) -> LiveHost:
         except RenderError:
             if not last or "port" in options:
                 raise
-            # Another program has the port, and perhaps the token that browsers sent there.
+            # Another program has the port by now.
             page = open_page(mirror, **options)
         return page
     from ..window.host import Window

@@ -6,7 +6,7 @@ import atexit
 import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import urlsplit
 
 import mujoco
 
@@ -329,7 +329,11 @@ def _open(shown: Scene | ModelWorld, process: ViewerProcess, options: dict[str, 
 
 
 def _replace(scene: Scene, options: dict[str, Any]) -> None:
-    """Closes the viewer that is opened again; a page gets its port, and so do its browsers."""
+    """Closes the viewer that is opened again; a page gets its port, but a token of its own.
+
+    While no page is served there, another user's program can listen at the port and receive the
+    token that browsers have stored.
+    """
     for viewer in list(_shown):
         other = viewer.world.scene
         is_same = other.name == scene.name and [*other.robots] == [*scene.robots]
@@ -338,9 +342,7 @@ def _replace(scene: Scene, options: dict[str, Any]) -> None:
         if viewer.is_open:
             print(f"{other.name} is opened again; its viewer before is closed", flush=True)
         if viewer.is_open and viewer.url is not None:
-            # Its browsers have stored the token.
-            address = urlsplit(viewer.url)
-            options["last"] = {"port": address.port, **dict(parse_qsl(address.query))}
+            options["last"] = {"port": urlsplit(viewer.url).port}
         viewer._end()
 
 

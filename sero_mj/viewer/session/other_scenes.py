@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,8 @@ from ...base.trust import Request, allow
 from ...data.drive.mirror import Mirror
 from ..panels.request_panel import build_request
 from ..panels.widgets import Widgets
+
+log = logging.getLogger(__name__)
 
 
 class OtherScenes:
@@ -93,6 +96,10 @@ class OtherScenes:
             self.chosen = make()
         except SeroError as error:
             self._say(str(error), True)
+            return False
+        except Exception as error:  # of a file from anywhere, which must not end the viewer
+            log.exception("a file cannot be opened")
+            self._say(f"it cannot be opened: {type(error).__name__}: {error}", True)
             return False
         self._close()
         return True

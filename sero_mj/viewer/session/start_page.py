@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import logging
 import queue
 import time
 import tomllib
@@ -24,6 +25,8 @@ from ...data.receive.structure import Rows
 from ..panels.message import Message
 from .recent_views import RecentView, recent_views
 from .status_line import Mood
+
+log = logging.getLogger(__name__)
 
 # Returns the selected scene; raises SeroError, which the page then shows.
 Opener = Callable[[RecentView | Path], Mirror]
@@ -340,9 +343,15 @@ class StartPage:
         except queue.Empty:
             pass
         except SeroError as error:
-            until = time.monotonic() + _ERROR_TIME
-            self.notice = Message(without_temporary(str(error)), is_bad=True, until=until)
+            self._refuse(without_temporary(str(error)))
+        except Exception as error:  # of a file from anywhere, which must not end the viewer
+            log.exception("a file cannot be opened")
+            self._refuse(f"it cannot be opened: {type(error).__name__}: {error}")
         return self.chosen is not None
+
+    def _refuse(self, text: str) -> None:
+        until = time.monotonic() + _ERROR_TIME
+        self.notice = Message(text, is_bad=True, until=until)
 
 
 def _has(tile: Tile, words: Sequence[str]) -> bool:

@@ -61,10 +61,10 @@ class Browsers:
         return self._holder
 
     @property
-    def holder_is_local(self) -> bool:
-        """Whether the browser in control is on this machine."""
+    def holder_is_local(self) -> bool | None:
+        """Whether the browser in control is on this machine; None without browsers."""
         browser = self._browsers.get(self._holder or 0)
-        return browser is not None and browser.sender.is_local
+        return None if browser is None else browser.sender.is_local
 
     def is_in_control(self, key: str) -> bool:
         """Whether a key is that of the browser in control, which only its connection was sent."""

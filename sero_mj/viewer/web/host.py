@@ -26,7 +26,7 @@ from .page_panels import PagePanels
 from .page_state import PageState
 from .page_view import PageView
 from .sections import Sections
-from .server import LOOPBACK, PageServer
+from .server import LOOPBACK, Listener, PageServer
 from .uploads import NOT_IN_CONTROL, drops
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class WebHost(LiveHost):
         *,
         camera: str | None = None,
         host: str = LOOPBACK,
-        port: int = 0,
+        port: int | Listener = 0,
         token: bool | str = True,
         waits: bool = False,
         folder: Path | None = None,

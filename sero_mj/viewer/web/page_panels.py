@@ -64,7 +64,7 @@ class PagePanels:
         self._width = width
 
     def put(
-        self, frame_rate: float, geoms: int, size: tuple[int, int], *, is_local: bool = False
+        self, frame_rate: float, geoms: int, size: tuple[int, int], *, is_local: bool | None = None
     ) -> None:
         """Puts the panels; less often than pictures, but at once where the user has acted.
 
@@ -72,7 +72,7 @@ class PagePanels:
             frame_rate: frames per second.
             geoms: number of geoms of decor.
             size: of the picture, pixels.
-            is_local: whether the browser in control is on this machine.
+            is_local: whether the browser in control is on this machine; None without one.
         """
         host, put, now = self._host, self._sections.put, time.monotonic()
         ongoing = host.ongoing
@@ -90,7 +90,8 @@ class PagePanels:
         room = min(help_panel.WIDTH, wide - 2), _TALL
         self._put_tree("help", host.shows_help, self._help, room)
         room = min(request_panel.WIDTH, wide - 2), _TALL
-        put("request", self._request(room, is_local=is_local) if host.others.asks else None)
+        is_asked = host.others.asks and is_local is not None
+        put("request", self._request(room, is_local=bool(is_local)) if is_asked else None)
         areas = host.areas
         high = size[1] / _EM / max(len(areas), 1) - _FRAME
         room = min(_AREA_WIDTH, wide), max(min(_AREA_HEIGHT, high), 0.0)

@@ -77,7 +77,7 @@ class PageServer:
         on_file: is given what was dropped on the page.
         find: answers other paths, given path and query; None for one that is not there.
         host: address to listen on.
-        port: 0 for the first free one from 8080 on.
+        port: 0 for the first free one from 8080 on; or a listener, which outlives the page.
         token: whether the page needs a secret token, which its address contains; a text is that
             token.
 
@@ -103,18 +103,19 @@ class PageServer:
         *,
         find: Callable[[str, str], Answer | None] = lambda path, query: None,
         host: str = LOOPBACK,
-        port: int = 0,
+        port: int | Listener = 0,
         token: bool | str = True,
     ) -> None:
-        if not (isinstance(port, int) and 0 <= port < 65536):
-            raise RenderError(f"port {port!r}: expected a number from 1 to 65535, or 0 for any")
         self.is_private = is_loopback(check_address(host))
         self.token: str | None = None
         if token:
             self.token = token if isinstance(token, str) else make_token()
         elif not self.is_private:
             raise UsageError(f"host {host}: a page for other machines needs a token")
-        self._sockets = listen(host, port)
+        listener = port if isinstance(port, Listener) else Listener(host, port)
+        self._sockets = [each.dup() for each in listener.sockets]
+        if listener is not port:
+            listener.close()
         self.address, self.port = self._sockets[0].getsockname()[:2]
         self._host = host
         own = {name: (_STATIC / name).read_bytes() for name in _SHARED}
@@ -249,6 +250,35 @@ class _Connection(ServerConnection):
 def static_text(name: str) -> str:
     """Returns a file of this folder's pages."""
     return (_STATIC / name).read_text("utf-8")
+
+
+class Listener:
+    """Sockets that listen at an address while pages are served there one after the other.
+
+    Between two pages no other process can get the port, and with it the token that browsers send
+    there. Connections wait until the next page is served.
+
+    Args:
+        host: address.
+        port: 0 for the first free one from 8080 on.
+
+    Attributes:
+        sockets: the sockets; a page serves duplicates of them.
+
+    Raises:
+        RenderError: there is no such address or port, or it is in use.
+    """
+
+    def __init__(self, host: str = LOOPBACK, port: int = 0) -> None:
+        if not (isinstance(port, int) and 0 <= port < 65536):
+            raise RenderError(f"port {port!r}: expected a number from 1 to 65535, or 0 for any")
+        check_address(host)
+        self.sockets = listen(host, port)
+
+    def close(self) -> None:
+        """Stops listening, except where a page is still served."""
+        for each in self.sockets:
+            each.close()
 
 
 def listen(host: str, port: int) -> list[socket.socket]:

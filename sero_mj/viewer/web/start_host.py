@@ -27,7 +27,7 @@ from ..session.start_page import (
 from .browsers import Browsers
 from .messages import ForStartPage, Left, Message, OpenShown, OpenTile, Sender
 from .sections import Sections
-from .server import Answer, PageServer, static_text
+from .server import Answer, Listener, PageServer, static_text
 from .uploads import NOT_IN_CONTROL, drops
 
 _LIVE, _TILES, _PICTURES = "/sero-mj/start", "/sero-mj/tiles", "/sero-mj/pictures/"
@@ -61,7 +61,7 @@ class StartHost:
         opener: Opener,
         listening: PortMonitor,
         host: str,
-        port: int = 0,
+        port: int | Listener = 0,
         *,
         token: bool | str = True,
     ) -> None:

@@ -252,7 +252,8 @@ def _checked(text: str) -> PurePosixPath:
 def main_file(paths: Sequence[PurePosixPath]) -> PurePosixPath:
     """Returns which of several files is to be opened: the one that is nearest to their folder.
 
-    Of several there, that which is called as a robot's file or as its folder.
+    Of several there, the one that is called as a robot's file or as its folder, else the only one
+    in TOML, which names the others.
 
     Raises:
         UsageError: there is none, or several.
@@ -270,6 +271,9 @@ def main_file(paths: Sequence[PurePosixPath]) -> PurePosixPath:
         if path.name in (ROBOT_FILE, GROUP_FILE, "scene.toml") or path.stem == path.parent.name
     ]
     chosen = named if len(nearest) > 1 and named else nearest
+    tables = [path for path in chosen if path.suffix.lower() == ".toml"]
+    if len(tables) == 1:
+        chosen = tables
     if len(chosen) > 1:
         names = " and ".join(path.name for path in chosen[:3])
         raise UsageError(f"found {names}; drop one of them, or its folder")
