@@ -23,8 +23,9 @@ Against everyone else there is a token, which a page has by default:
   `Browsers.is_in_control`. A token alone takes control first, which all browsers see.
 - The server listens on both loopback addresses. Otherwise another user could listen on the other
   one, and browsers that resolve `localhost` to it would send the token there.
-- A token is valid as long as its server. After that, whoever gets the port receives a token that
-  opens nothing.
+- A token is valid as long as its viewer. A viewer keeps its port while it shows one page after the
+  other, see `Listener`. After that, another user who gets the port receives a token that opens
+  nothing.
 
 Programs send neither `Origin` nor `Sec-Fetch-Site`; they are admitted by Host and token.
 """
