@@ -22,6 +22,7 @@ from ..importers.robot_file import read_robot_file
 from .couplings import CoupledJoints, coupled_joints
 from .dh import DhTable
 from .dynamics import is_overridden, merge_tables
+from .joint_ranges import display_ranges, plausible_limits
 from .joint_tree import JointFrames, JointTree
 from .limbs import all_limbs, find_limbs
 from .robot_declaration import BASE, RobotDeclaration
@@ -266,11 +267,23 @@ class SerialRobot(RobotDeclaration):
         return 4.0 * float(self.housing_radii[0])
 
     @property
+    def plausible_limits(self) -> Array:
+        """Position limits (n, 2), rad or m; infinite where missing or a placeholder."""
+        return plausible_limits(self.position_limits, self.n)
+
+    @property
+    def display_ranges(self) -> Array:
+        """Finite range of every joint (n, 2), rad or m, for sliders, motions and learning.
+
+        These are the position limits. Where they are missing, infinite or beyond 100 rad or m,
+        the range is ±π rad for a revolute joint and ±1 m for a prismatic one.
+        """
+        return display_ranges(self.position_limits, self.types, self.home)
+
+    @property
     def strokes(self) -> Array:
         """Maximum extension of every prismatic joint (n,), m; zero where not declared."""
-        if self.position_limits is None:
-            return np.zeros(self.n)
-        upper = np.maximum(self.position_limits[:, 1], 0.0)
+        upper = np.maximum(self.plausible_limits[:, 1], 0.0)
         return np.where(np.isfinite(upper) & ~self.kinematics.revolute, upper, 0.0)
 
     @property
@@ -280,7 +293,7 @@ class SerialRobot(RobotDeclaration):
         Prismatic joints are extended to their `position_limits`, without limits not at all. For a
         branching robot it is that of the farthest link.
         """
-        limits = np.zeros((self.n, 2)) if self.position_limits is None else self.position_limits
+        limits = self.plausible_limits
         tree, ends = self.kinematics, np.where(np.isfinite(limits), limits, 0.0).T
         along = tree.path_lengths(tree.distances(ends).max(axis=0))
         along[self.flange_link] += np.linalg.norm(self.flange_frame[:3, 3])
