@@ -11,19 +11,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...base.frames import Array
+from ..importers.robot_tree import NO_LIMIT
 
-MAX_LIMIT = 100.0  # rad or m; limits beyond it are placeholders for none
 REVOLUTE, PRISMATIC = np.pi, 1.0  # rad, m; to either side of zero, where there is no limit
 
 
 def plausible_limits(position_limits: Array | None, n: int) -> Array:
     """Returns the position limits (n, 2), rad or m, infinite where missing or a placeholder.
 
-    A placeholder is a limit that is farther than `MAX_LIMIT` from zero.
+    A placeholder is a limit of `NO_LIMIT`, 1000 rad or m, or more.
     """
     if position_limits is None:
         return np.tile([-np.inf, np.inf], (n, 1))
-    far = np.abs(position_limits) > MAX_LIMIT
+    far = np.abs(position_limits) >= NO_LIMIT
     return np.where(far, [-np.inf, np.inf], position_limits)
 
 

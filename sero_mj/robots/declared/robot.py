@@ -275,8 +275,8 @@ class SerialRobot(RobotDeclaration):
     def display_ranges(self) -> Array:
         """Finite range of every joint (n, 2), rad or m, for sliders, motions and learning.
 
-        These are the position limits. Where they are missing, infinite or beyond 100 rad or m,
-        the range is ±π rad for a revolute joint and ±1 m for a prismatic one.
+        These are the position limits. Where they are missing, infinite or 1000 rad or m and
+        more, the range is ±π rad for a revolute joint and ±1 m for a prismatic one.
         """
         return display_ranges(self.position_limits, self.types, self.home)
 
