@@ -20,6 +20,7 @@ from ...base.toml_file import located
 from ..importers.mjcf_file import is_file_name
 from ..importers.robot_file import read_robot_file
 from .couplings import CoupledJoints, coupled_joints
+from .degrees import degrees_warning
 from .dh import DhTable
 from .dynamics import is_overridden, merge_tables
 from .joint_ranges import display_ranges, plausible_limits
@@ -350,6 +351,14 @@ def _shortened(names: Sequence[str]) -> str:
     return ", ".join([*names[:half], "...", *names[-half:]])
 
 
+def _with_radians(robot: SerialRobot) -> SerialRobot:
+    """Returns a robot; logs a warning if its declared pose is probably in degrees."""
+    if robot.joint_angles is not None:
+        if warning := degrees_warning(robot, robot.joint_angles):
+            log.warning("joint_angles of %s Use joint_angles_deg.", warning)
+    return robot
+
+
 def build_robot(
     fields: Mapping[str, Any],
     model: Path | None = None,
@@ -369,7 +378,7 @@ def build_robot(
         DeclarationError: problems in the file carry its name and line; the others do not.
     """
     if model is None:
-        return SerialRobot(**fields)
+        return _with_radians(SerialRobot(**fields))
     described = read_robot_file(model, packages, arguments)
     below = dict(described.tables)
     for warning in described.warnings:
@@ -390,7 +399,7 @@ def build_robot(
     try:
         robot = SerialRobot(**whole)
         robot._model = model
-        return robot
+        return _with_radians(robot)
     except DeclarationError as error:
         placed = located(error.problems, model, described.lines)
         raise DeclarationError(
