@@ -16,6 +16,10 @@ from ._terminal import make_console
 from .shared_options import JsonOptions, ReplayOptions, SceneArgument
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ..base.frames import Array
+    from ..data.drive.route import Route
     from ..data.drive.wiring import Wiring
     from ..data.receive.source import Source
     from ..robots.declared.scene import Scene
@@ -105,14 +109,18 @@ class _Reports:
             source = self._sources[str(route.direct)]
             latest = source.latest()
             if latest is not None and not self._warnings[source.name]:
-                values = latest.values
-                with np.errstate(all="ignore"):
-                    angles = route.value.evaluate(lambda of: values[of.key].ravel())
+                numbers = {key: values.ravel() for key, values in latest.values.items()}
+                angles = _evaluated(route, numbers)
                 self._warnings[source.name] = degrees_warning(robot, angles)
         return [
             {**report(source), "angles": self._warnings[name]}
             for name, source in self._sources.items()
         ]
+
+
+def _evaluated(route: Route, numbers: Mapping[str, Array]) -> Array:
+    with np.errstate(all="ignore"):
+        return route.value.evaluate(lambda origin: numbers[origin.key])
 
 
 def _watch(reports: _Reports, sources: list[Source], duration: float | None, *, live: bool) -> None:

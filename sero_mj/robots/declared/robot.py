@@ -353,9 +353,9 @@ def _shortened(names: Sequence[str]) -> str:
 
 def _with_radians(robot: SerialRobot) -> SerialRobot:
     """Returns a robot; logs a warning if its declared pose is probably in degrees."""
-    if robot.joint_angles is not None:
-        if warning := degrees_warning(robot, robot.joint_angles):
-            log.warning("joint_angles of %s Use joint_angles_deg.", warning)
+    pose = robot.joint_angles
+    if pose is not None and (warning := degrees_warning(robot, pose)):
+        log.warning("joint_angles of %s Use joint_angles_deg.", warning)
     return robot
 
 
