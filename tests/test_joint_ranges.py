@@ -27,7 +27,8 @@ def gen3_like(tmp_path: Path, effort: str = 'effort="39"') -> Path:
     text, below = '<robot name="gen3"><link name="base"/>', "base"
     for i in range(1, 8):
         kind, axis = ("continuous", "0 0 1") if i % 2 else ("revolute", "0 1 0")
-        limit = f'<limit {_LIMIT[kind]} velocity="1.39" {effort if i == 7 else 'effort="39"'}/>'
+        torque = effort if i == 7 else 'effort="39"'
+        limit = f'<limit {_LIMIT[kind]} velocity="1.39" {torque}/>'
         text += (
             f'<joint name="j{i}" type="{kind}"><origin xyz="0 0 0.15"/><parent link="{below}"/>'
             f'<child link="l{i}"/><axis xyz="{axis}"/>{limit}</joint><link name="l{i}"><inertial>'

@@ -61,7 +61,7 @@ def run(options: FkOptions) -> int:
             turns = turns if len(q) == coupled.n else turns[coupled.independent]
             q = np.where(turns, np.deg2rad(q), q)
         q = q if len(q) == coupled.n else coupled.positions(q)
-        if warning := degrees_warning(robot, q):
+        if not options.deg and (warning := degrees_warning(robot, q)):
             print(f"WARNING: {warning} Use --deg.", file=sys.stderr)
     result = compare(robot, q)
     if options.as_json:
