@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from ...base.frames import Array, Bools
-
-if TYPE_CHECKING:
-    from .robot import SerialRobot
 
 FAR_BEYOND = 2 * np.pi  # rad beyond a position limit; no robot gets there
 MAX_ANGLE = 8 * np.pi  # rad, four turns; of joints without limits
@@ -17,7 +14,25 @@ _MAX_DEGREES = 360.0
 _STEP, _ROUNDING = 0.1, 1e-5  # degrees are often typed in such steps; rad are not, when measured
 
 
-def look_like_degrees(robot: SerialRobot, angles: Array) -> Bools:
+class HasJoints(Protocol):
+    """What is needed of a `SerialRobot`, which checks its own pose by this module."""
+
+    name: str
+
+    @property
+    def names(self) -> list[str]:
+        """Name of every joint."""
+
+    @property
+    def types(self) -> list[str]:
+        """`revolute` or `prismatic` for every joint."""
+
+    @property
+    def plausible_limits(self) -> Array:
+        """Position limits (n, 2), rad or m; infinite for none."""
+
+
+def look_like_degrees(robot: HasJoints, angles: Array) -> Bools:
     """Returns which joint values (n,), rad or m, are probably in degrees.
 
     These are angles that are more than `FAR_BEYOND` outside the position limits. For a continuous
@@ -30,11 +45,11 @@ def look_like_degrees(robot: SerialRobot, angles: Array) -> Bools:
         is_round = np.abs(angles - _STEP * np.round(angles / _STEP)) < _ROUNDING
         size = np.abs(angles)
         many_turns = (size > MAX_ANGLE) & (size <= _MAX_DEGREES) & is_round
-    is_free = np.isinf(low) & np.isinf(high)
-    return np.asarray((beyond | (is_free & many_turns)) & robot.kinematics.revolute)
+    is_free, turns = np.isinf(low) & np.isinf(high), np.array(robot.types) == "revolute"
+    return np.asarray((beyond | (is_free & many_turns)) & turns)
 
 
-def degrees_warning(robot: SerialRobot, angles: Array) -> str:
+def degrees_warning(robot: HasJoints, angles: Array) -> str:
     """Returns a question about the first joint whose angles look like degrees; empty for none.
 
     Args:
@@ -52,7 +67,7 @@ def degrees_warning(robot: SerialRobot, angles: Array) -> str:
     return ""
 
 
-def _about(robot: SerialRobot, joint: int, angle: float) -> str:
+def _about(robot: HasJoints, joint: int, angle: float) -> str:
     low, high = robot.plausible_limits[joint]
     if np.isinf(low) and np.isinf(high):
         return f"{angle:.4g} rad is {abs(angle) / (2 * np.pi):.0f} turns. Is it in degrees?"
