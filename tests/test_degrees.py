@@ -63,10 +63,10 @@ def test_degrees_of_any_joint_are_noticed_in_all_poses_within_the_limits() -> No
 
 def test_fk_asks_about_degrees_before_it_prints(capsys: pytest.CaptureFixture[str]) -> None:
     angles = ",".join(map(str, POSE))
-    with pytest.raises(SystemExit, match="^0$"):
+    with pytest.raises(SystemExit, match=r"^0$"):
         main(["fk", "lwr", "--joint-angles", angles])
     assert "lwr.A2: 80 rad is far beyond its limits of ±2.09 rad" in capsys.readouterr().err
-    with pytest.raises(SystemExit, match="^0$"):
+    with pytest.raises(SystemExit, match=r"^0$"):
         main(["fk", "lwr", "--deg", "--joint-angles", angles])
     assert capsys.readouterr().err == ""
 
@@ -79,7 +79,19 @@ def test_a_declared_pose_is_warned_of_once(
     file.write_text(f'[robots.lwr]\nmodel = "lwr"\n{key} = {POSE}\n')
     with caplog.at_level(logging.WARNING):
         load_scene(file)
-    assert [record.args[0].split(":")[0] for record in caplog.records] == ["lwr.A2"] * count
+    assert [record.args[1].split(":")[0] for record in caplog.records] == ["lwr.A2"] * count
+
+
+def test_the_pose_of_a_double_is_warned_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = tmp_path / "scene.toml"
+    double = f'[doubles.ghost]\nof = "lwr"\njoint_angles = {POSE}\n'
+    file.write_text(f'[robots.lwr]\nmodel = "lwr"\n{double}')
+    with caplog.at_level(logging.WARNING):
+        load_scene(file)
+    (record,) = caplog.records
+    assert record.args[0] == "double 'ghost': " and record.args[1].startswith("lwr.A2: 80 rad")
 
 
 @pytest.mark.parametrize(("amplitude", "asks"), [(40.0, True), (4.0, False)])

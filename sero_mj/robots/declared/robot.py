@@ -351,11 +351,15 @@ def _shortened(names: Sequence[str]) -> str:
     return ", ".join([*names[:half], "...", *names[-half:]])
 
 
+def warn_of_degrees(robot: SerialRobot, pose: Array, where: str = "") -> None:
+    """Logs a warning if a declared pose (n,) of a robot is probably in degrees."""
+    if len(pose) == robot.n and (warning := degrees_warning(robot, pose)):
+        log.warning("%sjoint_angles of %s Use joint_angles_deg.", where, warning)
+
+
 def _with_radians(robot: SerialRobot) -> SerialRobot:
-    """Returns a robot; logs a warning if its declared pose is probably in degrees."""
-    pose = robot.joint_angles
-    if pose is not None and (warning := degrees_warning(robot, pose)):
-        log.warning("joint_angles of %s Use joint_angles_deg.", warning)
+    if robot.joint_angles is not None:
+        warn_of_degrees(robot, robot.joint_angles)
     return robot
 
 
