@@ -82,16 +82,22 @@ def test_a_declared_pose_is_warned_of_once(
     assert [record.args[1].split(":")[0] for record in caplog.records] == ["lwr.A2"] * count
 
 
-def test_the_pose_of_a_double_is_warned_of(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(
+    ("table", "owner"),
+    [
+        (f'[doubles.ghost]\nof = "lwr"\njoint_angles = {POSE}\n', "double 'ghost': "),
+        (f'[groups.all]\nrobots = ["lwr"]\njoint_angles = {POSE}\n', "group 'all': "),
+    ],
+)
+def test_the_pose_of_a_double_and_of_a_group_is_warned_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, table: str, owner: str
 ) -> None:
     file = tmp_path / "scene.toml"
-    double = f'[doubles.ghost]\nof = "lwr"\njoint_angles = {POSE}\n'
-    file.write_text(f'[robots.lwr]\nmodel = "lwr"\n{double}')
+    file.write_text(f'[robots.lwr]\nmodel = "lwr"\n{table}')
     with caplog.at_level(logging.WARNING):
         load_scene(file)
     (record,) = caplog.records
-    assert record.args[0] == "double 'ghost': " and record.args[1].startswith("lwr.A2: 80 rad")
+    assert record.args[0] == owner and record.args[1].startswith("lwr.A2: 80 rad")
 
 
 @pytest.mark.parametrize(("amplitude", "asks"), [(40.0, True), (4.0, False)])

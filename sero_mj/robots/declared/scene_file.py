@@ -105,6 +105,10 @@ def scene_from_tables(
     if too_many:
         raise DeclarationError(located(too_many, path, lines))
     scene = reader.scene()
+    for group in scene.groups.values():
+        for name in group.robots if group.joint_angles is not None else ():
+            if (member := scene.robots.get(name)) is not None:
+                warn_of_degrees(member, member.home, f"group '{group.name}': ")
     for double in scene.doubles.values():
         robot = scene.robots.get(double.of)
         if robot is not None and double.joint_angles is not None:
