@@ -25,7 +25,9 @@ from sero_mj.base.options import (
     positional,
     whole,
 )
+from sero_mj.cli.export import ExportOptions
 from sero_mj.cli.options import add_options, read_options
+from sero_mj.cli.record import RecordOptions
 from sero_mj.viewer.headless.picture_options import FilmOptions, PictureOptions
 
 Picture = Annotated[Path, ending(".png", ".jpg")]
@@ -235,3 +237,14 @@ def test_options_take_from_others_what_they_know() -> None:
     picture = PictureOptions.taken_from(film)
     assert (picture.size, picture.camera) == ((64, 48), "top")
     assert "duration" not in vars(picture)
+
+
+@pytest.mark.parametrize("spelling", ["--seconds", "--duration"])
+def test_record_and_export_take_either_spelling_of_the_time(spelling: str) -> None:
+    for kind, target, field in (
+        (RecordOptions, "run.mcap", "duration"),
+        (ExportOptions, "run.html", "seconds"),
+    ):
+        parser = parser_of(kind)
+        options = read_options(kind, vars(parser.parse_args(["lwr_udp", target, spelling, "7"])))
+        assert getattr(options, field) == 7.0

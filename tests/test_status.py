@@ -224,3 +224,18 @@ def test_what_a_link_loses_and_mixes_up_is_written() -> None:
             assert until(lambda: source.counters.received == come)
             send(5)  # who sends beside it has not taken its place
         assert corner(mirror)[-1] == "udp: 2 concurrent senders; sender = ... chooses one"
+
+
+def test_received_angles_in_degrees_are_noticed() -> None:
+    layout = Structure("7F")
+    with Mirror(udp_scene()) as mirror, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        source: Any = mirror.sources["udp"]
+        decor = Decor(mirror.world)
+        for come, (angle, said) in enumerate([(1.0, []), (80.0, ["lwr.A2", "Is it in degrees?"])]):
+            values = {"values0": [0, angle, 0, 0, 0, 0, 0]}
+            sender.sendto(layout.encode(values), ("127.0.0.1", source.port))
+            assert until(lambda wanted=come + 1: source.counters.received == wanted)
+            mirror.advance()
+            buffer = decor.draw(mirror.data, Toggles(mirror.world), view_at())
+            lines = labels(buffer.rows[: buffer.count])
+            assert [line.strip().split(":")[0] for line in lines] == said

@@ -111,6 +111,31 @@ def test_what_may_be_lost_or_unread_is_said_so() -> None:
         assert told["lost"] == why
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("value", "joint"), [(60.0, "arm.J1"), (0.6, "")])
+def test_angles_that_look_like_degrees_are_noticed(
+    scene: Callable[[], tuple[Path, int]], value: float, joint: str
+) -> None:
+    file, port = scene()
+    with socket.socket(type=socket.SOCK_DGRAM) as sock:
+        stop = threading.Event()
+
+        def send() -> None:
+            number = 0
+            while not stop.wait(0.01):
+                sock.sendto(packet(number := number + 1, value=value), ("127.0.0.1", port))
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        try:
+            status, text = watch(file, "--json")
+        finally:
+            stop.set()
+            sender.join()
+    (found,) = json.loads(text)
+    assert status == 0 and found["angles"].partition(":")[0] == joint
+
+
 @pytest.mark.thorough
 @pytest.mark.slow
 def test_json_has_the_same(scene: Callable[[], tuple[Path, int]]) -> None:

@@ -52,7 +52,7 @@ class ExportOptions(SceneArgument, ShownOptions):
     scene: Annotated[str, positional("SCENE")]
     file: Annotated[Path | None, ending(*_ENDINGS), positional("OUT")] = None
     output: Annotated[Path | None, ending(*_ENDINGS), Option("OUT", ("-o", "--output"))] = None
-    seconds: Duration | None = None
+    seconds: Annotated[Duration | None, Option("S", ("--duration", "--seconds"))] = None
     begin: Annotated[Time | None, Option("S", ("--from",))] = None
     end: Annotated[Duration | None, Option("S", ("--to",))] = None
     fps: Rate = 30.0

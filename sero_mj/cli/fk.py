@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -44,6 +45,8 @@ class FkOptions(PackageOptions, JsonOptions):
 
 def run(options: FkOptions) -> int:
     """Prints; returns 0."""
+    from ..robots.declared.degrees import degrees_warning
+
     robot = _robot_of(options.robot, options.of)
     q = robot.home
     if options.joint_angles is not None:
@@ -58,6 +61,8 @@ def run(options: FkOptions) -> int:
             turns = turns if len(q) == coupled.n else turns[coupled.independent]
             q = np.where(turns, np.deg2rad(q), q)
         q = q if len(q) == coupled.n else coupled.positions(q)
+        if not options.deg and (warning := degrees_warning(robot, q)):
+            print(f"WARNING: {warning} Use --deg.", file=sys.stderr)
     result = compare(robot, q)
     if options.as_json:
         print(json.dumps({key: np.asarray(value).tolist() for key, value in result.items()}))

@@ -95,7 +95,7 @@ class RecordOptions(SceneArgument, TriggerOptions):
 
     output: Annotated[Path | None, positional("OUT.mcap")] = None
     out: Annotated[Path | None, Option("OUT", ("-o", "--out"))] = None
-    duration: Duration | None = None
+    duration: Annotated[Duration | None, Option("S", ("--seconds", "--duration"))] = None
     signals_rate: Annotated[NotNegative, Option("HZ")] = 20.0
     overwrite: bool = False
     quiet: bool = False

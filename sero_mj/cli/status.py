@@ -7,6 +7,8 @@ import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..base.errors import UsageError
 from ..base.options import Duration
 from ._arguments import command, print_json, read_scene, replay_instead, until_ended
@@ -14,7 +16,13 @@ from ._terminal import make_console
 from .shared_options import JsonOptions, ReplayOptions, SceneArgument
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ..base.frames import Array
+    from ..data.drive.route import Route
+    from ..data.drive.wiring import Wiring
     from ..data.receive.source import Source
+    from ..robots.declared.scene import Scene
 
 _EPILOG = """\
 examples:
@@ -48,7 +56,6 @@ class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
 def run(options: StatusOptions) -> int:
     """Watches; returns 0 when every source has received something good, else 1."""
     from ..data.drive.wiring import wire
-    from ..data.receive.report import report
     from ._opening import with_scene
 
     options = with_scene(options)
@@ -59,13 +66,14 @@ def run(options: StatusOptions) -> int:
     sources = list(wiring.sources.values())
     if not sources:
         raise UsageError(f"scene '{scene.name}' has no source to watch")
+    reports = _Reports(scene, wiring)
     with ExitStack() as stack:
         for source in sources:
             source.open()
             stack.callback(source.close)
         with until_ended():
-            _watch(sources, options.duration, live=not options.as_json)
-        found = [report(source) for source in sources]
+            _watch(reports, sources, options.duration, live=not options.as_json)
+        found = reports()
     if options.as_json:
         print_json(found)
     elif not sys.stdout.isatty():
@@ -76,11 +84,48 @@ def run(options: StatusOptions) -> int:
 add_to = command("status", run, StatusOptions, _EPILOG)
 
 
-def _watch(sources: list[Source], duration: float | None, *, live: bool) -> None:
+class _Reports:
+    """Reports of a scene's sources, with `angles`: a warning about angles that look like degrees.
+
+    The warning concerns the first such packet among those that are the latest at a call.
+    """
+
+    def __init__(self, scene: Scene, wiring: Wiring) -> None:
+        self._sources = wiring.sources
+        self._routes = [
+            (route, scene.robots[name])
+            for route in wiring.routes
+            for name, _, key in (route.to.target.partition("."),)
+            if key == "joint_angles" and route.direct and name in scene.robots
+        ]
+        self._warnings = dict.fromkeys(wiring.sources, "")
+
+    def __call__(self) -> list[dict[str, Any]]:
+        """Returns a report of every source."""
+        from ..data.receive.report import report
+        from ..robots.declared.degrees import degrees_warning
+
+        for route, robot in self._routes:
+            source = self._sources[str(route.direct)]
+            latest = source.latest()
+            if latest is not None and not self._warnings[source.name]:
+                numbers = {key: values.ravel() for key, values in latest.values.items()}
+                angles = _evaluated(route, numbers)
+                self._warnings[source.name] = degrees_warning(robot, angles)
+        return [
+            {**report(source), "angles": self._warnings[name]}
+            for name, source in self._sources.items()
+        ]
+
+
+def _evaluated(route: Route, numbers: Mapping[str, Array]) -> Array:
+    with np.errstate(all="ignore"):
+        return route.value.evaluate(lambda origin: numbers[origin.key])
+
+
+def _watch(reports: _Reports, sources: list[Source], duration: float | None, *, live: bool) -> None:
     """Waits, and refreshes the table on a terminal."""
     from rich.live import Live
-
-    from ..data.receive.report import report
 
     begin = time.monotonic()
     end = begin + (float("inf") if duration is None else duration)
@@ -95,22 +140,26 @@ def _watch(sources: list[Source], duration: float | None, *, live: bool) -> None
 
     if not (live and sys.stdout.isatty()):
         while go_on():
-            pass
+            reports()
         return
     with Live(console=make_console(), refresh_per_second=1 / _EVERY) as screen:
         while go_on():
-            screen.update(_table([report(source) for source in sources]))
+            screen.update(_table(reports()))
+
+
+def _rows(entry: dict[str, Any]) -> list[tuple[str, str, str]]:
+    from ..data.receive.report import describe
+
+    return describe(entry) + ([("angles", "", entry["angles"])] if entry["angles"] else [])
 
 
 def _table(found: list[dict[str, Any]]) -> Any:
     from rich.table import Table
 
-    from ..data.receive.report import describe
-
     table = Table("source", "", "", "")
     for entry in found:
         title = f"{entry['source']}\n{entry['about']}"
-        for row in describe(entry):
+        for row in _rows(entry):
             style = "" if row[0] in _GOOD else "bold red"
             table.add_row(title, *row, style=style)
             title = ""
@@ -119,11 +168,9 @@ def _table(found: list[dict[str, Any]]) -> Any:
 
 
 def _print(found: list[dict[str, Any]]) -> None:
-    from ..data.receive.report import describe
-
     for entry in found:
         print(f"{entry['source']}: {entry['about']}")
-        for what, count, why in describe(entry):
+        for what, count, why in _rows(entry):
             print(f"  {what:15} {count:>10}  {why}")
     if any(not entry["received"] for entry in found):
         print("sero-mj structure --sniff PORT shows whatever comes at a port", file=sys.stderr)

@@ -130,13 +130,10 @@ def bent_pose(robot: SerialRobot) -> Array:
     """
     if robot.joint_angles is not None or robot.free_base:
         return robot.home
-    home = robot.home
-    if robot.position_limits is not None:
-        home = np.clip(home, *robot.position_limits.T)
+    ends = robot.display_ranges.T
+    home = np.clip(robot.home, *ends)
     chain = robot.kinematics.moves[robot.flange_link]
-    low, high = np.full(robot.n, -_RANGE), np.full(robot.n, _RANGE)
-    if robot.position_limits is not None:
-        low, high = np.clip((low, high), *robot.position_limits.T)
+    low, high = np.clip(np.outer((-_RANGE, _RANGE), np.ones(robot.n)), *ends)
     rng = np.random.default_rng(0)
     poses = np.concatenate([home[None], rng.uniform(low, high, (_POSES, robot.n))])
     stays = rng.random(poses.shape) < 0.5

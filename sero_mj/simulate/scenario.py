@@ -18,6 +18,7 @@ from ..base.errors import DeclarationError, Problem, collect
 from ..base.frames import Array
 from ..base.trust import Origin, Request
 from ..robots.assemble.robot_dynamics import EARTH
+from ..robots.declared.degrees import look_like_degrees
 from ..robots.declared.scene import Scene
 from ..robots.declared.surroundings import Object
 from .control.controller import Controller, ControllerDeclaration, within
@@ -274,12 +275,14 @@ class Scenario:
             if robot.position_limits is None:
                 continue
             low, high = robot.position_limits.T
+            in_degrees = look_like_degrees(robot, robot.home)
             for joint in np.flatnonzero((robot.home < low) | (robot.home > high)):
                 turns = robot.types[joint] == "revolute"
                 factor, unit = (np.rad2deg(1.0), "deg") if turns else (1.0, "m")
                 numbers = factor * np.array([robot.home[joint], low[joint], high[joint]])
                 found = f"joint {robot.names[joint]} begins at {numbers[0]:.4g} {unit}"
                 message = f"{found}; expected {numbers[1]:.4g} to {numbers[2]:.4g} {unit}"
+                message += "; is it in degrees?" if in_degrees[joint] else ""
                 self.problems.append(Problem(f"robots.{name}.joint_angles", message))
 
     def _check_disturbance(self, place: str, disturbance: Disturbance) -> None:

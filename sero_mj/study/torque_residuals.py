@@ -529,10 +529,8 @@ def _why_no_model(robot: SerialRobot, log: RunLog, estimated: Sequence[str]) -> 
 
 def _at_stops(robot: SerialRobot, angles: Array) -> Bools:
     """Where joints are at their end stops, (K, n), which hold them."""
-    if robot.position_limits is None:
-        return np.zeros(angles.shape, bool)
-    low, high = robot.position_limits.T
-    near = _STOP * (high - low)
+    low, high = robot.plausible_limits.T
+    near = _STOP * np.ptp(robot.display_ranges, axis=1)
     with np.errstate(invalid="ignore"):
         return np.asarray((angles < low + near) | (angles > high - near))
 

@@ -21,7 +21,6 @@ LEAD = 0.5  # s by which the commanded position, for a double, leads the measure
 _AMPLITUDE = 0.4  # of half the joint's range
 _AMPLITUDE_ABOUT_POSE = 0.2  # likewise, about a declared pose
 _BEND = 0.2  # of half the range: the arm swings about a bent pose, not about a stretched one
-_DEFAULT_RANGE = (-1.0, 1.0)  # rad or m, for joints without limits
 _MAX_SWING = 1.1  # rad
 _REDUCTION, _REDUCTIONS = (
     0.75,
@@ -47,8 +46,7 @@ class SineMotion:
     """
 
     def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
-        limits = robot.position_limits
-        low, high = (limits if limits is not None else np.tile(_DEFAULT_RANGE, (robot.n, 1))).T
+        low, high = robot.display_ranges.T
         half = (high - low) / 2
         sign = np.where(np.arange(robot.n) % 2 == 0, 1.0, -1.0)
         share = _AMPLITUDE if robot.joint_angles is None else _AMPLITUDE_ABOUT_POSE

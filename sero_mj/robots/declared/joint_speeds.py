@@ -30,7 +30,6 @@ def undeclared_speeds(robot: SerialRobot, use: Use) -> Array:
 
 
 def joint_speeds(robot: SerialRobot, use: Use) -> Array:
-    """The velocity limits (n,), rad/s or m/s, or their defaults."""
-    if robot.velocity_limits is None:
-        return undeclared_speeds(robot, use)
-    return np.asarray(robot.velocity_limits, np.float64)
+    """The velocity limits (n,), rad/s or m/s, or the default of a joint without one."""
+    speeds, limits = undeclared_speeds(robot, use), robot.velocity_limits
+    return speeds if limits is None else np.where(np.isfinite(limits), limits, speeds)

@@ -20,8 +20,10 @@ from ...base.toml_file import located
 from ..importers.mjcf_file import is_file_name
 from ..importers.robot_file import read_robot_file
 from .couplings import CoupledJoints, coupled_joints
+from .degrees import degrees_warning
 from .dh import DhTable
 from .dynamics import is_overridden, merge_tables
+from .joint_ranges import display_ranges, plausible_limits
 from .joint_tree import JointFrames, JointTree
 from .limbs import all_limbs, find_limbs
 from .robot_declaration import BASE, RobotDeclaration
@@ -266,11 +268,23 @@ class SerialRobot(RobotDeclaration):
         return 4.0 * float(self.housing_radii[0])
 
     @property
+    def plausible_limits(self) -> Array:
+        """Position limits (n, 2), rad or m; infinite where missing or a placeholder."""
+        return plausible_limits(self.position_limits, self.n)
+
+    @property
+    def display_ranges(self) -> Array:
+        """Finite range of every joint (n, 2), rad or m, for sliders, motions and learning.
+
+        These are the position limits. Where they are missing, infinite or 1000 rad or m and
+        more, the range is ±π rad for a revolute joint and ±1 m for a prismatic one.
+        """
+        return display_ranges(self.position_limits, self.types, self.home)
+
+    @property
     def strokes(self) -> Array:
         """Maximum extension of every prismatic joint (n,), m; zero where not declared."""
-        if self.position_limits is None:
-            return np.zeros(self.n)
-        upper = np.maximum(self.position_limits[:, 1], 0.0)
+        upper = np.maximum(self.plausible_limits[:, 1], 0.0)
         return np.where(np.isfinite(upper) & ~self.kinematics.revolute, upper, 0.0)
 
     @property
@@ -280,7 +294,7 @@ class SerialRobot(RobotDeclaration):
         Prismatic joints are extended to their `position_limits`, without limits not at all. For a
         branching robot it is that of the farthest link.
         """
-        limits = np.zeros((self.n, 2)) if self.position_limits is None else self.position_limits
+        limits = self.plausible_limits
         tree, ends = self.kinematics, np.where(np.isfinite(limits), limits, 0.0).T
         along = tree.path_lengths(tree.distances(ends).max(axis=0))
         along[self.flange_link] += np.linalg.norm(self.flange_frame[:3, 3])
@@ -337,6 +351,18 @@ def _shortened(names: Sequence[str]) -> str:
     return ", ".join([*names[:half], "...", *names[-half:]])
 
 
+def warn_of_degrees(robot: SerialRobot, pose: Array, where: str = "") -> None:
+    """Logs a warning if a declared pose (n,) of a robot is probably in degrees."""
+    if len(pose) == robot.n and (warning := degrees_warning(robot, pose)):
+        log.warning("%sjoint_angles of %s Use joint_angles_deg.", where, warning)
+
+
+def _with_radians(robot: SerialRobot) -> SerialRobot:
+    if robot.joint_angles is not None:
+        warn_of_degrees(robot, robot.joint_angles)
+    return robot
+
+
 def build_robot(
     fields: Mapping[str, Any],
     model: Path | None = None,
@@ -356,7 +382,7 @@ def build_robot(
         DeclarationError: problems in the file carry its name and line; the others do not.
     """
     if model is None:
-        return SerialRobot(**fields)
+        return _with_radians(SerialRobot(**fields))
     described = read_robot_file(model, packages, arguments)
     below = dict(described.tables)
     for warning in described.warnings:
@@ -377,7 +403,7 @@ def build_robot(
     try:
         robot = SerialRobot(**whole)
         robot._model = model
-        return robot
+        return _with_radians(robot)
     except DeclarationError as error:
         placed = located(error.problems, model, described.lines)
         raise DeclarationError(

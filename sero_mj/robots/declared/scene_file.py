@@ -30,7 +30,7 @@ from .cartesian import ReceivedFrame, SmartArrow
 from .double import Double
 from .group_model import Expanded, expand_groups, where
 from .groups import SHARED, Group, membership
-from .robot import SerialRobot, build_robot
+from .robot import SerialRobot, build_robot, warn_of_degrees
 from .route_text import origin_text
 from .scene import MOST_ENTRIES, Scene, SceneToggles, excess
 from .surroundings import Camera, Light, Object, View, set_directory
@@ -105,6 +105,14 @@ def scene_from_tables(
     if too_many:
         raise DeclarationError(located(too_many, path, lines))
     scene = reader.scene()
+    for group in scene.groups.values():
+        for name in group.robots if group.joint_angles is not None else ():
+            if (member := scene.robots.get(name)) is not None:
+                warn_of_degrees(member, member.home, f"group '{group.name}': ")
+    for double in scene.doubles.values():
+        robot = scene.robots.get(double.of)
+        if robot is not None and double.joint_angles is not None:
+            warn_of_degrees(robot, double.joint_angles, f"double '{double.name}': ")
     # An error in the mount of a group concerns all of its robots.
     return scene, list(dict.fromkeys(scene.located(reader.problems)))
 

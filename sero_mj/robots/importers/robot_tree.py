@@ -27,8 +27,8 @@ _FLANGES = (
 )  # fmt: skip
 _MAX_LENGTH_RATIO = 10.0  # a table's lengths over the reach; above it, normals are too far away
 _MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative; as in `robots.declared.dynamics`
-_NO_LIMIT = 1e3  # rad or m; limits beyond this mean no limit
-TOO_FAR = f"limits of {_NO_LIMIT:g} m or rad and more are taken for none"
+NO_LIMIT = 1e3  # rad or m; limits beyond this mean no limit
+TOO_FAR = f"limits of {NO_LIMIT:g} m or rad and more are taken for none"
 
 
 @dataclass
@@ -365,7 +365,7 @@ class _Colors:
 
 def meant_limits(limits: Array) -> Array:
     """Returns position limits (..., 2), rad or m, infinite where they mean no limit."""
-    return np.where(np.abs(limits) < _NO_LIMIT, limits, [-np.inf, np.inf])
+    return np.where(np.abs(limits) < NO_LIMIT, limits, [-np.inf, np.inf])
 
 
 def plain_name(name: str, taken: set[str]) -> str:

@@ -5,8 +5,10 @@ Way points, for both, are in `way_points.py`; all kinds by name are in `plan.py`
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -16,8 +18,11 @@ from ...base.declaration import Declaration, Frame, Vector, of_shape
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
 from ...robots.declared.couplings import CoupledJoints
+from ...robots.declared.degrees import degrees_warning, look_like_degrees
 from ...robots.declared.robot import SerialRobot
 from .controller import MaybePerJoint, PerJoint, per_joint, within
+
+log = logging.getLogger(__name__)
 
 Samples = tuple[Array, Array, Array]
 Rows = Annotated[Array | None, of_shape(None, None)]
@@ -113,6 +118,8 @@ class JointTargetMotion(TargetMotion):
         if robot.couplings:
             motion = _coupled(motion, robot.coupled)
         problems = beyond_limits(motion, robot)
+        if not problems and (warning := degrees_warning(robot, motion.angles)):
+            _warn(warning)
         ramp = getattr(self, "ramp", None)
         if problems and ramp and not beyond_limits(motion.since(ramp), robot):
             hint = f"; it grows within {ramp:g} s: ramp = {2 * ramp:g} is gentler"
@@ -158,6 +165,11 @@ class JointTargetMotion(TargetMotion):
         return np.asarray(value)
 
 
+@cache  # once, however often a motion is sampled
+def _warn(warning: str) -> None:
+    log.warning("target of %s", warning)
+
+
 def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
     """Where every joint is farthest beyond its position or velocity limits."""
     problems = []
@@ -172,6 +184,8 @@ def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
                 row = int(np.argmax(np.maximum(low - angles, angles - high)))
                 found, of = factor * angles[row], f"{unit} at t = {motion.times[row]:.3f} s"
                 allowed = f"{factor * low:.4g} to {factor * high:.4g} {unit}"
+                if look_like_degrees(robot, motion.angles[row])[joint]:
+                    allowed += "; is it in degrees?"
                 where = f"joint {name} is to be at"
                 problems.append(Problem("", where, found=found, of=of, expected=allowed))
                 continue

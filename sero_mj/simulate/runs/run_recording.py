@@ -33,6 +33,7 @@ from ...data.record.csv_files import column_names, read_csv
 from ...data.record.recording import PacketFile
 from ...data.record.scene_files import table_names
 from ...data.ros.ros_source import RosSource
+from ...robots.declared.degrees import degrees_warning
 from ...robots.declared.group_model import Expanded, expand_groups
 from ...robots.declared.robot import SerialRobot, build_robot
 from ...robots.declared.scene import MOST_ENTRIES, Scene
@@ -132,9 +133,10 @@ def read_run_table(path: Path | str, scene: Scene, source: str | None = None) ->
         where, known = "in the scene", scene.sources
         raise UsageError(Problem("", "no source", found=source, of=where, available=known))
     times, columns = read_csv(path)
-    log = run_of_columns(path, times, columns, scene.robots)
-    if log is not None:
-        return replace(log, signals=_with_velocities(log.robots, log.signals, log.times))
+    run = run_of_columns(path, times, columns, scene.robots)
+    if run is not None:
+        _warn_of_degrees(path, run)
+        return replace(run, signals=_with_velocities(run.robots, run.signals, run.times))
     names = scene.sources if source is None else [source]
     wanted = {name: wired_source(scene, name, scene.sources[name]) for name in names}
     sent = {name: columns_of_events(columns, each.events) for name, each in wanted.items()}
@@ -184,7 +186,15 @@ def _mirrored(
         path, receivers, read, robots, declared.routes, declared.doubles, declared.groups
     )
     known = {name: robots[name] for name in robots if event_of(name, "joint_angles") in signals}
-    return RunLog(known, _with_velocities(known, signals, times), times, path.stem)
+    run = RunLog(known, _with_velocities(known, signals, times), times, path.stem)
+    _warn_of_degrees(path, run)
+    return run
+
+
+def _warn_of_degrees(path: Path, run: RunLog) -> None:
+    for name, robot in run.robots.items():
+        if warning := degrees_warning(robot, run.of(name, "joint_angles")):
+            log.warning("%s: %s", path, warning)
 
 
 def _chosen(recording: PacketFile, source: str | None) -> list[str]:

@@ -78,14 +78,15 @@ class TorqueAction(Action):
     unit = "Nm"
 
     def __init__(self, robot: SerialRobot) -> None:
-        limits = robot.torque_limits
-        if limits is None:
+        high = np.array(robot.torque_bounds, np.float64)
+        missing = np.flatnonzero(np.isinf(high))
+        if missing.size:
+            where = "" if missing.size == robot.n else f" for {robot.names[missing[0]]}"
             message = (
-                "is required for torques as actions; expected one per joint, Nm, or "
+                f"is required{where} for torques as actions; expected one per joint, Nm, or "
                 'action="impedance"'
             )
             raise Problem(f"robots.{robot.name}.torque_limits", message).error()
-        high = np.array(limits, np.float64)
         self.controller = Torque()
         self.spec = specs.BoundedArray((robot.n,), np.float64, -high, high, name="torques")
 

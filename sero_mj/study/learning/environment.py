@@ -229,7 +229,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
                     self.columns[f"{prefix}{signal}"] = columns[event_of(name, signal)]
             if robot.position_limits is not None:
                 slack = np.array([BEYOND[kind] for kind in robot.types])
-                low, high = robot.position_limits.T
+                low, high = robot.plausible_limits.T
                 self.bounds[f"{prefix}joint_angles"] = (low - slack, high + slack)
 
     @property

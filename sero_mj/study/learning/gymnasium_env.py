@@ -27,9 +27,8 @@ from .make import make_environment
 RenderMode = Literal["human", "rgb_array"]
 Observation = dict[str, Array]
 
-_BEYOND = 10.0  # times the limits of velocities and torques
+_BEYOND = 10.0  # times the limits of velocities and torques, and the ranges of joints
 _USUAL_TORQUE = 1e3  # Nm, N; where a robot has no limits
-_FREE = {"revolute": 10 * np.pi, "prismatic": 10.0}  # rad, m; likewise of angles
 
 
 class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
@@ -232,12 +231,11 @@ def _bounds(robot: SerialRobot, signal: str, spec: specs.Array) -> tuple[Array, 
         usual = np.full(robot.n, _USUAL_TORQUE)
         most = _BEYOND * (usual if robot.torque_limits is None else robot.torque_limits)
     elif signal.endswith("angles"):
-        most = np.array([_FREE[kind] for kind in robot.types])
+        most = _BEYOND * np.abs(robot.display_ranges).max(axis=1)
     else:  # a position
         table = robot.kinematics
-        limits = robot.position_limits
-        limits = np.zeros((robot.n, 2)) if limits is None else np.where(np.isinf(limits), 0, limits)
-        lengths = [table.step_lengths().sum(), np.abs(limits).max(axis=1)[~table.revolute].sum()]
+        strokes = np.abs(robot.display_ranges).max(axis=1)[~table.revolute]
+        lengths = [table.step_lengths().sum(), strokes.sum()]
         reach = float(sum(lengths) + np.abs(robot.T_n_flange[:3, 3]).sum())
         most = np.full(spec.shape, 2.0 * reach + np.abs(robot.base_frame[:3, 3]).max())
     low = np.broadcast_to(getattr(spec, "minimum", -np.inf), spec.shape)

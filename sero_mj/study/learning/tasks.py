@@ -86,11 +86,7 @@ class AgentRobot:
         """
         robot, model, data = self.declared, self.plant.model, self._scratch
         part = self.plant.world.robots[self.name]
-        limits = robot.position_limits
-        if limits is None:
-            far = [np.pi if kind == "revolute" else 0.0 for kind in robot.types]
-            limits = np.stack([-np.array(far), np.array(far)], axis=1)
-        low, high = limits.T
+        low, high = robot.display_ranges.T
         gap = _FROM_LIMITS * (high - low)
         torques = robot.torque_bounds
         for _ in range(_MAX_TRIES):

@@ -11,8 +11,10 @@ import mujoco
 import numpy as np
 
 from ...base.errors import SeroError
+from ...base.frames import Array
 from ...data.receive.source import Source, make_source
 from ...robots.assemble.world_view import WorldView
+from ...robots.declared.degrees import FAR_BEYOND, degrees_warning
 from ...robots.declared.inputs import SOURCE_FIELDS
 from .cards import move_below
 from .feature import Feature, Frame
@@ -123,7 +125,7 @@ class Status(Feature):
 
     def lay_out(self, frame: Frame) -> None:
         """Adds panels to the upper left corner, below the right one's if they overlap."""
-        wrong = implausible_torques(self.world, frame.values)
+        wrong = implausible_torques(self.world, frame.values) + self._degrees(frame.values)
         panels = [
             self.panels(frame.data, frame.toggles, frame.view, wrong),
             self._awaited(frame.data, frame.toggles, frame.view),
@@ -137,6 +139,20 @@ class Status(Feature):
                     if other.centres[:, 1].max() > middle:
                         panel = move_below(other, panel)
                 frame.corners.append(panel)
+
+    def _degrees(self, values: dict[str, Array]) -> list[str]:
+        """Returns questions about robots whose angles look like degrees, two lines each."""
+        angles = values["joint_angles"]
+        if not (np.abs(angles) > FAR_BEYOND).any():
+            return []
+        parts = self.world.owners.values()
+        found = [degrees_warning(part.robot, angles[part.joints]) for part in parts]
+        return [
+            line.replace("±", "+/-")  # panels are ASCII
+            for text in found
+            if text
+            for line in text.replace(". Is", ".\n  Is").splitlines()
+        ]
 
     def _awaited(self, data: mujoco.MjData, toggles: Toggles, view: PictureView) -> Panels | None:
         """Returns the packets expected from silent sources, and the command to send them."""

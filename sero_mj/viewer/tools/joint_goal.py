@@ -20,7 +20,6 @@ _FAR = 0.005  # m, from which on it is shown where a frame was wanted
 _TURNED = np.deg2rad(2.0)  # rad, likewise
 _PER_DRAG = 12  # iterations for a move of the pointer; what is left is made up in the next
 _NO_NUMBER = "found no finite number; it stays where it was"
-_PI, _METRE = np.pi, 1.0  # range of sliders where a joint has no limits
 
 
 class JointGoal:
@@ -42,7 +41,7 @@ class JointGoal:
     def __init__(self, robot: SerialRobot, angles: Array) -> None:
         self.robot = robot
         self._coupled = robot.coupled
-        self._limits = independent_limits(robot)
+        self._limits, self._ranges = independent_limits(robot), robot.display_ranges
         self._free: Array = np.array(angles, float)[self._coupled.independent]
         self._posture = self._free.copy()
         self.trouble = ""
@@ -55,12 +54,9 @@ class JointGoal:
         return self._coupled.positions(self._free)
 
     def range_of(self, joint: int) -> tuple[float, float]:
-        """Lower and upper position limit of a joint, rad or m; of one without these a wide one."""
-        wide = _PI if self.robot.types[joint] == "revolute" else _METRE
-        low, high = -wide, wide
-        if self.robot.position_limits is not None:
-            low, high = self.robot.position_limits[joint].tolist()
-        return (low if np.isfinite(low) else -wide), (high if np.isfinite(high) else wide)
+        """Returns the ends of a joint's slider, lower and upper, rad or m."""
+        low, high = self._ranges[joint].tolist()
+        return low, high
 
     def follow(self, angles: Array) -> None:
         """Takes over angles that somebody else has set, (n,)."""

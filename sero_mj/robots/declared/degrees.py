@@ -1,0 +1,75 @@
+"""Notices joint angles that are probably in degrees although radians are expected."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from ...base.frames import Array, Bools
+
+FAR_BEYOND = 2 * np.pi  # rad beyond a position limit; no robot gets there
+MAX_ANGLE = 8 * np.pi  # rad, four turns; of joints without limits
+_MAX_DEGREES = 360.0
+_STEP, _ROUNDING = 0.1, 1e-5  # degrees are often typed in such steps; rad are not, when measured
+
+
+class HasJoints(Protocol):
+    """What is needed of a `SerialRobot`, which checks its own pose by this module."""
+
+    name: str
+
+    @property
+    def names(self) -> list[str]:
+        """Name of every joint."""
+
+    @property
+    def types(self) -> list[str]:
+        """`revolute` or `prismatic` for every joint."""
+
+    @property
+    def plausible_limits(self) -> Array:
+        """Position limits (n, 2), rad or m; infinite for none."""
+
+
+def look_like_degrees(robot: HasJoints, angles: Array) -> Bools:
+    """Returns which joint values (n,), rad or m, are probably in degrees.
+
+    These are angles that are more than `FAR_BEYOND` outside the position limits. For a continuous
+    joint they are angles beyond `MAX_ANGLE`, up to 360, that are multiples of 0.1. A wheel
+    that has rotated many times is therefore not mistaken for one.
+    """
+    low, high = robot.plausible_limits.T
+    with np.errstate(invalid="ignore"):
+        beyond = np.maximum(low - angles, angles - high) > FAR_BEYOND
+        is_round = np.abs(angles - _STEP * np.round(angles / _STEP)) < _ROUNDING
+        size = np.abs(angles)
+        many_turns = (size > MAX_ANGLE) & (size <= _MAX_DEGREES) & is_round
+    is_free, turns = np.isinf(low) & np.isinf(high), np.array(robot.types) == "revolute"
+    return np.asarray((beyond | (is_free & many_turns)) & turns)
+
+
+def degrees_warning(robot: HasJoints, angles: Array) -> str:
+    """Returns a question about the first joint whose angles look like degrees; empty for none.
+
+    Args:
+        robot: whose limits apply.
+        angles: (n,), or over time (T, n), rad or m; may contain NaN.
+    """
+    known = np.nan_to_num(np.atleast_2d(angles))
+    if not known.size:
+        return ""
+    for found in (known.max(axis=0), known.min(axis=0)):
+        joints = np.flatnonzero(look_like_degrees(robot, found))
+        if joints.size:
+            joint = int(joints[0])
+            return f"{robot.name}.{robot.names[joint]}: {_about(robot, joint, found[joint])}"
+    return ""
+
+
+def _about(robot: HasJoints, joint: int, angle: float) -> str:
+    low, high = robot.plausible_limits[joint]
+    if np.isinf(low) and np.isinf(high):
+        return f"{angle:.4g} rad is {abs(angle) / (2 * np.pi):.0f} turns. Is it in degrees?"
+    limits = f"±{high:.3g}" if low == -high else f"{low:.3g} to {high:.3g}"
+    return f"{angle:.4g} rad is far beyond its limits of {limits} rad. Is it in degrees?"

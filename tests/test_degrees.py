@@ -1,0 +1,132 @@
+"""Angles in degrees where radians are expected are noticed."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sero_mj.base.errors import DeclarationError
+from sero_mj.cli import main
+from sero_mj.load import load_scene
+from sero_mj.robots.declared.degrees import FAR_BEYOND, degrees_warning, look_like_degrees
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.simulate.runs.run_recording import read_run_table
+from sero_mj.simulate.scenario_file import read_scenario
+
+POSE = [0, 80, 0, -90, 0, 60, 0]  # degrees
+INF = np.inf
+
+
+def arm(**fields: object) -> SerialRobot:
+    """A revolute joint with limits, a continuous and a prismatic one."""
+    return SerialRobot(
+        name="arm",
+        dh_params=[[0, 0, 0, 0.2]] * 3,
+        dh_convention="craig",
+        joint_types=["revolute", "revolute", "prismatic"],
+        position_limits=[[-1.0, 2.0], [-INF, INF], [-0.1, 0.1]],
+        **fields,
+    )
+
+
+@pytest.mark.parametrize(
+    ("angles", "expected"),
+    [
+        ([2.0 + FAR_BEYOND - 0.01, 0, 0], [0, 0, 0]),
+        ([2.0 + FAR_BEYOND + 0.01, 0, 0], [1, 0, 0]),
+        ([-1.0 - FAR_BEYOND - 0.01, 0, 0], [1, 0, 0]),
+        ([0, 90, 0], [0, 1, 0]),
+        ([0, np.float32(-30.1), 0], [0, 1, 0]),
+        ([0, 20.0, 0], [0, 0, 0]),  # three turns
+        ([0, 90.03417, 0], [0, 0, 0]),  # a measured angle of a wheel
+        ([0, 4000.0, 0], [0, 0, 0]),  # a wheel
+        ([0, 0, 500.0], [0, 0, 0]),  # a length
+        ([np.nan, np.nan, np.nan], [0, 0, 0]),
+    ],
+)
+def test_what_no_robot_reaches_looks_like_degrees(angles: list[float], expected: list[int]) -> None:
+    found = look_like_degrees(arm(), np.array(angles, float))
+    assert found.tolist() == [bool(each) for each in expected]
+
+
+def test_degrees_of_any_joint_are_noticed_in_all_poses_within_the_limits() -> None:
+    """By random poses: in rad nothing is noticed, in degrees nearly all are."""
+    (robot,) = load_scene("lwr").robots.values()
+    poses = np.random.default_rng(0).uniform(*robot.display_ranges.T, (200, 7))
+    assert not any(degrees_warning(robot, pose) for pose in poses)
+    assert all(degrees_warning(robot, pose) for pose in np.rad2deg(poses))
+    assert degrees_warning(robot, np.empty((0, 7))) == ""
+
+
+def test_fk_asks_about_degrees_before_it_prints(capsys: pytest.CaptureFixture[str]) -> None:
+    angles = ",".join(map(str, POSE))
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main(["fk", "lwr", "--joint-angles", angles])
+    assert "lwr.A2: 80 rad is far beyond its limits of ±2.09 rad" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match=r"^0$"):
+        main(["fk", "lwr", "--deg", "--joint-angles", angles])
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("key", "count"), [("joint_angles", 1), ("joint_angles_deg", 0)])
+def test_a_declared_pose_is_warned_of_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, key: str, count: int
+) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(f'[robots.lwr]\nmodel = "lwr"\n{key} = {POSE}\n')
+    with caplog.at_level(logging.WARNING):
+        load_scene(file)
+    assert [record.args[1].split(":")[0] for record in caplog.records] == ["lwr.A2"] * count
+
+
+@pytest.mark.parametrize(
+    ("table", "owner"),
+    [
+        (f'[doubles.ghost]\nof = "lwr"\njoint_angles = {POSE}\n', "double 'ghost': "),
+        (f'[groups.all]\nrobots = ["lwr"]\njoint_angles = {POSE}\n', "group 'all': "),
+    ],
+)
+def test_the_pose_of_a_double_and_of_a_group_is_warned_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, table: str, owner: str
+) -> None:
+    file = tmp_path / "scene.toml"
+    file.write_text(f'[robots.lwr]\nmodel = "lwr"\n{table}')
+    with caplog.at_level(logging.WARNING):
+        load_scene(file)
+    (record,) = caplog.records
+    assert record.args[0] == owner and record.args[1].startswith("lwr.A2: 80 rad")
+
+
+@pytest.mark.parametrize(("amplitude", "asks"), [(40.0, True), (4.0, False)])
+def test_targets_beyond_the_limits_ask_about_degrees(
+    tmp_path: Path, amplitude: float, asks: bool
+) -> None:
+    file = tmp_path / "scenario.toml"
+    file.write_text(
+        '[robots.lwr]\nmodel = "lwr"\n[controllers.lwr]\nkind = "joint_impedance"\n'
+        f'stiffness = 200\n[targets.lwr]\nkind = "sine"\namplitude = {amplitude}\n'
+        "frequency = 1\n[run]\nduration = 1\n"
+    )
+    from sero_mj.simulate.simulation import Simulation
+
+    with pytest.raises(DeclarationError) as error:
+        Simulation(read_scenario(str(file)))
+    assert all(("degrees" in str(each)) == asks for each in error.value.problems)
+
+
+def test_a_table_in_degrees_is_warned_of_once_and_read(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    columns = [f"lwr_joint_angles[{i}]" for i in range(7)]
+    rows = [[0.01 * k, *POSE] for k in range(5)]
+    table = tmp_path / "run.csv"
+    lines = [["time", *columns], *rows]
+    table.write_text("\n".join(",".join(map(str, line)) for line in lines) + "\n")
+    with caplog.at_level(logging.WARNING):
+        run = read_run_table(table, load_scene("lwr"))
+    assert run.of("lwr", "joint_angles")[0].tolist() == POSE
+    (record,) = caplog.records
+    assert record.args[0] == table and record.args[1].startswith("lwr.A2: 80 rad")
