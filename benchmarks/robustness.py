@@ -484,7 +484,7 @@ def main() -> None:
 
     OUT.mkdir(parents=True, exist_ok=True)
     begin = time.monotonic()
-    profile = "quarter" if options.quick else "everything"
+    profile = "quarter" if options.quick else "thorough"
     chosen = [target for target in FUZZED if target.in_quick or not options.quick]
     print(f"fuzzing, seed {options.seed} ...", flush=True)
     fuzzed = run_tests("fuzzing", chosen, options.seed, profile)
