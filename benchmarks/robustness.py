@@ -145,7 +145,6 @@ FUZZED = (
 )  # fmt: skip
 
 FAULTS = (
-    Target("an exception while a source receives", ("test_receiving_thread.py",)),
     Target("Ctrl+C, SIGTERM and kill -9 of what has started programs", ("test_child_process.py",)),
     Target("kill -9", (
         "test_recorder.py::test_a_killed_process_leaves_a_file_that_all_can_read",
@@ -498,7 +497,7 @@ def main() -> None:
     problems += problems_of(rows, int(RATE * seconds), judged=seconds >= 300.0)
     ages = sorted(row["p99"] for row in rows if row["p99"] is not None)
     about = (
-        f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z} · {platform.platform()} · "
+        f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z} · {platform.system()} · "
         f"{os.cpu_count()} cores · Python {platform.python_version()} · "
         f"{'short form' if options.quick else 'long form'} · {time.monotonic() - begin:.0f} s"
     )
