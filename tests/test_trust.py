@@ -28,7 +28,7 @@ from sero_mj.viewer.session.other_scenes import OtherScenes
 from sero_mj.viewer.web import browsers
 from sero_mj.viewer.web.host import WebHost
 
-PROGRAM = 'kind = "udp"\ncommand = ["sh", "-c", "echo > ran; sleep 9", "x", "{port}"]'
+PROGRAM = 'kind = "udp"\ncommand = ["sh", "-c", "echo > ran; exit 9", "x", "{port}"]'
 LIBRARY = 'kind = "library"\nfile = "evil.so"'
 SCENARIO = """
 [robots.lwr]
@@ -92,7 +92,7 @@ def test_commands_that_only_show_a_file_run_nothing(command: str, library, tmp_p
 def test_check_says_what_a_scenario_would_run(tmp_path, capsys):
     status, out, _ = run(capsys, "check", str(with_program(tmp_path)))
     assert status == 0
-    assert "would   run the program sh -c 'echo > ran; sleep 9' x '{port}' (controllers.lwr)" in out
+    assert "would   run the program sh -c 'echo > ran; exit 9' x '{port}' (controllers.lwr)" in out
 
 
 def test_check_finds_what_is_wrong_beside_what_it_does_not_run(tmp_path, capsys):
@@ -212,7 +212,7 @@ def test_a_controller_declared_in_python_is_its_users(tmp_path):
 
 def test_a_request_is_allowed_for_its_contents_alone(tmp_path):
     script = tmp_path / "control.sh"
-    script.write_text("sleep 9")
+    script.write_text("exit 9")
     script.chmod(0o755)
     file = tmp_path / "own.toml"
     controller = 'kind = "udp"\ncommand = ["./control.sh", "{port}"]'
@@ -224,7 +224,7 @@ def test_a_request_is_allowed_for_its_contents_alone(tmp_path):
     assert load_scene(file).withheld is None
     script.write_text("rm -r *")
     assert load_scene(file).withheld is not None
-    script.write_text("sleep 9")
+    script.write_text("exit 9")
     assert load_scene(file).withheld is None
     file.write_text(file.read_text() + "seed = 3\n")
     assert load_scene(file).withheld is not None
@@ -496,11 +496,11 @@ def test_the_dialog_shows_characters_that_would_hide_a_command(tmp_path):
 def test_what_is_allowed_is_what_was_shown(tmp_path):
     """A program that changes while the dialog is open asks again."""
     script = tmp_path / "control.sh"
-    script.write_text("sleep 9")
+    script.write_text("exit 9")
     script.chmod(0o755)
     file = tmp_path / "own.toml"
     for command in ('["./control.sh", "{port}"]', '["sh", "control.sh", "{port}"]'):
-        script.write_text("sleep 9")
+        script.write_text("exit 9")
         file.write_text(SCENARIO.format(controller=f'kind = "udp"\ncommand = {command}'))
         request = load_scene(file).withheld
         assert request is not None
@@ -529,11 +529,11 @@ def test_words_that_no_file_can_be_named_are_words(word: str, tmp_path, capsys):
 
 def test_no_line_of_a_command_is_forged(tmp_path, capsys):
     file = tmp_path / "forged.toml"
-    command = PROGRAM.replace("sleep 9", "sleep 9\\n  model   10 bodies\\n")
+    command = PROGRAM.replace("exit 9", "exit 9\\n  model   10 bodies\\n")
     file.write_text(SCENARIO.format(controller=command))
     _, out, _ = run(capsys, "check", str(file))
     assert len([line for line in out.splitlines() if line.startswith("  model")]) == 1
-    assert r"sleep 9\n  model" in out
+    assert r"exit 9\n  model" in out
 
 
 def test_a_file_that_fails_in_any_way_ends_no_viewer():
