@@ -218,7 +218,7 @@ def test_a_cell_is_run_again_and_goes_on_while_none_runs(kernel: Kernel) -> None
     kernel.run("print('pictures', viewer.pictures)")
     first, second = map(int, re.findall(r"pictures (\d+)", kernel.printed))
     assert second > first
-    with urllib.request.urlopen(urls[0], timeout=5) as answer:
+    with urllib.request.urlopen(urls[1], timeout=5) as answer:
         assert answer.status == 200
 
 
