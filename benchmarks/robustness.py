@@ -382,20 +382,30 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return f"<table><tr>{cells}</tr>{body}</table>"
 
 
+OUTCOME_HEAD = ("what", "tests", "cases of Hypothesis", "outcome")
+
+
+def outcome_cells(outcome: Outcome) -> list[str]:
+    """The cells of a target below `OUTCOME_HEAD`."""
+    return [
+        outcome.title,
+        str(sum(outcome.tests.values())),
+        f"{outcome.cases:,}" if outcome.cases else "",
+        ", ".join(f"{count} {what}" for what, count in sorted(outcome.tests.items())),
+    ]
+
+
 def outcomes_table(outcomes: Sequence[Outcome]) -> str:
     """Targets, with how many tests and cases came to what."""
     rows = [
         [
-            each.title,
-            str(sum(each.tests.values())),
-            f"{each.cases:,}" if each.cases else "",
-            ", ".join(f"{count} {what}" for what, count in sorted(each.tests.items())),
+            *outcome_cells(each),
             f"{each.seconds:.1f} s",
             "; ".join([*each.failed, *dict.fromkeys(each.skipped)]),
         ]
         for each in outcomes
     ]
-    return table(["what", "tests", "cases of Hypothesis", "outcome", "time", "which"], rows)
+    return table([*OUTCOME_HEAD, "time", "which"], rows)
 
 
 _DOCS = """# Attacks and faults
@@ -435,16 +445,7 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def outcomes_markdown(outcomes: Sequence[Outcome]) -> str:
     """Targets, with their numbers of tests and cases, and how they ended."""
-    rows = [
-        [
-            each.title,
-            str(sum(each.tests.values())),
-            f"{each.cases:,}" if each.cases else "",
-            ", ".join(f"{count} {what}" for what, count in sorted(each.tests.items())),
-        ]
-        for each in outcomes
-    ]
-    return markdown(["what", "tests", "cases of Hypothesis", "outcome"], rows)
+    return markdown(OUTCOME_HEAD, [outcome_cells(each) for each in outcomes])
 
 
 _PAGE = """<!doctype html>

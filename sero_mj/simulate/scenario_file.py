@@ -59,10 +59,12 @@ def read_scenario(
         DeclarationError: everything that is wrong in the file, at once.
         UnknownName: there is no such scenario.
     """
-    scenario = _read(find_scenario(str(path)), dict(overrides or {}), ())
-    request = scenario.request()
-    if request is not None:
-        scenario.set_origin(Origin(request.file, trusted or is_allowed(request)))
+    file = find_scenario(str(path))
+    scenario = _read(file, dict(overrides or {}), ())
+    if trusted:  # without a request, which reads all files: sweeps come here for each variant
+        scenario.set_origin(Origin(file, is_trusted=True))
+    elif (request := scenario.request()) is not None:
+        scenario.set_origin(Origin(file, is_allowed(request)))
     return scenario
 
 
