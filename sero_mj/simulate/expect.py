@@ -202,29 +202,19 @@ class Expect(Declaration):
             problems.append(
                 Problem("cause", "no disturbance or fault", found=self.cause, available=causes)
             )
-        if self.measure in NEED_TARGET:
+        for measures, fits, lacks, expected in (
+            (NEED_TARGET, scenario.has_target, "has no target", "[targets.{}]"),
+            (
+                NEED_REAL_TIME,
+                scenario.is_in_real_time,
+                "is not controlled in real time",
+                'controllers.{}.clock = "real_time"',
+            ),
+        ):
             problems += [
-                Problem(
-                    "measure",
-                    "robot",
-                    found=robot,
-                    of="has no target",
-                    expected=f"[targets.{robot}]",
-                )
+                Problem("measure", "robot", found=robot, of=lacks, expected=expected.format(robot))
                 for robot in self._robots(list(robots))
-                if robot in robots and not scenario.has_target(robot)
-            ]
-        if self.measure in NEED_REAL_TIME:
-            problems += [
-                Problem(
-                    "measure",
-                    "robot",
-                    found=robot,
-                    of="is not controlled in real time",
-                    expected=f'controllers.{robot}.clock = "real_time"',
-                )
-                for robot in self._robots(list(robots))
-                if robot in robots and not scenario.is_in_real_time(robot)
+                if self.measure in measures and robot in robots and not fits(robot)
             ]
         problems += self._ambiguous(scenario.scene)
         if self.measure == "contact_force" and not scenario.has_surroundings:
