@@ -225,11 +225,12 @@ def test_a_variant_that_kills_its_workers_is_a_row_and_costs_no_other(
     files = "controllers.lwr.file=good.so,bad.so"
     sweep = ["--vary", files, "--vary", "run.seed=0,1,2,3", "--grid"]
     here, there = tmp_path / "here.csv", tmp_path / "there.csv"
+    loads = f"will load the library {file.parent / 'good.so'} (controllers.lwr)\n"
     with machines(tmp_path, file.parents[1], 2) as found:
-        assert swept(scenario, *sweep, "-o", here, "--jobs", 2) == (1, "")
+        assert swept(scenario, *sweep, "-o", here, "--jobs", 2) == (1, loads)
         engine = ["--engine", "dask", "--scheduler", found.file]
         _, said = swept(scenario, *sweep, "-o", there, *engine)
-    assert said == ""
+    assert said == loads
     assert there.read_bytes() == here.read_bytes()
     assert there.read_text().count(KILLED) == 4
 
