@@ -103,6 +103,7 @@ def test_output_is_read_while_it_is_written(tmp_path: Path) -> None:
     assert child.status == "exit status 3"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["sys.exit()", "time.sleep(600)"])
 def test_a_child_process_ends_with_its_parent(end: str, tmp_path: Path) -> None:
     (tmp_path / "stubborn.py").write_text(STUBBORN)

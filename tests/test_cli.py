@@ -99,7 +99,7 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         (["check", "nothing.toml"], "nothing.toml: no such file"),
         (
             ["render", "lwr", "-o", "x.mp4", "--size", "1x1"],
-            "size: found (1, 1); expected at least 2",
+            "size: found [1, 1]; expected at least 2",
         ),
         (["render", "lwr", "-o", "x.png", "--wait", "-1"], "expected 0 or a number above"),
         (["render", "lwr", "-o", "x.mp4", "--duration", "1e9"], "expected at most 1000000"),

@@ -207,7 +207,7 @@ def test_what_is_wrong_is_told_once_each() -> None:
             "unknown 'form'; did you mean 'from'?, no 'from'",
         ),
         ({"from": "udp.values0", "joints": [1]}, "joints: found [1]; expected names of joints"),
-        ({"from": True, "joints": ["a"]}, "found True; expected an event"),
+        ({"from": True, "joints": ["a"]}, "found true; expected an event"),
         ([{"from": 1, "joints": ["a"]}, 3], "found 3 among tables"),
     ],
 )

@@ -81,7 +81,13 @@ PASSIVE = {
 }
 
 
-@pytest.mark.parametrize("command", PASSIVE)
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(each, marks=[pytest.mark.slow] * each.startswith(("render", "export")))
+        for each in PASSIVE
+    ],
+)
 def test_commands_that_only_show_a_file_run_nothing(command: str, library, tmp_path, capsys):
     for make, folder in ((with_program, tmp_path), (with_library, library)):
         words = [word.format(file=make(folder), out=tmp_path) for word in PASSIVE[command]]
@@ -403,6 +409,7 @@ def _starts_something(node: ast.AST) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_every_place_that_starts_something_is_known():
     root = Path(sero_mj.__file__).parent
     found = {

@@ -192,7 +192,7 @@ def test_a_closed_viewer_takes_no_new_widgets_but_the_loop_goes_on() -> None:
         panel.button("reset")
     with pytest.raises(RenderError, match="panel 'More': the viewer is closed"):
         both.panels.panel("More")
-    with pytest.raises(UsageError, match="panel: found None; expected a text"):
+    with pytest.raises(UsageError, match="panel: found nothing; expected a text"):
         both.panels.panel(None)  # type: ignore[arg-type]
     both.is_open = True
 

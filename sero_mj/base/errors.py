@@ -26,17 +26,20 @@ import reprlib
 import sys
 import traceback
 import unicodedata
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import KW_ONLY, dataclass, replace
+from datetime import date, time
+from itertools import islice
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
-    from pathlib import Path
 
 _MAX_SHOWN = 60  # characters of a long text on either side of the error
 _MAX_TEXT = 200  # characters of a text that is wrong as a whole
+_MAX_ENTRIES = 6  # of a table or list
 
 
 def nearest(name: str, available: Iterable[str]) -> str | None:
@@ -48,6 +51,8 @@ def nearest(name: str, available: Iterable[str]) -> str | None:
 
 def reason_of(error: Exception) -> str:
     """The message of an error; for operating system errors without number and file."""
+    if isinstance(error, KeyError):
+        return f"has no {error}"
     return getattr(error, "strerror", None) or str(error)
 
 
@@ -83,12 +88,49 @@ def in_one_line(text: str) -> str:
     return printable(text).replace("\n", r"\n").replace("\t", r"\t")
 
 
-def shown(value: object) -> str:
-    """Returns a value as messages show it: arrays as lists, and long ones shortened."""
+def shown(value: object, depth: int = 3) -> str:
+    """Returns a value as messages show it: as TOML writes it, with long ones shortened.
+
+    Arrays are lists; None is `nothing`; of any other object the class is named.
+
+    Args:
+        value: any object.
+        depth: of nested tables and lists that are shown.
+    """
     value = value.tolist() if hasattr(value, "tolist") else value
-    if isinstance(value, float):
-        return f"{value:g}"
-    return repr(value)[:_MAX_TEXT] if isinstance(value, str) else reprlib.repr(value)
+    match value:
+        case None:
+            text = "nothing"
+        case bool():
+            text = str(value).lower()
+        case float():
+            text = f"{value:g}"
+        case int():
+            text = reprlib.repr(value)
+        case str():
+            text = repr(value)[:_MAX_TEXT]
+        case Path():
+            text = f"'{value}'"
+        case date() | time():
+            text = value.isoformat()
+        case bytes() | bytearray() | memoryview():
+            text = f"{len(value)} bytes"
+        case Mapping():
+            entries = (f"{key} = {shown(each, depth - 1)}" for key, each in value.items())
+            text = f"{{{_shortened(entries, len(value), depth)}}}"
+        case list() | tuple() | set() | frozenset():
+            entries = (shown(each, depth - 1) for each in value)
+            text = f"[{_shortened(entries, len(value), depth)}]"
+        case type():
+            text = f"the class {value.__name__}"
+        case _:
+            text = f"an object of {type(value).__name__}"
+    return text
+
+
+def _shortened(entries: Iterable[str], count: int, depth: int) -> str:
+    most = _MAX_ENTRIES if depth > 0 else 0
+    return ", ".join([*islice(entries, most), *["..."] * (count > most)])
 
 
 class SeroError(Exception):

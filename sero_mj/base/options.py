@@ -23,7 +23,7 @@ from pydantic import (
 )
 
 from .declaration import Declaration, expecting
-from .errors import UsageError
+from .errors import UsageError, shown
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def whole(least: int, most: int, words: str = "") -> WrapValidator:
         except ValidationError:
             number = least - 1
         if not least <= number <= most:
-            raise ValueError(f"found {value!r}; expected {words}")
+            raise ValueError(f"found {shown(value)}; expected {words}")
         return number
 
     return WrapValidator(validate)

@@ -23,7 +23,7 @@ from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from .errors import PluginError, Problem, UnknownName
+from .errors import PluginError, Problem, UnknownName, shown
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint, EntryPoints
@@ -90,7 +90,7 @@ def load_plugin(group: str, name: str, base: type | None = None) -> Any:
     try:
         found = known[name].load()
         if base is not None and not (isinstance(found, type) and issubclass(found, base)):
-            raise TypeError(f"found {found!r}; expected a subclass of {base.__name__}")
+            raise TypeError(f"found {shown(found)}; expected a subclass of {base.__name__}")
         if isinstance(found, type) and (lacking := getattr(found, "__abstractmethods__", ())):
             raise TypeError(f"{found.__name__} lacks {', '.join(sorted(lacking))}")
         kind = getattr(found, "model_fields", {}).get("kind")

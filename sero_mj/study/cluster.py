@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..base.errors import ClusterError, Problem, UsageError
+from ..base.errors import ClusterError, Problem, UsageError, about_fault
 from .engine import Result, Task, Work
 from .scenario_inputs import digest_of_models, files_in, is_installed, pack
 
@@ -207,7 +207,8 @@ class _Run:
                 continue  # it has just joined, or gone: it is asked again
             if found:
                 is_error = isinstance(found, Exception)
-                differing[worker] = repr(found) if is_error else "; ".join(found)
+                lines = [about_fault(found, Cluster)] if is_error else found
+                differing[worker] = "; ".join(lines)
                 continue
             self._of[worker] = deque()
         wide = [worker for worker in told if threads[worker] > 1]

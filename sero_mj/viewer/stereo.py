@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import RenderError
+from ..base.errors import RenderError, shown
 from .headless.picture_options import Stereo
 
 STEREO: tuple[str, ...] = get_args(Stereo)
@@ -30,7 +30,7 @@ Pixels = NDArray[np.uint8]
 def check_stereo(stereo: str | None, eye_distance: float) -> None:
     """Raises RenderError for an unknown kind of stereo, or a distance out of range."""
     if stereo is not None and stereo not in STEREO:
-        raise RenderError(f"found stereo {stereo!r}; expected {' or '.join(STEREO)}")
+        raise RenderError(f"found stereo {shown(stereo)}; expected {' or '.join(STEREO)}")
     if not 0 < eye_distance <= _MOST_APART:
         expected = f"expected a distance above 0, up to {_MOST_APART:g} m"
         raise RenderError(f"found {eye_distance:g} m between the eyes; {expected}")

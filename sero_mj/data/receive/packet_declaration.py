@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, ValidationInfo, field_validator
 
 from ...base.declaration import Declaration
-from ...base.errors import Problem, StructureError
+from ...base.errors import Problem, StructureError, shown
 from ...base.frames import Array, Ints
 from .intake import Intake, pad_packets
 from .structure import Alignment, Rows, Structure
@@ -60,7 +60,7 @@ class PacketDeclaration(Declaration):
     def _is_fixed(cls, value: Any, info: ValidationInfo) -> Any:
         assert info.field_name is not None
         if cls._fixed_by and value not in cls._fixed(info.field_name):
-            raise ValueError(f"found {value!r}; {cls._fixed_by} fixes it: leave it out")
+            raise ValueError(f"found {shown(value)}; {cls._fixed_by} fixes it: leave it out")
         return value
 
     @classmethod

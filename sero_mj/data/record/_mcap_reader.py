@@ -95,7 +95,7 @@ def read_index(file: BinaryIO) -> FileIndex:
     except BROKEN as error:
         index = _walk_through(file, size)
         index.faults.append(
-            f"its index is damaged ({reason_of(error)}), so all of it was looked through"
+            f"its index is damaged ({mcap_reason(error)}), so all of it was looked through"
         )
         return index
     return index or _walk_through(file, size)
@@ -243,7 +243,7 @@ def _metadata(file: BinaryIO, offset: int, length: int) -> Metadata:
     return found
 
 
-def reason_of(error: BaseException) -> str:
+def mcap_reason(error: BaseException) -> str:
     """The message of one of BROKEN; those of the mcap library are often empty."""
     return str(error) or {"EndOfFile": "it ends early"}.get(name := type(error).__name__, name)
 

@@ -23,8 +23,8 @@ from ._mcap_reader import (
     BROKEN,
     RECORD_HEAD,
     fault_of_end,
+    mcap_reason,
     read_record,
-    reason_of,
     records_in,
     unpack_chunk,
     walk_records,
@@ -129,7 +129,7 @@ class _WholePart:
         try:
             self._index_chunk(read_record(file, offset, length).getvalue(), offset, length)
         except BROKEN as error:
-            why = f"is damaged ({reason_of(error)}) and left out"
+            why = f"is damaged ({mcap_reason(error)}) and left out"
             self.faults.append(f"the chunk at byte {offset} {why}")
 
     def _index_chunk(self, record: bytes, offset: int, length: int) -> None:

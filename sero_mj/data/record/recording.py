@@ -18,15 +18,15 @@ from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment
 from mcap.writer import MCAP0_MAGIC
 
-from ...base.errors import Problem, RecordingError, UnknownName, UsageError
+from ...base.errors import Problem, RecordingError, UnknownName, UsageError, reason_of
 from ...base.paths import open_file
 from ._mcap_reader import (
     BROKEN,
     ChunkPlace,
     FileIndex,
+    mcap_reason,
     read_index,
     read_record,
-    reason_of,
     unpack_messages,
 )
 from .recording_format import (
@@ -250,7 +250,7 @@ class Recording(PacketFile):
                 try:
                     found[number] = SourceDeclaration.from_json(text)
                 except (KeyError, TypeError, AttributeError, ValueError) as error:
-                    reason = f"channel {channel.topic}: its declaration cannot be read: {error!r}"
+                    reason = f"channel {channel.topic}: its declaration: {reason_of(error)}"
                     raise RecordingError(self.path, reason) from error
         if found or (CLOCK in index.metadata and not index.channels):
             return found
@@ -270,7 +270,7 @@ class Recording(PacketFile):
             number = int(metadata["format"])
             clock = RecordingClock.from_metadata(metadata)
         except (KeyError, ValueError) as error:
-            problem = Problem(f"metadata {CLOCK}", repr(error), expected=_EXPECTED)
+            problem = Problem(f"metadata {CLOCK}", reason_of(error), expected=_EXPECTED)
             raise RecordingError(self.path, problem) from error
         if number > FORMAT:
             reason = f"is of format {number}; this version of sero-mj reads up to {FORMAT}"
@@ -344,7 +344,7 @@ class Recording(PacketFile):
             return bytes(Attachment.read(ReadDataStream(record)).data)
         except BROKEN as error:
             raise RecordingError(
-                self.path, f"file '{name}' in it is damaged: {reason_of(error)}"
+                self.path, f"file '{name}' in it is damaged: {mcap_reason(error)}"
             ) from error
         except OSError as error:
             raise self._unreadable(error) from error
@@ -403,10 +403,10 @@ class Recording(PacketFile):
             self._damaged.add(chunk.offset)
         first, last = self._seconds(chunk.first), self._seconds(chunk.last)
         self.faults.append(
-            f"the chunk at byte {chunk.offset} is damaged ({reason_of(error)}): "
+            f"the chunk at byte {chunk.offset} is damaged ({mcap_reason(error)}): "
             f"what arrived from {first:.3f} s to {last:.3f} s is left out"
         )
 
     def _unreadable(self, error: Exception) -> RecordingError:
-        reason = error.strerror if isinstance(error, OSError) else reason_of(error)
+        reason = error.strerror if isinstance(error, OSError) else mcap_reason(error)
         return RecordingError(self.path, f"cannot be read: {reason}")

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UnknownName, problems_of
+from ...base.errors import DeclarationError, Problem, UnknownName, problems_of, shown
 from ...base.frames import Array, frame_from
 from .couplings import CoupledJoints
 from .robot import SerialRobot
@@ -203,7 +203,7 @@ def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
     array = to_array(replace(items[0], coupled=None), values)
     counts = next((each for each in (full, free) if array.shape == (sum(each),)), None)
     if counts is None or not (items[0].kind in BLANKABLE or np.isfinite(array).all()):
-        found = repr(values) if array.ndim != 1 or not array.size else f"{array.size} numbers"
+        found = shown(values) if array.ndim != 1 or not array.size else f"{array.size} numbers"
         if counts is not None:
             found = str(array.tolist())
         each = ", ".join(f"{item.name} {item.count}" for item in items)

@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from ...base.errors import shown
 from ...base.frames import Array, frame, rotation_about, rotation_angle
 from .x3d import Z_IS_UP
 from .x3d_protos import (
@@ -160,7 +161,7 @@ class _Writer:
         for name, source in self.tables.get("sources", {}).items():
             kind, fields = _KINDS.get(source.get("kind"), ("", {}))
             if not kind:
-                self.left_out.append(f"sources.{name} (of kind {source.get('kind')!r})")
+                self.left_out.append(f"sources.{name} (of kind {shown(source.get('kind'))})")
                 continue
             self.used[kind] = None
             lines.append(f"DEF {name} {kind} {{")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...base.declaration import by_kind
-from ...base.errors import DeclarationError, Problem, SeroError, SimulationError, about_fault
+from ...base.errors import DeclarationError, Problem, SeroError, SimulationError, about_fault, shown
 from ...base.frames import Array, Bools, RowIndex
 from ...base.plugins import CONTROLLERS, load_all
 from ...base.trust import require
@@ -235,15 +235,14 @@ def make_controller(
     n = model.n
     limits: Array = np.full(n, np.inf) if torque_limits is None else np.array(torque_limits, float)
     rates = None
-    found, own = f"found {controller!r}", None
+    found, own = f"found {shown(controller)}", None
     if isinstance(controller, ControllerDeclaration):
         own = controller
         require(own.origin, own.actions())
         controller = own.make(model, timestep)  # type: ignore[arg-type]  # some take rows
-        found = f"{type(own).__name__}.make returned {controller!r}"
+        found = f"{type(own).__name__}.make returned {shown(controller)}"
     if isinstance(controller, type):
-        name = controller.__name__
-        message = f"found the class {name}; expected an object: {name}()"
+        message = f"found {shown(controller)}; expected an object: {controller.__name__}()"
         raise Problem("", message).error()
     if not callable(getattr(controller, "torques", None)):
         message = f"{found}; expected an object with a method torques(sensed, target, out)"

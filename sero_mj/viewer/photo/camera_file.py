@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from ...base.declaration import numbers
-from ...base.errors import DeclarationError, Problem, UsageError, did_you_mean, problems_of
+from ...base.errors import DeclarationError, Problem, UsageError, did_you_mean, problems_of, shown
 from ...base.frames import Array, frame_from, quat_from_rotation
 from ...base.paths import read_file
 from ...base.toml_file import read_toml
@@ -266,7 +266,7 @@ def _distortion(table: dict[str, Any], problems: list[Problem]) -> tuple[str | N
         problems.append(
             Problem(
                 "distortion_model",
-                f"found {model!r}{near}"
+                f"found {shown(model)}{near}"
                 + ("" if "available" in near else f"; there are {', '.join(MODELS)}"),
             )
         )

@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 import mujoco
 
-from ...base.errors import UsageError, did_you_mean
+from ...base.errors import UsageError, did_you_mean, shown
 from ...data.drive.mirror import LiveWorld, Mirror
 from ...load import load_scene
 from ...robots.assemble.world_view import WorldView
@@ -290,8 +290,8 @@ def view(
     for name, value in (of_window if web else of_page).items():
         if value is not None:
             what = "a window, and this is a page" if web else "a page, and this is a window"
-            raise UsageError(f"{name}: found {value!r}; it is for {what}: use web={not web}")
-    shown = _to_show(scene, look)
+            raise UsageError(f"{name}: found {shown(value)}; it is for {what}: use web={not web}")
+    subject = _to_show(scene, look)
     options: dict[str, Any] = {"web": web, "camera": camera}
     if web:
         options |= {name: value for name, value in of_page.items() if value is not None}
@@ -299,7 +299,7 @@ def view(
         options |= {"size": size or DEFAULT_SIZE, "full_screen": full_screen}
     process = ViewerProcess(is_window=not web)
     try:
-        viewer = _open(shown, process, options)
+        viewer = _open(subject, process, options)
     except BaseException:
         process.close(at_once=True)
         raise
@@ -365,7 +365,7 @@ def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
 def _to_show(scene: Scene | Overlay | Path | str, look: Look | None) -> Scene | ModelWorld:
     """Returns a scene with a look, without changing the user's, or the world of an overlay."""
     if look is not None and look not in get_args(Look):
-        raise UsageError(f"look: found {look!r}{did_you_mean(str(look), get_args(Look))}")
+        raise UsageError(f"look: found {shown(look)}{did_you_mean(str(look), get_args(Look))}")
     if isinstance(scene, Overlay):
         if look is not None:
             raise UsageError(f"look: found '{look}'; an overlay has the look of its model")

@@ -22,7 +22,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from ...base.errors import RenderError, UsageError
+from ...base.errors import RenderError, UsageError, shown
 from .compression import DEFLATE, CompressedResponses
 from .guard import Guard, is_loopback, make_token
 from .uploads import MayUpload, is_for_files, take_files
@@ -271,7 +271,7 @@ class Listener:
 
     def __init__(self, host: str = LOOPBACK, port: int = 0) -> None:
         if not (isinstance(port, int) and 0 <= port < 65536):
-            raise RenderError(f"port {port!r}: expected a number from 1 to 65535, or 0 for any")
+            raise RenderError(f"port {shown(port)}: expected 1 to 65535, or 0 for any")
         check_address(host)
         self.sockets = listen(host, port)
 

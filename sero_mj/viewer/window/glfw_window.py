@@ -12,7 +12,7 @@ import glfw
 import mujoco
 import numpy as np
 
-from ...base.errors import RenderError
+from ...base.errors import RenderError, shown
 from ...robots.assemble.world_view import WorldView
 from ..decor.font import line_height
 from ..headless.film import Pixels
@@ -332,7 +332,7 @@ def _check(size: Any) -> None:
     try:
         width, height = (int(side) for side in size)
     except (TypeError, ValueError):
-        raise RenderError(f"window size {size!r}: expected width and height") from None
+        raise RenderError(f"window size {shown(size)}: expected width and height") from None
     check_size("window", width, height)
 
 
