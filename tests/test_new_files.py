@@ -177,3 +177,16 @@ def test_a_robot_in_another_format_is_not_copied_but_imported(
     status, _, err = run(capsys, "new", "ours", "--like", "arm.urdf")
     assert status == 2 and not Path("ours").exists()
     assert "--like: found arm.urdf; expected a robot of TOML. sero-mj import arm.urdf" in err
+
+
+def test_what_is_no_robot_is_not_copied(
+    capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = ROOT / "scenes" / "scenarios" / "hand_guiding.toml"
+    status, _, err = run(capsys, "new", "ours", "--like", str(file))
+    assert status == 2 and f"--like: found {file}, a scene or scenario" in err
+    Path("wrong.toml").write_text('dh_convention = "craig"\ndh_params = [[0.0, 0.0]]\n')
+    status, _, err = run(capsys, "new", "ours", "--like", "./wrong.toml")
+    assert status == 2 and "wrong.toml:2: dh_params" in err
+    assert not Path("ours").exists()

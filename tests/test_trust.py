@@ -375,7 +375,6 @@ def test_the_type_names_of_a_bag_are_no_code(tmp_path, capsys):
 _GUARDED: dict[str, str] = {
     "base/trust.py": "asks whether the package lists the module",
     "base/child_process.py": "starts what others ask for, see below",
-    "cli/demo.py": "our own sender",
     "cli/doctor.py": "our own probes",
     "robots/importers/mjcf_file.py": "MuJoCo's own library",
     "simulate/external_control/fmu.py": "made by make_controller, which asks",

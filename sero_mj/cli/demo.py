@@ -38,6 +38,7 @@ class DemoOptions(Options):
 def run(options: DemoOptions) -> int:
     """Renders; returns 0."""
     from ..base import paths
+    from ..base.child_process import ChildProcess
     from ..load import load_scene
     from ..viewer.headless.render import render_picture
     from .render import film_with_progress
@@ -47,7 +48,7 @@ def run(options: DemoOptions) -> int:
     port = _free_port()
     scene.sources["udp"] = {**scene.sources["udp"], "port": port}
     picture, film = options.out / "lwr.png", options.out / "lwr.mp4"
-    sender = subprocess.Popen(
+    sender = ChildProcess(
         [sys.executable, "-m", "sero_mj", "send", _SCENE, "--port", str(port)],
         stdout=subprocess.DEVNULL,
     )
@@ -58,8 +59,7 @@ def run(options: DemoOptions) -> int:
         silent = film_with_progress(scene, film, chosen)
         silent += render_picture(scene, picture, chosen)
     finally:
-        sender.terminate()
-        sender.wait()
+        sender.end()
     if silent:
         print("sero-mj: no packet arrived; is UDP on loopback blocked?", file=sys.stderr)
         return 1

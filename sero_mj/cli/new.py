@@ -110,6 +110,7 @@ class NewOptions(Options):
 
 def run(options: NewOptions) -> int:
     """Writes the files; returns 0."""
+    from ..load import is_robot_file
     from ..robots.declared.robot import SerialRobot
 
     name = options.name
@@ -119,6 +120,8 @@ def run(options: NewOptions) -> int:
         how = f"sero-mj import {options.like} --out {name}" if is_imported else ""
         hint = how or f'model = "{options.like}" in a scene takes it as it is'
         raise UsageError(f"--like: found {like.name}; expected a robot of TOML. {hint}")
+    if like is not None and not is_robot_file(like):
+        raise UsageError(f"--like: found {like}, a scene or scenario; expected a robot's file")
     folder, scene = Path(name), Path(f"{name}.toml")
     check_new((folder, scene), "choose another name")
     robot = folder / "robot.toml"
@@ -127,6 +130,7 @@ def run(options: NewOptions) -> int:
             folder.mkdir()
             robot.write_text(robot_text(name, options.joints), encoding="utf-8")
         else:
+            SerialRobot.from_model(str(like))  # raises what is wrong in its own file
             _copy(like, robot)
         n = SerialRobot.from_model(str(robot)).n
         write_scene(folder, scene_text(name, n))
