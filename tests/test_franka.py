@@ -388,7 +388,7 @@ def test_modes_and_errors_are_told_in_words() -> None:
         ({}, "host", "is required"),
         ({"host": ""}, "host", "found ''; expected an address such as 192.168.0.3"),
         ({"host": "a", "structure": "7F"}, "structure", "found '7F'; FCI fixes it: leave it out"),
-        ({"host": "a", "time_scale": 1.0}, "time_scale", "found 1.0; FCI fixes it: leave it out"),
+        ({"host": "a", "time_scale": 1.0}, "time_scale", "found 1; FCI fixes it: leave it out"),
         ({"host": "a", "port": 0}, "port", "found 0; expected"),
     ],
 )

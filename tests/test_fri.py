@@ -13,7 +13,7 @@ import pytest
 from conftest import raises_with
 from fri_packets import FORMAT, TABLE, UPRIGHT, give, measurement
 
-from sero_mj.base.errors import DeclarationError, UnknownName
+from sero_mj.base.errors import DeclarationError, UnknownName, shown
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.receive._tracking import SequenceTracker
 from sero_mj.data.receive.fri import FriLayout, FriReceiver
@@ -94,7 +94,7 @@ def test_encoding_is_the_inverse_of_decoding() -> None:
 def test_what_fri_fixes_cannot_be_set(field: str, value: object) -> None:
     with pytest.raises(DeclarationError) as caught:
         make_source("fri", {"kind": "fri", field: value})
-    assert str(caught.value) == f"{field}: found {value!r}; FRI fixes it: leave it out"
+    assert str(caught.value) == f"{field}: found {shown(value)}; FRI fixes it: leave it out"
 
 
 def test_what_is_left_out_is_as_fri_has_it() -> None:

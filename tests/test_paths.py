@@ -168,7 +168,7 @@ def test_problems_of_a_robot_file_carry_its_name_and_line(tmp_path):
 def test_problems_of_overrides_do_not_blame_the_file(tmp_path):
     text = 'dh_convention = "craig"\ntorque_limits = [5]\n'
     assert file_refusal(tmp_path, text, torque_limits=[-1], axes_sise=1).splitlines() == [
-        "torque_limits: found [-1.0]; expected positive numbers",
+        "torque_limits: found [-1]; expected positive numbers",
         "axes_sise: unknown key; did you mean 'axes_size'?",
     ]
 

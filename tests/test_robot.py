@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import raises_with
 
-from sero_mj.base.errors import DeclarationError, Problem
+from sero_mj.base.errors import DeclarationError, Problem, shown
 from sero_mj.robots.declared.dh import COLUMNS
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.surroundings import Object
@@ -362,7 +362,7 @@ def test_limits_in_degrees_are_refused_for_sliding_joints():
 @pytest.mark.parametrize("types", [5, True])
 def test_joint_types_that_are_no_list_are_refused_beside_limits_in_degrees(types):
     text = refusal(joint_types=types, velocity_limits_deg=[1])
-    assert f"joint_types: found {types!r}; expected list" in text.splitlines()
+    assert f"joint_types: found {shown(types)}; expected list" in text.splitlines()
 
 
 def test_table_in_degrees_becomes_one_in_radians_and_excludes_the_other():

@@ -83,7 +83,7 @@ def test_a_source_is_made_from_its_table() -> None:
         ({"kind": "upd"}, "kind: no kind 'upd'; did you mean 'udp'?"),
         ({"kind": 5}, f"kind: no kind 5; available: {LISTED}"),
         ({"kind": ["udp"]}, "kind: no kind ['udp']; did you mean 'udp'?"),
-        ({"kind": {"udp": 1}}, f"kind: no kind {{'udp': 1}}; available: {LISTED}"),
+        ({"kind": {"udp": 1}}, f"kind: no kind {{udp = 1}}; available: {LISTED}"),
     ],
 )
 def test_another_kind_of_source_is_refused(table: dict[str, Any], message: str) -> None:

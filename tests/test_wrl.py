@@ -232,7 +232,7 @@ def test_groups_protos_switches_and_files_beside_lead_to_their_shapes(tmp_path: 
     ("text", "message"),
     [
         ("Shape { geometry Box { size 1 0 1 } }",
-         ":2: Box: size: found [0.5, 0.0, 0.5]; expected numbers above 0"),
+         ":2: Box: size: found [0.5, 0, 0.5]; expected numbers above 0"),
         ("Shape {\n geometry DEF part IndexedFaceSet { coord Coordinate { point [0 0 0] }\n"
          "coordIndex [0 1 2 -1] } }", ":3: part: coordIndex: found 2; expected 0 to 0"),
         ("Shape { geometry IndexedFaceSet { coordIndex [0 1 2] } }",
