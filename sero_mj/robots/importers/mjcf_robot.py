@@ -20,7 +20,8 @@ from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Bools, Ints, frame, inverse, rotation_from_quat
 from .imported_tables import ImportedTables, first_of
 from .mjcf_file import as_spec, is_file_name
-from .mjcf_tree import MjcfTree, find_tree, torque_limits
+from .mjcf_torque_limits import torque_limits
+from .mjcf_tree import MjcfTree, find_tree
 from .robot_tree import TOO_FAR, meant_limits, six_of
 
 _INITIAL_KEYS = ("home", "stand", "init", "default")  # key frames used as the initial pose
