@@ -30,6 +30,7 @@ from .robot_declaration import BASE, RobotDeclaration
 from .robot_parts import IN_DEGREES, frame_label
 from .shapes import clear_radii, housing_radii
 from .surroundings import set_directory
+from .torque_units import TorqueUnit, torque_units
 
 log = logging.getLogger(__name__)
 
@@ -229,6 +230,11 @@ class SerialRobot(RobotDeclaration):
     def torque_bounds(self) -> Array:
         """`torque_limits` (n,), Nm or N; infinite for joints without a limit."""
         return np.full(self.n, np.inf) if self.torque_limits is None else self.torque_limits
+
+    @property
+    def torque_units(self) -> list[TorqueUnit]:
+        """Unit in which the torque or force of every joint is displayed, n, by `torque_limits`."""
+        return torque_units(self.torque_bounds, [kind == "revolute" for kind in self.types])
 
     @property
     def arrow_radii(self) -> Array:

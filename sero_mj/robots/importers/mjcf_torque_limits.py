@@ -32,8 +32,9 @@ def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
     """Returns the largest torques that actuators can exert on joints, (n,), Nm or N.
 
     They are infinite for joints without actuators, and if the force of an actuator depends on
-    position or velocity and has no `forcerange`, as that of many position servos. The moment arms
-    of spatial tendons, slider-cranks and sites change with the pose: the largest of 64 poses counts.
+    position or velocity and has no `forcerange`, as that of many position servos. If moment arms
+    change with the pose, as those of spatial tendons, slider-cranks and sites, the torque is the
+    largest found in 64 poses.
 
     Args:
         model: compiled.

@@ -132,16 +132,20 @@ class Legend(Feature):
                 what = self._difference(shown) or what
             if (toggles.modelled & of_torque)[shown].any():
                 what = _MODELLED
-            if not np.isfinite(limit[shown]).any():
-                has_load = np.isfinite(self.world.joints.arrow_load[shown]).any()
-                width = _BY_LOAD if has_load else _UNLIMITED
+            without = shown & ~np.isfinite(limit)
+            has_scale = bool((shown & ~without).any())
+            has_load = np.isfinite(self.world.joints.arrow_load[without]).any()
+            unlimited = _BY_LOAD if has_load else _UNLIMITED
+            if not has_scale:
+                width = unlimited
             elif quantity in _TORQUES and (largest := self.world.joints.is_largest[shown]).any():
                 width = _LARGEST if largest.all() else f"{width}, or {_LARGEST}"
-            has_scale = width not in (_UNLIMITED, _BY_LOAD)
             scale = "".join(SCALE) + width if has_scale else width
             has_sliding = not self.world.joints.revolute[shown].all()
             first = _arrows_line(quantity, what, has_sliding).encode()
             lines = [first, _SIGNS, scale.encode()]
+            if has_scale and without.any():
+                lines.insert(2, f"{self._who(shown, without)}: {unlimited}".encode())
             texts.append(lines)
         sizes = np.array(
             [
@@ -164,6 +168,15 @@ class Legend(Feature):
         notes, arrows = panels.only(~of_arrows), panels.only(of_arrows)
         arrows = replace(arrows, bars=_bars(arrows, view), of_arrows=True)
         return [each for each in (notes, arrows) if each.texts]
+
+    def _who(self, shown: Bools, without: Bools) -> str:
+        """Returns what joints without a limit are called: by their robots, if all of it are."""
+        owners = self.world.joints.owner
+        names = list(self.world.owners)
+        mine = set(owners[without].tolist()) - set(owners[shown & ~without].tolist())
+        is_all = bool(np.isin(owners[without], list(mine)).all())
+        robots = _named([names[k] for k in sorted(mine)]) if is_all else ""
+        return robots or "without a limit"
 
     def _difference(self, shown: Bools) -> str:
         """Returns what torque errors are where cards give them a name of their own; else empty."""
