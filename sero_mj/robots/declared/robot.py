@@ -283,9 +283,10 @@ class SerialRobot(RobotDeclaration):
         """Finite range of every joint (n, 2), rad or m, for sliders, motions and learning.
 
         These are the position limits. Where they are missing, infinite or 1000 rad or m and
-        more, the range is ±π rad for a revolute joint and ±1 m for a prismatic one.
+        more, the range is ±π rad for a revolute joint and ±1 m for a prismatic one. The limits of
+        coupled joints bound their driving joint as well.
         """
-        return display_ranges(self.position_limits, self.types, self.home)
+        return display_ranges(self.position_limits, self.types, self.home, self.coupled)
 
     @property
     def strokes(self) -> Array:

@@ -14,12 +14,12 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Ints
+from .mjcf_tree import ON_JOINT
 
 _FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
 _NO_BIAS, _AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
 _STATELESS = int(mujoco.mjtDyn.mjDYN_NONE)
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
-_ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _OF_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 _AXES = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
@@ -132,6 +132,6 @@ def _has_constant_arms(model: mujoco.MjModel) -> bool:
     """Whether all actuators act on joints or fixed tendons."""
     for kind, (item, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True):
         is_fixed = kind == _OF_TENDON and model.wrap_type[model.tendon_adr[item]] == _WRAPS_JOINT
-        if kind not in _ON_JOINT and not is_fixed:
+        if kind not in ON_JOINT and not is_fixed:
             return False
     return True
