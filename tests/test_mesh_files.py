@@ -216,6 +216,23 @@ def test_the_alpha_of_vertices_is_kept(tmp_path: Path) -> None:
     assert piece.rgba == pytest.approx((0.098, 0.1961, 0.7843, 0.3137))
 
 
+@pytest.mark.parametrize(("has_own", "expected"), [(True, 0.4 * 80 / 255), (False, 0.4)])
+def test_the_opacity_of_a_urdf_material_holds_for_meshes(
+    tmp_path: Path, has_own: bool, expected: float
+) -> None:
+    colors = [[25, 50, 200, 80]] * 8 if has_own else None
+    trimesh.Trimesh(BOX.vertices, BOX.faces, vertex_colors=colors).export(tmp_path / "a.ply")
+    (tmp_path / "r.urdf").write_text(
+        '<robot name="r"><link name="a"/><link name="b"><visual><geometry><mesh filename="a.ply"/>'
+        '</geometry><material name="m"><color rgba="1 0 0 0.4"/></material></visual></link>'
+        '<joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint></robot>'
+    )
+    model = World(Scene(robots=[SerialRobot.from_urdf(tmp_path / "r.urdf")], floor=False)).model
+    red, _, blue, alpha = model.geom_rgba[-1]
+    assert alpha == pytest.approx(expected, abs=1e-4)
+    assert (blue > red) == has_own
+
+
 def faces_of(piece: MeshPiece) -> Array:
     """Corners (f, 3, 3) of a piece in MuJoCo's own format."""
     counts = struct.unpack("<4i", piece.contents[:16])

@@ -443,9 +443,11 @@ class UrdfFile:
         file = self._mesh_file(mesh, name, tag, link)
         if file is None:
             return None
-        # Colours of the mesh file take precedence.
-        color = None if self._colored[file] else color
-        return Geometry(T, file, scale, color=color, line=mesh.sourceline)
+        if color is None or not self._colored[file]:
+            return Geometry(T, file, scale, color=color, line=mesh.sourceline)
+        # As in RViz, colours of the mesh file take precedence, with the opacity of the material.
+        alpha = float(color[1][3]) or 1.0
+        return Geometry(T, file, scale, opacity=alpha, line=mesh.sourceline)
 
     def _mesh_file(self, mesh: Element, name: str, tag: str, link: str) -> Path | None:
         """The file of a mesh; None for one that cannot be found, read or used."""
