@@ -16,9 +16,10 @@ from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.double import Double
 from sero_mj.robots.declared.robot import SerialRobot
-from sero_mj.robots.declared.robot_parts import ARROW_QUANTITIES
+from sero_mj.robots.declared.robot_parts import ARROW_QUANTITIES, BillboardLine
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor import cards
+from sero_mj.viewer.decor.billboards import billboard_lines, joint_formats
 from sero_mj.viewer.decor.card_names import card_names, shortened, titles
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
@@ -536,6 +537,38 @@ def test_decimals_follow_what_an_arrow_of_full_width_shows() -> None:
     texts = {text.split()[0]: text.split()[1] for text in labels(drawn(world, view_at(distance=9)))}
     expected = ["24.7", "4.7", "1.11", "0.37", "0.062", "0.0005"]
     assert texts == {f"J{k + 1}": text for k, text in enumerate(expected)}
+
+
+@pytest.mark.parametrize(
+    ("limits", "expected", "error"),
+    [
+        ([1e-5, 1e-6, 5e-8], ["5.0 uNm", "0.50 uN", "0.0250 uNm"], "err     2.50 uNm"),
+        ([0.05, np.inf, 0.002], ["25.0 mNm", "0.0 N", "1.00 mNm"], "err    12.50 mNm"),
+        ([9000.0, 20.0, 9.0], ["4500.0 Nm", "10.0 N", "4.50 Nm"], "err  2250.00 Nm"),
+        ([2e6, 2e4, 8e5], ["1000.0 kNm", "10.0 kN", "400.0 kNm"], "err   500.00 kNm"),
+    ],
+)
+def test_torques_of_a_robot_have_one_prefix_by_its_largest_limit(
+    limits: list[float], expected: list[str], error: str
+) -> None:
+    torques = np.where(np.isfinite(limits), 0.5 * np.array(limits), 0.0)
+    robot = SerialRobot(
+        name="r", dh_convention="craig", dh_params=np.zeros((3, 4)), torque_limits=limits,
+        joint_types=["revolute", "prismatic", "revolute"], torques=torques,
+        commanded_torques=1.5 * torques, show_billboards=True,
+    )  # fmt: skip
+    world = World(Scene(robots=[robot], floor=False))
+    lines = joint_formats(world)
+    found = [" ".join(each.split()[1:]) for each in labels(drawn(world, view_at(distance=9)))]
+    assert found == expected
+    details = [line.text(value).decode() for line, value in zip(
+        lines.details[0][2:4], [0.25 * limits[0], limits[0]], strict=True)]  # fmt: skip
+    assert details[0].strip() == error
+    assert details[1].endswith(expected[0].split()[1])
+    # A declared unit or scale is the user's own.
+    own = BillboardLine(value="torques", unit="ozin", scale=141.6, decimals=1)
+    (line,) = billboard_lines("J", [own], False, world.joints.torque_units[0], limits[0])
+    assert line.text(1.0) == b"J   141.6 ozin"
 
 
 def test_torques_that_are_set_at_run_time_are_on_cards_that_had_angles() -> None:

@@ -18,6 +18,7 @@ from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.cli import main
 from sero_mj.robots.assemble.robot_dynamics import about_large_inertias, robot_dynamics
+from sero_mj.robots.assemble.unit_checks import about_units
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.dynamics import Dynamics, balanced_tensor, inertia_problem
 from sero_mj.robots.declared.robot import SerialRobot, build_robot
@@ -537,3 +538,40 @@ def test_an_inertia_that_no_mass_within_the_link_can_have_is_told() -> None:
         "link 3: its inertia has a radius of gyration of 0.5 m; its geometry reaches "
         f"{reach:.2g} m from its centre of mass"
     )
+
+
+_ARM = {
+    "dh_convention": "craig", "dh_params": [[0, 0, 0, 0], [0, 0.4, 0, 0], [0, 0.3, 0, 0]],
+    "joint_types": ["revolute", "revolute", "prismatic"], "flange_frame": {"xyz": [0.1, 0, 0]},
+    "position_limits": [[-2, 2], [-2, 2], [0, 0.3]], "torque_limits": [50, 50, 50],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changed", "masses", "expected"),
+    [
+        ({}, 1, []),
+        ({}, 1000, ["few robots weigh 11,000 kg", "joint J1 needs up to"]),
+        ({"dh_params": [[0, 0, 0, 0], [0, 4.0, 0, 0], [0, 0.3, 0, 0]]}, 0.1, ["few robots reach"]),
+        ({"position_limits": [[-2, 2], [-2, 2], [0, 300]]}, 1, ["joint J3 has a range of 300 m"]),
+        ({"position_limits": [[-90, 90], [-2, 2], [0, 1e6]]}, 1, []),  # degrees; a placeholder
+        ({"torque_limits": [0.05, 50, np.inf]}, 1, ["joint J1 needs up to"]),
+    ],
+)
+def test_units_that_no_robot_has_are_noted(
+    changed: dict[str, object], masses: float, expected: list[str]
+) -> None:
+    dynamics = {
+        "masses": masses * np.array([5, 3, 2, 1]), "centers_of_mass": np.zeros((4, 3)),
+        "inertias": np.tile([0.01, 0.01, 0.01, 0, 0, 0], (4, 1)),
+    }  # fmt: skip
+    robot = SerialRobot(**{**_ARM, **changed, "dynamics": dynamics})
+    notes = about_units(robot, robot_dynamics(robot))
+    assert len(notes) == len(expected)
+    assert all(note.startswith(start) for note, start in zip(notes, expected, strict=True))
+
+
+@pytest.mark.parametrize("name", ["lwr", "panda", "dlr_hand2_finger", "scara", "ups_leg"])
+def test_units_of_shipped_robots_are_not_noted(name: str) -> None:
+    robot = SerialRobot.from_model(name)
+    assert about_units(robot, robot_dynamics(robot)) == []

@@ -177,7 +177,7 @@ def test_declared_torques_are_not_replaced() -> None:
     toggles = Toggles(mirror.world)
     jogging = Jogging(Shown(mirror, toggles=toggles))
     settle(mirror, jogging, 0.2)
-    assert not toggles.modelled.any() and jogging._compiling is None
+    assert not toggles.modelled.any() and jogging.held._compiling is None
 
 
 def test_what_a_program_sets_is_taken_over() -> None:

@@ -80,6 +80,36 @@ def test_a_robot_without_limits_has_ranges_too() -> None:
     np.testing.assert_allclose(robot.display_ranges, [[-np.pi, np.pi], [-1.0, 1.0]])
 
 
+@pytest.mark.parametrize(
+    ("coupling", "limits", "expected"),
+    [
+        # The coupled joint would be at its limit before the driving one is.
+        ({"ratio": 2.0}, [[-2, 2], [-1, 3]], [[-0.5, 1.5], [-1, 3]]),
+        ({"ratio": -0.5, "offset": 0.2}, [[-2, 2], [0, 1]], [[-1.6, 0.4], [0, 1]]),
+        # One without limits follows as far as the driving joint goes, and the reverse.
+        ({"ratio": 3.0}, [[-2, 2], [-INF, INF]], [[-2, 2], [-6, 6]]),
+        ({"ratio": 3.0}, [[-INF, INF], [-6, 3]], [[-2, 1], [-6, 3]]),
+        ({"ratio": 1.0}, None, [[-np.pi, np.pi]] * 2),
+        # Limits that leave no range are wrong.
+        ({"ratio": -1.0}, [[0, 1], [0, 1]], [[0, 1], [-1, 0]]),
+        ({"ratio": 1.0}, [[0, 1], [2, 3]], [[0, 1], [0, 1]]),
+    ],
+)
+def test_a_driving_joint_keeps_the_limits_of_its_coupled_joints(
+    coupling: dict[str, float], limits: object, expected: list[list[float]]
+) -> None:
+    robot = SerialRobot(
+        dh_params=[[0, 0, 0, 0.2]] * 2, dh_convention="craig", position_limits=limits,
+        couplings={"J2": {"to": "J1", **coupling}},
+    )  # fmt: skip
+    np.testing.assert_allclose(robot.display_ranges, expected, atol=1e-12)
+    if limits is not None and np.isfinite(limits).all():
+        np.testing.assert_allclose(independent_limits(robot), expected[:1], atol=1e-12)
+    for t in range(20):
+        q = SineMotion(robot).at(float(t))[0]
+        assert (q >= robot.display_ranges[:, 0]).all() and (q <= robot.display_ranges[:, 1]).all()
+
+
 def test_a_placeholder_limit_does_not_make_a_robot_a_thousand_kilometres_long() -> None:
     table = {"dh_params": [[0, 0, 0, 0.2]], "dh_convention": "craig", "joint_types": ["prismatic"]}
     free = SerialRobot(**table)

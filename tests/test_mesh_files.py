@@ -123,6 +123,116 @@ def test_collada_has_units_nodes_and_colours(tmp_path: Path) -> None:
     assert np.allclose(corners.max(axis=0), [1.2, 0.1, 0.3], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("transparency", "alpha", "warning"),
+    [
+        ("", 1.0, ""),
+        ('<transparent opaque="A_ONE"><color>1 1 1 1</color></transparent>', 1.0, ""),
+        ('<transparent opaque="A_ONE"><color>1 1 1 0.3</color></transparent>', 0.3, "opacity 0.3"),
+        ('<transparent opaque="RGB_ZERO"><color>.8 .8 .8 1</color></transparent>'
+         "<transparency><float>0.5</float></transparency>", 0.6, "opacity 0.6"),
+        ('<transparent opaque="A_ZERO"><color>1 1 1 0.3</color></transparent>', 0.7, "opacity 0.7"),
+        ("<transparency><float>0.4</float></transparency>", 0.4, "opacity 0.4"),
+        # What some exporters write for opaque.
+        ("<transparency><float>0</float></transparency>", 1.0, "'red' would be invisible"),
+    ],
+)  # fmt: skip
+def test_transparency_of_collada_is_that_of_its_specification_with_a_warning(
+    tmp_path: Path, caplog, transparency: str, alpha: float, warning: str
+) -> None:
+    path = tmp_path / "two.dae"
+    text = COLLADA.format(picture="none.png", second="red")
+    text = text.replace("</diffuse></lambert>", f"</diffuse>{transparency}</lambert>", 1)
+    path.write_text(text, encoding="utf-8")
+    (red,) = read_mesh(path)
+    assert red.rgba == (0.8, 0.1, 0.2, alpha)
+    assert warning in caplog.text and bool(warning) == bool(caplog.records)
+
+
+TWO_SIDES = (
+    "mtllib {file}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    "usemtl dark red\nf 1 3 2\nf 1 2 4\nusemtl light  blue\nf 1 4 3\nf 2 3 4\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("material", "alpha"),
+    [("d 0.3", 0.3), ("Tr 0.7", 0.3), ("d -halo 0.3", 0.3), ("d 0.3\nTr 0.3", 0.3), ("d 1", 1.0),
+     ("", 1.0), ("d 0", 1.0), ("d nan", 1.0), ("d x", 1.0)],
+)  # fmt: skip
+@pytest.mark.parametrize("is_one", [False, True])  # one colour: the file is passed on
+def test_transparency_of_obj_materials(
+    tmp_path: Path, material: str, alpha: float, is_one: bool
+) -> None:
+    blue = f"newmtl light  blue\nKd 0.1 0.2 0.8\n{material}\n"
+    (tmp_path / "m.mtl").write_text(f"newmtl dark red\nKd 0.8 0.1 0.1\n\n{blue}")
+    text = TWO_SIDES.format(file="m.mtl")
+    text = text.replace("usemtl dark red\n", "") if is_one else text
+    (tmp_path / "a.obj").write_text(text)
+    pieces = read_mesh(tmp_path / "a.obj")
+    assert [piece.rgba for piece in pieces if piece.rgba[0] < 0.5] == [(0.1, 0.2, 0.8, alpha)]
+    assert len(pieces) == 2 - is_one
+
+
+@pytest.mark.parametrize(
+    ("file", "named", "encoding", "end"),
+    [
+        ("m.mtl", "M.MTL", "utf-8", "\n"),
+        ("my part.mtl", "my part.mtl", "utf-8-sig", "\n"),
+        ("m.mtl", "none.mtl   m.mtl", "utf-8", "\r\n"),
+        ("m.mtl", ".\\m.mtl", "utf-16", "\n"),
+    ],
+)
+def test_materials_of_obj_are_found_however_they_are_written(
+    tmp_path: Path, file: str, named: str, encoding: str, end: str
+) -> None:
+    text = "\tnewmtl\tdark  red \n\tKd 0.8 0.1 0.1\n\nNEWMTL light blue\nkd 0.1 0.2 0.8\n"
+    (tmp_path / file).write_text(text.replace("\n", end), encoding=encoding, newline="")
+    obj = TWO_SIDES.format(file=named).replace("\n", end)
+    (tmp_path / "a.obj").write_text(obj, encoding="utf-8-sig", newline="")
+    found = {piece.rgba for piece in read_mesh(tmp_path / "a.obj")}
+    assert found == {(0.8, 0.1, 0.1, 1.0), (0.1, 0.2, 0.8, 1.0)}
+
+
+@pytest.mark.parametrize(
+    ("mode", "factor", "alpha"),
+    [("OPAQUE", 80, 1.0), ("BLEND", 80, 80 / 255), ("MASK", 140, 1.0), ("MASK", 80, 0.0)],
+)
+def test_transparency_of_gltf_is_what_its_mode_says(
+    tmp_path: Path, mode: str, factor: int, alpha: float
+) -> None:
+    look = trimesh.visual.material.PBRMaterial(baseColorFactor=[25, 50, 200, factor],
+                                               alphaMode=mode)  # fmt: skip
+    box = trimesh.Trimesh(BOX.vertices, BOX.faces, visual=trimesh.visual.TextureVisuals(None, look))
+    box.export(tmp_path / "a.glb")
+    (piece,) = read_mesh(tmp_path / "a.glb")
+    assert piece.rgba == pytest.approx((25 / 255, 50 / 255, 200 / 255, alpha), abs=1e-3)
+
+
+def test_the_alpha_of_vertices_is_kept(tmp_path: Path) -> None:
+    box = trimesh.Trimesh(BOX.vertices, BOX.faces, vertex_colors=[[25, 50, 200, 80]] * 8)
+    box.export(tmp_path / "a.ply")
+    (piece,) = read_mesh(tmp_path / "a.ply")
+    assert piece.rgba == pytest.approx((0.098, 0.1961, 0.7843, 0.3137))
+
+
+@pytest.mark.parametrize(("has_own", "expected"), [(True, 0.4 * 80 / 255), (False, 0.4)])
+def test_the_opacity_of_a_urdf_material_holds_for_meshes(
+    tmp_path: Path, has_own: bool, expected: float
+) -> None:
+    colors = [[25, 50, 200, 80]] * 8 if has_own else None
+    trimesh.Trimesh(BOX.vertices, BOX.faces, vertex_colors=colors).export(tmp_path / "a.ply")
+    (tmp_path / "r.urdf").write_text(
+        '<robot name="r"><link name="a"/><link name="b"><visual><geometry><mesh filename="a.ply"/>'
+        '</geometry><material name="m"><color rgba="1 0 0 0.4"/></material></visual></link>'
+        '<joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint></robot>'
+    )
+    model = World(Scene(robots=[SerialRobot.from_urdf(tmp_path / "r.urdf")], floor=False)).model
+    red, _, blue, alpha = model.geom_rgba[-1]
+    assert alpha == pytest.approx(expected, abs=1e-4)
+    assert (blue > red) == has_own
+
+
 def faces_of(piece: MeshPiece) -> Array:
     """Corners (f, 3, 3) of a piece in MuJoCo's own format."""
     counts = struct.unpack("<4i", piece.contents[:16])

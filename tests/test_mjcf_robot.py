@@ -304,7 +304,7 @@ def test_alone_it_stands_on_the_floor_and_falls_no_further(path):
     moved = mujoco.MjData(bare)
     mujoco.mj_kinematics(bare, moved)
     assert moved.geom("floor").xpos[2] == floor
-    for _ in range(2000):
+    for _ in range(1000):
         mujoco.mj_step(model, data)
     height = data.xpos[world.robots["two-legs"].bodies, 2]
     assert floor - 0.1 < height.min() and height.max() < floor + 1.0
@@ -374,6 +374,134 @@ def test_torque_limits_that_mean_none_are_taken_for_none(caplog):
         robot = SerialRobot.from_mjcf(text, name="arm")
     assert robot.torque_limits is None
     assert "torque limits up to 900000 are over 10 times what holds all" in caplog.text
+
+
+BOUNDS = """
+<mujoco>
+  <worldbody>
+    <site name="nail" pos="0.3 0.1 0.2"/>
+    <body name="b0"><joint name="motor" axis="0 0 1"/><geom size="0.2" mass="30"/>
+      <body><joint name="both" axis="0 1 0"/><geom size="0.1"/>
+        <body><joint name="one way" actuatorfrcrange="-3 9"/><geom size="0.1"/>
+          <body><joint name="antagonists"/><geom size="0.1"/>
+            <body><joint name="f1"/><geom size="0.1"/>
+              <body><joint name="f2"/><geom size="0.1"/>
+                <body><joint name="filtered"/><geom size="0.1"/>
+                  <body><joint name="activated"/><geom size="0.1"/>
+                    <body><joint name="unbounded"/><geom size="0.1"/></body>
+    </body></body></body></body></body></body></body></body>
+    <body pos="0 0 0.1"><joint name="crank" axis="0 1 0" range="-120 150"/>
+      <geom size="0.1" mass="30"/><site name="end" pos="0.2 0 0"/></body>
+  </worldbody>
+  <tendon>
+    <fixed name="two"><joint joint="f1" coef="0.5"/><joint joint="f2" coef="-0.2"/></fixed>
+    <fixed name="clamped" limited="false" actuatorfrclimited="true" actuatorfrcrange="-1 2">
+      <joint joint="f1" coef="1"/></fixed>
+    <spatial name="rope"><site site="nail"/><site site="end"/></spatial>
+  </tendon>
+  <actuator>
+    <motor joint="motor" gear="5" ctrlrange="-2 1"/>
+    <motor joint="both" gear="2" ctrlrange="-10 10" forcerange="-4 4"/>
+    <motor joint="one way" ctrlrange="-20 0"/>
+    <motor joint="antagonists" gear="3" ctrlrange="0 1"/>
+    <motor joint="antagonists" gear="-3" ctrlrange="0 1"/>
+    <motor tendon="two" gear="2" ctrlrange="-8 8"/>
+    <motor tendon="clamped" gear="3" ctrlrange="-8 8"/>
+    <motor tendon="clamped" gear="3" ctrlrange="-8 8"/>
+    <general joint="filtered" dyntype="filterexact" dynprm="0.1" gainprm="7" ctrlrange="-1 1"/>
+    <general joint="activated" dyntype="integrator" gainprm="7" actrange="-2 3"/>
+    <general joint="activated" gainprm="2" biastype="affine" biasprm="4" ctrlrange="0 1"/>
+    <position joint="unbounded" kp="100" ctrlrange="-1 1"/>
+    <motor tendon="rope" ctrlrange="-10 10"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def test_torque_limits_are_the_largest_torques_that_mujoco_exerts():
+    robot = SerialRobot.from_mjcf(BOUNDS, name="arm")
+    model = mujoco.MjModel.from_xml_string(BOUNDS)
+    data, chance = mujoco.MjData(model), np.random.default_rng(1)
+    found = np.zeros(model.nv)
+    for _ in range(1000):
+        data.ctrl = chance.choice([-1e3, 1e3], model.nu)
+        data.act = chance.choice([-1.0, 1.0]), chance.choice([-2.0, 3.0])  # where steps keep it
+        data.qpos[-1] = chance.uniform(*model.jnt_range[-1])
+        mujoco.mj_forward(model, data)
+        found = np.maximum(found, np.abs(data.qfrc_actuator))
+    exact = [10.0, 8.0, 3.0, 3.0, 14.0, 3.2, 7.0, 27.0]  # 0.5 * 16 + 2 * 3, say
+    assert robot.torque_limits[:9].tolist() == pytest.approx([*exact, np.inf])
+    np.testing.assert_allclose(found[:8], exact)
+    assert robot.torque_limits[9] == pytest.approx(found[9], rel=0.01)  # over all poses
+
+
+COUPLED = """
+<mujoco>
+  <worldbody>
+    <body><joint name="j1" ref="0.2" range="-2 2"/><geom size="0.1"/><site name="a"/>
+      <body><joint name="j2" axis="0 1 0"/><geom size="0.1"/><site name="b" pos="1 0 0"/>
+        <body><joint name="j3" axis="0 1 0" ref="-0.1" range="0 4"/><geom size="0.1"/>
+          <body><joint name="j4" axis="0 1 0"/><geom size="0.1"/>
+            <body><joint name="j5" axis="0 1 0"/><geom size="0.1"/>
+              <body><joint name="j6" axis="0 1 0"/><geom size="0.1"/>
+                <body><joint name="j7" type="slide"/><geom size="0.1"/></body>
+    </body></body></body></body></body></body>
+    <body name="other"><joint name="hinge" axis="0 1 0"/><geom size="0.1"/></body>
+  </worldbody>
+  <tendon>
+    <fixed name="t34"><joint joint="j3" coef="2"/><joint joint="j4" coef="-1"/></fixed>
+    <fixed name="t5"><joint joint="j5" coef="0.5"/></fixed>
+    <fixed name="t6"><joint joint="j6" coef="3"/></fixed>
+    <fixed name="t156"><joint joint="j1" coef="1"/><joint joint="j5" coef="1"/>
+      <joint joint="j6" coef="1"/></fixed>
+    <spatial name="rope"><site site="a"/><site site="b"/></spatial>
+  </tendon>
+  <equality>
+    <joint joint1="j1" joint2="j2" polycoef="0.1 2 0 0 0"/>
+    <joint joint1="j2" joint2="j7" polycoef="0.02 4 0 0 0"/>
+    <tendon tendon1="t34" polycoef="0.3 0 0 0 0"/>
+    <tendon tendon1="t5" tendon2="t6" polycoef="0.05 0.5 0 0 0"/>
+    <tendon tendon1="t156"/>
+    <tendon tendon1="t5" tendon2="rope"/>
+    <joint joint1="j2" joint2="j7" polycoef="0 0 1 0 0"/>
+    <joint joint1="j7" polycoef="0.01"/>
+    <joint joint1="j3" joint2="hinge"/>
+    <joint joint1="j1" joint2="j7"/>
+    <joint joint1="j4" joint2="j5" active="false"/>
+  </equality>
+  <actuator><motor joint="j1" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+
+def test_couplings_are_the_linear_constraints_of_joints_and_tendons(caplog):
+    with caplog.at_level(logging.WARNING):
+        robot = SerialRobot.from_mjcf(COUPLED, name="arm")
+    coupled = {name: coupling.to for name, coupling in robot.couplings.items()}
+    # The joint with an actuator is independent, whichever side of the constraint it is on.
+    assert coupled == {"j2": "j1", "j7": "j2", "j4": "j3", "j6": "j5"}
+    model = mujoco.MjModel.from_xml_string(COUPLED)
+    data = mujoco.MjData(model)
+    data.qpos[:7] = robot.coupled.positions(np.array([0.31, 0.2, -0.7]))
+    mujoco.mj_forward(model, data)
+    violated = data.efc_pos[data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)]
+    np.testing.assert_allclose(violated[:4], 0.0, atol=1e-12)
+    assert np.abs(violated[4:]).min() > 0.001
+    for who, reason in (
+        ("j1, j5, j6", "a coupling joins two joints"),
+        ("j5", "the length of a spatial tendon is not linear"),
+        ("j2, j7", "it is not linear"),
+        ("j7", "a coupling joins two joints"),
+        ("j3", "it leads to a joint that is not part of the robot"),
+        ("j1, j7", "others couple them already"),
+    ):
+        assert f"the constraint of {who} is left out: {reason}" in caplog.text
+
+
+def test_a_key_frame_is_the_initial_pose_of_a_chain_of_couplings():
+    key = '<keyframe><key name="home" qpos="0.5 9 1 9 2 9 9 9"/></keyframe></mujoco>'
+    robot = SerialRobot.from_mjcf(COUPLED.replace("</mujoco>", key), name="arm")
+    np.testing.assert_allclose(robot.home, robot.coupled.positions(np.array([0.5, 1.0, 2.0])))
 
 
 def test_frames_are_called_by_joints_and_by_links_of_the_file(path, tmp_path):

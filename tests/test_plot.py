@@ -3,6 +3,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +116,22 @@ def test_limits_are_seen_where_torques_come_near(tmp_path: Path, figures: list[F
     assert "limit" in legend_of(figures[0])
     assert any("N" in title for title in [turn.get_title(loc="left")])
     assert turn.get_title(loc="left") == "torque, Nm or N"
+
+
+def test_small_torques_are_in_the_unit_of_their_robot(
+    tmp_path: Path, figures: list[Figure]
+) -> None:
+    robot = two_joints(torque_limits=[1e-5, 0.02])
+    log = sine_run(robot=robot)
+    small = {
+        name: (1e-6 if "torques" in name else 1.0) * each for name, each in log.signals.items()
+    }
+    plot_run(replace(log, signals=small), tmp_path / "small.png")
+    (figure,) = figures
+    texts = [text.get_text() for text in figure.figure.findobj(Text)]
+    assert "torque, uNm or mN" in texts and "limit 10 uNm\npeak 40 %" in texts
+    measured = line(figure.axes[0][0], "torques")
+    assert np.nanmax(np.abs(measured[:, 1])) == pytest.approx(4.0, rel=1e-3)
 
 
 def test_a_peak_of_one_row_in_a_million_is_in_the_figure(

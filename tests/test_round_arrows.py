@@ -519,6 +519,25 @@ def test_legend_and_cards_say_that_the_limit_is_the_largest_seen(
     assert ("limit" in card) == (limits == [9.0] * 7)
 
 
+@pytest.mark.parametrize(
+    ("limits", "expected"),
+    [(None, "stanford"), ([9.0, np.inf, 9.0, 9.0, 9.0, 9.0], "without a limit")],
+)
+def test_legend_says_which_arrows_have_no_limit(limits: object, expected: str) -> None:
+    other = SerialRobot.from_model(
+        "stanford", show_arrows=True, torques=np.ones(6), torque_limits=limits
+    )
+    lwr = SerialRobot.from_model("lwr", show_arrows=True, torques=np.ones(7))
+    world = World(Scene(robots=[lwr, other], floor=False))
+    toggles = toggles_of(world)
+    toggles.legend = True
+    decor = Decor(world)
+    decor.draw(world.make_data(), toggles, view_at())
+    ((lines,),) = [panel.texts for panel in decor.panels if panel.of_arrows]
+    assert lines[2].decode().partition(":")[0] == expected
+    assert lines[3].endswith(b"torque limit")
+
+
 @pytest.mark.parametrize("limits", ["larger", [1.0, "largest", "x", 1, 1, 1, 1]])
 def test_other_words_are_no_limits(limits: object) -> None:
     with pytest.raises(DeclarationError) as caught:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,6 +49,18 @@ def test_a_simulation_is_summed_up_as_numpy_does() -> None:
         assert abs(row.peak_position_error or 0.0) == np.abs(position[:, k]).max()
         assert row.saturated_share == log.of("lwr", "saturated")[:, k].mean()
     assert all(row.findings == 0 for row in rows)
+
+
+def test_small_torques_are_in_the_unit_of_their_robot() -> None:
+    log = sine_run(amplitude=3.0)
+    small = {
+        name: 1e-6 * values if "torques" in name else values for name, values in log.signals.items()
+    }
+    arm = log.robots["arm"].model_copy(update={"torque_limits": np.array([1e-5, 0.2])})
+    rows = summarise(replace(log, robots={"arm": arm}, signals=small))
+    text = printed(rows)
+    assert "uNm" in text and "0 " not in text.split("turn")[1].split()[0]
+    assert rows[0].torque_unit == "Nm"
 
 
 def test_findings_are_counted_at_their_joints() -> None:

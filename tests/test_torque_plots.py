@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scripted_widgets import ScriptedWidgets
 from source_slots import set_source
 
-from sero_mj import World
+from sero_mj import Scene, SerialRobot, World
 from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.mailbox import Packets
 from sero_mj.load import load_scene
@@ -41,6 +41,18 @@ def test_the_history_is_a_window_that_moves(world: World) -> None:
     data.time = 3.0  # back in time
     history.add(data)
     assert len(history.of(2)[0]) == 1
+
+
+def test_plots_are_in_the_unit_of_the_robot() -> None:
+    table = {"dh_convention": "craig", "dh_params": np.zeros((2, 4)), "torque_limits": [4e-3, 1e-3]}
+    world = World(Scene(robots=[SerialRobot(name="r", **table)]))
+    history, data = TorqueHistory(world), world.make_data()
+    world.set_input(data, "r.torques", [2e-3, 1e-4])
+    history.add(data)
+    torques, error = TorquePlots(world, 100).plots(history, 1)
+    assert (torques.y_label, error.y_label) == ("torque [mNm]", "error [mNm]")
+    assert torques.limits == pytest.approx((1.0, -1.0))
+    assert torques.lines[0].y[-1] == pytest.approx(0.1)
 
 
 def test_every_packet_counts_at_any_frame_rate() -> None:

@@ -604,6 +604,17 @@ def test_xacro_is_expanded_where_it_is_installed(tmp_path: Path) -> None:
     assert "package 'odd' is not found: --package odd=DIR" in problems(tmp_path, included)[0]
 
 
+def test_elements_of_xacro_in_another_namespace_are_noted(tmp_path: Path) -> None:
+    text = XACRO.replace("http://www.ros.org/wiki/xacro", "http://other")
+    path = tmp_path / "x.urdf"
+    path.write_text(text.replace("${2 * length}", "0.5"))
+    (warning,) = [each for each in read_urdf(path).warnings if "xacro" in each]
+    assert warning == (
+        'elements of xacro are left out; xmlns:xacro="http://www.ros.org/wiki/xacro" expands them: '
+        "<xacro:property> (line 2)"
+    )
+
+
 def test_threads_expand_xacro_with_packages_of_their_own(tmp_path: Path) -> None:
     xacro = pytest.importorskip("xacro")
     find = xacro.substitution_args._eval_find

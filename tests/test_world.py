@@ -13,6 +13,7 @@ from conftest import raises_with
 
 from sero_mj.base import frames
 from sero_mj.base.errors import DeclarationError, UnknownName
+from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Camera, Light, Scene
@@ -451,6 +452,19 @@ def test_floor_is_at_height_zero_unless_it_is_left_out():
     assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_PLANE
     np.testing.assert_array_equal(pose_of(data, "geom", "floor"), np.eye(4))
     assert compiled(floor=False)[1].ngeom == 0
+
+
+def test_one_robot_stands_on_the_floor_as_when_its_file_is_opened():
+    def height(**scene) -> float:
+        declared = {"robots": [SerialRobot.from_model("biped_leg")], **scene}
+        return float(World(Scene(**declared)).model.geom("floor").pos[2])
+
+    opened = float(World(load_scene("biped_leg")).model.geom("floor").pos[2])
+    assert height(floor=None) == opened < -0.8
+    two = [SerialRobot.from_model(name) for name in ("biped_leg", "lwr")]
+    table = Object(name="table", shape="box", size=[1, 1, 1])
+    assert height(floor=True) == height(floor=None, robots=two) == 0.0
+    assert height(floor=None, objects=[table]) == 0.0
 
 
 def test_only_the_floor_throws_no_shadow():

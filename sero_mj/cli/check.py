@@ -125,6 +125,7 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
         about_masses,
         robot_dynamics,
     )
+    from ..robots.assemble.unit_checks import about_units
 
     lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
     lines.append(fill(f"          joints: {_in_order(robot)}", 100, subsequent_indent=" " * 18))
@@ -138,11 +139,11 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     estimated = [key for key in dynamics.estimated if key != "masses"]
     about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
     repaired = [f"          repaired  {line}" for line in robot.dynamics.repaired]
-    large = [
+    notes = [
         fill(f"          note: {line}", 100, subsequent_indent=" " * 16)
-        for line in about_large_inertias(robot, dynamics)
+        for line in (*about_units(robot, dynamics), *about_large_inertias(robot, dynamics))
     ]
-    return [*lines, *large, f"          dynamics: {about}", *repaired]
+    return [*lines, *notes, f"          dynamics: {about}", *repaired]
 
 
 def _in_order(robot: SerialRobot) -> str:

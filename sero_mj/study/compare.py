@@ -179,7 +179,7 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
     if pair.has_one_motion:
         shown = [signal for signal in shown if signal != "joint_angles"]
     for signal in shown:
-        unit = one_unit(shown_as(unit_of(signal, kind))[1] for kind in pair.robot.types)
+        unit = one_unit(unit for _, unit in shown_units(pair.robot, signal))
         unit = unit and f", {unit}"
         table.add_column(f"{signal.replace('_', ' ')}\nrms{unit}", justify="right")
         table.add_column(f"peak{unit}", justify="right")
@@ -191,9 +191,9 @@ def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
         cells = [joint]
         for each in differences:
             if each.joint == joint and each.signal in shown:
-                factor, unit = shown_as(each.unit)
-                unit = f" {unit}" if len({shown_as(unit_of(each.signal, kind))[1]
-                                          for kind in pair.robot.types}) > 1 else ""  # fmt: skip
+                units = shown_units(pair.robot, each.signal)
+                factor, unit = units[pair.robot.names.index(joint)]
+                unit = "" if one_unit(name for _, name in units) else f" {unit}"
                 if np.isnan(each.peak):
                     cells += ["no data", "", ""]
                     continue
@@ -240,6 +240,13 @@ def shown_as(unit: str) -> tuple[float, str]:
     if unit.startswith("m"):
         return 1e3, unit.replace("m", "mm", 1)
     return 1.0, unit
+
+
+def shown_units(robot: SerialRobot, signal: str) -> Sequence[tuple[float, str]]:
+    """Factor and unit for display of every joint's signal, n; torques are in the robot's unit."""
+    if signal.endswith("torques"):
+        return robot.torque_units
+    return [shown_as(unit_of(signal, kind)) for kind in robot.types]
 
 
 def write_csv(pair: Pair, path: Path | str) -> None:

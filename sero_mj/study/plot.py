@@ -14,7 +14,7 @@ from ..base.frames import Array
 from ..base.reduction import peak, rms
 from ..simulate.runs.run_log import RunLog, compared_signal, torque_error
 from .align import Pair
-from .compare import differ_most, one_unit, unit_of
+from .compare import differ_most, shown_units
 from .explanation import Explanation
 from .figure import (
     BLUE,
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 
 _LIMIT_SHARE = 0.6  # share of its limit above which a torque is shown together with it
-_MIN_TORQUE = 0.2  # Nm; minimum range of a panel without a limit
+_MIN_TORQUE = 0.2  # Nm, or the robot's unit; minimum range of a panel without a limit
 _MIN_ANGLE = 0.02  # deg or mm
 _MARKERS = {
     "torque_error": "v",
@@ -141,8 +141,8 @@ def _draw_run(
     several = len({robot for robot, _ in chosen}) > 1
     rows = [(log.robots[robot].names[k], _beneath(log, robot, k, named=several))
             for robot, k in chosen]  # fmt: skip
-    unit = one_unit(unit_of("torques", log.robots[robot].types[k]) for robot, k in chosen)
-    unit = unit or "Nm or N"
+    units = list(dict.fromkeys(log.robots[robot].torque_units[k].name for robot, k in chosen))
+    unit = " or ".join(units)
     columns = [(f"torque, {unit}", 1.25)]
     if has_both:
         columns.append((f"torque error, {unit}", 1.0))
@@ -157,11 +157,14 @@ def _draw_run(
     for (robot, k), panels in zip(chosen, figure.axes, strict=True):
         _draw_torques(figure, panels[0], log, robot, k)
         if has_both:
-            error, least = torque_error(log, robot)[:, k], MIN_SHARE * log.torque_limits(robot)[k]
+            factor, own = log.robots[robot].torque_units[k]
+            own = f" {own}" if len(units) > 1 else ""
+            error = factor * torque_error(log, robot)[:, k]
+            least = MIN_SHARE * factor * log.torque_limits(robot)[k]
             row = _draw_difference(figure, panels[1], log.times, error, 0.5 * least)
             if row is not None:
-                at = f"at {log.times[row]:.3f} s, rms {rms(error):.3g}"
-                figure.note(panels[1], f"{_signed(error[row])} {at}")
+                at = f"at {log.times[row]:.3f} s, rms {rms(error):.3g}{own}"
+                figure.note(panels[1], f"{_signed(error[row])}{own} {at}")
     figure.spans(spans)
     marked = _mark(figure, log, chosen, findings)
     has_limit = any(line.get_label() == "limit" for panels in figure.axes
@@ -211,7 +214,8 @@ def _beneath(log: RunLog, robot: str, k: int, *, named: bool) -> str:
     limit = float(log.torque_limits(robot)[k])
     lines = [robot] if named else []
     if np.isfinite(limit):
-        lines.append(f"limit {limit:.4g} {unit_of('torques', log.robots[robot].types[k])}")
+        factor, unit = log.robots[robot].torque_units[k]
+        lines.append(f"limit {factor * limit:.4g} {unit}")
     signal = "torques" if log.has(robot, "torques") else "commanded_torques"
     values = log.of(robot, signal)[:, k]
     row = peak(values)
@@ -231,14 +235,15 @@ def _about(log: RunLog, *, has_both: bool) -> str:
 
 
 def _draw_torques(figure: Figure, panel: Axes, log: RunLog, robot: str, k: int) -> None:
-    limit = float(log.torque_limits(robot)[k])
+    factor, _ = log.robots[robot].torque_units[k]
+    limit = factor * float(log.torque_limits(robot)[k])
     curves = []
     for signal, look in (
         ("torques", {"color": BLUE, "linewidth": 1.5, "zorder": 2.0}),
         ("commanded_torques", {"color": ORANGE, "linewidth": 0.7, "zorder": 2.1}),
     ):
         if log.has(robot, signal):
-            values = compared_signal(log, robot, signal)[:, k]
+            values = factor * compared_signal(log, robot, signal)[:, k]
             figure.line(panel, log.times, values, signal, **look)
             curves.append(values)
     shown: list[float] = []
@@ -362,8 +367,8 @@ def plot_pair(
     shown = differ_most(pair) if joints is None else joints
     chosen = [k for k, joint in enumerate(names) if joint in shown]
     main = "torques" if "torques" in pair.signals else "joint_angles"
-    units = dict.fromkeys(_shown(main, pair.robot.types[k])[1] for k in chosen)
-    angles = dict.fromkeys(_shown("joint_angles", pair.robot.types[k])[1] for k in chosen)
+    units = dict.fromkeys(shown_units(pair.robot, main)[k][1] for k in chosen)
+    angles = dict.fromkeys(shown_units(pair.robot, "joint_angles")[k][1] for k in chosen)
     what, unit, unit_of_angle = (
         main.removesuffix("s").removeprefix("joint_"),
         " or ".join(units),
@@ -408,17 +413,12 @@ def _explain(figure: Figure, panel: Axes, explanations: Sequence[Explanation]) -
         )  # fmt: skip
 
 
-def _shown(signal: str, joint_type: str) -> tuple[float, str]:
-    """Factor and unit on paper: angles in degrees, lengths in mm."""
-    unit = unit_of(signal, joint_type)
-    return {"rad": (float(np.rad2deg(1.0)), "deg"), "m": (1e3, "mm")}.get(unit, (1.0, unit))
-
-
 def _beneath_pair(pair: Pair, k: int) -> str:
     limits = pair.robot.torque_limits
     if limits is None or "torques" not in pair.signals:
         return pair.robot.name
-    return f"limit {limits[k]:.4g} {unit_of('torques', pair.robot.types[k])}"
+    factor, unit = pair.robot.torque_units[k]
+    return f"limit {factor * limits[k]:.4g} {unit}"
 
 
 def _about_pair(pair: Pair) -> str:
@@ -430,12 +430,12 @@ def _least(pair: Pair, signal: str, k: int) -> tuple[float, float]:
     """The minimum range of a panel, and that without limits."""
     if signal == "joint_angles":
         return np.inf, _MIN_ANGLE
-    limits = pair.robot.torque_limits
-    return (np.inf if limits is None else MIN_SHARE * float(limits[k])), _MIN_TORQUE
+    factor, _ = pair.robot.torque_units[k]
+    return MIN_SHARE * factor * float(pair.robot.torque_bounds[k]), _MIN_TORQUE
 
 
 def _draw_both(figure: Figure, panel: Axes, pair: Pair, signal: str, k: int) -> None:
-    factor, _ = _shown(signal, pair.robot.types[k])
+    factor, _ = shown_units(pair.robot, signal)[k]
     a, b = factor * pair.a[signal][:, k], factor * pair.b[signal][:, k]
     figure.line(panel, pair.times, b, "b", color=BLUE, linewidth=1.5, zorder=2.0)
     figure.line(panel, pair.times, a, "a", color=ORANGE, linewidth=0.7, zorder=2.1)
@@ -444,7 +444,7 @@ def _draw_both(figure: Figure, panel: Axes, pair: Pair, signal: str, k: int) -> 
 
 
 def _draw_difference_of_pair(figure: Figure, panel: Axes, pair: Pair, signal: str, k: int) -> None:
-    factor, _ = _shown(signal, pair.robot.types[k])
+    factor, _ = shown_units(pair.robot, signal)[k]
     values = factor * pair.difference(signal)[:, k]
     least, floor = _least(pair, signal, k)
     row = _draw_difference(figure, panel, pair.times, values, 0.5 * least, floor)

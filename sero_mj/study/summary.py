@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from ..base.frames import Array
 from ..base.reduction import peak, rms
+from ..robots.declared.torque_units import NM, TorqueUnit, torque_units
 from ..simulate.runs.run_log import RunLog, torque_error
 from .compare import MANY_JOINTS, MOST_SHOWN, shown_as, unit_of
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from ..simulate.runs.monitor import Finding
 
 
-_ZERO = 5e-4  # Nm, N, deg or mm, in the table
+_ZERO = 5e-4  # in the unit of the table
 _USED = ("torques", "commanded_torques", "target_angles", "saturated", "actual_angles")
 
 
@@ -37,6 +38,7 @@ class JointSummary:
         rms_torque_error: root mean square over time.
         peak_torque: measured, of largest magnitude, signed.
         peak_share: its magnitude as a share of the joint's limit.
+        torque_limit: of the joint, N or Nm.
         peak_position_error: target minus angle of largest magnitude, signed; of the true angle if
             known, else of the measured one.
         saturated_share: of the time in which the command was saturated.
@@ -54,6 +56,7 @@ class JointSummary:
     rms_torque_error: float | None = None
     peak_torque: float | None = None
     peak_share: float | None = None
+    torque_limit: float | None = None
     peak_position_error: float | None = None
     saturated_share: float | None = None
     findings: int = 0
@@ -81,6 +84,8 @@ def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummar
         for k, joint in enumerate(declared.names):
             mine = [f for f in found if f.robot == robot and f.joint == joint]
             values: dict[str, Any] = {"findings": len(mine)}
+            if np.isfinite(limits[k]):
+                values["torque_limit"] = float(limits[k])
             if mine:
                 values |= {"first_finding": mine[0].kind, "first_finding_at": mine[0].time}
             if error is not None and (row := peak(error[:, k])) is not None:
@@ -114,14 +119,17 @@ def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
     from rich import box
     from rich.table import Table
 
-    count = len(rows)
+    count, units = len(rows), _torque_units(rows)
     rows = _most_loaded(rows)
     several = len({row.robot for row in rows}) > 1
     table = Table(title=title or None, title_justify="left", title_style="bold",
                   box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1),
                   caption_justify="left")  # fmt: skip
     table.add_column("joint", no_wrap=True)
-    columns = [(heading, [cell(row) for row in rows]) for heading, cell in _COLUMNS]
+    columns = [
+        (heading, [cell(row, units[row.robot, row.joint]) for row in rows])
+        for heading, cell in _COLUMNS
+    ]
     columns = [_with_unit_above(*column) for column in columns if any(column[1])]
     for heading, _ in columns:
         table.add_column(heading, justify="right", no_wrap=True)
@@ -144,16 +152,27 @@ def _most_loaded(rows: Sequence[JointSummary]) -> list[JointSummary]:
     return [rows[i] for i in sorted(kept)]
 
 
+def _torque_units(rows: Sequence[JointSummary]) -> dict[tuple[str, str], TorqueUnit]:
+    """Returns the unit for display of every joint's torque, by robot and joint."""
+    units: dict[tuple[str, str], TorqueUnit] = {}
+    for robot in {row.robot for row in rows}:
+        mine = [row for row in rows if row.robot == robot]
+        limits = np.array([row.torque_limit or np.inf for row in mine])
+        found = torque_units(limits, [row.torque_unit == NM.name for row in mine])
+        units |= {(robot, row.joint): unit for row, unit in zip(mine, found, strict=True)}
+    return units
+
+
 def _signed_peak(values: Array) -> float | None:
     """The value of largest magnitude."""
     row = peak(values)
     return None if row is None else float(values[row])
 
 
-def _with_unit(value: float | None, unit: str, form: str) -> str:
+def _with_unit(value: float | None, unit: tuple[float, str], form: str) -> str:
     if value is None:
         return ""
-    factor, shown = shown_as(unit)
+    factor, shown = unit
     number = factor * value
     if abs(number) < _ZERO:
         return f"0 {shown}"
@@ -176,12 +195,15 @@ def _found(row: JointSummary) -> str:
     return f"{row.findings}, {row.first_finding_at:.3f} s" if row.findings else ""
 
 
-_COLUMNS = (
-    ("error\npeak", lambda row: _with_unit(row.peak_torque_error, row.torque_unit, "+.3g")),
-    ("error\nrms", lambda row: _with_unit(row.rms_torque_error, row.torque_unit, ".3g")),
-    ("torque\npeak", lambda row: _with_unit(row.peak_torque, row.torque_unit, "+.3g")),
-    ("of\nlimit", lambda row: _percent(row.peak_share)),
-    ("position\nerror", lambda row: _with_unit(row.peak_position_error, row.angle_unit, "+.3g")),
-    ("time\nsaturated", lambda row: _percent(row.saturated_share)),
-    ("faults,\nfirst at", _found),
+_COLUMNS: tuple[tuple[str, Callable[[JointSummary, TorqueUnit], str]], ...] = (
+    ("error\npeak", lambda row, unit: _with_unit(row.peak_torque_error, unit, "+.3g")),
+    ("error\nrms", lambda row, unit: _with_unit(row.rms_torque_error, unit, ".3g")),
+    ("torque\npeak", lambda row, unit: _with_unit(row.peak_torque, unit, "+.3g")),
+    ("of\nlimit", lambda row, _: _percent(row.peak_share)),
+    (
+        "position\nerror",
+        lambda row, _: _with_unit(row.peak_position_error, shown_as(row.angle_unit), "+.3g"),
+    ),
+    ("time\nsaturated", lambda row, _: _percent(row.saturated_share)),
+    ("faults,\nfirst at", lambda row, _: _found(row)),
 )

@@ -106,7 +106,7 @@ def _declared(
             if part.shape == "generated":
                 finish = finish_material(root, part.finish)
                 for shape in generated(robot)[i]:
-                    look = shape.rgba if rgba is None else rgba
+                    look = _faded(shape.rgba if rgba is None else rgba, part)
                     geoms[i].append({"rgba": look, **finish, **shape_geom(shape, shrink)})
                 continue
             placed = part.model_copy(
@@ -142,14 +142,19 @@ def part_geoms(
     if part.shape is not None:
         assert part.size is not None  # checked by LinkGeometry
         size = half_sizes(part.shape, part.size)
-        look = SHELL if rgba is None else rgba
+        look = _faded(SHELL if rgba is None else rgba, part)
         return [{"type": geom_type(part.shape), "size": size, "rgba": look, **at}]
     assert part.scale is not None
     geoms = []
     for mesh, own in mesh_assets(root, name, folder / (part.file or ""), part.scale, hull=hull):
         look = next((each for each in (rgba, own) if each is not None), SHELL)
-        geoms.append({"type": MESH, "meshname": mesh, "rgba": look, **at})
+        geoms.append({"type": MESH, "meshname": mesh, "rgba": _faded(look, part), **at})
     return geoms
+
+
+def _faded(rgba: Any, part: LinkGeometry) -> Any:
+    """Returns a colour with the opacity of a part."""
+    return rgba if part.opacity == 1.0 else [*rgba[:3], rgba[3] * part.opacity]
 
 
 def mesh_scale(robot: SerialRobot, part: LinkGeometry) -> Array:

@@ -16,6 +16,7 @@ from ..declared.joint_tree import JointTree
 from ..declared.robot import SerialRobot
 from ..declared.robot_parts import ARROW_QUANTITIES, VALUE_INPUTS, BillboardLine
 from ..declared.scene import Scene
+from ..declared.torque_units import TorqueUnit, torque_units
 from .decor_sizes import Sizes
 
 Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name
@@ -269,6 +270,7 @@ class JointTable:
         torque_limit: Nm or N, inf for none. Where `is_largest`, the largest torque seen so far,
             which `note_largest` raises.
         is_largest: whether that is so, (N,).
+        torque_units: in which torques are displayed, N; one prefix for all joints of an owner.
         scaled_with: index of the joint whose largest torque counts, (N,): of doubles that of their
             robot.
         acceleration_limit: rad/s2 or m/s2, inf for none.
@@ -294,6 +296,7 @@ class JointTable:
     has: dict[str, Ints]
     torque_limit: Array
     is_largest: Bools
+    torque_units: list[TorqueUnit]
     scaled_with: Ints
     acceleration_limit: Array
     arrow_quantity: Ints
@@ -428,6 +431,12 @@ def _joint_table(
     arrow_load = gather([part.arrow_loads for part in parts])
     is_largest = gather([robot.scale_by_largest for robot in robots], bool)
     is_largest &= np.isinf(torque_limit)
+    expected = np.where(np.isfinite(torque_limit), torque_limit, arrow_load)
+    units = [
+        unit
+        for part in parts
+        for unit in torque_units(expected[part.joints], part.kinematics.revolute)
+    ]
     floor = np.where(np.isfinite(arrow_load), _FLOOR_OF_LOAD * arrow_load, _FLOOR)
     torque_limit[is_largest] = floor[is_largest]
     limbs, before = [], 0
@@ -462,6 +471,7 @@ def _joint_table(
         },
         torque_limit=torque_limit,
         is_largest=is_largest,
+        torque_units=units,
         scaled_with=gather(
             [
                 (part.of if isinstance(part, DoublePart) else part).joints.start

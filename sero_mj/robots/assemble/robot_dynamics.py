@@ -100,7 +100,7 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
         estimated.append("masses")
     limits = robot.torque_bounds
     if not np.isfinite(limits).all():
-        held = _STRENGTH * _holding_efforts(robot, links)
+        held = _STRENGTH * holding_efforts(robot, links)
         limits = np.where(np.isfinite(limits), limits, held)
 
     def given(key: str, estimate: Array) -> Array:
@@ -196,7 +196,7 @@ def declared_inertia(robot: SerialRobot) -> LinkInertia | None:
     return LinkInertia(masses, centers, tensors)
 
 
-def _holding_efforts(robot: SerialRobot, links: LinkInertia) -> Array:
+def holding_efforts(robot: SerialRobot, links: LinkInertia) -> Array:
     """Returns the efforts that hold the arm, stretched from each joint, against gravity, (n,)."""
     table = robot.kinematics
     along = table.path_lengths(table.distances())

@@ -37,6 +37,7 @@ from .world_view import SET_BY_PROGRAM, SET_BY_SOURCE, WorldView
 log = logging.getLogger(__name__)
 
 _IMPLAUSIBLE_REACH = 20.0  # m; longer than any robot arm
+_ON_FLOOR = 1e-6  # m; rounding
 
 
 class World(WorldView):
@@ -289,8 +290,9 @@ class World(WorldView):
         data, seen = self._at_home(), np.flatnonzero(self.geoms_in_view())
         low = lowest_height(self.model, data, seen) if len(seen) else 0.0
         floor = self.model.geom("floor").id
-        height = min(low, 0.0)
-        self.model.geom_pos[floor, 2] = self._spec.geom("floor").pos[2] = height
+        if low > -_ON_FLOOR:
+            return
+        self.model.geom_pos[floor, 2] = self._spec.geom("floor").pos[2] = low
         self.model.geom_sameframe[floor] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
 
     def _at_home(self) -> mujoco.MjData:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...base.frames import Array, Bools
+from . import joint_ranges
 from .robot import SerialRobot
 
 ITERATIONS = 60
@@ -76,15 +77,9 @@ def frame_place(robot: SerialRobot, base: Array, link: int, at: Array) -> Place:
 
 def independent_limits(robot: SerialRobot) -> Array | None:
     """Limits of the independent joints, (k, 2), that also satisfy those of coupled ones."""
-    limits = robot.position_limits
-    if limits is None:
+    if robot.position_limits is None:
         return None
-    coupled = robot.coupled
-    found: Array = np.tile([-np.inf, np.inf], (coupled.k, 1))
-    for joint, source in enumerate(coupled.source.tolist()):
-        low, high = np.sort((limits[joint] - coupled.offset[joint]) / coupled.ratio[joint])
-        found[source] = max(found[source, 0], low), min(found[source, 1], high)
-    return found
+    return joint_ranges.independent_limits(robot.position_limits, robot.coupled)
 
 
 def reach(

@@ -30,6 +30,7 @@ from .robot_declaration import BASE, RobotDeclaration
 from .robot_parts import IN_DEGREES, frame_label
 from .shapes import clear_radii, housing_radii
 from .surroundings import set_directory
+from .torque_units import TorqueUnit, torque_units
 
 log = logging.getLogger(__name__)
 
@@ -231,6 +232,11 @@ class SerialRobot(RobotDeclaration):
         return np.full(self.n, np.inf) if self.torque_limits is None else self.torque_limits
 
     @property
+    def torque_units(self) -> list[TorqueUnit]:
+        """Unit in which the torque or force of every joint is displayed, n, by `torque_limits`."""
+        return torque_units(self.torque_bounds, [kind == "revolute" for kind in self.types])
+
+    @property
     def arrow_radii(self) -> Array:
         """Radius of every joint's arrow (n,), m: as declared, else clear of generated shapes.
 
@@ -277,9 +283,10 @@ class SerialRobot(RobotDeclaration):
         """Finite range of every joint (n, 2), rad or m, for sliders, motions and learning.
 
         These are the position limits. Where they are missing, infinite or 1000 rad or m and
-        more, the range is ±π rad for a revolute joint and ±1 m for a prismatic one.
+        more, the range is ±π rad for a revolute joint and ±1 m for a prismatic one. The limits of
+        coupled joints bound their driving joint as well.
         """
-        return display_ranges(self.position_limits, self.types, self.home)
+        return display_ranges(self.position_limits, self.types, self.home, self.coupled)
 
     @property
     def strokes(self) -> Array:

@@ -238,6 +238,7 @@ class LinkGeometry(Declaration):
         shape: a primitive instead; `generated` for the generated shapes of a link without files.
         size: of that, full lengths and radii in m, see `SHAPE_SIZES`.
         color: one of the robot's `colors`.
+        opacity: 0 invisible to 1; multiplies that of its colours.
         finish: of the surface: `plastic`, `metal` or `rubber`.
         frame: T_link_geometry, in the frame of the link.
         scale: metres per unit of the mesh file, one number or along x, y and z; None for the
@@ -248,6 +249,7 @@ class LinkGeometry(Declaration):
     shape: Literal["box", "sphere", "cylinder", "capsule", "ellipsoid", "generated"] | None = None
     size: Vector | None = None
     color: str | None = None
+    opacity: float = Field(1.0, ge=0, le=1)
     finish: FinishName = "plastic"
     frame: Frame = Field(default_factory=lambda: np.eye(4))
     scale: Annotated[

@@ -79,8 +79,9 @@ class Scene:
         cameras: by name.
         lights: by name; one that casts shadows when empty, in addition to a headlight.
         floor: whether there is a floor, at z = 0; `below`: at the lowest point of the robots in
-            their declared pose, if that is lower. When None it is `below` with a robot from URDF or
-            MJCF, whose base may be its trunk, else at 0.
+            their declared pose, if that is lower. When None it is `below` if the scene has a robot
+            from URDF or MJCF, whose base may be its trunk, or one robot without a `base_frame` and
+            no objects; else at 0.
         view: the default view.
         toggles: initial toggles of the whole scene.
         decor: settings of visual features, by the name of the feature.
@@ -199,9 +200,12 @@ class Scene:
                 found=robot.name,
                 expected="different names",
             ).error()
-        if self._finds_floor and robot.is_foreign:
-            self.floor = "below"
         self.robots[robot.name] = self._with_defaults(robot)
+        if self._finds_floor:
+            is_placed = not np.array_equal(robot.base_frame, np.eye(4))
+            is_alone = len(self.robots) == 1 and not self.objects and not is_placed
+            has_foreign = any(each.is_foreign for each in self.robots.values())
+            self.floor = "below" if is_alone or has_foreign else True
         self.robots |= mounted_by_joints(self.robots)
         for group in self.membership.around.get(robot.name, []):  # inner ones first
             if all(name in self.robots for name in self.membership.members[group]):

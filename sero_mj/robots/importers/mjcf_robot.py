@@ -19,8 +19,10 @@ from ...base.declaration import LARGEST
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Bools, Ints, frame, inverse, rotation_from_quat
 from .imported_tables import ImportedTables, first_of
+from .mjcf_couplings import couplings_of
 from .mjcf_file import as_spec, is_file_name
-from .mjcf_tree import MjcfTree, find_tree, torque_limits
+from .mjcf_torque_limits import torque_limits
+from .mjcf_tree import MjcfTree, find_tree
 from .robot_tree import TOO_FAR, meant_limits, six_of
 
 _INITIAL_KEYS = ("home", "stand", "init", "default")  # key frames used as the initial pose
@@ -68,7 +70,7 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
     torques = _plausible(tree, torque_limits(model, joints), lost)
     dofs = model.jnt_dofadr[joints]
     link, T_link_flange = _flange(tree)
-    couplings = _couplings(tree, names, lost)
+    couplings = couplings_of(tree, names, lost)
     tables: dict[str, Any] = {
         "mjcf": source,
         "joint_frames": tree.joint_frames,
@@ -204,35 +206,6 @@ def _inertias(tree: MjcfTree) -> dict[str, Any]:
     }
 
 
-def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, Any]:
-    """Returns couplings from constraints between joints; non-linear ones are lost."""
-    model, found = tree.model, dict[str, Any]()
-    row = {int(joint): k for k, joint in enumerate(tree.joints)}
-    for i in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)).tolist():
-        one, other = row.get(int(model.eq_obj1id[i])), row.get(int(model.eq_obj2id[i]))
-        if one is None or not model.eq_active0[i]:
-            continue
-        offset, ratio, *higher = model.eq_data[i, :5].tolist()
-        if other is None or ratio == 0 or any(higher) or _leads_back(found, names, one, other):
-            lost.append(f"the constraint of {names[one]} is left out; it is no linear coupling")
-            continue
-        ref = model.qpos0[model.jnt_qposadr[tree.joints]]
-        found[names[one]] = {
-            "to": names[other],
-            "ratio": ratio,
-            "offset": float(ref[one] + offset - ratio * ref[other]),
-        }
-    return found
-
-
-def _leads_back(couplings: dict[str, Any], names: list[str], one: int, other: int) -> bool:
-    """Whether a joint is coupled already, or would follow itself."""
-    at: str | None = names[other]
-    while at is not None and at != names[one]:
-        at = couplings[at]["to"] if at in couplings else None
-    return at is not None or names[one] in couplings
-
-
 def _bounded(values: Array, what: str, names: list[str], lost: list[str]) -> Array:
     """Returns values of joints, (n,), clipped to those that a robot may have.
 
@@ -306,13 +279,11 @@ def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -
     if named:
         qpos = model.key_qpos[named[0]]
     q = qpos[model.jnt_qposadr[tree.joints]].copy()
-    for name, coupling in couplings.items():
-        i, source = names.index(name), names.index(coupling["to"])
-        if coupling["to"] not in couplings:
-            q[i] = coupling["ratio"] * q[source] + coupling["offset"]
-    pose: dict[str, Any] = {"joint_angles": q}
-    if np.abs(q).max() < _TOLERANCE or any(c["to"] in couplings for c in couplings.values()):
-        pose = {}
+    for _ in couplings:  # as often as a chain of couplings may have joints
+        for name, coupling in couplings.items():
+            q[names.index(name)] = coupling["ratio"] * q[names.index(coupling["to"])]
+            q[names.index(name)] += coupling["offset"]
+    pose: dict[str, Any] = {} if np.abs(q).max() < _TOLERANCE else {"joint_angles": q}
     if tree.free >= 0:
         at = model.jnt_qposadr[tree.free]
         pose["base_frame"] = frame(rotation_from_quat(qpos[at + 3 : at + 7]), qpos[at : at + 3])

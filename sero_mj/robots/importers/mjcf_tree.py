@@ -19,10 +19,9 @@ from .imported_tables import NoJoints, first_of
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
-_ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 _OF_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _OF_SITE = (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK))
-_FIXED_GAIN, _NO_BIAS = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtBias.mjBIAS_NONE)
 _GRAVITY = 9.81  # m/s2
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 
@@ -149,7 +148,7 @@ def driven_roots(model: mujoco.MjModel) -> set[int]:
     """Returns the root bodies of the trees that have a joint with an actuator."""
     bodies: list[int] = []
     for kind, (item, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True):
-        if kind in _ON_JOINT:
+        if kind in ON_JOINT:
             bodies.append(model.jnt_bodyid[item])
         elif kind == _OF_TENDON:
             first = model.tendon_adr[item]
@@ -228,36 +227,9 @@ def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
     if gravity and abs(gravity / _GRAVITY - 1.0) > 0.1:
         text = f"its gravity is {gravity:g}; expected {_GRAVITY:g} m/s2: is it in other units?"
         sentences.append(text)
-    loops = [i for i in range(model.neq) if int(model.eq_type[i]) != int(mujoco.mjtEq.mjEQ_JOINT)]
+    of_joints = (int(mujoco.mjtEq.mjEQ_JOINT), int(mujoco.mjtEq.mjEQ_TENDON))  # see mjcf_couplings
+    loops = [i for i in range(model.neq) if int(model.eq_type[i]) not in of_joints]
     if loops:
         what = names(mujoco.mjtObj.mjOBJ_EQUALITY, np.array(loops))
-        sentences.append(f"constraints other than between joints are left out: {what}")
+        sentences.append(f"constraints other than of joints and tendons are left out: {what}")
     return sentences
-
-
-def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
-    """Returns the torque limits of joints, (n,), Nm or N; inf where the model states none.
-
-    The lower of the joint's `actuatorfrcrange` and the `forcerange` of its actuators (for a motor
-    without one its `ctrlrange`) times their gear.
-    """
-    limits = np.full(len(joints), np.inf)
-    for i, joint in enumerate(joints):
-        mine = np.isin(model.actuator_trntype, _ON_JOINT) & (model.actuator_trnid[:, 0] == joint)
-        if mine.any():
-            limits[i] = sum(_actuator_limit(model, int(k)) for k in mine.nonzero()[0])
-        if model.jnt_actfrclimited[joint]:
-            limits[i] = min(limits[i], np.abs(model.jnt_actfrcrange[joint]).max())
-    return np.where(limits > 0, limits, np.inf)
-
-
-def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
-    gear = abs(float(model.actuator_gear[actuator, 0]))
-    if model.actuator_forcelimited[actuator]:
-        return gear * float(np.abs(model.actuator_forcerange[actuator]).max())
-    is_motor = model.actuator_gaintype[actuator] == _FIXED_GAIN
-    is_motor &= model.actuator_biastype[actuator] == _NO_BIAS
-    if is_motor and model.actuator_ctrllimited[actuator]:
-        gain = abs(float(model.actuator_gainprm[actuator, 0]))
-        return gear * gain * float(np.abs(model.actuator_ctrlrange[actuator]).max())
-    return float("inf")

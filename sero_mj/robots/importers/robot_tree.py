@@ -42,6 +42,7 @@ class Geometry:
         shape: `box`, `sphere`, `cylinder` or `capsule`.
         size: as `robots.declared.surroundings.SHAPE_SIZES`.
         color: name and rgba; None for none.
+        opacity: multiplies that of its colours.
         line: of its element.
     """
 
@@ -51,6 +52,7 @@ class Geometry:
     shape: str = ""
     size: Array | None = None
     color: tuple[str, Array] | None = None
+    opacity: float = 1.0
     line: int | None = None
 
 
@@ -473,6 +475,8 @@ def _entry(
         entry |= {"shape": geometry.shape, "size": geometry.size.tolist()}
     if look is not None and geometry.color is not None:
         entry["color"] = look(geometry.color)
+    if look is not None and geometry.opacity != 1.0:
+        entry["opacity"] = geometry.opacity
     T = T_body_link @ geometry.frame
     if not np.array_equal(T, np.eye(4)):
         entry["frame"] = T.tolist()

@@ -55,6 +55,11 @@ _NO_XACRO = (
 )
 
 
+_UNEXPANDED = (
+    'elements of xacro are left out; xmlns:xacro="http://www.ros.org/wiki/xacro" expands them'
+)
+
+
 def read_urdf(
     path: Path | str,
     packages: Mapping[str, Path | str] | None = None,
@@ -240,6 +245,7 @@ class UrdfFile:
                 root = self._expanded()
             else:
                 self._fill_in_environment(root)
+                self._note_unexpanded(root)
         except DeclarationError:
             raise
         except XmlError as error:
@@ -257,6 +263,12 @@ class UrdfFile:
             self._problem(root, "", f"is {found}; expected a URDF file, whose root is <robot>")
         self._stop()
         return root
+
+    def _note_unexpanded(self, root: Element) -> None:
+        """Notes elements that look like xacro, but are in another namespace."""
+        for element in root.iter("*"):
+            if element.prefix == "xacro":
+                self._note(_UNEXPANDED, element, f"<xacro:{_tag(element)}>")
 
     def _fill_in_environment(self, root: Element) -> None:
         """Replaces `$(env NAME)` and `$(optenv NAME DEFAULT)`, which xacro knows, in attributes."""
@@ -431,9 +443,11 @@ class UrdfFile:
         file = self._mesh_file(mesh, name, tag, link)
         if file is None:
             return None
-        # Colours of the mesh file take precedence.
-        color = None if self._colored[file] else color
-        return Geometry(T, file, scale, color=color, line=mesh.sourceline)
+        if color is None or not self._colored[file]:
+            return Geometry(T, file, scale, color=color, line=mesh.sourceline)
+        # As in RViz, colours of the mesh file take precedence, with the opacity of the material.
+        alpha = float(color[1][3]) or 1.0
+        return Geometry(T, file, scale, opacity=alpha, line=mesh.sourceline)
 
     def _mesh_file(self, mesh: Element, name: str, tag: str, link: str) -> Path | None:
         """The file of a mesh; None for one that cannot be found, read or used."""

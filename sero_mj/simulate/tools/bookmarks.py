@@ -13,7 +13,7 @@ from ...base.frames import Array, Bools
 from ...data.receive.source import QUIET_AFTER
 from ...data.record.replay import Replay
 from ...robots.declared.inputs import SOURCE_FIELDS
-from ...viewer.decor.quantities import joint_values
+from ...viewer.decor.quantities import joint_values, torque_text
 from ...viewer.session.clock import Tick, time_text
 from ...viewer.session.interaction import Key
 from ...viewer.session.tool import Action, Shown, Tool
@@ -113,12 +113,13 @@ class Bookmarks(Tool):
         self._last[bad] = data.time
         if not new.any():
             return
-        kinds = ("torque {} Nm, above its limit", "torque error {} Nm",
-                 "angle {} beyond its limit")  # fmt: skip
+        kinds = ("torque {}, above its limit", "torque error {}", "angle {} beyond its limit")
         for kind, joint in np.argwhere(new):
             value = (torque, error, angle)[kind][joint]
-            text = kinds[kind].format(f"{value:.3g}")
-            if kind == 2:
+            is_angle = kind == len(kinds) - 1
+            number = f"{value:.3g}" if is_angle else torque_text(world, joint, value)
+            text = kinds[kind].format(number)
+            if is_angle:
                 limit = (self._low if value < self._low[joint] else self._high)[joint]
                 text += f" of {limit:.3g} {'rad' if world.joints.revolute[joint] else 'm'}"
             self._found(f"{self._names[joint]}: {text}", data.time)

@@ -17,6 +17,7 @@ from ...robots.assemble.parts import DoublePart, Owner
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES, BillboardLine
 from ...robots.declared.scene import Scene
+from ...robots.declared.torque_units import NM, N, TorqueUnit
 from .card_names import LONGEST, card_names, longest_name, shortened, titles
 from .cards import FEWEST, GAP, NO_SHARE, Cards, heights_in_order
 from .feature import Feature, Frame
@@ -43,16 +44,14 @@ _CLOSE = 0.01  # of the picture's width, by which a limb is beside the middle of
 _PLAIN_BELOW = 1e6  # above it values are written with an exponent
 # Default unit and decimals of a value, for revolute and for prismatic joints.
 _UNITS = {
-    "torques": (("Nm", 1), ("N", 1)),
-    "commanded_torques": (("Nm", 1), ("N", 1)),
-    "torque_error": (("Nm", 2), ("N", 2)),
     "joint_accelerations": (("rad/s2", 2), ("m/s2", 2)),
     "joint_angles": (("rad", 3), ("m", 4)),
-    "torque_limit": (("Nm", 1), ("N", 1)),
     "torque_share": (("%", 1), ("%", 1)),
 }
+# Default decimals of torques, whose unit is the robot's.
+_TORQUES = {"torques": 1, "commanded_torques": 1, "torque_error": 2, "torque_limit": 1}
 # Of a torque as many decimals are shown as tell this share of that of a full arrow.
-_SEEN, _MAX_DECIMALS = 0.01, 4
+_SEEN, _MAX_DECIMALS, _ROUNDING = 0.01, 4, 1e-9
 _OWN_UNIT = (("", 2), ("", 2))  # of `billboard_values` and a robot's own inputs
 # Values and labels that a click on an arrow shows (section 2.2).
 _DETAILS = {
@@ -372,7 +371,7 @@ def joint_formats(world: WorldView, longest: int = LONGEST) -> Formats:
     full = np.where(np.isfinite(joints.torque_limit), joints.torque_limit, joints.arrow_load)
     found = Formats([], [], [], [], [])
     for k, (name, owner) in enumerate(zip(names, joints.owner, strict=True)):
-        kind = (not joints.revolute[k], float(full[k]))
+        kind = (not joints.revolute[k], joints.torque_units[k], float(full[k]))
         lines = declared[owner]
         is_angle = [line.value for line in lines] == ["joint_angles"]
         torques = [BillboardLine(value="torques")] if is_angle else lines
@@ -481,7 +480,7 @@ def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
 
 
 def billboard_lines(
-    joint: str, declared: list[BillboardLine], prismatic: bool, full: float = np.inf
+    joint: str, declared: list[BillboardLine], prismatic: bool, torque: TorqueUnit, full: float
 ) -> list[Line]:
     """Returns the line formats of one joint's billboard.
 
@@ -489,6 +488,7 @@ def billboard_lines(
         joint: its name.
         declared: the declared lines.
         prismatic: whether the joint is prismatic, for units.
+        torque: unit of its torques, unless a line declares a unit or a scale.
         full: torque of an arrow of full width, Nm or N, for decimals; inf where unknown.
     """
     several = len(declared) > 1
@@ -496,25 +496,26 @@ def billboard_lines(
         line.label or (_LABELS.get(line.value, line.value) if several else "") for line in declared
     ]
     return [
-        _line(joint, k, line.value, label, prismatic, full, line)
+        _line(joint, k, line.value, label, prismatic, torque, full, line)
         for k, (line, label) in enumerate(zip(declared, labels, strict=True))
     ]
 
 
 def detail_lines(
-    joint: str, prismatic: bool, full: float = np.inf, *, is_largest: bool = False
+    joint: str, prismatic: bool, torque: TorqueUnit, full: float, *, is_largest: bool = False
 ) -> list[Line]:
     """Returns the line formats of all values of one joint's arrow, see `billboard_lines`.
 
     Args:
         joint: its name.
         prismatic: whether the joint is prismatic.
+        torque: unit of its torques.
         full: torque of an arrow of full width.
         is_largest: whether its limit is the largest torque seen so far, which its line then says.
     """
     labels = {**_DETAILS, "torque_limit": _LARGEST} if is_largest else _DETAILS
     return [
-        _line(joint, k, key, label, prismatic, full)
+        _line(joint, k, key, label, prismatic, torque, full)
         for k, (key, label) in enumerate(labels.items())
     ]
 
@@ -525,18 +526,25 @@ def _line(
     key: str,
     label: str,
     prismatic: bool,
+    torque: TorqueUnit,
     full: float,
     declared: BillboardLine | None = None,
 ) -> Line:
     """Returns the format of line k: the joint's name is on the first, labels are on all."""
-    unit, decimals = _UNITS.get(key, _OWN_UNIT)[prismatic]
-    if unit in ("Nm", "N") and 0 < full < np.inf:
-        decimals = min(max(decimals, math.ceil(-math.log10(_SEEN * full))), _MAX_DECIMALS)
     scale = 1.0
+    if key in _TORQUES:
+        if declared is not None and (declared.unit is not None or declared.scale != 1.0):
+            torque = N if prismatic else NM
+        (scale, unit), decimals = torque, _TORQUES[key]
+        if 0 < full < np.inf:
+            needed = math.ceil(-math.log10(_SEEN * scale * full) - _ROUNDING)
+            decimals = min(max(decimals, needed), _MAX_DECIMALS)
+    else:
+        unit, decimals = _UNITS.get(key, _OWN_UNIT)[prismatic]
     if declared is not None:
         unit = unit if declared.unit is None else declared.unit
         decimals = decimals if declared.decimals is None else declared.decimals
-        scale = declared.scale
+        scale *= declared.scale
     words = [joint if k == 0 else " " * len(joint), label]
     head = "".join(f"{word}  " for word in words if word)
     tail = (f" {unit}" if unit else "").replace("%", "%%")

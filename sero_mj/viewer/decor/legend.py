@@ -12,7 +12,7 @@ from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from .feature import Feature, Frame
 from .panels import PADDING, Panels, panel_sizes
 from .picture_view import PictureView
-from .round_arrows import WIDEST
+from .round_arrows import WIDEST, drawn_widths
 from .smart_arrows import SHORTEST, arrow_vectors
 from .toggles import Toggles
 
@@ -32,6 +32,15 @@ _WORDS = {
 }
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
 _MAX_NAMES = 32  # characters, of robots before a note, and of arrows before their scale
+# Inputs that arrows of a quantity need.
+_NEEDED = {
+    "torques": ("torques",),
+    "torque_error": ("torques", "commanded_torques"),
+    "joint_accelerations": ("joint_accelerations",),
+    "singularity": (),
+    "torque_without_gravity": ("torques",),
+    "torque_without_friction": ("torques",),
+}
 # Of sliding joints these are forces.
 _TORQUES = ("torques", "torque_error", "torque_without_gravity", "torque_without_friction")
 _LARGEST = "largest seen so far"
@@ -75,19 +84,26 @@ class Legend(Feature):
         self._panels: list[Panels] = []
         self._notes = _notes(world)
         self._drawn = np.zeros(len(world.arrows.names), bool)  # smart arrows, so far
+        self._joints = np.arange(len(world.joints.names))
+        self._routed = _routed(world)
+        self._known = np.zeros_like(self._routed)  # by quantity and joint: arrows, so far
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds the legend if it is switched on, and an arrow is or there are notes."""
+        """Adds the legend if it is switched on, and an arrow is or there are notes.
+
+        Of a robot without a route for what arrows show it tells nothing before one is drawn.
+        """
         frame.corners += self._shown(frame)
 
     def _shown(self, frame: Frame) -> list[Panels]:
         toggles, view, limit = frame.toggles, frame.view, frame.arrow_limit
         self._note_drawn(frame)
-        is_needed = toggles.arrows.any() or (toggles.vectors & self._drawn).any() or self._notes
+        arrows = toggles.arrows & self._expected(frame)
+        is_needed = arrows.any() or (toggles.vectors & self._drawn).any() or self._notes
         if not toggles.legend or not is_needed:
             return []
         key = (
-            toggles.arrows.tobytes(),
+            arrows.tobytes(),
             toggles.arrow_quantity.tobytes(),
             toggles.modelled.tobytes(),
             (toggles.vectors & self._drawn).tobytes(),
@@ -97,8 +113,16 @@ class Legend(Feature):
             view.inset,
         )
         if key != self._key:  # cached: it changes only with the toggles and the picture
-            self._key, self._panels = key, self._laid_out(toggles, view, limit)
+            self._key, self._panels = key, self._laid_out(toggles, arrows, view, limit)
         return self._panels
+
+    def _expected(self, frame: Frame) -> Bools:
+        """Returns of which joints arrows are or may come, (N,)."""
+        joints, of_quantity = self.world.joints, (frame.toggles.arrow_quantity, self._joints)
+        drawn = drawn_widths(joints, frame.arrow_values, frame.arrow_limit) > 0.0
+        drawn &= frame.toggles.arrows
+        self._known[of_quantity] |= np.isin(joints.owner, joints.owner[drawn])
+        return np.asarray((self._routed | self._known)[of_quantity])
 
     def _note_drawn(self, frame: Frame) -> None:
         """Notes which smart arrows are long enough to be seen.
@@ -107,20 +131,22 @@ class Legend(Feature):
         is not to be steady.
         """
         if not self.is_steady:
-            self._drawn[:] = False
+            self._drawn[:] = self._known[:] = False
         new = frame.shown.vectors & ~self._drawn
         if new.any():
             sizes = np.linalg.norm(arrow_vectors(self.world, frame.data)[1], axis=1)
             self._drawn |= new & (np.nan_to_num(sizes) * self.world.arrows.scale > SHORTEST)
 
-    def _laid_out(self, toggles: Toggles, view: PictureView, limit: Array) -> list[Panels]:
+    def _laid_out(
+        self, toggles: Toggles, arrows: Bools, view: PictureView, limit: Array
+    ) -> list[Panels]:
         margin = _MARGIN * view.font.height
         scales = self._scales(toggles)
         texts = [lines for lines in (self._notes, scales) if lines]
         of_torque = toggles.arrow_quantity == ARROW_QUANTITIES.index("torques")
         kinds = [
-            (code, toggles.arrows & (toggles.arrow_quantity == code) & of_model)
-            for code in sorted(set(toggles.arrow_quantity[toggles.arrows].tolist()))
+            (code, arrows & (toggles.arrow_quantity == code) & of_model)
+            for code in sorted(set(toggles.arrow_quantity[arrows].tolist()))
             for of_model in (~(toggles.modelled & of_torque), toggles.modelled & of_torque)
         ]
         for code, shown in kinds:
@@ -132,16 +158,20 @@ class Legend(Feature):
                 what = self._difference(shown) or what
             if (toggles.modelled & of_torque)[shown].any():
                 what = _MODELLED
-            if not np.isfinite(limit[shown]).any():
-                has_load = np.isfinite(self.world.joints.arrow_load[shown]).any()
-                width = _BY_LOAD if has_load else _UNLIMITED
+            without = shown & ~np.isfinite(limit)
+            has_scale = bool((shown & ~without).any())
+            has_load = np.isfinite(self.world.joints.arrow_load[without]).any()
+            unlimited = _BY_LOAD if has_load else _UNLIMITED
+            if not has_scale:
+                width = unlimited
             elif quantity in _TORQUES and (largest := self.world.joints.is_largest[shown]).any():
                 width = _LARGEST if largest.all() else f"{width}, or {_LARGEST}"
-            has_scale = width not in (_UNLIMITED, _BY_LOAD)
             scale = "".join(SCALE) + width if has_scale else width
             has_sliding = not self.world.joints.revolute[shown].all()
             first = _arrows_line(quantity, what, has_sliding).encode()
             lines = [first, _SIGNS, scale.encode()]
+            if has_scale and without.any():
+                lines.insert(2, f"{self._who(shown, without)}: {unlimited}".encode())
             texts.append(lines)
         sizes = np.array(
             [
@@ -161,9 +191,18 @@ class Legend(Feature):
         centres[:, 1] += below
         panels = Panels(centres[:kept], sizes[:kept], texts[:kept], _RGBA)
         of_arrows = np.arange(kept) >= bool(self._notes)
-        notes, arrows = panels.only(~of_arrows), panels.only(of_arrows)
-        arrows = replace(arrows, bars=_bars(arrows, view), of_arrows=True)
-        return [each for each in (notes, arrows) if each.texts]
+        notes, scaled = panels.only(~of_arrows), panels.only(of_arrows)
+        scaled = replace(scaled, bars=_bars(scaled, view), of_arrows=True)
+        return [each for each in (notes, scaled) if each.texts]
+
+    def _who(self, shown: Bools, without: Bools) -> str:
+        """Returns what joints without a limit are called: by their robots, if all of it are."""
+        owners = self.world.joints.owner
+        names = list(self.world.owners)
+        mine = set(owners[without].tolist()) - set(owners[shown & ~without].tolist())
+        is_all = bool(np.isin(owners[without], list(mine)).all())
+        robots = _named([names[k] for k in sorted(mine)]) if is_all else ""
+        return robots or "without a limit"
 
     def _difference(self, shown: Bools) -> str:
         """Returns what torque errors are where cards give them a name of their own; else empty."""
@@ -195,6 +234,17 @@ class Legend(Feature):
             for scale, names in lines.items()
         ]
         return [text.encode("ascii", "replace")[:99] for text in texts]
+
+
+def _routed(world: WorldView) -> Bools:
+    """Whether the values of a joint's arrow have routes, by quantity and joint, (quantities, N)."""
+    found = np.zeros((len(ARROW_QUANTITIES), len(world.joints.names)), bool)
+    for name, part in world.owners.items():
+        for code, quantity in enumerate(ARROW_QUANTITIES):
+            found[code, part.joints] = all(
+                world.scene.routed(f"{name}.{key}") is not None for key in _NEEDED[quantity]
+            )
+    return found
 
 
 def _notes(world: WorldView) -> list[bytes]:

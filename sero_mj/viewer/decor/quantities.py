@@ -11,6 +11,7 @@ from ...robots.assemble.friction_torques import friction_torques
 from ...robots.assemble.gravity_torques import gravity_torques
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
+from ...robots.declared.torque_units import TorqueUnit
 from .singularity import towards_singularity
 
 QUANTITY_NAMES = {
@@ -49,9 +50,16 @@ def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
     return values
 
 
-def torque_and_unit(world: WorldView, joint: int) -> tuple[str, str]:
+def torque_and_unit(world: WorldView, joint: int) -> tuple[str, TorqueUnit]:
     """Returns how the torque of a joint is called, and its unit: a force where it slides."""
-    return ("torque", "Nm") if world.joints.revolute[joint] else ("force", "N")
+    what = "torque" if world.joints.revolute[joint] else "force"
+    return what, world.joints.torque_units[joint]
+
+
+def torque_text(world: WorldView, joint: int, value: float) -> str:
+    """Returns a torque of a joint, Nm or N, with three digits and the joint's unit."""
+    factor, unit = world.joints.torque_units[joint]
+    return f"{factor * value:.3g} {unit}"
 
 
 def _limit_name(world: WorldView, joint: int) -> str:
@@ -69,7 +77,7 @@ def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]
     share = np.abs(torques) / joints.torque_limit
     found = np.flatnonzero(share > DOUBTFUL_FACTOR)  # not NaN
     return [
-        f"{joints.names[i]}: {torques[i]:.3g} {torque_and_unit(world, i)[1]} is "
+        f"{joints.names[i]}: {torque_text(world, i, torques[i])} is "
         + (
             f"over {IMPLAUSIBLE_FACTOR:.0f} times {_limit_name(world, i)}; not drawn"
             if share[i] > IMPLAUSIBLE_FACTOR

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array
+from ...robots.assemble.parts import JointTable
 from .axes import AXIS_RGB
 from .feature import Feature, Frame
 from .geom_buffer import ARROW_SIZE_OF_LENGTH, GREY, GeomBuffer, Kind
@@ -69,6 +70,24 @@ def arrow_widths(
     return np.minimum(np.where(limited, of_limit, size * width_scale), WIDEST * radius)
 
 
+def drawn_widths(joints: JointTable, values: Array, limit: Array) -> NDArray[np.float64]:
+    """Returns the widths with which arrows are drawn, (N,), m; 0 for those that are not.
+
+    Args:
+        joints: of the world.
+        values: as for `arrow_widths`.
+        limit: likewise.
+    """
+    by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
+    scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
+    widths = arrow_widths(values, limit, joints.arrow_radius, scale, joints.arrow_dead_band)
+    # Between close joints the full width is less, and so is what no arrow exceeds.
+    narrow = joints.arrow_width_scale / DEFAULT_WIDTH_SCALE
+    widest = WIDEST * joints.arrow_radius * np.where(by_load, np.minimum(narrow, 1.0), 1.0)
+    widths = np.minimum(widths, widest)
+    return np.where(widths > INVISIBLE_WIDTH * joints.arrow_radius, widths, 0.0)
+
+
 class RoundArrows(Feature):
     """The arrows of one world's joints."""
 
@@ -94,14 +113,8 @@ class RoundArrows(Feature):
         buffer, data, shown = frame.buffer, frame.data, frame.shown
         values, limit, stale = frame.arrow_values, frame.arrow_limit, frame.stale_joints
         joints = self.world.joints
-        by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
-        scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
-        widths = arrow_widths(values, limit, joints.arrow_radius, scale, joints.arrow_dead_band)
-        # Between close joints the full width is less, and so is what no arrow exceeds.
-        narrow = joints.arrow_width_scale / DEFAULT_WIDTH_SCALE
-        widest = WIDEST * joints.arrow_radius * np.where(by_load, np.minimum(narrow, 1.0), 1.0)
-        widths = np.minimum(widths, widest)
-        visible = shown.arrows & (widths > INVISIBLE_WIDTH * joints.arrow_radius)
+        widths = drawn_widths(joints, values, limit)
+        visible = shown.arrows & (widths > 0.0)
         over = np.abs(values) > limit  # false for NaN
         rgba = np.where((values > 0)[:, None], POSITIVE_RGBA, NEGATIVE_RGBA)
         rgba[stale, :3] = GREY

@@ -21,6 +21,7 @@ from .picture_options import FilmOptions
 
 _TURNS = 24  # of a turntable, by which the camera is placed
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
+OnState = Callable[[mujoco.MjData], None]
 
 
 class FilmRenderer(Protocol):
@@ -55,7 +56,8 @@ def film_frames(
     count: int,
     fps: float,
     options: FilmOptions,
-    on_first: Callable[[mujoco.MjData], None] = lambda data: None,
+    on_first: OnState = lambda data: None,
+    on_state: OnState = lambda data: None,
 ) -> Iterator[Pixels]:
     """Draws the state at the time of every frame, always into the same array.
 
@@ -66,6 +68,7 @@ def film_frames(
         fps: frames per second.
         options: of the film.
         on_first: called with the first state before it is drawn.
+        on_state: called with every state before it is drawn, and before `on_first`.
 
     Raises:
         DeclarationError: errors of the camera's path.
@@ -78,7 +81,7 @@ def film_frames(
             reason = f"its look_at does not go with --follow {options.follow}"
             raise UsageError(f"--camera-path {options.camera_path}: {reason}; leave one out")
         renderer.follow_nothing()
-    return _draw(mirror, renderer, count, fps, options, path, on_first)
+    return _draw(mirror, renderer, count, fps, options, path, on_first, on_state)
 
 
 def _draw(
@@ -88,7 +91,8 @@ def _draw(
     fps: float,
     options: FilmOptions,
     motion: CameraMotion | None,
-    on_first: Callable[[mujoco.MjData], None],
+    on_first: OnState,
+    on_state: OnState,
 ) -> Iterator[Pixels]:
     """Draws the frames, see `film_frames`, with a camera on its way, or one that may turn."""
     world, data = mirror.world, mirror.world.make_data()
@@ -111,9 +115,10 @@ def _draw(
             if options.orbit is not None:
                 motion = orbit(renderer.camera, options.orbit, count / fps)
             move(0.0)
+            on_state(data)
             on_first(data)
         times = (k + SHUTTER * np.arange(len(states)) / subframes) / fps
-        moments = _moments(world, data, zip(times.tolist(), states, strict=True), move)
+        moments = _moments(world, data, zip(times.tolist(), states, strict=True), move, on_state)
         if is_blurred:
             yield renderer.render_blurred(moments, out=pixels)
         else:
@@ -125,11 +130,13 @@ def _moments(
     data: mujoco.MjData,
     states: Iterable[tuple[float, Array]],
     move: Callable[[float], None],
+    on_state: OnState,
 ) -> Iterator[mujoco.MjData]:
     """Yields the data with every state of a frame, by their times, s; moves the camera before."""
     for time, state in states:
         restore(world, data, state)
         move(time)
+        on_state(data)
         yield data
 
 

@@ -19,6 +19,7 @@ from ..photo.camera_file import read_camera
 from ..photo.footage import Pixels, Video, at_rate, is_photo, read_frame, read_photo
 from ..photo.over_photo import PhotoPainter
 from ..photo.photo_camera import PhotoCamera
+from ..session.held_torques import HeldTorques
 from ..session.scene_decor import SceneDecor
 from ..typesetting import Typesetter, compose
 from .film import check_film, default_fps
@@ -183,6 +184,7 @@ def render_film_over(
             fps = min(fps, default_fps(path))
         with PhotoRenderer(mirror.world, camera, options.quality, options.renderer) as renderer:
             plain = drawn = 0
+            held = HeldTorques(mirror, renderer.toggles)
 
             def frames() -> Iterator[Pixels]:
                 nonlocal plain, drawn
@@ -192,6 +194,7 @@ def render_film_over(
                         yield pixels
                         continue
                     mirror.advance(time + offset)
+                    held.update(mirror.data)
                     if not drawn:
                         perform_clicks(renderer, mirror.data, options.clicks)
                     drawn += 1

@@ -31,6 +31,7 @@ from ..decor.picture_view import PictureView
 from ..following import Follower
 from ..framing import Framing, bounding_sphere, declared_data, stand_back
 from ..mujoco_private import context_of
+from ..session.held_torques import HeldTorques
 from ..session.picking import Pixel
 from ..session.scene_decor import SceneDecor
 from ..session.view_state import apply_switches
@@ -445,7 +446,10 @@ def render_picture(
             silent = mirror.wait(options.wait)
             mirror.wait_fresh(min(options.wait, NEXT_WITHIN), at)
             apply_switches(mirror.world, drawn.toggles, options.shown, options.selected)
+            held = HeldTorques(mirror, drawn.toggles)
+            held.update(mirror.data)
             perform_clicks(drawn, mirror.data, options.clicks)
+            held.update(mirror.data)  # clicks switch billboards on
             if isinstance(drawn, HeadlessRenderer):
                 drawn.hold([mirror.data])
             if options.render_pass != "colour":
@@ -501,8 +505,10 @@ def render_film(
     drawn = count * (SUBFRAMES if options.quality == "fine" else 1)
     with Mirror(scene) as mirror, HeadlessRenderer.of_scene(mirror, options, drawn) as renderer:
         clicks = partial(perform_clicks, renderer, clicks=options.clicks)
+        held = HeldTorques(mirror, renderer.toggles)
+        frames = film_frames(mirror, renderer, count, fps, options, clicks, held.update)
         return write_film(
-            mirror, renderer, path, film_frames(mirror, renderer, count, fps, options, clicks),
+            mirror, renderer, path, frames,
             fps=fps, count=count, options=options, on_progress=on_progress,
         )  # fmt: skip
 

@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from ...robots.assemble.world_view import WorldView
-from ..decor.quantities import torque_and_unit
+from ..decor.quantities import torque_and_unit, torque_text
 from ..session.torque_history import TorqueHistory, joint_name
 from .time_plots import time_plot, with_gaps
 from .widgets import Line, Plot, Rgb, Widgets
@@ -16,7 +16,7 @@ from .widgets import Line, Plot, Rgb, Widgets
 _MEASURED: Rgb = (0.45, 0.78, 1.0)
 _COMMANDED: Rgb = (1.0, 0.62, 0.18)
 _ERROR: Rgb = (0.75, 0.88, 0.45)
-_LEAST = 0.5  # Nm or N, minimum half range
+_LEAST = 0.5  # in the joint's unit, minimum half range
 # Widths of the list of joints and of what is beside it, of the text's height.
 _NAMES, _BESIDE = 11.0, 8.0
 _ROOM_FOR_TWO = 20.0  # minimum height with a plot of the error
@@ -58,11 +58,11 @@ class TorquePlots:
             self._joint, self._when = joint, now
             self._plots = self.plots(history, joint)
         limit = float(self._world.joints.torque_limit[joint])
-        what, unit = torque_and_unit(self._world, joint)
+        what, (factor, unit) = torque_and_unit(self._world, joint)
         ui.same_line()
-        text = f"limit {limit:g} {unit}" if np.isfinite(limit) else "no limit"
+        text = f"limit {factor * limit:g} {unit}" if np.isfinite(limit) else "no limit"
         if self._world.joints.is_largest[joint]:
-            text = f"largest seen {limit:.3g} {unit}"
+            text = f"largest seen {torque_text(self._world, joint, limit)}"
         ui.label(text)
         torques, error = self._plots
         room = min(ui.room()[1], height)
@@ -82,14 +82,14 @@ class TorquePlots:
         times, (measured, commanded, error) = history.of(joint, self._points)
         joints = self._world.joints
         limit = np.inf if joints.is_largest[joint] else float(joints.torque_limit[joint])
-        what, unit = torque_and_unit(self._world, joint)
+        what, (factor, unit) = torque_and_unit(self._world, joint)
         torques = [
-            Line("measured", _MEASURED, *with_gaps(times, measured)),
-            Line("commanded", _COMMANDED, *with_gaps(times, commanded)),
+            Line("measured", _MEASURED, *with_gaps(times, factor * measured)),
+            Line("commanded", _COMMANDED, *with_gaps(times, factor * commanded)),
         ]
-        errors = [Line("commanded - measured", _ERROR, *with_gaps(times, error))]
+        errors = [Line("commanded - measured", _ERROR, *with_gaps(times, factor * error))]
         return [
-            time_plot(f"{what} [{unit}]", torques, limit, _LEAST),
+            time_plot(f"{what} [{unit}]", torques, factor * limit, _LEAST),
             time_plot(f"error [{unit}]", errors, np.inf, _LEAST),
         ]
 

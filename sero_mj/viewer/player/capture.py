@@ -33,6 +33,7 @@ from ..following import Follower
 from ..framing import Framing, declared_data, needed_aspect
 from ..headless.picture_options import DEFAULT_SIZE
 from ..sampling import known_poses, sampled_states
+from ..session.held_torques import HeldTorques
 from ..session.torque_history import joint_name
 from .copied_bodies import CopiedBodies, CopiedBody
 from .labels import labels_of
@@ -205,13 +206,16 @@ class FrameCapturer:
     Args:
         world: the compiled scene.
         camera: of the first picture.
+
+    Attributes:
+        toggles: of what is captured.
     """
 
     def __init__(self, world: WorldView, camera: mujoco.MjvCamera) -> None:
         self._world, self._camera = world, camera
-        self._shown = Toggles(world)
-        self._shown.billboards[:] = False
-        self._shown.doubles[:] = self._shown.cards[:] = True
+        self.toggles = Toggles(world)
+        self.toggles.billboards[:] = False
+        self.toggles.doubles[:] = self.toggles.cards[:] = True
         self._decor = Decor(world, arrow_geoms=_ARROW_GEOMS)
         for feature in self._decor.features:
             if isinstance(feature, Legend):
@@ -252,7 +256,7 @@ class FrameCapturer:
         world, bodies = self._world, self._bodies
         if self._view is None:
             self._view = _view(world.model, data, self._camera)
-        buffer = self._decor.draw(data, self._shown, self._view)
+        buffer = self._decor.draw(data, self.toggles, self._view)
         frame = self._frame
         assert frame is not None  # `draw` has just been called
         places, turns, faint = body_poses(data, bodies, self._copies, buffer.drawn_doubles)
@@ -298,7 +302,9 @@ class FrameCapturer:
         opacity = np.array([each.opacity for each in frames])
         _hide_far_away(poses, opacity)
         values = {key: np.array([f.values[key] for f in frames]) for key in frames[0].values}
-        toggles = toggles or Toggles(world)
+        if toggles is None:
+            toggles = Toggles(world)
+            toggles.modelled[:] = self.toggles.modelled
         lines, details = _lines(world, values, toggles)
         stale = np.array([each.stale for each in frames], bool)
         grey = np.zeros(opacity.shape, bool)
@@ -436,9 +442,11 @@ def capture(
         elif not mirror.is_live:
             framing.hold(first, known_poses(mirror, begin, begin + count / fps), DEFAULT_SIZE)
         data, frames = world.make_data(), list[CapturedFrame]()
+        held = HeldTorques(mirror, capturer.toggles)
         silent = mirror.wait(wait)
         for state in sampled_states(mirror, count, fps, begin):
             restore(world, data, state)
+            held.update(data)
             if follower is not None:
                 path.append(follower.displacement(data))
             elif not frames:
@@ -581,6 +589,8 @@ def _lines(
             for j in range(part.joints.start, part.joints.stop):
                 if [line.key for line in declared[j]] in (["joint_angles"], ["torques"]):
                     declared[j] = (formats.errors if are_errors[j] else formats.torques)[j]
+        for j in np.flatnonzero(toggles.modelled[part.joints]) + part.joints.start:
+            declared[j] = formats.modelled[j]
     return declared, formats.details
 
 

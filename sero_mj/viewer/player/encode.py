@@ -153,10 +153,12 @@ def _joints(capture: Capture) -> list[dict[str, Any]]:
     found = []
     for i, name in enumerate(capture.joint_names):
         owner = owners[joints.owner[i]]
+        what, (factor, unit) = torque_and_unit(world, i)
         found.append(
             {
                 "name": name,
-                "torqueLabel": "{} [{}]".format(*torque_and_unit(world, i)),
+                "torqueLabel": f"{what} [{unit}]",
+                "torqueFactor": factor,
                 "angleUnit": "rad" if joints.revolute[i] else "m",
                 "double": doubles.index(owner) if owner in doubles else -1,
                 **_place(capture, int(joints.centre_site[i])),

@@ -6,19 +6,17 @@ torques are received either, those that hold the robot against gravity are shown
 
 from __future__ import annotations
 
-import threading
 from typing import ClassVar
 
 import numpy as np
 
-from ...base.errors import SeroError
 from ...base.frames import Array
-from ...robots.assemble.gravity_torques import GravityTorques, gravity_model
 from ...robots.declared.joint_speeds import undeclared_speeds
 from ...robots.declared.robot import SerialRobot
 from ..decor.toggles import Handles
 from ..panels.jog_panel import JogPanel
 from ..panels.widgets import Widgets
+from ..session.held_torques import HeldTorques, unrouted
 from ..session.picking import Pixel
 from ..session.pose_text import setting
 from ..session.tool import Grab, Shown, Tool
@@ -38,7 +36,7 @@ class Jogging(Tool):
 
     Attributes:
         goals: where the robots are wanted, by name; empty where all have data.
-        note: why no gravity torque is shown; empty where it is.
+        held: shows what their joints hold.
     """
 
     order: ClassVar[int] = 20
@@ -48,41 +46,22 @@ class Jogging(Tool):
         mirror = shown.mirror
         self._mirror, self._toggles = mirror, shown.toggles
         world, data = mirror.world, mirror.data
-        routed = {route.to.target for route in mirror.routes}
+        parts = {name: world.robots[name] for name in unrouted(mirror)}
         self.goals = {
-            name: JointGoal(part.robot, data.qpos[part.qpos])
-            for name, part in world.robots.items()
-            if f"{name}.joint_angles" in world.inputs and f"{name}.joint_angles" not in routed
+            name: JointGoal(part.robot, data.qpos[part.qpos]) for name, part in parts.items()
         }
         self._written = {name: self._shown(name) for name in self.goals}
         self._since = dict.fromkeys(self.goals, np.inf)  # s, since something else set their angles
         self._fastest = {
             name: undeclared_speeds(goal.robot, "shown") for name, goal in self.goals.items()
         }
-        # Whose torques are shown, and what was written of them: others may set them, too.
-        self._modelled: dict[str, Array | None] = {
-            name: None
-            for name in self.goals
-            if f"{name}.torques" not in routed and not self._has_torques(name)
-        }
-        self._gravity: GravityTorques | None = None
-        self._compiling: threading.Thread | None = None
-        self._weighed: Array = np.zeros(0)  # the angles of the torques that are shown
-        self.note = ""
+        self.held = HeldTorques(mirror, shown.toggles)
         self._dragged: tuple[str, int, Array] | None = None  # robot, link, point in its frame
         self._at: Pixel = (0.0, 0.0)
         self._panel = JogPanel(world, self.goals, self.base)
 
-    @property
-    def torques(self) -> dict[str, Array]:
-        """Torques of the model that are shown, (n,), Nm or N, by robot."""
-        return {name: each for name, each in self._modelled.items() if each is not None}
-
     def _shown(self, name: str) -> Array:
         return np.array(self._mirror.data.qpos[self._mirror.world.robots[name].qpos])
-
-    def _has_torques(self, name: str) -> bool:
-        return bool(self._mirror.data.userdata[self._mirror.world.flags[f"{name}.torques"]] > 0)
 
     @property
     def is_on(self) -> bool:
@@ -112,48 +91,7 @@ class Jogging(Tool):
                 shown = approached(shown, wanted, passed, self._fastest[name])
                 world.set_input(data, f"{name}.joint_angles", shown)
             self._written[name] = shown
-        self._weigh()
-
-    def _weigh(self) -> None:
-        """Shows the torques against gravity, once somebody looks at torques."""
-        world, data, toggles = self._mirror.world, self._mirror.data, self._toggles
-        for name, written in [*self._modelled.items()]:
-            there = data.userdata[world.slots[f"{name}.torques"]]
-            if not self._has_torques(name):
-                self._modelled[name] = None  # a reset has taken them away
-            elif written is None or not np.array_equal(there, written, equal_nan=True):
-                del self._modelled[name]  # a program has set others
-                toggles.modelled[world.robots[name].joints] = False
-        rows = [world.robots[name].joints for name in self._modelled]
-        is_seen = any(toggles.arrows[r].any() or toggles.billboards[r].any() for r in rows)
-        if self._gravity is None:
-            if is_seen and not self.note:
-                self._compile()
-            return
-        is_new = any(each is None for each in self._modelled.values())
-        if not is_new and np.array_equal(data.qpos, self._weighed):
-            return
-        self._weighed = data.qpos.copy()
-        angles = {name: data.qpos[part.qpos] for name, part in world.robots.items()}
-        torques = self._gravity.of(angles)
-        for name in self._modelled:
-            world.set_input(data, f"{name}.torques", torques[name])
-            self._modelled[name] = np.array(data.userdata[world.slots[f"{name}.torques"]])
-            toggles.modelled[world.robots[name].joints] = True
-
-    def _compile(self) -> None:
-        """Compiles the model in the background: of a robot with many meshes it takes a second."""
-        if self._compiling is not None:
-            return
-
-        def make() -> None:
-            try:
-                self._gravity = gravity_model(self._mirror.world)
-            except SeroError as error:
-                self.note = f"no gravity torque: {error}"
-
-        self._compiling = threading.Thread(target=make, name="gravity", daemon=True)
-        self._compiling.start()
+        self.held.update(data, wait=False)
 
     def grab(self, at: Pixel) -> Grab | None:
         """Grabs the link at a pixel."""
@@ -213,7 +151,7 @@ class Jogging(Tool):
 
     def build(self, ui: Widgets) -> None:
         """Builds the sliders of all robots."""
-        self._panel.build(ui, self.note)
+        self._panel.build(ui, self.held.note)
 
     @property
     def state(self) -> tuple[tuple[str, bytes], ...]:
@@ -230,7 +168,7 @@ class Jogging(Tool):
         for name, goal in self.goals.items():
             if not np.array_equal(goal.angles, goal.robot.home):
                 words += ["--set", setting(name, goal.angles)]
-        torques = self.torques
+        torques = self.held.torques
         for name, each in torques.items():
             words += ["--set", setting(name, each, "torques")]
         if torques:

@@ -5,7 +5,7 @@
  *   unit: string}} Line */
 /** @typedef {{on: boolean, round: boolean, radius: number, opacity: number, scale: number,
  *   band: number, limit: number | null, widest: number}} Arrow */
-/** @typedef {{name: string, torqueLabel: string, angleUnit: string, double: number, body: number,
+/** @typedef {{name: string, torqueLabel: string, torqueFactor: number, angleUnit: string, double: number, body: number,
  *   pos: number[], quat: number[], torqueLimit: number | null, lines: Line[], details: Line[],
  *   card: boolean, follows: boolean, arrow: Arrow}} Joint */
 /** @typedef {{body: number, type: number, pos: number[], quat: number[], size: number[],

@@ -77,8 +77,9 @@ export class Plot {
     const keys = ["torques", "commanded_torques"].filter((key) =>
       values[key]?.subarray(joint * frames, (joint + 1) * frames).some(Number.isFinite));
     if (!keys.length && values.joint_angles) keys.push("joint_angles");
-    const { name, torqueLabel, angleUnit } = run.joints[joint];
-    const what = keys[0] === "joint_angles" ? `angle [${angleUnit}]` : torqueLabel;
+    const { name, torqueLabel, torqueFactor, angleUnit } = run.joints[joint];
+    const isAngle = keys[0] === "joint_angles", factor = isAngle ? 1 : torqueFactor;
+    const what = isAngle ? `angle [${angleUnit}]` : torqueLabel;
     const looks = keys.map((key) => {
       const isDashed = key === "commanded_torques";
       return { isDashed, colour: css(isDashed ? "--positive" : "--negative"),
@@ -89,7 +90,7 @@ export class Plot {
     this.names.replaceChildren(...namesOf(what, inOrder));
     const lines = keys.map((key) => Array.from(
       values[key].subarray(joint * frames, (joint + 1) * frames),
-      (value) => Number.isFinite(value) ? value : null));
+      (value) => Number.isFinite(value) ? factor * value : null));
     const axis = { stroke: css("--dim"), grid: { stroke: css("--edge"), width: 1 },
       ticks: { stroke: css("--edge"), width: 1 } };
     this.plot = new uPlot({

@@ -29,6 +29,7 @@ test("normals of all octants have unit length", () => {
 test("numbers are written as Python does", () => {
   assert.equal(textOf(LINE, -69.12), "-69.1 Nm");
   assert.equal(textOf(LINE, -0.04), "0.0 Nm");
+  assert.equal(textOf({ ...LINE, scale: 1e6, unit: "uNm" }, -5e-6), "-5.0 uNm");
   const small = [-0.0004, -0, -0.0006];
   assert.deepEqual(small.map((each) => fixed(each, 3)), ["0.000", "0.000", "-0.001"]);
   assert.equal(textOf(LINE, NaN), "no data");

@@ -1,0 +1,57 @@
+"""Units in which torques and forces of a robot are displayed: one SI prefix for all its joints.
+
+The largest torque of its revolute joints decides, and the largest force of its prismatic joints.
+Nm and N stay from 0.1 to 10,000; other values get the prefix u, m or k that gives the largest value
+1 to 999. Files, packets and messages about single values always use Nm and N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base.frames import Array, Bools
+
+_PLAIN = 0.1, 1e4  # Nm or N
+_PREFIXES = (1e3, "k"), (1e-3, "m"), (1e-6, "u")  # u for µ: billboards are ASCII
+
+
+class TorqueUnit(NamedTuple):
+    """A unit of torques or forces.
+
+    Attributes:
+        factor: multiplied by it, Nm or N are in this unit.
+        name: `mNm`, say.
+    """
+
+    factor: float
+    name: str
+
+
+NM, N = TorqueUnit(1.0, "Nm"), TorqueUnit(1.0, "N")
+
+
+def torque_units(largest: Array, revolute: Bools | Sequence[bool]) -> list[TorqueUnit]:
+    """Returns the unit of every joint of a robot, n.
+
+    Args:
+        largest: torque that is expected of every joint, (n,), Nm or N; its limit, say. Infinite or
+            NaN where it is unknown.
+        revolute: whether a joint is revolute, otherwise it is prismatic, (n,).
+    """
+    turns = np.asarray(revolute, bool)
+    known = np.where(np.isfinite(largest), largest, 0.0)
+    of_turning = _prefixed(NM.name, float(known[turns].max(initial=0.0)))
+    of_sliding = _prefixed(N.name, float(known[~turns].max(initial=0.0)))
+    return [of_turning if each else of_sliding for each in turns.tolist()]
+
+
+def _prefixed(unit: str, largest: float) -> TorqueUnit:
+    low, high = _PLAIN
+    if largest <= 0.0 or low <= largest < high:
+        return TorqueUnit(1.0, unit)
+    fitting = [(size, prefix) for size, prefix in _PREFIXES if largest >= size]
+    size, prefix = (fitting or _PREFIXES[-1:])[0]
+    return TorqueUnit(1.0 / size, prefix + unit)
