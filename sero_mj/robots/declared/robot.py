@@ -15,7 +15,7 @@ import numpy as np
 
 from ...base import paths
 from ...base.errors import DeclarationError
-from ...base.frames import MIRROR, Array, Bools, Ints, compose
+from ...base.frames import MIRROR, Array, Bools, Ints, compose, rotation_to_z
 from ...base.toml_file import located
 from ..importers.mjcf_file import is_file_name
 from ..importers.robot_file import read_robot_file
@@ -166,6 +166,14 @@ class SerialRobot(RobotDeclaration):
             return None
         index = {BASE: 0, **{name: i + 1 for i, name in enumerate(self.names)}}
         return np.array([index[parent] for parent in self.parents], np.intp)
+
+    @property
+    def base_axes(self) -> Array:
+        """Axes of a planar base in its frame, (3, 3): two directions of motion and the normal.
+
+        They are right-handed. For the usual normal, z, they are x, y and z.
+        """
+        return rotation_to_z(np.eye(3), self.base_normal * ([1, -1, 1] if self.mirrored else 1)).T
 
     @property
     def flange_link(self) -> int:

@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from ...base.declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
 from ...base.errors import DeclarationError, Problem
@@ -54,6 +61,14 @@ _OTHER_CONVENTIONS = {  # what else they are called: by Craig, and by those who 
     "modified": "craig", "proximal": "craig", "classic": "standard", "distal": "standard",
 }  # fmt: skip
 _COUPLING_TOLERANCE = 1e-4  # rad or m; angles in files are rounded
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+def _unit(direction: Array) -> Array:
+    length = np.linalg.norm(direction)
+    if length == 0.0:
+        raise Problem(found=direction.tolist(), expected="a direction").error()
+    return np.asarray(direction / length)
 
 
 class RobotDeclaration(Declaration):
@@ -111,8 +126,11 @@ class RobotDeclaration(Declaration):
         mount: the frame of another robot that carries its base, e.g. `arm/flange`, or the joint of
             that link, `icub/l_elbow`; None for a robot placed in the world.
         base_frame: T_world_base, or T_mount_base of a mounted robot.
-        free_base: whether its base is free in simulation, starting at `base_frame`; in mirroring an
-            input places it, like any base.
+        free_base: whether its base is free in simulation, starting at `base_frame`: true for a free
+            joint, `planar` for motion in a plane, as of a mobile platform. In mirroring an input
+            places it, like any base.
+        base_normal: normal of the plane of a `planar` base, in the base's frame.
+        base_joint: name of the joint of a free or planar base, as in the robot's original file.
         mirrored: whether it is the mirror image, at the xz plane of its base, of the robot
             described by all other fields: a left arm from a right one. Equal joint values give
             mirrored poses, held by equal torques. With S = diag(1, -1, 1, 1) every frame T becomes
@@ -186,7 +204,9 @@ class RobotDeclaration(Declaration):
     mesh_scale: float = Field(1.0, gt=0)
     mount: str | None = None
     mirrored: bool = False
-    free_base: bool = False
+    free_base: bool | Literal["planar"] = False
+    base_joint: Name = "free_base"
+    base_normal: Annotated[Array, of_shape(3), AfterValidator(_unit)] = _UP
     base_frame: Frame = Field(default_factory=lambda: np.eye(4))
     flange_frame: Frame = Field(default_factory=lambda: np.eye(4))
     flange_on: str | None = None
@@ -398,6 +418,10 @@ class RobotDeclaration(Declaration):
         if self.free_base and self.mount is not None:
             raise Problem(
                 "free_base", "found true with mount =", found=self.mount, expected="one of the two"
+            ).error()
+        if self.free_base != "planar" and not np.array_equal(self.base_normal, _UP):
+            raise Problem(
+                "base_normal", "the base is not planar", expected='free_base = "planar"'
             ).error()
         return self
 

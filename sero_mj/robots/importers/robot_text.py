@@ -109,7 +109,7 @@ class _RobotText:
         self._given("parents", about="the joint whose link carries each joint")
         self._given("flange_on", about="the joint whose link carries the flange")
         self._frame("flange_frame", flange)
-        self._given("free_base")
+        self._given("free_base", "base_joint", "base_normal")
         self._frame("base_frame")
 
     def add_limits(self) -> None:
