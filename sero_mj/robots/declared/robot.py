@@ -27,7 +27,7 @@ from .joint_ranges import display_ranges, plausible_limits
 from .joint_tree import JointFrames, JointTree
 from .limbs import all_limbs, find_limbs
 from .robot_declaration import BASE, RobotDeclaration
-from .robot_parts import IN_DEGREES, frame_label
+from .robot_parts import IN_DEGREES, frame_label, frame_labels
 from .shapes import clear_radii, housing_radii
 from .surroundings import set_directory
 from .torque_units import TorqueUnit, torque_units
@@ -201,6 +201,18 @@ class SerialRobot(RobotDeclaration):
     def T_n_flange(self) -> Array:
         """Frame of the flange in that of its link, (4, 4), m: `flange_frame`, or mirrored."""
         return MIRROR @ self.flange_frame @ MIRROR if self.mirrored else self.flange_frame
+
+    @property
+    def link_poses(self) -> dict[str, tuple[int, Array]]:
+        """Links of the original file by name: index of the link, 0 for the base, and the pose.
+
+        The pose is T_link_original (4, 4), m, also of a mirrored robot.
+        """
+        links = {label: i for i, label in enumerate(frame_labels(self.n))}
+        return {
+            name: (links[at.on], MIRROR @ at.frame @ MIRROR if self.mirrored else at.frame)
+            for name, at in self.link_frames.items()
+        }
 
     @property
     def child_frames(self) -> list[Array]:

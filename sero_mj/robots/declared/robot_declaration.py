@@ -25,6 +25,7 @@ from .dynamics import Dynamics, TorqueControl
 from .limbs import limb_problems
 from .robot_parts import (
     IN_DEGREES,
+    MAX_JOINTS,
     PER_JOINT,
     VALUE_INPUTS,
     ArrowQuantity,
@@ -33,6 +34,7 @@ from .robot_parts import (
     Columns,
     JointNames,
     Limits,
+    LinkFrame,
     LinkGeometries,
     LinkGeometry,
     OwnInputs,
@@ -97,6 +99,8 @@ class RobotDeclaration(Declaration):
         joint_names: n names; J1, J2, ... by default.
         link_names: names of base and links in the robot's original file, n + 1. They are names of
             frames, in addition to `base`, `link1`, ..., and the joint of each link.
+        link_frames: frames of all links of the original file by name, see `LinkFrame`; transforms of
+            ROS (`tf`) are matched with them.
         limbs: names of joints by limb, for branching robots; the others are found by `limb_joints`.
             Routes and panels refer to them.
         couplings: joints that follow another one, by name: `{ to = "J3", ratio = 1, offset = 0 }`.
@@ -183,6 +187,7 @@ class RobotDeclaration(Declaration):
     joint_types: list[Literal["revolute", "prismatic"]] | None = None
     joint_names: JointNames | None = None
     link_names: list[str] | None = None
+    link_frames: dict[str, LinkFrame] = {}
     parents: list[str] | None = None
     couplings: dict[str, Coupling] = {}
     limbs: dict[Name, list[str]] = {}
@@ -424,6 +429,21 @@ class RobotDeclaration(Declaration):
                 "base_normal", "the base is not planar", expected='free_base = "planar"'
             ).error()
         return self
+
+    @field_validator("link_frames")
+    @classmethod
+    def _links_to_be_on_exist(
+        cls, links: dict[str, LinkFrame], info: ValidationInfo
+    ) -> dict[str, LinkFrame]:
+        known = frame_labels(_count(info.data) or MAX_JOINTS)[:-1]
+        problems = [
+            Problem(f"{name}.on", "no frame", found=link.on, available=known)
+            for name, link in links.items()
+            if link.on not in known
+        ]
+        if problems:
+            raise DeclarationError(problems)
+        return links
 
     @field_validator("children")
     @classmethod

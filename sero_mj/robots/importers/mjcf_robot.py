@@ -81,6 +81,7 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
         "parents": ["base" if p == 0 else names[p - 1] for p in tree.parents.tolist()],
         "joint_names": names,
         "link_names": _link_names(tree),
+        "link_frames": _link_frames(tree),
         "joint_types": ["revolute" if turns else "prismatic" for turns in revolute.tolist()],
         "flange_on": names[link - 1],
         "flange_frame": T_link_flange,
@@ -130,6 +131,18 @@ def _link_names(tree: MjcfTree) -> list[str]:
         bodies = np.flatnonzero(tree.links == link)
         if len(bodies):
             found[link] = tree.model.body(int(bodies[0])).name or found[link]
+    return found
+
+
+def _link_frames(tree: MjcfTree) -> dict[str, Any]:
+    """Returns the frames of all bodies with a name, in their links."""
+    back = inverse(tree.poses)
+    found = {}
+    for body in np.flatnonzero(tree.links >= 0).tolist():
+        link, name = int(tree.links[body]), tree.model.body(body).name
+        if name and body:
+            on = f"link{link}" if link else "base"
+            found[name] = {"on": on, "frame": back[link] @ tree.bodies[body]}
     return found
 
 
