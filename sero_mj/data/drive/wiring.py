@@ -47,7 +47,7 @@ from ...robots.declared.inputs import (
 from ...robots.declared.mounts import carriers, mount_circles
 from ...robots.declared.route_text import NOT, names_in, parts_of_origin
 from ...robots.declared.scene import Scene
-from ..receive.source import SIGNALS, LedJoint, Source, make_source
+from ..receive.source import SIGNALS, LedJoint, LedLinks, Source, make_source
 from ._units import UNITS, robot_of, units_of, wrong_unit
 from .conditions import condition_of
 from .joint_routes import (
@@ -151,7 +151,22 @@ def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) 
     """
     source = make_source(name, declared)
     source.led_to(_joints_led_to(scene, name))
+    if (links := _links_led_to(scene, name)) is not None:
+        source.led_to_links(links)
     return source
+
+
+def _links_led_to(scene: Scene, source: str) -> LedLinks | None:
+    """The links of the first robot of which a source moves joints or base."""
+    for target, origin in scene.routes.items():
+        name, _, key = target.partition(".")
+        robot = scene.robots.get(name)
+        if robot is None or key not in ("joint_angles", "base_frame"):
+            continue
+        if any(each.partition(".")[0] == source for each in names_in(origin)):
+            joints = robot.coupled.independent
+            return LedLinks(robot.kinematics, joints, robot.link_poses, robot.base_frame)
+    return None
 
 
 def _joints_led_to(scene: Scene, source: str) -> list[LedJoint]:

@@ -99,8 +99,8 @@ class RobotDeclaration(Declaration):
         joint_names: n names; J1, J2, ... by default.
         link_names: names of base and links in the robot's original file, n + 1. They are names of
             frames, in addition to `base`, `link1`, ..., and the joint of each link.
-        link_frames: frames of all links of the original file by name, see `LinkFrame`; transforms of
-            ROS (`tf`) are matched with them.
+        link_frames: frames of all links of the original file by name, see `LinkFrame`; transforms
+            of ROS (`tf`) are matched with them.
         limbs: names of joints by limb, for branching robots; the others are found by `limb_joints`.
             Routes and panels refer to them.
         couplings: joints that follow another one, by name: `{ to = "J3", ratio = 1, offset = 0 }`.
