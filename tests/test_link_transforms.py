@@ -114,7 +114,9 @@ def test_transforms_that_are_unknown_yet_leave_the_robot_as_declared(robot: Path
     assert values["joint_angles"].tolist() == pytest.approx([0.5, *home[1:]])
     np.testing.assert_array_equal(values["base_frame"][0], np.eye(4))
     on_map = [("map", "foot", platform(1.0)), ("foot", "base_link", platform(0.5))]
-    listener.hear([(FRAMES, encoded(transforms(on_map)), b"")])
+    for sent in (on_map, turned):  # packets come with the joints
+        listener.hear([(FRAMES, encoded(transforms(sent)), b"")])
+    assert listener._source.receive_trigger == 2
     np.testing.assert_allclose(latest(listener)["base_frame"][0], platform(1.0) @ platform(0.5))
 
 
@@ -170,7 +172,9 @@ def bag_of(folder: Path, *kinds: str) -> Path:
     joints = [name for name in values_at(0.0) if name != "finger-b"]
     every = {
         "tf": [(when, transforms(edges(ARM, values_at(t), MOVING))) for when, t in at],
-        "odom_tf": [(when + 1, transforms([("odom", "base_link", platform(t))])) for when, t in at],
+        "odom_tf": [
+            (max(when - 1, 0), transforms([("odom", "base_link", platform(t))])) for when, t in at
+        ],
         "odom": [(max(when - 1, 0), odometry(platform(t), "base_link")) for when, t in at],
         "joint_states": [
             (when + 2, joint_state(joints, [values_at(t)[name] for name in joints]))

@@ -83,7 +83,7 @@ def with_bag(scene: Scene, file: Path, source: str | None = None) -> Scene:
     if robot.mount is not None:
         led.routes.pop(f"{name}.base_frame", None)
     shown = _first_pose(led, source)
-    if "show_arrows" not in robot.model_fields_set:
+    if "show_arrows" not in robot.model_fields_set and f"{name}.torques" in led.routes:
         shown["show_arrows"] = True
     led.robots = {name: robot.model_copy(update=shown)}
     return led

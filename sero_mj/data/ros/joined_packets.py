@@ -114,6 +114,7 @@ class JoinedPackets:
         }
         self.leads = next((topic for topic, is_wanted in orders.items() if is_wanted), FRAMES)
         self._first = count  # the first joint that any message had so far
+        self._first_body = np.inf  # the same of bodies and transforms
         self._awaited = set(self._wanted)  # joints without values so far
         self._told_at = np.inf  # time, s, at which they are told
         self._found: list[str] | None = None  # names in the last message
@@ -163,7 +164,7 @@ class JoinedPackets:
         elif topic in (ODOMETRY, POSE):
             self._take_pose(values, message, topic)
         else:
-            self._take_frames(values, message)
+            makes = self._take_frames(values, message) or (makes and self._joints_by != TF)
         header = getattr(message, "header", None)
         if makes:
             stamp = 0.0 if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
@@ -285,7 +286,9 @@ class JoinedPackets:
             pose = pose @ inverse(self._links.on_base(message.child_frame_id.lstrip("/")))
         values[self._places["base_frame"]] = pose[:3].T.ravel()
 
-    def _take_frames(self, values: Array, message: Any) -> None:
+    def _take_frames(self, values: Array, message: Any) -> bool:
+        """Takes transforms; whether the first of all bodies is moved, the base last."""
+        bodies: list[float] = []
         for transform in message.transforms:
             parent, child = transform.header.frame_id, transform.child_frame_id
             moved, turned = transform.transform.translation, transform.transform.rotation
@@ -294,13 +297,16 @@ class JoinedPackets:
                 raise MalformedMessage(f"the rotation of {child} is no unit quaternion")
             self._parents[child.lstrip("/")] = parent.lstrip("/"), pose
             if self._links is not None:
-                self._links.take(parent.lstrip("/"), child.lstrip("/"), pose)
+                body = self._links.take(parent.lstrip("/"), child.lstrip("/"), pose)
+                bodies += [] if body is None else [body or np.inf]
         if self._links is not None:
             self._solve(values, self._links)
         for name in self._frames:
             pose = self._in_root(name)
             if pose is not None:
                 values[self._places[event_of_frame(name)]] = pose[:3].T.ravel()  # column-major
+        self._first_body = min([self._first_body, *bodies])
+        return self.leads == FRAMES and self._first_body in bodies
 
     def _solve(self, values: Array, links: LinkTransforms) -> None:
         """Takes what the transforms of links tell of joints and base."""

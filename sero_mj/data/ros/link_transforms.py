@@ -41,16 +41,17 @@ class LinkTransforms:
         self._axes = axes
         self._told = False
 
-    def take(self, parent: str, child: str, T_parent_child: Array) -> None:
-        """Takes a transform (4, 4), m."""
+    def take(self, parent: str, child: str, T_parent_child: Array) -> int | None:
+        """Takes a transform (4, 4), m; returns the body that it moves, or None."""
         above, T_above = self._node(parent)
         below, T_below = self._node(child)
         if above == below:
-            return
+            return None
         known = self._above.get(below)
         if known is not None and self._is_joint(known[0], below) > self._is_joint(above, below):
-            return  # of two fixed links, that which the joint moves
+            return None  # of two fixed links, that which the joint moves
         self._above[below] = above, T_above @ T_parent_child @ inverse(T_below)
+        return below if isinstance(below, int) else None
 
     def _node(self, name: str) -> tuple[Hashable, Array]:
         """The body or frame that a name refers to, and T_node_name."""
