@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.frames import Array, Bools, Ints, frame, rotation_about, rotation_from_quat
+from ...base.frames import Array, Bools, Ints, frame, rotation_from_quat
 from ..declared.cartesian import WORLD, NamedFrame
 from ..declared.double import Double
 from ..declared.joint_tree import JointTree
@@ -102,9 +102,7 @@ class RobotPart:
         at = qpos[self.free]
         if self.robot.free_base != "planar":
             return frame(rotation_from_quat(at[3:]), at[:3])
-        axes = self.robot.base_axes
-        turned = axes.T @ rotation_about(2, at[2]) @ axes
-        return np.asarray(self.robot.base_frame @ frame(turned, at[:2] @ axes[:2]))
+        return self.robot.planar_pose(at)
 
     @property
     def base_name(self) -> str:

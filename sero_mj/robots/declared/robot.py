@@ -15,7 +15,17 @@ import numpy as np
 
 from ...base import paths
 from ...base.errors import DeclarationError
-from ...base.frames import MIRROR, Array, Bools, Ints, compose, rotation_to_z
+from ...base.frames import (
+    MIRROR,
+    Array,
+    Bools,
+    Ints,
+    compose,
+    frame,
+    inverse,
+    rotation_about,
+    rotation_to_z,
+)
 from ...base.toml_file import located
 from ..importers.mjcf_file import is_file_name
 from ..importers.robot_file import read_robot_file
@@ -175,6 +185,22 @@ class SerialRobot(RobotDeclaration):
         """
         return rotation_to_z(np.eye(3), self.base_normal * ([1, -1, 1] if self.mirrored else 1)).T
 
+    def planar_pose(self, at: Array) -> Array:
+        """Returns T_world_base (4, 4) of a planar base.
+
+        Args:
+            at: x, y (m) and yaw (rad) from `base_frame` along and about `base_axes`, (3,).
+        """
+        axes = self.base_axes
+        turned = axes.T @ rotation_about(2, at[2]) @ axes
+        return np.asarray(self.base_frame @ frame(turned, at[:2] @ axes[:2]))
+
+    def planar_place(self, T_world_base: Array) -> Array:
+        """Returns x, y and yaw (3,) of a pose (4, 4) in the plane, the inverse of `planar_pose`."""
+        axes, T = self.base_axes, inverse(self.base_frame) @ T_world_base
+        turned = axes @ T[:3, :3] @ axes.T
+        return np.append(axes[:2] @ T[:3, 3], np.arctan2(turned[1, 0], turned[0, 0]))
+
     @property
     def flange_link(self) -> int:
         """Index of the link that carries the flange, 1 to n."""
@@ -218,7 +244,7 @@ class SerialRobot(RobotDeclaration):
     def child_frames(self) -> list[Array]:
         """T_on_child (4, 4) of every child in the frame it is on, m: as declared, or mirrored."""
         frames = [child.frame for child in self.children]
-        return [MIRROR @ frame @ MIRROR for frame in frames] if self.mirrored else frames
+        return [MIRROR @ T @ MIRROR for T in frames] if self.mirrored else frames
 
     @property
     def n(self) -> int:
