@@ -21,7 +21,7 @@ from sero_mj.data.ros.ros_source import Listener, RosSource
 
 ARM = GRIPPER.replace("turn.table", "turn").replace("finger a", "finger-a")
 STEP = 10**7  # ns between messages
-COUNT = 60
+COUNT = 8
 
 
 def edges(text: str, values: dict[str, float], kinds: tuple[str, ...]) -> list[Any]:
@@ -225,6 +225,44 @@ def test_the_base_of_a_fixed_robot_stays_where_the_scene_has_it(
     assert "arm.base_frame" not in scene.routes
 
 
+PLATFORM = """<mujoco><worldbody><body name="platform">
+  <joint name="px" type="slide" axis="1 0 0"/><joint name="py" type="slide" axis="0 1 0"/>
+  <joint name="pyaw" axis="0 0 1"/><geom size="0.2" mass="9"/>
+  <body name="link" pos="0.1 0 0.3"><joint name="arm" axis="0 1 0"/><geom size="0.1"/></body>
+</body></worldbody><actuator><motor joint="arm"/>{}</actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("driven", ["", '<position joint="px"/>'])
+@pytest.mark.parametrize("kinds", [("tf",), ("joint_states", "odom"), ("joint_states", "tf")])
+def test_a_platform_of_two_slides_and_a_hinge_is_where_its_link_is(
+    driven: str, kinds: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Whether its joints are the robot's, or its base is planar."""
+    robot = tmp_path / "robot.xml"
+    robot.write_text(PLATFORM.format(driven))
+    at = [(k * STEP, 0.05 * k) for k in range(9)]
+    on = frame(position=[0.1, 0.0, 0.3])
+    T = on @ frame(rotation_about(1, 0.7))
+    every = {
+        "joint_states": [(when + 1, joint_state(["arm"], [0.7])) for when, _ in at],
+        "odom": [(when, odometry(platform(t), "platform")) for when, t in at],
+        "tf": [
+            (when, transforms([("odom", "platform", platform(t)), ("platform", "link", T)]))
+            for when, t in at
+        ],
+    }
+    path = write_bag(tmp_path / "drive", {f"/{kind}": every[kind] for kind in kinds})
+    scene = load_scene(robot)
+    (name,) = scene.robots
+    replay_instead(scene, path, None)
+    with Mirror(scene) as mirror:
+        mirror.advance(1.0)
+        link = mirror.world.frame(mirror.data, f"{name}/link")
+    _, back = scene.robots[name].link_poses["link"]
+    np.testing.assert_allclose(link @ back, platform(0.4) @ T, atol=1e-9)
+
+
+@pytest.mark.thorough
 def test_commands_take_bags_with_transforms_only(tmp_path: Path, capsys: Any) -> None:
     path = bag_of(tmp_path, "tf", "odom_tf")
     status, said, told = run(capsys, "check", str(path))

@@ -111,12 +111,20 @@ def _source_of(robot: SerialRobot, joints: Mapping[str, Sequence[str]]) -> str |
 
 def _base_moves(robot: SerialRobot, file: Path) -> bool:
     """Whether the transforms of a recording of ROS move the base of a robot."""
-    base = {name for name, (link, _) in robot.link_poses.items() if link == 0}
-    if not base or robot.mount is not None:
+    links = robot.link_frames
+    if not links or robot.mount is not None:
         return False
     with open_recording(file) as recording:
         assert isinstance(recording, Bag)
-        return not base.isdisjoint(recording.moving_frames())
+        parents = recording.parent_frames()
+    for link in links:
+        name, passed = link, set[str]()
+        while name in parents and name not in passed:
+            passed.add(name)
+            name, is_moved = parents[name]
+            if is_moved and name not in links:
+                return True
+    return False
 
 
 def _first_pose(scene: Scene, source: str) -> dict[str, Any]:

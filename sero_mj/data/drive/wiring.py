@@ -166,8 +166,9 @@ def _links_led_to(scene: Scene, source: str) -> LedLinks | None:
         if robot is None or key not in ("joint_angles", "base_frame"):
             continue
         if any(each.partition(".")[0] == source for each in names_in(origin)):
-            joints = robot.coupled.independent
-            return LedLinks(robot.kinematics, joints, robot.link_poses, robot.base_frame)
+            joints, positions = robot.coupled.independent, robot.coupled.positions
+            home, poses = robot.home[joints], robot.link_poses
+            return LedLinks(robot.kinematics, joints, positions, home, poses, robot.base_frame)
     return None
 
 

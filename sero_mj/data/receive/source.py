@@ -70,6 +70,8 @@ class LedLinks:
     Attributes:
         tree: kinematics of the robot, n joints.
         joints: indices of the independent ones, as in `Source.led_to`, (k,).
+        positions: returns the positions of all joints (n,), from those of the independent (k,).
+        home: declared positions of the independent ones, (k,), rad or m.
         poses: link of the robot's original file by name: index of the body, 0 for the base, and
             T_body_link (4, 4), m.
         base: T_world_base (4, 4) as declared, m.
@@ -77,6 +79,8 @@ class LedLinks:
 
     tree: JointTree
     joints: Ints
+    positions: Callable[[Array], Array]
+    home: Array
     poses: Mapping[str, tuple[int, Array]]
     base: Array
 

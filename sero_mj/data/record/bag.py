@@ -374,11 +374,19 @@ class Bag(PacketFile):
             return str(message.data).encode()
         raise RecordingError(self.path, f"{topics[0]} has no message")
 
-    def moving_frames(self) -> set[str]:
-        """Names of the frames that the first transforms move, with their last parts."""
-        messages = islice(self._messages(["/tf"]), _FIRST_TRANSFORMS)
-        names = {each.child_frame_id for _, message in messages for each in message.transforms}
-        return names | {name.rpartition("/")[2] for name in names}
+    def parent_frames(self) -> dict[str, tuple[str, bool]]:
+        """The parent of every frame of the first transforms, and whether it is moved (`/tf`).
+
+        Names are the last parts, without a prefix.
+        """
+        found = {}
+        for topic in ("/tf_static", "/tf"):
+            for _, message in islice(self._messages([topic]), _FIRST_TRANSFORMS):
+                for each in message.transforms:
+                    names = (each.child_frame_id, each.header.frame_id)
+                    child, parent = (name.rpartition("/")[2] for name in names)
+                    found[child] = parent, topic == "/tf"
+        return found
 
     def close(self) -> None:
         """Closes the file; harmless when it is not open."""

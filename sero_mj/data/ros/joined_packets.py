@@ -131,8 +131,7 @@ class JoinedPackets:
                 "the robot does not say where the links of its original file are, so transforms "
                 "do not move it; a robot from URDF or MJCF does (link_frames)"
             )
-        angles = [joint.angle for joint in self._joints] or np.zeros(len(links.joints))
-        return LinkTransforms(links, np.array(angles), self._tell)
+        return LinkTransforms(links, self._tell)
 
     @cached_property
     def layout(self) -> MessageLayout:
@@ -282,8 +281,10 @@ class JoinedPackets:
             ("base_angular_velocity", message.twist.twist.angular),
         ):
             values[self._places[event]] = vector.x, vector.y, vector.z
-        if self._links is not None:  # of another link that is fixed to the base
-            pose = pose @ inverse(self._links.on_base(message.child_frame_id.lstrip("/")))
+        if self._links is not None:  # the pose of another link
+            angles = values[self._places["joint_angles"]] if self._joints else None
+            link = message.child_frame_id.lstrip("/")
+            pose = pose @ inverse(self._links.in_base(link, angles))
         values[self._places["base_frame"]] = pose[:3].T.ravel()
 
     def _take_frames(self, values: Array, message: Any) -> bool:

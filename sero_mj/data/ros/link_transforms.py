@@ -26,14 +26,13 @@ class LinkTransforms:
 
     Args:
         links: of the robot.
-        angles: of its independent joints as declared, (k,), rad or m.
         tell: gets what a user should know, once.
     """
 
-    def __init__(self, links: LedLinks, angles: Array, tell: Callable[[str], None]) -> None:
+    def __init__(self, links: LedLinks, tell: Callable[[str], None]) -> None:
         self._links, self._tell = links, tell
         self._prefix = ""  # of the first such name
-        self._angles = angles.copy()  # the last ones
+        self._angles = links.home.copy()  # the last ones
         self._above: dict[Hashable, tuple[Hashable, Array]] = {}
         tree = links.tree
         at_zero, axes = tree.link_transforms(np.zeros(len(tree))), tree.axis_frames
@@ -114,11 +113,18 @@ class LinkTransforms:
     def base(self, root: str) -> Array | None:
         """Returns T_root_base (4, 4), m; None while it is unknown.
 
+        If transforms do not have the base itself, as of a robot whose base is the world and whose
+        first joints move a platform, another link tells it, at the last joint values.
+
         Args:
             root: the frame in which it is wanted; the topmost one when empty.
         """
-        node, T = self._in_root(0, {}, root)
-        return None if isinstance(node, int) or (root and node != root) else T
+        bodies = sorted(node for node in self._above if isinstance(node, int))
+        body = next((each for each in bodies if not isinstance(self._above[each][0], int)), 0)
+        node, T = self._in_root(body, {}, root)
+        if isinstance(node, int) or (root and node != root):
+            return None
+        return np.asarray(T @ inverse(self._body_in_base(body, self._angles)))
 
     def _in_root(
         self, node: Hashable, known: dict[Hashable, tuple[Hashable, Array]], root: str = ""
@@ -134,7 +140,17 @@ class LinkTransforms:
         known[node] = at, T
         return at, T
 
-    def on_base(self, link: str) -> Array:
-        """Returns T_base_link (4, 4), m, of a link that is fixed to the base; else identity."""
+    def in_base(self, link: str, angles: Array | None) -> Array:
+        """Returns T_base_link (4, 4), m; identity for an unknown link.
+
+        Args:
+            link: its name.
+            angles: of the independent joints, (k,), rad or m; the last ones when None.
+        """
         node, T = self._node(link)
-        return T if node == 0 else np.eye(4)
+        if not isinstance(node, int):
+            return np.eye(4)
+        return np.asarray(self._body_in_base(node, self._angles if angles is None else angles) @ T)
+
+    def _body_in_base(self, body: int, angles: Array) -> Array:
+        return self._links.tree.frame(body, self._links.positions(angles))
