@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable
 
 import numpy as np
 
-from ...base.frames import Array, inverse, rotation_about, rotation_angle
+from ...base.frames import Array, Ints, inverse, rotation_about, rotation_angles
 from ..receive.source import LedLinks
 
 _ANGLE, _DISTANCE = 0.02, 0.01  # rad and m by which transforms and robot may differ
@@ -38,41 +38,48 @@ class LinkTransforms:
         at_zero, axes = tree.link_transforms(np.zeros(len(tree))), tree.axis_frames
         self._before = inverse(at_zero @ axes)
         self._axes = axes
+        self._parents, self._joints = tree.carriers.tolist(), links.joints.tolist()
+        self._nodes: dict[str, tuple[Hashable, Array, Array]] = {}
         self._told = False
 
     def take(self, parent: str, child: str, T_parent_child: Array) -> int | None:
         """Takes a transform (4, 4), m; returns the body that it moves, or None."""
-        above, T_above = self._node(parent)
-        below, T_below = self._node(child)
+        above, T_above, _ = self._node(parent)
+        below, _, T_back = self._node(child)
         if above == below:
             return None
         known = self._above.get(below)
         if known is not None and self._is_joint(known[0], below) > self._is_joint(above, below):
             return None  # of two fixed links, that which the joint moves
-        self._above[below] = above, T_above @ T_parent_child @ inverse(T_below)
+        self._above[below] = above, T_above @ T_parent_child @ T_back
         return below if isinstance(below, int) else None
 
-    def _node(self, name: str) -> tuple[Hashable, Array]:
-        """The body or frame that a name refers to, and T_node_name."""
-        poses = self._links.poses
+    def _node(self, name: str) -> tuple[Hashable, Array, Array]:
+        """The body or frame that a name refers to, T_node_name, and its inverse."""
+        if name in self._nodes:
+            return self._nodes[name]
+        poses, known = self._links.poses, name
         before, slash, own = name.rpartition("/")
         if slash and name not in poses and own in poses:
             self._prefix = self._prefix or before
-            name = own if before == self._prefix else name
-        return poses.get(name, (name, np.eye(4)))
+            known = own if before == self._prefix else name
+        node, T = poses.get(known, (name, np.eye(4)))
+        self._nodes[name] = node, T, inverse(T)
+        return self._nodes[name]
 
     def _is_joint(self, above: Hashable, below: Hashable) -> bool:
         """Whether a joint connects two nodes."""
         if not isinstance(below, int) or below == 0:
             return False
-        return bool(self._links.tree.carriers[below - 1] == above)
+        return bool(self._parents[below - 1] == above)
 
     def solve(self) -> Array:
         """Returns the values of the independent joints, (k,), the last ones where unknown."""
         poses: dict[Hashable, tuple[Hashable, Array]] = {}
-        for k, joint in enumerate(self._links.joints.tolist()):
-            parent = int(self._links.tree.carriers[joint])
-            edge = self._above.get(joint + 1)
+        known: list[int] = []
+        transforms: list[Array] = []
+        for k, joint in enumerate(self._joints):
+            parent, edge = self._parents[joint], self._above.get(joint + 1)
             if edge is None:
                 continue
             T = edge[1]
@@ -83,31 +90,39 @@ class LinkTransforms:
                 if one != other:
                     continue
                 T = inverse(T_one) @ T_other
-            self._angles[k] = self._value(k, joint, T)
+            known.append(k)
+            transforms.append(T)
+        if known:
+            self._angles[known] = self._values(np.array(known), np.array(transforms))
         return self._angles
 
-    def _value(self, k: int, joint: int, T: Array) -> float:
-        """The value of a joint by the transform of the link that it moves in its parent."""
-        moved = self._before[joint] @ T @ self._axes[joint]
-        if not self._links.tree.revolute[joint]:
-            value = float(moved[2, 3])
-            rest = moved[:3, 3] - [0.0, 0.0, value]
-            self._check(joint, rest, moved[:3, :3])
-            return value
-        value = float(np.arctan2(moved[1, 0] - moved[0, 1], moved[0, 0] + moved[1, 1]))
-        self._check(joint, moved[:3, 3], moved[:3, :3] @ rotation_about(2, -value))
+    def _values(self, known: Ints, transforms: Array) -> Array:
+        """The values of joints by the transforms of the links that they move in their parents."""
+        joints = self._links.joints[known]
+        moved = self._before[joints] @ transforms @ self._axes[joints]
+        turns = self._links.tree.revolute[joints]
+        sine, cosine = moved[:, 1, 0] - moved[:, 0, 1], moved[:, 0, 0] + moved[:, 1, 1]
+        angles = np.where(turns, np.arctan2(sine, cosine), 0.0)
+        rest = moved[:, :3, 3].copy()
+        rest[~turns, 2] = 0.0
+        self._check(joints, rest, moved[:, :3, :3] @ rotation_about(2, -angles))
         # A transform does not tell whole turns.
-        return value + _TURN * round(float(self._angles[k] - value) / _TURN)
+        angles += _TURN * np.round((self._angles[known] - angles) / _TURN)
+        return np.where(turns, angles, moved[:, 2, 3])
 
-    def _check(self, joint: int, rest: Array, rotation: Array) -> None:
+    def _check(self, joints: Ints, rest: Array, rotations: Array) -> None:
         """Tells, once, of transforms that the robot's links cannot have."""
-        far, angle = float(np.linalg.norm(rest)), rotation_angle(rotation)
-        if not self._told and (far > _DISTANCE or angle > _ANGLE):
-            self._told = True
+        if self._told:
+            return
+        far, angles = np.linalg.norm(rest, axis=1), rotation_angles(rotations)
+        wrong = (far > _DISTANCE) | (angles > _ANGLE)
+        if wrong.any():
+            self._told, k = True, int(np.argmax(wrong))
+            joint = int(joints[k])
             link = next(name for name, (i, _) in self._links.poses.items() if i == joint + 1)
             self._tell(
-                f"the transform of {link} is {far:.3g} m and {np.rad2deg(angle):.3g} deg off what "
-                "its joint allows; is it another robot?"
+                f"the transform of {link} is {far[k]:.3g} m and {np.rad2deg(angles[k]):.3g} deg "
+                "off what its joint allows; is it another robot?"
             )
 
     def base(self, root: str) -> Array | None:
@@ -147,7 +162,7 @@ class LinkTransforms:
             link: its name.
             angles: of the independent joints, (k,), rad or m; the last ones when None.
         """
-        node, T = self._node(link)
+        node, T, _ = self._node(link)
         if not isinstance(node, int):
             return np.eye(4)
         return np.asarray(self._body_in_base(node, self._angles if angles is None else angles) @ T)
