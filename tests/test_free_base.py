@@ -11,6 +11,7 @@ from conftest import raises_with
 
 from sero_mj import DeclarationError, Mirror, Plant, Scene, SerialRobot, World
 from sero_mj.base.frames import frame, quat_from_rotation, rotation_from_quat, rotation_from_rpy
+from sero_mj.robots.assemble.gravity_torques import GravityTorques
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.declared.mounts import base_frames, unmounted
 from sero_mj.simulate.log_output import RunRecorder
@@ -223,6 +224,17 @@ def test_a_planar_base_slides_and_turns_freely_in_its_plane_and_stays_in_it() ->
     end = momentum(robots, seen[-3], seen[-1], 2e-4)
     np.testing.assert_allclose((end - start)[[0, 1, 5]], 0.0, atol=0.01)
     assert np.abs(seen[-1][:3] - seen[0][:3]).max() > 1e-3  # the base did move
+
+
+def test_a_planar_base_is_held_up_so_its_joints_feel_gravity_as_on_a_fixed_one() -> None:
+    angles = {"body": np.array([0.4, -0.7]), "leg": np.array([0.2, 0.9])}
+    held = []
+    for free_base in ("planar", False):
+        robots = {robot.name: robot for robot in walker(free_base=free_base)}
+        held.append(GravityTorques(robots).of(angles))
+    for name, torques in held[0].items():
+        np.testing.assert_allclose(torques, held[1][name], atol=1e-12)
+        assert np.abs(torques).max() > 0.1
 
 
 def test_it_lies_on_the_floor_and_touches_it_with_several_links() -> None:
