@@ -19,6 +19,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
 
+from sero_mj.base.frames import quat_from_rotation
+
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 OLD_STORE = get_typestore(Stores.ROS1_NOETIC)
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -40,6 +42,48 @@ def joint_state(
     header = types["std_msgs/msg/Header"](*order)
     numbers = [np.array(each, float) for each in (angles, velocities, torques)]
     return types[JOINT_STATE](header, list(names), *numbers)
+
+
+def _header(stamp: int, frame: str) -> Any:
+    time = STORE.types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
+    return STORE.types["std_msgs/msg/Header"](time, frame)
+
+
+def _pose(T: Any, kind: str = "Pose", vector: str = "Point") -> Any:
+    types = STORE.types
+    w, x, y, z = quat_from_rotation(T[:3, :3])
+    turned = types["geometry_msgs/msg/Quaternion"](x, y, z, w)
+    at = types[f"geometry_msgs/msg/{vector}"](*map(float, T[:3, 3]))
+    return types[f"geometry_msgs/msg/{kind}"](at, turned)
+
+
+def transforms(edges: Sequence[tuple[str, str, Any]], stamp: int = 0) -> Any:
+    """A message of transforms: parent, child, and T_parent_child (4, 4); the stamp is in ns."""
+    types = STORE.types
+    each = [
+        types["geometry_msgs/msg/TransformStamped"](
+            _header(stamp, parent), child, _pose(T, "Transform", "Vector3")
+        )
+        for parent, child, T in edges
+    ]
+    return types["tf2_msgs/msg/TFMessage"](each)
+
+
+def odometry(T: Any, child: str, velocity: Sequence[float] = (0, 0, 0), stamp: int = 0) -> Any:
+    """A message of odometry, with a pose (4, 4) in the frame `odom`; the stamp is in ns."""
+    types, vector = STORE.types, STORE.types["geometry_msgs/msg/Vector3"]
+    twist = types["geometry_msgs/msg/Twist"](vector(*map(float, velocity)), vector(0.1, 0.2, 0.3))
+    return types["nav_msgs/msg/Odometry"](
+        _header(stamp, "odom"),
+        child,
+        types["geometry_msgs/msg/PoseWithCovariance"](_pose(T), np.zeros(36)),
+        types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+    )
+
+
+def pose_stamped(T: Any, stamp: int = 0) -> Any:
+    """A message of a pose (4, 4); the stamp is in ns."""
+    return STORE.types["geometry_msgs/msg/PoseStamped"](_header(stamp, "map"), _pose(T))
 
 
 def encoded(message: Any) -> bytes:

@@ -10,10 +10,13 @@ import pytest
 from conftest import sampled
 
 from sero_mj.base import paths
+from sero_mj.base.frames import frame
 from sero_mj.data.drive.place import Placer
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.solids import geom_boxes, geom_corners
 from sero_mj.robots.assemble.world import World
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.camera import Navigator, find_camera
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.framing import Framing, stand_back
@@ -159,3 +162,18 @@ def test_boxes_that_turn_with_geoms_are_inside_those_that_do_not(justin: World) 
     lows, highs = geom_boxes(justin.model, data)
     assert corners.min(axis=1) == pytest.approx(lows, abs=1e-12)
     assert corners.max(axis=1) == pytest.approx(highs, abs=1e-12)
+
+
+def test_a_robot_whose_base_is_far_from_where_it_is_declared_is_in_the_picture() -> None:
+    world = World(Scene(robots=[SerialRobot.from_model("lwr")]))
+    data, camera = world.make_data(), find_camera(world)
+    framing, distance = Framing(world, camera), camera.distance
+    world.set_input(data, "lwr.base_frame", frame(position=[40.0, -30.0, 0.0]))
+    mujoco.mj_forward(world.model, data)
+    framing.fit(camera, data)
+    assert np.linalg.norm(camera.lookat[:2] - [40.0, -30.0]) < 0.5
+    assert camera.distance < 2 * distance
+    placed = camera.lookat.copy()
+    world.set_input(data, "lwr.base_frame", frame(position=[41.0, -30.0, 0.0]))
+    framing.fit(camera, data)  # it does not follow
+    assert (camera.lookat == placed).all()

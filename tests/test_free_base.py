@@ -10,7 +10,8 @@ import pytest
 from conftest import raises_with
 
 from sero_mj import DeclarationError, Mirror, Plant, Scene, SerialRobot, World
-from sero_mj.base.frames import frame, rotation_from_quat, rotation_from_rpy
+from sero_mj.base.frames import frame, quat_from_rotation, rotation_from_quat, rotation_from_rpy
+from sero_mj.robots.assemble.gravity_torques import GravityTorques
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.declared.mounts import base_frames, unmounted
 from sero_mj.simulate.log_output import RunRecorder
@@ -34,8 +35,8 @@ def walker(**fields: object) -> list[SerialRobot]:
     }  # fmt: skip
     rows = [[0.3, 0.0, 0.0, 0.1], [1.2, 0.15, 0.0, 0.0]]
     body = SerialRobot(
-        name="body", dh_convention="craig", dh_params=rows, free_base=True, base_frame=START,
-        dynamics=links, **fields,
+        name="body", dh_convention="craig", dh_params=rows, base_frame=START, dynamics=links,
+        **{"free_base": True, **fields},
     )  # fmt: skip
     leg = SerialRobot(
         name="leg", dh_convention="standard", dh_params=rows, mount="body/flange", dynamics=links
@@ -196,6 +197,44 @@ def test_a_run_begins_anew_where_the_base_is_declared() -> None:
     simulation.restart(np.zeros(4), 0)
     simulation.advance(simulation.steps)
     np.testing.assert_array_equal(simulation.rows, first)
+
+
+def test_a_planar_base_slides_and_turns_freely_in_its_plane_and_stays_in_it() -> None:
+    normal = START[:3, :3].T @ [0, 0, 1]
+    robots = walker(free_base="planar", base_normal=normal)
+    plant = Plant(World(Scene(robots=robots, floor=False), dynamic=True), timestep=1e-4)
+    part, model = plant.world.robots["body"], plant.model
+    joints = [model.joint(f"body/free_base_{axis}") for axis in ("x", "y", "yaw")]
+    assert [int(joint.qposadr[0]) for joint in joints] == part.free.tolist()
+    assert plant.model.nv == 3 + 4
+
+    def state() -> np.ndarray:
+        T = part.base_pose(plant.qpos)
+        base = plant.data.xpos[part.bodies[0]]
+        np.testing.assert_allclose(T[:3, 3], base, atol=1e-12)
+        assert base[2] == pytest.approx(START[2, 3])
+        return np.concatenate([T[:3, 3], quat_from_rotation(T[:3, :3]), plant.measured[0]])
+
+    seen = []
+    for k in range(1000):
+        plant.step(1.5 * np.sin(0.01 * k + np.arange(4)))
+        mujoco.mj_kinematics(model, plant.data)
+        seen.append(state())
+    start = momentum(robots, seen[0], seen[2], 2e-4)
+    end = momentum(robots, seen[-3], seen[-1], 2e-4)
+    np.testing.assert_allclose((end - start)[[0, 1, 5]], 0.0, atol=0.01)
+    assert np.abs(seen[-1][:3] - seen[0][:3]).max() > 1e-3  # the base did move
+
+
+def test_a_planar_base_is_held_up_so_its_joints_feel_gravity_as_on_a_fixed_one() -> None:
+    angles = {"body": np.array([0.4, -0.7]), "leg": np.array([0.2, 0.9])}
+    held = []
+    for free_base in ("planar", False):
+        robots = {robot.name: robot for robot in walker(free_base=free_base)}
+        held.append(GravityTorques(robots).of(angles))
+    for name, torques in held[0].items():
+        np.testing.assert_allclose(torques, held[1][name], atol=1e-12)
+        assert np.abs(torques).max() > 0.1
 
 
 def test_it_lies_on_the_floor_and_touches_it_with_several_links() -> None:

@@ -233,6 +233,22 @@ def test_an_imported_mjcf_is_the_same(folder: Path, capsys) -> None:
     assert run("check", "legs.toml") == 0
 
 
+def test_a_robot_file_keeps_a_planar_base_and_the_frames_of_links(folder: Path) -> None:
+    root = (
+        '<link name="odom"/><joint name="drive" type="planar"><parent link="odom"/>'
+        '<child link="base_link"/><axis xyz="0 0.6 0.8"/></joint>'
+    )
+    path = write(folder, GRIPPER.replace("  <link", f"{root}<link", 1), "mobile.urdf")
+    assert run("import", "mobile.urdf", "--out", "mobile") == 0
+    one, other = SerialRobot.from_urdf(path), SerialRobot.from_model("mobile")
+    assert (other.free_base, other.base_joint) == ("planar", "drive")
+    np.testing.assert_allclose(other.base_normal, [0, 0.6, 0.8])
+    assert one.link_poses.keys() == other.link_poses.keys() >= {"base_link", "sensor", "right"}
+    for link, (body, T) in one.link_poses.items():
+        assert other.link_poses[link][0] == body
+        np.testing.assert_allclose(other.link_poses[link][1], T, atol=1e-12)
+
+
 def test_a_chain_is_imported_in_either_convention(folder: Path) -> None:
     option = f"arm_meshes={folder / 'far' / 'away'}"
     robots = []

@@ -670,3 +670,45 @@ def test_mutated_files_raise_nothing_but_sero_errors(
         assert str(error)
     else:
         mujoco.mj_forward(world.model, world.make_data())
+
+
+MOBILE = """<mujoco><worldbody><body name="platform" pos="0.3 0 0.1" euler="30 0 0">
+  {} <geom type="box" size="0.4 0.3 0.1" mass="40"/>
+  <body name="upper" pos="0.2 0 0.1"><joint name="arm" axis="0 1 0"/><geom size="0.1"/></body>
+</body></worldbody><actuator><motor joint="arm"/>{}</actuator>
+<keyframe><key name="home" qpos="{} 0.3"/></keyframe></mujoco>"""
+IDIOM = (
+    '<joint name="x" type="slide" axis="1 0 0"/><joint name="y" type="slide" axis="0 0 1"/>'
+    '<joint name="yaw" axis="0 -1 0"{}/>'
+)
+
+
+@pytest.mark.parametrize(
+    ("joints", "actuator", "key", "expected"),
+    [
+        (IDIOM.format(""), "", "1 2 0.5", ("planar", "free_base", [0, -1, 0])),
+        ('<freejoint name="root"/>', "", "1 2 3 0.6 0.8 0 0", (True, "root", [0, 0, 1])),
+        (IDIOM.format(""), '<motor joint="y"/>', "1 2 0.5", (False, "free_base", [0, 0, 1])),
+        (IDIOM.format(' range="-1 1"'), "", "1 2 0.5", (False, "free_base", [0, 0, 1])),
+        (IDIOM.replace("0 0 1", "0 1 1").format(""), "", "1 2 0.5",
+         (False, "free_base", [0, 0, 1])),
+    ],
+)  # fmt: skip
+def test_a_passive_platform_is_a_free_base_where_its_key_frame_has_it(
+    joints, actuator, key, expected
+):
+    text = MOBILE.format(joints, actuator, key)
+    robot = SerialRobot.from_mjcf(text, name="mobile")
+    assert (robot.free_base, robot.base_joint, robot.base_normal.tolist()) == expected
+    assert robot.names == (["arm"] if robot.free_base else ["x", "y", "yaw", "arm"])
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_kinematics(model, data)
+    world = World(Scene(robots=[robot], floor=False))
+    ours = world.make_data()
+    mujoco.mj_kinematics(world.model, ours)
+    flange = world.frame(ours, "mobile/flange")
+    body = model.body("upper").id
+    np.testing.assert_allclose(flange[:3, 3], data.xpos[body], atol=1e-9)
+    np.testing.assert_allclose(flange[:3, :3].ravel(), data.xmat[body], atol=1e-9)

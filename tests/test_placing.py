@@ -11,7 +11,7 @@ import pytest
 from polling import until
 
 from sero_mj.base.errors import DeclarationError
-from sero_mj.base.frames import frame_from, inverse
+from sero_mj.base.frames import frame_from, inverse, quat_from_rotation
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.place import Placer
 from sero_mj.data.send.play import MotionPackets
@@ -220,7 +220,8 @@ def test_packets_place_bases_frames_and_vectors() -> None:
         Mirror(scene)
     assert str(caught.value) == (
         "routes.arm.base_frame: udp.matrices0 is 2 x 4 x 4; "
-        "arm.base_frame takes a 4 x 4 frame: 1M in the structure"
+        "arm.base_frame takes a 4 x 4 frame, 1M in the structure, or 7 numbers x, y, z, qw, qx, "
+        "qy, qz"
     )
     scene = udp_scene(
         "2F1M1V3F",
@@ -246,6 +247,42 @@ def test_packets_place_bases_frames_and_vectors() -> None:
         assert not received(mirror, np.array(numbers).tobytes())
         assert mirror.sources["udp"].counters.not_frames == 1
         np.testing.assert_allclose(world.frame(data, "arm/flange"), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("structure", "route", "expected"),
+    [
+        # As ROS has a quaternion: x, y, z, w.
+        ("7F", "[udp.values0[0:3], udp.values0[6,3,4,5]]",
+         {"xyz": [1, 2, 3], "rpy_deg": [20, 0, 90]}),
+        ("3F", "[udp.values0[0:2] * mm, udp.values0[2] * deg]",
+         {"xyz": [0.1, 0.2, 0], "rpy_deg": [0, 0, 40]}),
+    ],
+)  # fmt: skip
+def test_a_base_gets_a_position_and_a_quaternion_or_its_place_in_the_plane(
+    structure: str, route: str, expected: dict[str, list[float]]
+) -> None:
+    rest = {"xyz": [5.0, 0.0, 0.5], "rpy_deg": [0, 0, 30]}
+    robot = arm("arm", free_base="planar", base_frame=rest)
+    scene = udp_scene(structure, {}, robots=[robot])
+    scene.routes = {"arm.base_frame": route}
+    T = frame(expected) if structure == "7F" else frame(rest) @ frame(expected)
+    if structure == "7F":
+        w, x, y, z = quat_from_rotation(T[:3, :3])
+        numbers, broken = [*T[:3, 3], x, y, z, w], [*T[:3, 3], x, y, z, w + 1]
+    else:
+        numbers, broken = [100.0, 200.0, 40.0], [100.0, 200.0, np.nan]
+    with Mirror(scene) as mirror:
+        assert received(mirror, np.array(numbers).tobytes())
+        base = mirror.world.frame(mirror.data, "arm/base")
+        np.testing.assert_allclose(base, T, atol=1e-12)
+        received(mirror, np.array(broken).tobytes())
+        np.testing.assert_array_equal(mirror.world.frame(mirror.data, "arm/base"), base)
+    motion = MotionPackets(scene)  # it plays the declared frame
+    back = motion.source.decode(motion.at(0.0))["values0"].ravel()
+    w, x, y, z = quat_from_rotation(frame(rest)[:3, :3])
+    played = [*rest["xyz"], x, y, z, w] if structure == "7F" else [0, 0, 0]
+    assert back == pytest.approx(played, abs=1e-12)
 
 
 def test_nan_blanks_what_is_only_shown_and_stops_what_would_move() -> None:

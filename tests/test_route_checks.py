@@ -51,7 +51,8 @@ from sero_mj.robots.declared.inputs import list_inputs
          "push.vector takes a force (N)"),
         ("lwr.base_frame", "udp.matrices0[1]", ""),
         ("lwr.base_frame", "udp.matrices0", "udp.matrices0 is 2 x 4 x 4; "
-         "lwr.base_frame takes a 4 x 4 frame: 1M in the structure"),
+         "lwr.base_frame takes a 4 x 4 frame, 1M in the structure, or 7 numbers "
+         "x, y, z, qw, qx, qy, qz"),
         ("lwr.torques", "udp.values0[0]", "udp.values0[0] has 1 value; "
          "lwr.torques takes 2, one per joint"),
         ("lwr.torques", 0.5, ""),

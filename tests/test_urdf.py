@@ -278,16 +278,57 @@ def test_a_chain_has_a_table_and_its_flange(tmp_path: Path) -> None:
     assert np.allclose(T, expected, rtol=0, atol=1e-9)
 
 
-def test_a_floating_root_is_a_free_base(tmp_path: Path) -> None:
-    text = GRIPPER.replace(
-        '  <link name="base_link">',
-        '<link name="world"/><joint name="root" type="floating"><parent link="world"/>'
-        '<child link="base_link"/><origin xyz="0 0 1"/></joint><link name="base_link">',
+@pytest.mark.parametrize(
+    ("kind", "axis", "free_base", "normal"),
+    [
+        ("floating", "", True, None),
+        ("planar", '<axis xyz="0 0 2"/>', "planar", None),
+        ("planar", "", "planar", [1, 0, 0]),  # the default of the specification
+    ],
+)
+def test_a_floating_or_planar_root_is_a_free_base(
+    kind: str, axis: str, free_base: object, normal: object, tmp_path: Path
+) -> None:
+    above = (
+        '<link name="world"/><link name="odom"><visual><geometry><sphere radius="1"/></geometry>'
+        '</visual></link><joint name="w" type="fixed"><parent link="world"/><child link="odom"/>'
+        f'<origin xyz="0 0 1"/></joint><joint name="root joint" type="{kind}">{axis}<parent '
+        'link="odom"/><child link="base_link"/><origin xyz="1 0 0" rpy="0 0 1"/></joint>'
     )
-    tables = described(tmp_path, text).tables
-    assert tables["free_base"] is True
-    assert np.array(tables["base_frame"])[:3, 3].tolist() == [0, 0, 1]
-    assert len(tables["joint_names"]) == 4
+    read = described(tmp_path, GRIPPER.replace("  <link", f"{above}<link", 1))
+    tables, plain = read.tables, described(tmp_path, GRIPPER).tables
+    assert (tables["free_base"], tables["base_joint"]) == (free_base, "root_joint")
+    assert tables.get("base_normal") == normal
+    expected = frame(rotation_from_rpy(np.array([0, 0, 1])), [1, 0, 1])
+    np.testing.assert_allclose(tables["base_frame"], expected)
+    ours = {"free_base", "base_joint", "base_normal", "base_frame"}
+    assert {key: value for key, value in tables.items() if key not in ours} == plain
+    assert "links that 'root joint' does not move are left out: 'odom'" in read.warnings
+
+
+def test_inside_a_robot_a_planar_joint_is_three_and_a_floating_one_is_held(tmp_path: Path) -> None:
+    more = (
+        '<joint name="sled" type="planar"><parent link="base_link"/><child link="plate"/>'
+        '<origin xyz="0 0 1" rpy="0 0 1"/><axis xyz="0 1 0"/></joint><link name="plate"/>'
+        '<joint name="loose" type="floating"><parent link="plate"/><child link="ball"/>'
+        '<origin xyz="0 0 0.5"/></joint><link name="ball"/></robot>'
+    )
+    text = GRIPPER.replace("</robot>", more)
+    file = UrdfFile(write(tmp_path, text))
+    names = file.described.tables["joint_names"]
+    q = np.zeros(len(names))
+    q[[names.index(f"sled_{axis}") for axis in ("x", "y", "yaw")]] = 0.3, 0.2, 0.4
+    body, T_body_ball = file.tree.T_body_link["ball"]
+    T = poses_in_tables(file.described.tables, q)[body] @ T_body_ball
+    turned = poses_in_xml(text, {"sled": 0.4})["ball"]
+    np.testing.assert_allclose(T[:3, :3], turned[:3, :3], atol=1e-12)
+    moved = T[:3, 3] - turned[:3, 3]
+    normal = about(np.array([0, 0, 1]), 1.0) @ [0, 1, 0]
+    assert moved @ normal == pytest.approx(0, abs=1e-12)
+    assert np.linalg.norm(moved) == pytest.approx(np.hypot(0.3, 0.2))
+    assert "floating joints inside a robot are held at their origins: 'loose'" in (
+        file.described.warnings
+    )
 
 
 def test_a_scene_has_a_robot_of_a_urdf_file(tmp_path: Path) -> None:
@@ -361,15 +402,6 @@ LINKS = "<robot name='r'>" + "".join(f'<link name="{name}"/>' for name in "abcd"
         (
             joint("1", "a", "b") + joint("2", "c", "d") + joint("3", "d", "c"),
             ["robot.urdf:1: link 'c': joints go round in a circle: 'c', 'd'; expected a tree"],
-        ),
-        (
-            joint("1", "a", "b")
-            + joint("2", "b", "c", "planar")
-            + joint("3", "c", "d", "floating"),
-            ["robot.urdf:3: joint '2': is planar; expected revolute, continuous, prismatic, fixed; "
-             "two prismatic joints and a revolute one do the same",
-             "robot.urdf:4: joint '3': is floating; expected revolute, continuous, prismatic, "
-             "fixed; free_base = true frees the base"],
         ),
         (
             "".join(joint(a + b, a, b, "fixed") for a, b in ("ab", "bc", "cd")),

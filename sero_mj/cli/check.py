@@ -130,6 +130,9 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
     lines.append(fill(f"          joints: {_in_order(robot)}", 100, subsequent_indent=" " * 18))
     lines.append(f"          flange: {_about_flange(robot)}")
+    if robot.free_base:
+        how = "in a plane" if robot.free_base == "planar" else "freely"
+        lines.append(f"          base: {robot.base_joint} moves it {how}; input {name}.base_frame")
     limbs = robot.limb_joints
     if len(limbs) > 1:
         each = ", ".join(f"{limb} {len(joints)}" for limb, joints in limbs.items())

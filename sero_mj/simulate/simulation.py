@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from ..base.errors import DeclarationError, Problem, SimulationError, UsageError, collect
-from ..base.frames import Array, frame, rotation_from_quat
+from ..base.frames import Array, Ints, frame, rotation_from_quat
 from ..data.receive.structure import Structure
 from ..robots.declared.mounts import base_frames, unmounted
 from ..robots.declared.robot import SerialRobot
@@ -112,9 +112,13 @@ class Simulation:
         self._contacts = None
         if scenario.has_surroundings:
             self._contacts = Contacts(world, self.plant.model)
-        bases = {name: part.free for name, part in world.robots.items() if len(part.free)}
-        self._free = {event_of(name, "base_frame"): free for name, free in bases.items()}
-        self._free |= {event_of(name, "frame"): free for name, free in world.free_objects.items()}
+        self._free: dict[str, Callable[[Array], Array]] = {
+            event_of(name, "base_frame"): part.base_pose
+            for name, part in world.robots.items()
+            if len(part.free)
+        }
+        for name, free in world.free_objects.items():
+            self._free[event_of(name, "frame")] = partial(_pose_of, free)
 
     @classmethod
     def together(
@@ -536,10 +540,8 @@ class Simulation:
 
     def _write_free(self, k: int) -> None:
         """Writes the poses of free bases and objects into row k."""
-        for event, free in self._free.items():
-            pose = self.plant.qpos[free]
-            T = frame(rotation_from_quat(pose[3:]), pose[:3])
-            self.rows[k, self.layout.columns[event]] = T.ravel()
+        for event, pose in self._free.items():
+            self.rows[k, self.layout.columns[event]] = pose(self.plant.qpos).ravel()
 
     def _write_logged(self, k: int) -> None:
         """Writes what controllers have to log into row k, and targets that programs have set."""
@@ -591,6 +593,12 @@ def _begun_again(
     if not np.array_equal(start, simulation._start):
         simulation.restart(start, seed)
     return simulation
+
+
+def _pose_of(free: Ints, qpos: Array) -> Array:
+    """The pose (4, 4) of a free joint with these indices in qpos."""
+    at = qpos[free]
+    return frame(rotation_from_quat(at[3:]), at[:3])
 
 
 def _check_size(scenario: Scenario) -> None:

@@ -76,10 +76,11 @@ def _tan_half_fovy(world: WorldView) -> float:
 class Framing:
     """Moves a camera back where data show robots outside of the picture of their declared pose.
 
-    A robot that is mirrored stands anywhere. `fit` acts when a coordinate first leaves its declared
-    value, so that a picture does not move with a robot that is in it; and only until the camera is
-    moved, on one that neither the scene nor the user has placed. `hold` is for poses that are known
-    before the first picture; only a camera that the user has placed stays where it is.
+    A robot that is mirrored stands anywhere. `fit` acts when a coordinate, or the position of a
+    base, first leaves its declared value, so that a picture does not move with a robot that is in
+    it; and only until the camera is moved, on one that neither the scene nor the user has placed.
+    `hold` is for poses that are known before the first picture; only a camera that the user has
+    placed stays where it is.
 
     Args:
         world: the compiled scene.
@@ -101,7 +102,8 @@ class Framing:
         self._acts = not is_placed and camera.type == _FREE
         self.needed = needed_aspect(world, camera, wanted)
         self._declared = declared_data(world)
-        self._moved = np.zeros(world.model.nq, bool)
+        self._bases = [part.mocap for part in world.robots.values() if part.mocap >= 0]
+        self._moved = np.zeros(world.model.nq + len(self._bases), bool)
 
     def fit(self, camera: mujoco.MjvCamera, data: mujoco.MjData) -> None:
         """Moves the camera where a state needs it.
@@ -112,7 +114,9 @@ class Framing:
         """
         if not self._acts:
             return
-        moved = data.qpos != self._declared.qpos
+        at = (each.mocap_pos[self._bases] for each in (data, self._declared))
+        bases_moved = np.not_equal(*at).any(axis=1)
+        moved = np.append(data.qpos != self._declared.qpos, bases_moved)
         if not (moved & ~self._moved).any():
             return
         self._moved |= moved
@@ -125,8 +129,10 @@ class Framing:
         farthest = np.abs((lows + highs) / 2 - camera.lookat) + (highs - lows) / 2
         if not (np.linalg.norm(farthest, axis=1) > seen).any():
             return
-        declared = _boxes(self._world, self._declared)
-        centre, radius = _sphere(np.vstack((lows, declared[0])), np.vstack((highs, declared[1])))
+        if not bases_moved.any():  # where robots were declared nothing may be any more
+            declared = _boxes(self._world, self._declared)
+            lows, highs = np.vstack((lows, declared[0])), np.vstack((highs, declared[1]))
+        centre, radius = _sphere(lows, highs)
         camera.lookat, camera.distance = centre, MARGIN * radius / np.sin(half_fovy)
         self._placed = _pose(camera)
 

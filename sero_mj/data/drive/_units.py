@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...robots.declared.inputs import Input
+from ...robots.declared.inputs import PLANAR, Input
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 
@@ -99,6 +99,8 @@ def units_of(scene: Scene, item: Input) -> list[Dimension]:
         turning, sliding = _JOINTS[item.key]
         kinematics = robot_of(scene, item).kinematics
         return [turning if turns else sliding for turns in kinematics.revolute]
+    if item.is_pose and item.shape != (4, 4):
+        return [LENGTH] * 2 + ([_ANGLE] if item.count == len(PLANAR) else [LENGTH] + [NONE] * 4)
     return [NONE] * item.count
 
 

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from ...base.errors import SeroError
-from ...base.frames import Array
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
-from ..record.bag import Bag, look_into
+from ..record.bag import Bag, look_into, open_recording
 from ..record.replay import Replay
-from ..ros.joined_packets import prefix_before
-from ..ros.ros_source import RosSource
+from ..ros.joined_packets import TF, prefix_before
+from ..ros.ros_source import RosSource, is_tf
 from .wiring import wired_source
 
 _FIELDS = frozenset(RosSource.model_fields) - {"name", "structure", "only_latest_packet"}
@@ -74,10 +73,17 @@ def with_bag(scene: Scene, file: Path, source: str | None = None) -> Scene:
     if source not in joints:
         return scene
     led = copy(scene)
-    led.sources = {source: {"kind": "replay", "file": str(file), "source": source}}
-    led.routes = {**joint_routes(name, source), **scene.routes}
-    shown: dict[str, Any] = {"joint_angles": _first_angles(led, source)}
-    if "show_arrows" not in robot.model_fields_set:
+    table: dict[str, Any] = {"kind": "replay", "file": str(file), "source": source}
+    declared = recording.sources[source].declared
+    if not declared.get("odometry") and _base_moves(robot, file):
+        declared = {key: each for key, each in declared.items() if key != "joints"}
+        table["topics"] = declared = {**declared, "odometry": TF}
+    led.sources = {source: table}
+    led.routes = {**source_routes(name, source, declared), **scene.routes}
+    if robot.mount is not None:
+        led.routes.pop(f"{name}.base_frame", None)
+    shown = _first_pose(led, source)
+    if "show_arrows" not in robot.model_fields_set and f"{name}.torques" in led.routes:
         shown["show_arrows"] = True
     led.robots = {name: robot.model_copy(update=shown)}
     return led
@@ -103,26 +109,62 @@ def _source_of(robot: SerialRobot, joints: Mapping[str, Sequence[str]]) -> str |
     return found[0] if len(found) == 1 else None
 
 
-def _first_angles(scene: Scene, source: str) -> Array:
-    """The angles of a robot's joints at the beginning of what leads it, to which views are fitted.
+def _base_moves(robot: SerialRobot, file: Path) -> bool:
+    """Whether the transforms of a recording of ROS move the base of a robot."""
+    links = robot.link_frames
+    if not links or robot.mount is not None:
+        return False
+    with open_recording(file) as recording:
+        assert isinstance(recording, Bag)
+        parents = recording.parent_frames()
+    for link in links:
+        name, passed = link, set[str]()
+        while name in parents and name not in passed:
+            passed.add(name)
+            name, is_moved = parents[name]
+            if is_moved and name not in links:
+                return True
+    return False
+
+
+def _first_pose(scene: Scene, source: str) -> dict[str, Any]:
+    """The pose of a robot at the beginning of what leads it, to which views are fitted.
 
     Args:
         scene: of one robot.
         source: that leads it.
+
+    Returns:
+        its `joint_angles`, and its `base_frame` where the source moves that.
     """
-    (robot,) = scene.robots.values()
+    ((name, robot),) = scene.robots.items()
+    pose: dict[str, Any] = {"joint_angles": robot.home}
     with suppress(SeroError):
         replay = wired_source(scene, source, scene.sources[source])
         replay.debug_level = 0  # what is wrong is told where it is played
         with replay:
             packet = replay.latest()
-        angles = None if packet is None else packet.values.get("joint_angles")
+        values = {} if packet is None else packet.values
+        angles = values.get("joint_angles")
         if angles is not None and len(angles) == robot.coupled.k:
-            return robot.coupled.positions(angles)
-    return robot.home
+            pose["joint_angles"] = robot.coupled.positions(angles)
+        if f"{name}.base_frame" in scene.routes and "base_frame" in values:
+            pose["base_frame"] = values["base_frame"].reshape(4, 4)
+    return pose
 
 
-def joint_routes(robot: str, source: str) -> dict[str, str]:
-    """The routes from a source of ROS to a robot."""
-    events = ("joint_angles", "torques")
+def source_routes(robot: str, source: str, declared: Mapping[str, Any]) -> dict[str, str]:
+    """The routes from a source of ROS to a robot.
+
+    Args:
+        robot: its name.
+        source: its name.
+        declared: its table.
+    """
+    states = declared.get("joint_states", "joint_states")
+    events = ["joint_angles"] if states else []
+    if states and not is_tf(states):
+        events.append("torques")
+    if declared.get("odometry"):
+        events.append("base_frame")
     return {f"{robot}.{event}": f"{source}.{event}" for event in events}

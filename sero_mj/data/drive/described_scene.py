@@ -13,7 +13,7 @@ from ...base import paths
 from ...base.errors import UsageError, shown
 from ..record.bag import DESCRIPTION, Bag
 from ..ros.network import SCHEME, Address, Found, find_robot, robots_with
-from .bag_topics import joint_routes
+from .bag_topics import source_routes
 
 _PATIENCE = 5.0  # s for a network to tell of its robot
 _SOURCE = "ros"
@@ -79,7 +79,7 @@ def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path
     }
     if source is not None:
         tables[f"sources.{_SOURCE}"] = source
-        tables["routes"] = joint_routes(name, _SOURCE)
+        tables["routes"] = source_routes(name, _SOURCE, source)
     file = folder / f"{name}.toml"
     file.write_text("\n".join(_toml(*each) for each in tables.items()), encoding="utf-8")
     return file

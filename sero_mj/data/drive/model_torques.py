@@ -38,7 +38,7 @@ def why_unknown(robots: Mapping[str, SerialRobot], name: str, key: str) -> str:
     """Returns why the models of robots do not tell an output of one; empty if they do."""
     if key == FRICTION:
         return lack_of_friction(robots[name])
-    floating = [each for each, robot in robots.items() if robot.free_base]
+    floating = [each for each, robot in robots.items() if robot.free_base is True]
     return f"the base of {floating[0]} is free: it holds nothing" if floating else ""
 
 

@@ -12,7 +12,7 @@ from ...robots.assemble.parts import DoublePart, RobotPart
 from ...robots.assemble.world_view import SET_BY_SOURCE, WorldView
 from ...robots.declared.cartesian import WORLD
 from ...robots.declared.double import OUT_OF_SIGHT, fade_in
-from ...robots.declared.inputs import BLANKABLE
+from ...robots.declared.inputs import BLANKABLE, frame_of_numbers
 from ...robots.declared.mounts import mount_pose
 from .limbs import Limbs
 from .model_torques import output_now
@@ -258,6 +258,8 @@ class _InputWriter:
         self._blankable = item.kind in BLANKABLE
         self._flag = world.flags[item.target]
         self._pose = item.name if item.kind == "pose" else None
+        self._as_numbers = item.is_pose and item.shape != (4, 4)
+        self._robot = world.scene.robots.get(item.name)
         self._slot = world.slots.get(item.target)
         robot = world.robots.get(item.name) if item.kind == "angles" else None
         self._qpos = None if robot is None else robot.qpos
@@ -268,6 +270,8 @@ class _InputWriter:
             values = self._condition(values)
         if self._negated:
             values = (values <= 0.5).astype(np.float64)
+        if self._as_numbers:
+            values = frame_of_numbers(values, self._robot).ravel()
         finite = np.isfinite(values)
         if not finite.all():
             if not self._blankable:

@@ -17,7 +17,7 @@ origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.tor
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from graphlib import CycleError, TopologicalSorter
 from typing import Any, Self
 
@@ -38,6 +38,8 @@ from ...robots.declared.cartesian import WORLD
 from ...robots.declared.couplings import CoupledJoints
 from ...robots.declared.inputs import (
     BLANKABLE,
+    PLANAR,
+    POSE_NUMBERS,
     ROBOT_INPUTS,
     SCENE,
     Input,
@@ -47,7 +49,7 @@ from ...robots.declared.inputs import (
 from ...robots.declared.mounts import carriers, mount_circles
 from ...robots.declared.route_text import NOT, names_in, parts_of_origin
 from ...robots.declared.scene import Scene
-from ..receive.source import SIGNALS, LedJoint, Source, make_source
+from ..receive.source import SIGNALS, LedJoint, LedLinks, Source, make_source
 from ._units import UNITS, robot_of, units_of, wrong_unit
 from .conditions import condition_of
 from .joint_routes import (
@@ -151,7 +153,23 @@ def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) 
     """
     source = make_source(name, declared)
     source.led_to(_joints_led_to(scene, name))
+    if (links := _links_led_to(scene, name)) is not None:
+        source.led_to_links(links)
     return source
+
+
+def _links_led_to(scene: Scene, source: str) -> LedLinks | None:
+    """The links of the first robot of which a source moves joints or base."""
+    for target, origin in scene.routes.items():
+        name, _, key = target.partition(".")
+        robot = scene.robots.get(name)
+        if robot is None or key not in ("joint_angles", "base_frame"):
+            continue
+        if any(each.partition(".")[0] == source for each in names_in(origin)):
+            joints, positions = robot.coupled.independent, robot.coupled.positions
+            home, poses = robot.home[joints], robot.link_poses
+            return LedLinks(robot.kinematics, joints, positions, home, poses, robot.base_frame)
+    return None
 
 
 def _joints_led_to(scene: Scene, source: str) -> list[LedJoint]:
@@ -444,7 +462,8 @@ class _RouteChecker:
             shares = _shares(value, inputs, text, target)
         routes: list[Route | FrameRoute] = []
         first = 0  # index of a share's first number
-        for item, share in zip(inputs, shares, strict=True):
+        for each, share in zip(inputs, shares, strict=True):
+            item = self._as_numbers(each, share)
             full, numbers = share, np.arange(share.entries.size)
             if item.coupled is not None and share.shape and share.entries.size == item.coupled.k:
                 full, numbers = _with_coupled(share, item, item.coupled), item.coupled.source
@@ -458,6 +477,15 @@ class _RouteChecker:
             if len(inputs) > 1 and share is not value:
                 first += share.entries.size
         return routes
+
+    def _as_numbers(self, item: Input, value: Value) -> Input:
+        """The input as numbers, if a pose gets these in the place of a matrix."""
+        count, robot = value.entries.size, self._scene.robots.get(item.name)
+        is_planar = robot is not None and robot.free_base == "planar" and item.kind == "pose"
+        fits = count == len(POSE_NUMBERS) or (count == len(PLANAR) and is_planar)
+        if not item.is_pose or value.is_frames or len(value.shape) != 1 or not fits:
+            return item
+        return replace(item, shape=(count,))
 
     def _switches(
         self,
@@ -672,7 +700,9 @@ def _wrong_shape(value: Value, item: Input) -> str:
         if value.is_frames and count == 16:
             return ""
         found = f"has {many}" if len(shape) < 2 else f"is {' x '.join(map(str, shape))}"
-        return f"{found}; {item.target} takes {item.meaning}: 1M in the structure"
+        numbers = f"{len(POSE_NUMBERS)} numbers {', '.join(POSE_NUMBERS)}"
+        takes = f"{item.meaning}, 1M in the structure, or {numbers}"
+        return f"{found}; {item.target} takes {takes}"
     if value.is_constant and not shape:
         return ""  # one number for all
     if count != item.count:

@@ -12,6 +12,7 @@ import time as clock
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -27,6 +28,7 @@ from ...base.errors import (
 )
 from ...base.frames import Array, Ints
 from ...base.plugins import SOURCES, load_plugin, plugin_name, plugins
+from ...robots.declared.joint_tree import JointTree
 from ._tracking import Timing
 from .intake import Counters, Intake, pad_packets
 from .mailbox import Mailbox, Packet, Packets
@@ -59,6 +61,28 @@ class LedJoint(NamedTuple):
     name: str
     angle: float = 0.0
     torque_limit: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class LedLinks:
+    """The links of a robot to which routes lead, for sources of transforms.
+
+    Attributes:
+        tree: kinematics of the robot, n joints.
+        joints: indices of the independent ones, as in `Source.led_to`, (k,).
+        positions: returns the positions of all joints (n,), from those of the independent (k,).
+        home: declared positions of the independent ones, (k,), rad or m.
+        poses: link of the robot's original file by name: index of the body, 0 for the base, and
+            T_body_link (4, 4), m.
+        base: T_world_base (4, 4) as declared, m.
+    """
+
+    tree: JointTree
+    joints: Ints
+    positions: Callable[[Array], Array]
+    home: Array
+    poses: Mapping[str, tuple[int, Array]]
+    base: Array
 
 
 class Source(PacketDeclaration):
@@ -246,6 +270,12 @@ class Source(PacketDeclaration):
         """Tells it the joints of the first robot or group that routes from it lead to, in order.
 
         For sources whose messages name joints; called before its events are asked for.
+        """
+
+    def led_to_links(self, links: LedLinks) -> None:
+        """Tells it the links of the first robot that routes from it lead to.
+
+        For sources of transforms; called before its events are asked for.
         """
 
     def needs_joints(self, event: str) -> bool:

@@ -13,6 +13,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
+from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -23,9 +24,9 @@ from ...base.errors import Problem, RecordingError, UnknownName
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
 from ...robots.importers.imported_tables import first_of
 from ..ros.dds import Ros2
-from ..ros.joined_packets import FRAMES, JoinedPackets
-from ..ros.messages import JOINT_STATE, TEXT, MalformedMessage, type_store
-from ..ros.ros_source import MOST_KEPT, TYPES, RosSource
+from ..ros.joined_packets import FRAMES, TF, JoinedPackets
+from ..ros.messages import JOINT_STATE, ODOMETRY, TEXT, MalformedMessage, type_store
+from ..ros.ros_source import MOST_KEPT, TYPES, RosSource, is_tf
 from ._mcap_reader import BROKEN, NOT_CLOSED
 from ._mended_mcap import MendedMcap
 from ._mended_sqlite import log_of, with_log
@@ -42,6 +43,7 @@ _LONGER = 8.0  # times as long, as long as nothing is found
 _NEXT = 1e-9  # s, the resolution of times
 _MANY = 10  # topics in a message
 _NAMED = 3  # joints of a topic in a message
+_FIRST_TRANSFORMS = 200  # messages, in which all publishers should have sent one
 _REMEMBERED = 16  # recordings
 _looked_into: OrderedDict[tuple[Any, ...], PacketFile] = OrderedDict()
 
@@ -264,11 +266,12 @@ class Bag(PacketFile):
         found: dict[str, RosSource] = {}
         for name, declared in topics.items():
             source = declared
-            if not any(topic in there for topic, tells in source.topics if tells != FRAMES):
+            wanted = [topic for topic, tells in source.topics if tells != FRAMES]
+            if not there.intersection(wanted or [topic for topic, _ in source.topics]):
                 if len(self._states) != 1 or not source.is_default("joint_states"):
                     continue
                 source = source.with_fields(joint_states=self._states[0])
-            if source.joint_states and not source.joint_names:
+            if source.joint_states and not source.joint_names and not is_tf(source.joint_states):
                 source = source.with_fields(joints=self._joints_of(source.topics[0][0]))
             found[name] = source
         return found
@@ -279,17 +282,27 @@ class Bag(PacketFile):
         return list(getattr(first, "name", []))
 
     def _named_by_topic(self) -> dict[str, RosSource]:
-        """A source for each topic with the states of joints."""
+        """A source for each topic with the states of joints, or one for what else moves a robot."""
+        odometry = list(
+            dict.fromkeys(e.topic for e in self._reader.connections if e.msgtype == ODOMETRY)
+        )
+        base = odometry[0] if len(odometry) == 1 else ""
+        if not self._states and any(e.topic == "/tf" for e in self._reader.connections):
+            return {TF: Ros2(name=TF, joint_states=TF, odometry=base or TF)}
+        if not self._states and base:
+            name = base.strip("/").replace("/", "_")
+            return {name: Ros2(name=name, joint_states="", odometry=base)}
         if not self._states:
             kinds = {each.topic: each.msgtype for each in self._reader.connections}
             listed = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(kinds)[:_MANY])
-            problem = Problem("", f"has the topics {listed}", expected=f"one of {JOINT_STATE}")
+            expected = f"one of {JOINT_STATE} or {ODOMETRY}, or /tf"
+            problem = Problem("", f"has the topics {listed}", expected=expected)
             raise RecordingError(self.path, problem)
         found: dict[str, RosSource] = {}
         for topic in self._states:
             name, names = topic.strip("/").replace("/", "_"), self._joints_of(topic)
             if names:
-                found[name] = Ros2(name=name, joint_states=topic, joints=names)
+                found[name] = Ros2(name=name, joint_states=topic, joints=names, odometry=base)
             else:
                 self.faults.append(f"no message of {topic} names joints; it is left out")
         return found
@@ -361,6 +374,20 @@ class Bag(PacketFile):
             return str(message.data).encode()
         raise RecordingError(self.path, f"{topics[0]} has no message")
 
+    def parent_frames(self) -> dict[str, tuple[str, bool]]:
+        """The parent of every frame of the first transforms, and whether it is moved (`/tf`).
+
+        Names are the last parts, without a prefix.
+        """
+        found = {}
+        for topic in ("/tf_static", "/tf"):
+            for _, message in islice(self._messages([topic]), _FIRST_TRANSFORMS):
+                for each in message.transforms:
+                    names = (each.child_frame_id, each.header.frame_id)
+                    child, parent = (name.rpartition("/")[2] for name in names)
+                    found[child] = parent, topic == "/tf"
+        return found
+
     def close(self) -> None:
         """Closes the file; harmless when it is not open."""
         if self._reader is not None and self._reader.stack is not None:
@@ -415,7 +442,7 @@ class Bag(PacketFile):
 
     def _take_still(self, joined: JoinedPackets, source: RosSource, until: float) -> None:
         """Takes frames that do not move, which are published once."""
-        if source.frames:
+        if source.reads_transforms:
             for time, connection, raw in self._raw(["/tf_static"], stop=until):
                 self._joined_with(joined, FRAMES, connection, raw, time)
 

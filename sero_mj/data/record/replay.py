@@ -23,7 +23,7 @@ from ...base.frames import Array
 from ...base.plugins import SOURCES, load_plugin, plugins
 from ..receive.intake import Intake
 from ..receive.mailbox import Packets
-from ..receive.source import LedJoint, Source, log
+from ..receive.source import LedJoint, LedLinks, Source, log
 from ..receive.structure import Structure
 from ..ros.dds import Ros2
 from ..ros.ros_source import RosSource
@@ -146,6 +146,20 @@ class Replay(Source):
             declared.pop("joints", None)
         self._of_ros = Ros2(**{**declared, **self.topics})
         self._of_ros.led_to(joints)
+        self._forget_original()
+
+    def led_to_links(self, links: LedLinks) -> None:
+        """Takes the links of the robot that routes lead to, for transforms of ROS."""
+        if self._of_ros is None and not isinstance(
+            recording := look_into(self.file, self._wanted), Recording
+        ):
+            declared = recording.sources[self.source].declared
+            self._of_ros = Ros2(**{**declared, **self.topics})
+        if self._of_ros is not None:
+            self._of_ros.led_to_links(links)
+            self._forget_original()
+
+    def _forget_original(self) -> None:
         for key in ("recorded", "original", "layout"):
             self.__dict__.pop(key, None)
 

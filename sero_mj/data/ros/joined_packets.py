@@ -13,12 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from ...base.frames import Array, frame, rotation_from_quat
-from ..receive.source import LedJoint
+from ...base.frames import Array, frame, inverse, rotation_from_quat
+from ..receive.source import LedJoint, LedLinks
 from ..receive.structure import Structure
+from .link_transforms import LinkTransforms
 from .messages import MalformedMessage
 
 JOINT_STATES, FORCES, COMMANDS, FRAMES = "joint states", "wrench", "commands", "transforms"
+ODOMETRY, POSE = "odometry", "pose"
+TF = "tf"  # in the place of a topic: what it would tell is solved from transforms
 JOINT_EVENTS = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 _MANY = 8  # names in a message
 _PATIENCE = 2.0  # s in which every publisher of joints should have sent a message
@@ -39,6 +42,11 @@ class JoinedPackets:
         has_forces: whether there is a topic of a wrench.
         frames: names of frames that are wanted, k.
         root: the frame in which they are wanted.
+        odometry: whether there is the pose of the base: `ODOMETRY` by its topic, `TF` by
+            transforms, empty for none.
+        has_pose: whether there is a topic of a pose.
+        joints_by: `TF` where transforms of links tell the angles; else empty.
+        links: of the robot, for transforms and odometry; None where it is unknown.
         torque_constants: torque per unit of effort, one for all, or (n,).
         tell: gets what a user should know, once.
 
@@ -56,22 +64,33 @@ class JoinedPackets:
         has_forces: bool = False,
         frames: Sequence[str] = (),
         root: str = "",
+        odometry: str = "",
+        has_pose: bool = False,
+        joints_by: str = "",
+        links: LedLinks | None = None,
         torque_constants: float | Sequence[float] | Array = 1.0,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._joints = list(joints)
         self._wanted = [names.get(joint.name, joint.name) for joint in joints]
         self._frames, self._root = list(frames), root
+        self._odometry, self._joints_by = odometry, joints_by
         self._factors = np.broadcast_to(np.asarray(torque_constants, float), len(joints))
         self._limits = np.array([joint.torque_limit for joint in joints])
         self._tell = tell
         count = len(joints)
         parts = {"stamp:1d": 1}
         if count:
-            events = JOINT_EVENTS if has_commands else JOINT_EVENTS[:3]
+            events = JOINT_EVENTS if has_commands else JOINT_EVENTS[: 1 if joints_by == TF else 3]
             parts |= {f"{event}:{count}d": count for event in events}
         if has_forces:
             parts |= {"force:1Vd": 3, "moment:1Vd": 3}
+        if odometry:
+            parts |= {"base_frame:1Td": 12}
+        if odometry == ODOMETRY:
+            parts |= {"base_velocity:1Vd": 3, "base_angular_velocity:1Vd": 3}
+        if has_pose:
+            parts |= {"pose:1Td": 12}
         parts |= {f"{event_of_frame(name)}:1Td": 12 for name in frames}
         self.structure = f"< {' '.join(parts)}"
         ends = np.cumsum([*parts.values()]).tolist()
@@ -82,15 +101,37 @@ class JoinedPackets:
         self._values = np.full(ends[-1], np.nan)
         if count:
             self._values[self._places["joint_angles"]] = [joint.angle for joint in joints]
-        orders = {JOINT_STATES: count, FORCES: has_forces, FRAMES: frames}
-        self.leads = next((topic for topic, is_wanted in orders.items() if is_wanted), JOINT_STATES)
+        if odometry:
+            base = np.eye(4) if links is None else links.base
+            self._values[self._places["base_frame"]] = base[:3].T.ravel()
+        self._links = self._linked(links, [*{odometry, joints_by} & {TF}])
+        orders = {
+            JOINT_STATES: count and joints_by != TF,
+            FRAMES: joints_by == TF,
+            ODOMETRY: odometry == ODOMETRY,
+            POSE: has_pose,
+            FORCES: has_forces,
+        }
+        self.leads = next((topic for topic, is_wanted in orders.items() if is_wanted), FRAMES)
         self._first = count  # the first joint that any message had so far
+        self._first_body = np.inf  # the same of bodies and transforms
         self._awaited = set(self._wanted)  # joints without values so far
         self._told_at = np.inf  # time, s, at which they are told
         self._found: list[str] | None = None  # names in the last message
         self._mine = self._theirs = np.arange(0)
         self._has_doubts = False  # whether efforts are torques
         self._parents: dict[str, tuple[str, Array]] = {}
+
+    def _linked(self, links: LedLinks | None, wanted: Sequence[str]) -> LinkTransforms | None:
+        """What solves joints and base; None where the robot's links are unknown."""
+        if links is None or len(links.joints) != len(self._joints or links.joints):
+            return None
+        if wanted and not links.poses:
+            self._tell(
+                "the robot does not say where the links of its original file are, so transforms "
+                "do not move it; a robot from URDF or MJCF does (link_frames)"
+            )
+        return LinkTransforms(links, self._tell)
 
     @cached_property
     def layout(self) -> MessageLayout:
@@ -119,8 +160,10 @@ class JoinedPackets:
             wrench = message.wrench
             for event, vector in (("force", wrench.force), ("moment", wrench.torque)):
                 values[self._places[event]] = vector.x, vector.y, vector.z
+        elif topic in (ODOMETRY, POSE):
+            self._take_pose(values, message, topic)
         else:
-            self._take_frames(values, message)
+            makes = self._take_frames(values, message) or (makes and self._joints_by != TF)
         header = getattr(message, "header", None)
         if makes:
             stamp = 0.0 if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
@@ -224,7 +267,29 @@ class JoinedPackets:
             raise MalformedMessage(f"{found}; expected {len(self._joints)}, one for each joint")
         values[self._places["commanded_torques"]] = message.data
 
-    def _take_frames(self, values: Array, message: Any) -> None:
+    def _take_pose(self, values: Array, message: Any, topic: str) -> None:
+        given = message.pose.pose if topic == ODOMETRY else message.pose
+        moved, turned = given.position, given.orientation
+        pose = _pose((moved.x, moved.y, moved.z), (turned.w, turned.x, turned.y, turned.z))
+        if pose is None:
+            raise MalformedMessage(f"the orientation of the {topic} is no unit quaternion")
+        if topic == POSE:
+            values[self._places["pose"]] = pose[:3].T.ravel()
+            return
+        for event, vector in (
+            ("base_velocity", message.twist.twist.linear),
+            ("base_angular_velocity", message.twist.twist.angular),
+        ):
+            values[self._places[event]] = vector.x, vector.y, vector.z
+        if self._links is not None:  # the pose of another link
+            angles = values[self._places["joint_angles"]] if self._joints else None
+            link = message.child_frame_id.lstrip("/")
+            pose = pose @ inverse(self._links.in_base(link, angles))
+        values[self._places["base_frame"]] = pose[:3].T.ravel()
+
+    def _take_frames(self, values: Array, message: Any) -> bool:
+        """Takes transforms; whether the first of all bodies is moved, the base last."""
+        bodies: list[float] = []
         for transform in message.transforms:
             parent, child = transform.header.frame_id, transform.child_frame_id
             moved, turned = transform.transform.translation, transform.transform.rotation
@@ -232,10 +297,24 @@ class JoinedPackets:
             if pose is None:
                 raise MalformedMessage(f"the rotation of {child} is no unit quaternion")
             self._parents[child.lstrip("/")] = parent.lstrip("/"), pose
+            if self._links is not None:
+                body = self._links.take(parent.lstrip("/"), child.lstrip("/"), pose)
+                bodies += [] if body is None else [body or np.inf]
+        if self._links is not None:
+            self._solve(values, self._links)
         for name in self._frames:
             pose = self._in_root(name)
             if pose is not None:
                 values[self._places[event_of_frame(name)]] = pose[:3].T.ravel()  # column-major
+        self._first_body = min([self._first_body, *bodies])
+        return self.leads == FRAMES and self._first_body in bodies
+
+    def _solve(self, values: Array, links: LinkTransforms) -> None:
+        """Takes what the transforms of links tell of joints and base."""
+        if self._joints_by == TF:
+            values[self._places["joint_angles"]] = links.solve()
+        if self._odometry == TF and (base := links.base(self._root)) is not None:
+            values[self._places["base_frame"]] = base[:3].T.ravel()
 
     def _in_root(self, name: str) -> Array | None:
         """The pose of a frame in the root; None while it is unknown."""

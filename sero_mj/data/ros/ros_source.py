@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from ...base.errors import Problem, SourceError
-from ..receive.source import LedJoint, Source
+from ..receive.source import LedJoint, LedLinks, Source
 from ..receive.structure import TorqueSign
 from . import messages
 from .joined_packets import (
@@ -21,6 +21,9 @@ from .joined_packets import (
     FRAMES,
     JOINT_EVENTS,
     JOINT_STATES,
+    ODOMETRY,
+    POSE,
+    TF,
     JoinedPackets,
     MessageLayout,
     event_of_frame,
@@ -33,6 +36,8 @@ TYPES = {
     FORCES: messages.WRENCH,
     COMMANDS: messages.NUMBERS,
     FRAMES: messages.TRANSFORMS,
+    ODOMETRY: messages.ODOMETRY,
+    POSE: messages.POSE,
 }
 MOST_KEPT = 2048  # bytes of a malformed message
 _MOST_NAMED = 5  # topics in a text
@@ -43,17 +48,23 @@ class RosSource(Source):
 
     Events are `stamp` and, for the n joints, `joint_angles`, `joint_velocities` and `torques`, each
     NaN where no message tells it (angles: as the robot declares them); where they are asked for,
-    `commanded_torques`, `force` and `moment`, and `tf_NAME` of each frame.
+    `commanded_torques`, `force` and `moment`, `base_frame` with `base_velocity` and
+    `base_angular_velocity` in the frame of the base, `pose`, and `tf_NAME` of each frame.
 
     Attributes:
-        joint_states: topic of `sensor_msgs/JointState`; empty for none.
+        joint_states: topic of `sensor_msgs/JointState`, or `tf` for angles that are solved from the
+            transforms of the robot's links; empty for none.
         joints: names of the joints in messages: a list in the robot's order, or a table from the
             robot's names to those that differ. Without it they have the robot's names, or these
             with one prefix.
         commands: topic of `std_msgs/Float64MultiArray` with commanded torques; empty for none.
         wrench: topic of `geometry_msgs/WrenchStamped`; empty for none.
+        odometry: topic of `nav_msgs/Odometry` with the pose of the robot's base, or `tf` for that
+            pose from transforms; empty for none.
+        pose: topic of `geometry_msgs/PoseStamped`; empty for none.
         frames: names of frames of `tf` and `tf_static` to receive.
-        root: the frame in which these are wanted.
+        root: the frame in which these and a base from `tf` are wanted; for the base the topmost one
+            when empty.
         namespace: stands before topics that do not begin with `/`.
         effort_unit: of efforts: `Nm`, or `A` with `torque_constants`.
         torque_constants: torque per ampere, Nm/A, one for all joints or one for each.
@@ -66,6 +77,8 @@ class RosSource(Source):
     joints: list[str] | dict[str, str] = []
     commands: str = ""
     wrench: str = ""
+    odometry: str = ""
+    pose: str = ""
     frames: list[str] = []
     root: str = ""
     namespace: str = ""
@@ -79,9 +92,21 @@ class RosSource(Source):
     _structure_is: ClassVar[str] = "made of what the topics tell"
     # As long as the routes are unknown, whatever a driver does not publish may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(
-        frozenset(("joint_velocities", "torques", "commanded_torques", "force", "moment"))
+        frozenset(
+            (
+                "joint_velocities",
+                "torques",
+                "commanded_torques",
+                "force",
+                "moment",
+                "base_velocity",
+                "base_angular_velocity",
+                "pose",
+            )
+        )
     )
     _led: list[LedJoint] = PrivateAttr(default_factory=list)
+    _links: LedLinks | None = PrivateAttr(None)
     _kinds: dict[str, str] = PrivateAttr(default_factory=dict)
 
     @field_validator("joints")
@@ -110,7 +135,7 @@ class RosSource(Source):
             found = "without" if self.effort_unit == "A" else "with"
             problem = Problem("torque_constants", f"effort_unit is {self.effort_unit} {found} them")
             raise problem.error()
-        if not (self.joint_states or self.wrench or self.frames):
+        if not (self.joint_states or self.wrench or self.frames or self.odometry or self.pose):
             raise Problem("joint_states", "no topic is read", expected="the name of one").error()
         if self.frames and not self.root:
             expected = "the frame in which they are wanted, base_link say"
@@ -121,6 +146,11 @@ class RosSource(Source):
     def led_to(self, joints: Sequence[LedJoint]) -> None:
         """Takes the joints that routes lead to; those of `joints` stay if they are a list."""
         self._led = list(joints)
+        self.__dict__.pop("layout", None)
+
+    def led_to_links(self, links: LedLinks) -> None:
+        """Takes the links of the robot that routes lead to."""
+        self._links = links
         self.__dict__.pop("layout", None)
 
     def needs_joints(self, event: str) -> bool:
@@ -155,6 +185,10 @@ class RosSource(Source):
             has_forces=bool(self.wrench),
             frames=self.frames,
             root=self.root,
+            odometry=self.odometry and (TF if is_tf(self.odometry) else ODOMETRY),
+            has_pose=bool(self.pose),
+            joints_by=TF if is_tf(self.joint_states) else "",
+            links=self._links,
             torque_constants=self.torque_sign * np.asarray(constants, float),
             tell=self.tell_once if tell is None else tell,
         )
@@ -166,7 +200,7 @@ class RosSource(Source):
 
     def decoding_fields(self) -> dict[str, Any]:
         """The fields that determine the meaning of packets; for recordings."""
-        kept = {"joint_states", "commands", "wrench", "frames", "root"}
+        kept = {"joint_states", "commands", "wrench", "odometry", "pose", "frames", "root"}
         fields = self.model_dump(mode="json", include=kept, exclude_defaults=True)
         return {**fields, **self._place_fields(), "joints": self.joint_names}
 
@@ -178,11 +212,26 @@ class RosSource(Source):
     @property
     def topics(self) -> list[tuple[str, str]]:
         """What is read: topics by their full names, and what each tells."""
-        declared = {JOINT_STATES: self.joint_states, FORCES: self.wrench, COMMANDS: self.commands}
-        found = [(self._full(topic), tells) for tells, topic in declared.items() if topic]
-        if self.frames:
+        declared = {
+            JOINT_STATES: self.joint_states,
+            ODOMETRY: self.odometry,
+            POSE: self.pose,
+            FORCES: self.wrench,
+            COMMANDS: self.commands,
+        }
+        found = [
+            (self._full(topic), tells)
+            for tells, topic in declared.items()
+            if topic and not is_tf(topic)
+        ]
+        if self.reads_transforms:
             found += [("/tf", FRAMES), ("/tf_static", FRAMES)]
         return found
+
+    @property
+    def reads_transforms(self) -> bool:
+        """Whether it reads `tf` and `tf_static`."""
+        return bool(self.frames) or is_tf(self.joint_states) or is_tf(self.odometry)
 
     def _full(self, topic: str) -> str:
         if topic.startswith("/"):
@@ -199,6 +248,7 @@ class RosSource(Source):
         own = {key: self.__dict__[key] for key in type(self).model_fields}
         other = type(self)(**{**own, **fields})
         other.led_to(self._led)
+        other._links = self._links
         return other
 
     @property
@@ -284,6 +334,11 @@ def wrong_with(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> s
         instead = f"; of its type are {', '.join(fitting[:_MOST_NAMED])}" if fitting else ""
         return f"nobody publishes {topic}{instead}"
     return "" if kind in kinds else f"{topic} is of type {kinds[0]}; expected {kind}"
+
+
+def is_tf(topic: str) -> bool:
+    """Whether a topic is that of transforms."""
+    return topic.lstrip("/") == TF
 
 
 def ros_type(name: str) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from ...base.errors import UsageError, did_you_mean
 from ...base.frames import Array, frame, rotation_about
 from ...robots.assemble.friction_torques import VELOCITIES
-from ...robots.declared.inputs import Input, list_inputs
+from ...robots.declared.inputs import Input, list_inputs, numbers_of_frame
 from ...robots.declared.scene import Scene
 from ..drive.model_torques import ModelTorques, origins_of
 from ..drive.route import Origin, Route
@@ -174,6 +174,8 @@ class MotionPackets:
         wanted = {}
         for item, negated in self._wanted:
             value = self._value(item, now, t)
+            if item.is_pose:
+                value = numbers_of_frame(value, item.count, self._scene.robots.get(item.name))
             wanted[item.target] = 1.0 - value if negated else value
         if self._inverse is None:
             values = {event: wanted[target] for event, target in self._plain.items()}

@@ -34,7 +34,7 @@ class GravityTorques:
     """
 
     def __init__(self, robots: Mapping[str, SerialRobot]) -> None:
-        floating = [name for name, robot in robots.items() if robot.free_base]
+        floating = [name for name, robot in robots.items() if robot.free_base is True]
         if floating:
             why = "has a free base: it holds nothing"
             raise DeclarationError([Problem(f"robots.{name}", why) for name in floating])

@@ -139,7 +139,7 @@ def _add_robot(root: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics 
         base = _attach(root, root.worldbody, piece, robot.name, robot.base_frame)
         base.mocap = dynamics is None or not robot.free_base
         if dynamics is not None and robot.free_base:
-            base.add_freejoint(name=f"{robot.name}/free_base")
+            _free_base(base, robot)
     else:
         at = root.site(_mount_site(robot.mount))
         T_body_mount = frames.frame(frames.rotation_from_quat(at.quat), at.pos)
@@ -147,6 +147,16 @@ def _add_robot(root: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynamics 
     if dynamics is not None:
         set_inertia(base, dynamics, 0)
         exclude_neighbours(root, robot)
+
+
+def _free_base(base: mujoco.MjsBody, robot: SerialRobot) -> None:
+    name = f"{robot.name}/{robot.base_joint}"
+    if robot.free_base != "planar":
+        base.add_freejoint(name=name)
+        return
+    kinds = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    for along, kind, axis in zip(("x", "y", "yaw"), kinds, robot.base_axes, strict=True):
+        base.add_joint(name=f"{name}_{along}", type=kind, axis=axis)
 
 
 def _standing_together(scene: Scene) -> list[list[str]]:

@@ -235,9 +235,9 @@ def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | 
 def _links_near_base(robot: SerialRobot) -> Bools:
     """Returns which links are so close to a base in the world that they may overlap its mount.
 
-    (n + 1,). For a robot with a moving base all links collide with the floor.
+    (n + 1,). For a robot with a free or mounted base all links collide with the floor.
     """
-    if robot.free_base or robot.mount is not None:
+    if robot.free_base is True or robot.mount is not None:
         return np.zeros(robot.n + 1, bool)
     table = robot.kinematics
     near = 2.5 * robot.housing_radii[0]

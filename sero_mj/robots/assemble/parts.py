@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ...base.frames import Array, Bools, Ints
+from ...base.frames import Array, Bools, Ints, frame, rotation_from_quat
 from ..declared.cartesian import WORLD, NamedFrame
 from ..declared.double import Double
 from ..declared.joint_tree import JointTree
@@ -41,7 +41,8 @@ class RobotPart:
         bodies: ids of the base and every link, (n + 1,).
         flange_body: id of the flange.
         joints: its rows in the world's `JointTable`.
-        free: index in `qpos` of position and quaternion of a free base, (7,); else empty.
+        free: index in `qpos` of position and quaternion of a free base, (7,), or of x, y and yaw of
+            a planar one, (3,); else empty.
         sizes: of its arrows, measured with `fit_arrows`; None for the declared ones.
     """
 
@@ -91,6 +92,17 @@ class RobotPart:
     def billboard_lines(self) -> list[BillboardLine] | None:
         """Declared lines of its billboards."""
         return self.robot.billboard_lines
+
+    def base_pose(self, qpos: Array) -> Array:
+        """Returns T_world_base (4, 4) of a free or planar base, translation in m.
+
+        Args:
+            qpos: of the world, (nq,).
+        """
+        at = qpos[self.free]
+        if self.robot.free_base != "planar":
+            return frame(rotation_from_quat(at[3:]), at[:3])
+        return self.robot.planar_pose(at)
 
     @property
     def base_name(self) -> str:

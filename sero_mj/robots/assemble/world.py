@@ -316,11 +316,13 @@ class World(WorldView):
             self.robots[name] = replace(part, sizes=measure(self.model, data, seen))
 
     def _free(self, base: int) -> Ints:
-        """Returns the indices in `qpos` of the free joint of a body; empty without one."""
-        joint = self.model.body_jntadr[base]
+        """Returns the indices in `qpos` of the joints of a body that is free; empty without one."""
+        joint, count = self.model.body_jntadr[base], int(self.model.body_jntnum[base])
         if joint < 0:
             return np.zeros(0, np.intp)
-        return np.arange(7, dtype=np.intp) + int(self.model.jnt_qposadr[joint])
+        if self.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+            count = 7
+        return np.arange(count, dtype=np.intp) + int(self.model.jnt_qposadr[joint])
 
     def _measure_without_doubles(self) -> None:
         """Sets the model's extent, which scales near plane, far plane and shadows.

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...base.declaration import numbers
 from ...base.errors import DeclarationError, Problem, UnknownName, problems_of, shown
-from ...base.frames import Array, frame_from
+from ...base.frames import Array, frame, frame_from, quat_from_rotation, rotation_from_quat
 from .couplings import CoupledJoints
 from .robot import SerialRobot
 from .robot_parts import ARROW_QUANTITIES, VALUE_INPUTS
@@ -53,6 +53,9 @@ SCENE = "toggles"  # `toggles.legend` switches for the whole scene
 InputKind = Literal["angles", "values", "pose", "frame", "vector", "toggle"]
 # Kinds in which NaN means "no data"; the others move something, so NaN is an error.
 BLANKABLE = ("values", "vector", "toggle", "frame")
+POSE_NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz")  # in the place of a matrix
+PLANAR = ("x", "y", "yaw")  # in the place of that of a planar base
+_UNIT_TOLERANCE = 1e-2  # of a quaternion's length
 # Largest magnitudes of values that are applied; a packet with a larger one is garbage. They are far
 # above what any robot has, and far below where pictures fail: at 1e6 m, float32 resolves 6 cm.
 MAX_ANGLE = 1e6  # rad, or m for prismatic joints: 160,000 turns
@@ -94,14 +97,24 @@ class Input:
     @property
     def limits(self) -> Array:
         """Largest magnitude of each value that is applied, in the input's shape."""
-        if self.shape == (4, 4):
+        if self.is_pose:
             limits = np.full(self.shape, np.inf)
-            limits[:3, 3] = MAX_POSITION
+            if self.shape == (4, 4):
+                limits[:3, 3] = MAX_POSITION
+            else:
+                limits[:3] = (
+                    [MAX_POSITION] * 3 if self.count > 3 else [MAX_POSITION] * 2 + [MAX_ANGLE]
+                )
             return limits
         limit = {"angles": MAX_ANGLE, "vector": MAX_TORQUE, "toggle": np.inf}.get(
             self.kind, MAX_TORQUE if self.key in _TORQUES else MAX_OTHER
         )
         return np.full(self.shape, limit)
+
+    @property
+    def is_pose(self) -> bool:
+        """Whether it is a pose: as a matrix, or as the numbers that a route has instead."""
+        return self.kind in ("pose", "frame")
 
     @property
     def meaning(self) -> str:
@@ -213,6 +226,33 @@ def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
             target, f"found {found}", expected=f"{sum(full)}{finite}: {each}{fewer}"
         ).error()
     return np.split(array, np.cumsum(counts)[:-1])
+
+
+def frame_of_numbers(numbers: Array, robot: SerialRobot | None = None) -> Array:
+    """Returns the frame (4, 4) that a packet's numbers describe; of NaN if they are no pose.
+
+    Args:
+        numbers: a matrix row by row, (16,); x, y, z and a unit quaternion w, x, y, z, (7,); or x, y
+            and yaw of a planar base, (3,); m and rad.
+        robot: with that base.
+    """
+    if len(numbers) == len(PLANAR) and robot is not None:
+        return robot.planar_pose(numbers)
+    if len(numbers) != len(POSE_NUMBERS):
+        return numbers.reshape(4, 4)
+    length = np.linalg.norm(numbers[3:])
+    if not abs(length - 1.0) <= _UNIT_TOLERANCE:
+        return np.full((4, 4), np.nan)
+    return frame(rotation_from_quat(numbers[3:] / length), numbers[:3])
+
+
+def numbers_of_frame(T: Array, count: int, robot: SerialRobot | None = None) -> Array:
+    """Returns so many numbers (count,) for a frame, the inverse of `frame_of_numbers`."""
+    if count == len(PLANAR) and robot is not None:
+        return robot.planar_place(T)
+    if count == len(POSE_NUMBERS):
+        return np.append(T[:3, 3], quat_from_rotation(T[:3, :3]))
+    return T.ravel()
 
 
 def _can_be_moved(item: Object) -> bool:

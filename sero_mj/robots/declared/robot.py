@@ -15,7 +15,17 @@ import numpy as np
 
 from ...base import paths
 from ...base.errors import DeclarationError
-from ...base.frames import MIRROR, Array, Bools, Ints, compose
+from ...base.frames import (
+    MIRROR,
+    Array,
+    Bools,
+    Ints,
+    compose,
+    frame,
+    inverse,
+    rotation_about,
+    rotation_to_z,
+)
 from ...base.toml_file import located
 from ..importers.mjcf_file import is_file_name
 from ..importers.robot_file import read_robot_file
@@ -27,7 +37,7 @@ from .joint_ranges import display_ranges, plausible_limits
 from .joint_tree import JointFrames, JointTree
 from .limbs import all_limbs, find_limbs
 from .robot_declaration import BASE, RobotDeclaration
-from .robot_parts import IN_DEGREES, frame_label
+from .robot_parts import IN_DEGREES, frame_label, frame_labels
 from .shapes import clear_radii, housing_radii
 from .surroundings import set_directory
 from .torque_units import TorqueUnit, torque_units
@@ -168,6 +178,30 @@ class SerialRobot(RobotDeclaration):
         return np.array([index[parent] for parent in self.parents], np.intp)
 
     @property
+    def base_axes(self) -> Array:
+        """Axes of a planar base in its frame, (3, 3): two directions of motion and the normal.
+
+        They are right-handed. For the usual normal, z, they are x, y and z.
+        """
+        return rotation_to_z(np.eye(3), self.base_normal * ([1, -1, 1] if self.mirrored else 1)).T
+
+    def planar_pose(self, at: Array) -> Array:
+        """Returns T_world_base (4, 4) of a planar base.
+
+        Args:
+            at: x, y (m) and yaw (rad) from `base_frame` along and about `base_axes`, (3,).
+        """
+        axes = self.base_axes
+        turned = axes.T @ rotation_about(2, at[2]) @ axes
+        return np.asarray(self.base_frame @ frame(turned, at[:2] @ axes[:2]))
+
+    def planar_place(self, T_world_base: Array) -> Array:
+        """Returns x, y and yaw (3,) of a pose (4, 4) in the plane, the inverse of `planar_pose`."""
+        axes, T = self.base_axes, inverse(self.base_frame) @ T_world_base
+        turned = axes @ T[:3, :3] @ axes.T
+        return np.append(axes[:2] @ T[:3, 3], np.arctan2(turned[1, 0], turned[0, 0]))
+
+    @property
     def flange_link(self) -> int:
         """Index of the link that carries the flange, 1 to n."""
         return self.n if self.flange_on is None else self.names.index(self.flange_on) + 1
@@ -195,10 +229,22 @@ class SerialRobot(RobotDeclaration):
         return MIRROR @ self.flange_frame @ MIRROR if self.mirrored else self.flange_frame
 
     @property
+    def link_poses(self) -> dict[str, tuple[int, Array]]:
+        """Links of the original file by name: index of the link, 0 for the base, and the pose.
+
+        The pose is T_link_original (4, 4), m, also of a mirrored robot.
+        """
+        links = {label: i for i, label in enumerate(frame_labels(self.n))}
+        return {
+            name: (links[at.on], MIRROR @ at.frame @ MIRROR if self.mirrored else at.frame)
+            for name, at in self.link_frames.items()
+        }
+
+    @property
     def child_frames(self) -> list[Array]:
         """T_on_child (4, 4) of every child in the frame it is on, m: as declared, or mirrored."""
         frames = [child.frame for child in self.children]
-        return [MIRROR @ frame @ MIRROR for frame in frames] if self.mirrored else frames
+        return [MIRROR @ T @ MIRROR for T in frames] if self.mirrored else frames
 
     @property
     def n(self) -> int:

@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from ...base.declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
 from ...base.errors import DeclarationError, Problem
@@ -18,6 +25,7 @@ from .dynamics import Dynamics, TorqueControl
 from .limbs import limb_problems
 from .robot_parts import (
     IN_DEGREES,
+    MAX_JOINTS,
     PER_JOINT,
     VALUE_INPUTS,
     ArrowQuantity,
@@ -26,6 +34,7 @@ from .robot_parts import (
     Columns,
     JointNames,
     Limits,
+    LinkFrame,
     LinkGeometries,
     LinkGeometry,
     OwnInputs,
@@ -54,6 +63,14 @@ _OTHER_CONVENTIONS = {  # what else they are called: by Craig, and by those who 
     "modified": "craig", "proximal": "craig", "classic": "standard", "distal": "standard",
 }  # fmt: skip
 _COUPLING_TOLERANCE = 1e-4  # rad or m; angles in files are rounded
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+def _unit(direction: Array) -> Array:
+    length = np.linalg.norm(direction)
+    if length == 0.0:
+        raise Problem(found=direction.tolist(), expected="a direction").error()
+    return np.asarray(direction / length)
 
 
 class RobotDeclaration(Declaration):
@@ -82,6 +99,8 @@ class RobotDeclaration(Declaration):
         joint_names: n names; J1, J2, ... by default.
         link_names: names of base and links in the robot's original file, n + 1. They are names of
             frames, in addition to `base`, `link1`, ..., and the joint of each link.
+        link_frames: frames of all links of the original file by name, see `LinkFrame`; transforms
+            of ROS (`tf`) are matched with them.
         limbs: names of joints by limb, for branching robots; the others are found by `limb_joints`.
             Routes and panels refer to them.
         couplings: joints that follow another one, by name: `{ to = "J3", ratio = 1, offset = 0 }`.
@@ -111,8 +130,11 @@ class RobotDeclaration(Declaration):
         mount: the frame of another robot that carries its base, e.g. `arm/flange`, or the joint of
             that link, `icub/l_elbow`; None for a robot placed in the world.
         base_frame: T_world_base, or T_mount_base of a mounted robot.
-        free_base: whether its base is free in simulation, starting at `base_frame`; in mirroring an
-            input places it, like any base.
+        free_base: whether its base is free in simulation, starting at `base_frame`: true for a free
+            joint, `planar` for motion in a plane, as of a mobile platform. In mirroring an input
+            places it, like any base.
+        base_normal: normal of the plane of a `planar` base, in the base's frame.
+        base_joint: name of the joint of a free or planar base, as in the robot's original file.
         mirrored: whether it is the mirror image, at the xz plane of its base, of the robot
             described by all other fields: a left arm from a right one. Equal joint values give
             mirrored poses, held by equal torques. With S = diag(1, -1, 1, 1) every frame T becomes
@@ -165,6 +187,7 @@ class RobotDeclaration(Declaration):
     joint_types: list[Literal["revolute", "prismatic"]] | None = None
     joint_names: JointNames | None = None
     link_names: list[str] | None = None
+    link_frames: dict[str, LinkFrame] = {}
     parents: list[str] | None = None
     couplings: dict[str, Coupling] = {}
     limbs: dict[Name, list[str]] = {}
@@ -186,7 +209,9 @@ class RobotDeclaration(Declaration):
     mesh_scale: float = Field(1.0, gt=0)
     mount: str | None = None
     mirrored: bool = False
-    free_base: bool = False
+    free_base: bool | Literal["planar"] = False
+    base_joint: Name = "free_base"
+    base_normal: Annotated[Array, of_shape(3), AfterValidator(_unit)] = _UP
     base_frame: Frame = Field(default_factory=lambda: np.eye(4))
     flange_frame: Frame = Field(default_factory=lambda: np.eye(4))
     flange_on: str | None = None
@@ -396,10 +421,29 @@ class RobotDeclaration(Declaration):
     @model_validator(mode="after")
     def _base_is_free_or_mounted(self) -> Self:
         if self.free_base and self.mount is not None:
+            free = "true" if self.free_base is True else f'"{self.free_base}"'
             raise Problem(
-                "free_base", "found true with mount =", found=self.mount, expected="one of the two"
+                "free_base",
+                f"found {free} with mount =",
+                found=self.mount,
+                expected="one of the two",
             ).error()
         return self
+
+    @field_validator("link_frames")
+    @classmethod
+    def _links_to_be_on_exist(
+        cls, links: dict[str, LinkFrame], info: ValidationInfo
+    ) -> dict[str, LinkFrame]:
+        known = frame_labels(_count(info.data) or MAX_JOINTS)[:-1]
+        problems = [
+            Problem(f"{name}.on", "no frame", found=link.on, available=known)
+            for name, link in links.items()
+            if link.on not in known
+        ]
+        if problems:
+            raise DeclarationError(problems)
+        return links
 
     @field_validator("children")
     @classmethod

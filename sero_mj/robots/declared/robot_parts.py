@@ -268,6 +268,18 @@ class LinkGeometry(Declaration):
         return self
 
 
+class LinkFrame(Declaration):
+    """Where a link of a robot's original file is.
+
+    Attributes:
+        on: `base`, or the link of this robot that it is, or is fixed to: `link1`, ...
+        frame: its frame in that one.
+    """
+
+    on: str = "base"
+    frame: Frame = Field(default_factory=lambda: np.eye(4))
+
+
 class BillboardLine(Declaration):
     """One line of a joint's billboard.
 

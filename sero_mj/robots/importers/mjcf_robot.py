@@ -23,7 +23,7 @@ from .mjcf_couplings import couplings_of
 from .mjcf_file import as_spec, is_file_name
 from .mjcf_torque_limits import torque_limits
 from .mjcf_tree import MjcfTree, find_tree
-from .robot_tree import TOO_FAR, meant_limits, six_of
+from .robot_tree import TOO_FAR, meant_limits, plain_name, six_of
 
 _INITIAL_KEYS = ("home", "stand", "init", "default")  # key frames used as the initial pose
 _TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
@@ -35,6 +35,8 @@ _DOF_FIELDS = {
     "viscous_friction": "damping",
     "coulomb_friction": "frictionloss",
 }
+
+_RESISTING = ("damping", "frictionloss")
 
 
 def read_mjcf(path: Path) -> ImportedTables:
@@ -67,6 +69,8 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
     lost = list(tree.left_out)
     if (far := (limits != stated).any(axis=1)).any():
         lost.append(f"{TOO_FAR}: {_some(names, far)}")
+    if any(getattr(model, f"dof_{what}")[model.jnt_dofadr[tree.free]].any() for what in _RESISTING):
+        lost.append("damping and friction of the joints of the base are left out")
     torques = _plausible(tree, torque_limits(model, joints), lost)
     dofs = model.jnt_dofadr[joints]
     link, T_link_flange = _flange(tree)
@@ -77,12 +81,13 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
         "parents": ["base" if p == 0 else names[p - 1] for p in tree.parents.tolist()],
         "joint_names": names,
         "link_names": _link_names(tree),
+        "link_frames": _link_frames(tree),
         "joint_types": ["revolute" if turns else "prismatic" for turns in revolute.tolist()],
         "flange_on": names[link - 1],
         "flange_frame": T_link_flange,
         "couplings": couplings,
         "base_frame": tree.poses[0],
-        "free_base": tree.free >= 0,
+        **_free_base(tree),
         "fit_arrows": True,
         "dynamics": {
             **_inertias(tree),
@@ -126,6 +131,18 @@ def _link_names(tree: MjcfTree) -> list[str]:
         bodies = np.flatnonzero(tree.links == link)
         if len(bodies):
             found[link] = tree.model.body(int(bodies[0])).name or found[link]
+    return found
+
+
+def _link_frames(tree: MjcfTree) -> dict[str, Any]:
+    """Returns the frames of all bodies with a name, in their links."""
+    back = inverse(tree.poses)
+    found = {}
+    for body in np.flatnonzero(tree.links >= 0).tolist():
+        link, name = int(tree.links[body]), tree.model.body(body).name
+        if name and body:
+            on = f"link{link}" if link else "base"
+            found[name] = {"on": on, "frame": back[link] @ tree.bodies[body]}
     return found
 
 
@@ -284,7 +301,23 @@ def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -
             q[names.index(name)] = coupling["ratio"] * q[names.index(coupling["to"])]
             q[names.index(name)] += coupling["offset"]
     pose: dict[str, Any] = {} if np.abs(q).max() < _TOLERANCE else {"joint_angles": q}
-    if tree.free >= 0:
-        at = model.jnt_qposadr[tree.free]
-        pose["base_frame"] = frame(rotation_from_quat(qpos[at + 3 : at + 7]), qpos[at : at + 3])
+    if len(tree.free):
+        data = mujoco.MjData(model)
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(model, data)
+        body = model.jnt_bodyid[tree.free[0]]
+        pose["base_frame"] = frame(data.xmat[body].reshape(3, 3), data.xpos[body])
     return pose
+
+
+def _free_base(tree: MjcfTree) -> dict[str, Any]:
+    """Returns whether and how the base moves."""
+    if not len(tree.free):
+        return {"free_base": False}
+    given = mujoco.mj_id2name(tree.model, mujoco.mjtObj.mjOBJ_JOINT, int(tree.free[0]))
+    name = {"base_joint": plain_name(given.rpartition("/")[2], set())} if given else {}
+    if len(tree.free) == 1:
+        return {"free_base": True, **name}
+    normal = tree.model.jnt_axis[tree.free[2]]
+    own = {} if np.array_equal(normal, [0, 0, 1]) else {"base_normal": normal}
+    return {"free_base": "planar", **own}

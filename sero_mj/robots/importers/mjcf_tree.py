@@ -23,6 +23,7 @@ ON_JOINT = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPAREN
 _OF_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _OF_SITE = (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK))
 _GRAVITY = 9.81  # m/s2
+_SQUARE = 1e-6  # largest cosine of axes at right angles
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 
 
@@ -39,7 +40,8 @@ class MjcfTree:
         bodies: T_world_body of every body in the reference pose, (nbody, 4, 4), m.
         poses: T_world_link of base and links in the reference pose, (n + 1, 4, 4), m; z of a link
             is the axis of its joint.
-        free: id of the base's free joint; -1 for a fixed base.
+        free: ids of the joints of a free base: its free joint, or two slides and a hinge, which
+            move it in a plane; empty for a fixed base.
         left_out: elements of the model that are not part of the robot, a sentence for each kind.
     """
 
@@ -49,7 +51,7 @@ class MjcfTree:
     links: Ints
     bodies: Array
     poses: Array
-    free: int
+    free: Ints
     left_out: list[str]
 
     @property
@@ -77,6 +79,8 @@ def find_tree(model: mujoco.MjModel) -> MjcfTree:
     roots = model.body_rootid[model.jnt_bodyid]
     chosen, free = _chosen_roots(model, roots, is_axis)
     mine = is_axis & np.isin(roots, list(chosen))
+    base_joints = np.array([free] if free >= 0 else _planar_base(model, mine), np.intp)
+    mine[base_joints] = False
     joints = np.flatnonzero(mine).astype(np.intp)
     if not len(joints):
         message = (
@@ -88,11 +92,11 @@ def find_tree(model: mujoco.MjModel) -> MjcfTree:
     mujoco.mj_kinematics(model, data)
     bodies = np.tile(np.eye(4), (model.nbody, 1, 1))
     bodies[:, :3, :3], bodies[:, :3, 3] = data.xmat.reshape(-1, 3, 3), data.xpos
-    base_body = int(model.jnt_bodyid[free]) if free >= 0 else 0
+    base_body = int(model.jnt_bodyid[base_joints[0]]) if len(base_joints) else 0
     links, parents, axes = _links(model, chosen, joints, base_body)
     poses = link_poses(model, data, axes, base_body)
     left_out = _left_out(model, mine, links)
-    return MjcfTree(model, joints, parents, links, bodies, poses, free, left_out)
+    return MjcfTree(model, joints, parents, links, bodies, poses, base_joints, left_out)
 
 
 def link_poses(model: mujoco.MjModel, data: mujoco.MjData, joints: Ints, base_body: int) -> Array:
@@ -142,6 +146,30 @@ def _chosen_roots(model: mujoco.MjModel, roots: Ints, is_axis: Array) -> tuple[s
     sizes = [int((is_axis & (roots == roots[j])).sum()) for j in frees]
     free = frees[int(np.argmax(sizes))]
     return {int(roots[free])}, free
+
+
+def _planar_base(model: mujoco.MjModel, mine: Array) -> list[int]:
+    """Returns the joints of a passive planar base: two slides and a hinge of the root body.
+
+    Empty if there is no such base. Joints that are driven, limited or not at right angles are
+    joints of the robot.
+    """
+    roots = np.unique(model.body_rootid[model.jnt_bodyid[mine]])
+    if len(roots) != 1 or model.body_jntnum[roots[0]] != 3:
+        return []
+    first = int(model.body_jntadr[roots[0]])
+    ids = np.arange(first, first + 3)
+    kinds, axes = model.jnt_type[ids].tolist(), model.jnt_axis[ids]
+    is_driven = any(
+        kind in ON_JOINT and item in ids
+        for kind, (item, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True)
+    )
+    wraps = model.wrap_objid[model.wrap_type == int(mujoco.mjtWrap.mjWRAP_JOINT)]
+    is_driven |= bool(np.isin(ids, wraps).any())
+    is_square = np.abs(axes @ axes.T - np.eye(3)).max() < _SQUARE
+    passive = not (is_driven or model.jnt_limited[ids].any() or model.jnt_stiffness[ids].any())
+    is_planar = kinds == [_SLIDE, _SLIDE, _HINGE] and is_square and passive
+    return ids.tolist() if is_planar and mine.sum() > len(ids) else []
 
 
 def driven_roots(model: mujoco.MjModel) -> set[int]:

@@ -109,7 +109,7 @@ class _RobotText:
         self._given("parents", about="the joint whose link carries each joint")
         self._given("flange_on", about="the joint whose link carries the flange")
         self._frame("flange_frame", flange)
-        self._given("free_base")
+        self._given("free_base", "base_joint", "base_normal")
         self._frame("base_frame")
 
     def add_limits(self) -> None:
@@ -147,11 +147,12 @@ class _RobotText:
 
     def add_dynamics(self) -> None:
         """The tables of the file: colours, couplings, and dynamics."""
-        for table in ("colors", "couplings"):
-            if table in self._tables:
+        for table in ("colors", "couplings", "link_frames"):
+            if self._tables.get(table):
                 self.lines += ["", f"[{table}]"]
                 for key, value in self._tables[table].items():
-                    self.lines += toml_entry(key, value)
+                    at = {"frame": frame_table(value["frame"])} if table == "link_frames" else {}
+                    self.lines += toml_entry(key, {**value, **at} if at else value)
         if "dynamics" not in self._tables:
             return
         self.lines += ["", "# Of the base and the links, in their frames; the rest is estimated."]

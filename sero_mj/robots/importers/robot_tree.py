@@ -150,6 +150,11 @@ class TreeTables:
             for link, T in body.links
         }
         if self.joints:
+            on = ["base", *(f"link{i + 1}" for i in range(len(self.joints)))]
+            self.tables["link_frames"] = {
+                name: {"on": on[i], "frame": T.tolist()}
+                for name, (i, T) in self.T_body_link.items()
+            }
             self._limits()
             self._dynamics()
         self._geometry()

@@ -32,6 +32,7 @@ from .robot_tree import (
     Joint,
     Link,
     TreeTables,
+    aligned,
     meant_limits,
     plain_name,
 )
@@ -41,6 +42,7 @@ _MAX_BYTES = 50_000_000
 _MAX_JOINTS = 128  # movable ones
 _MAX_LINKS = 10_000  # with fixed ones; some steps take as long as the square of them
 _MOST_FILES = 3  # that are missing, in one sentence
+_FREEING = ("floating", "planar")
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
            "capsule": "radius, length"}  # fmt: skip
@@ -175,7 +177,8 @@ class UrdfFile:
         links = self._links(root)
         joints = self._joints(root, {link.name for link in links})
         self._stop()
-        base, base_frame, is_free = self._tree(links, joints)
+        base = self._tree(links, joints)
+        base_frame, free_base = self._free_base(base, links, joints)
         self._stop()
         self._check_mimics(joints)
         moving = [joint for joint in joints if joint.kind in MOVING]
@@ -185,14 +188,19 @@ class UrdfFile:
         self._stop()
         self._tell_about_meshes(links)
         given = (root.get("name") or "").strip()
+        base = base if free_base is None else free_base.child
         self.tree = TreeTables(given, links, joints, base, convention)
         name = plain_name(given or path.stem, set())
         tables: dict[str, Any] = {
             "name": name,
             "description": f"{len(moving)} joint{'s' * (len(moving) > 1)}, from {path.name}",
         }
-        if is_free:
-            tables["free_base"] = True
+        if free_base is not None:
+            tables["free_base"] = free_base.kind == "floating" or free_base.kind
+            tables["base_joint"] = plain_name(free_base.name, set())
+            normal = (free_base.axis / np.linalg.norm(free_base.axis)).tolist()
+            if free_base.kind == "planar" and normal != [0, 0, 1]:
+                tables["base_normal"] = normal
         if not np.array_equal(base_frame, np.eye(4)):
             tables["base_frame"] = base_frame.tolist()
         tables |= {**self.tree.tables, "fit_arrows": True}
@@ -530,6 +538,8 @@ class UrdfFile:
                 continue
             carried[child] = name
             joint = Joint(name, kind, parent, child, T, np.array([1.0, 0, 0]), element.sourceline)
+            if kind not in ("fixed", "floating"):
+                self._axis(element, joint)
             if kind in ("revolute", "continuous", "prismatic"):
                 self._moving(element, joint)
             joints.append(joint)
@@ -546,18 +556,21 @@ class UrdfFile:
             return None
         return link
 
-    def _moving(self, element: Element, joint: Joint) -> None:
-        """Axis, limits, friction and mimic of a joint."""
-        key = f"joint '{joint.name}'"
-        axis = _child(element, "axis")
+    def _axis(self, element: Element, joint: Joint) -> None:
+        axis, key = _child(element, "axis"), f"joint '{joint.name}'"
         if axis is None:
-            self._note("joints without <axis> turn about x", element, f"'{joint.name}'")
+            what = "turn about x" if joint.kind != "planar" else "move in the yz plane"
+            self._note(f"joints without <axis> {what}", element, f"'{joint.name}'")
         else:
             given = self._numbers(axis, "xyz", key, (3,))
             if given is not None and np.linalg.norm(given) < 1e-9:
                 self._problem(axis, key, f"<axis>: found {_text(given)}; expected a direction")
             elif given is not None:
                 joint.axis = given
+
+    def _moving(self, element: Element, joint: Joint) -> None:
+        """Limits, friction and mimic of a joint."""
+        key = f"joint '{joint.name}'"
         limit = _child(element, "limit")
         if limit is not None:
             joint.limit_line = limit.sourceline
@@ -608,8 +621,8 @@ class UrdfFile:
             elif value and value < LARGEST:  # zero means unknown
                 setattr(joint, name, value)
 
-    def _tree(self, links: list[Link], joints: list[Joint]) -> tuple[str, Array, bool]:
-        """The base, its frame, and whether it is free; the joint of a free base is removed."""
+    def _tree(self, links: list[Link], joints: list[Joint]) -> str:
+        """The root of the tree of links."""
         carrying = {joint.child: joint for joint in joints}
         roots = [link for link in links if link.name not in carrying]
         below: dict[str, list[Joint]] = {}
@@ -627,26 +640,60 @@ class UrdfFile:
             names = ", ".join(f"'{link.name}'" for link in circle[:6])
             message = f"joints go round in a circle: {names}; expected a tree"
             self._item_problem("link", circle[0], message)
-        T, is_free = np.eye(4), False
-        for joint in [each for each in joints if each.kind in ("floating", "planar")]:
-            first = next(link for link in links if link.name == joint.parent)
-            is_first = joint.parent == base and len(below[base]) == 1
-            if joint.kind == "floating" and is_first and not (first.mass or first.visuals):
-                joints.remove(joint)
-                links.remove(first)
-                base, T, is_free = joint.child, joint.frame, True
-                continue
-            what = "free_base = true frees the base" if joint.kind == "floating" else (
-                "two prismatic joints and a revolute one do the same"
-            )  # fmt: skip
-            expected = f"expected {', '.join(_KINDS[:4])}; {what}"
-            line = joint.line if self._has_lines else None
-            self._problems.append(
-                Problem(
-                    f"joint '{joint.name}'", f"is {joint.kind}; {expected}", str(self.path), line
-                )
-            )
-        return base, T, is_free
+        return base
+
+    def _free_base(
+        self, root: str, links: list[Link], joints: list[Joint]
+    ) -> tuple[Array, Joint | None]:
+        """The frame of the base in that of the root, and the joint that frees it, if there is one.
+
+        It is the floating or planar joint above which nothing moves, and below which everything
+        does. What is not below it is removed. Other floating joints are held at their origins, as
+        MuJoCo has free joints at top level only, and other planar ones become three joints.
+        """
+        below: dict[str, list[Joint]] = {}
+        for joint in joints:
+            below.setdefault(joint.parent, []).append(joint)
+        inside: dict[str, set[str]] = {}  # the links below a joint, by its name
+        freeing: list[tuple[Array, Joint]] = []
+        waiting = [(root, np.eye(4))]
+        while waiting:  # through what is fixed to the root
+            name, T = waiting.pop()
+            for joint in below.get(name, []):
+                T_child = T @ joint.frame
+                if joint.kind in _FREEING:
+                    freeing.append((T_child, joint))
+                    inside[joint.name] = _reached(joint.child, below)
+                if joint.kind not in MOVING:
+                    waiting.append((joint.child, T_child))
+
+        def worth(joint: Joint) -> tuple[int, int]:
+            mine = inside[joint.name]
+            solid = [link for link in links if link.name in mine and (link.mass or link.visuals)]
+            return sum(each.kind in MOVING for each in joints if each.parent in mine), len(solid)
+
+        T, chosen = max(freeing, key=lambda each: worth(each[1]), default=(np.eye(4), None))
+        moving = sum(joint.kind in MOVING for joint in joints)
+        if chosen is not None and worth(chosen)[0] < moving:
+            T, chosen = np.eye(4), None  # the root carries joints as well
+        if chosen is not None:
+            mine = inside[chosen.name]
+            out = [link for link in links if link.name not in mine]
+            if lost := [f"'{link.name}'" for link in out if link.mass or link.visuals]:
+                message = f"links that '{chosen.name}' does not move are left out"
+                self._warnings.append(f"{message}: {first_of(lost)}")
+            links[:] = [link for link in links if link.name in mine]
+            joints[:] = [joint for joint in joints if joint.parent in mine]
+        if held := [f"'{joint.name}'" for joint in joints if joint.kind == "floating"]:
+            message = "floating joints inside a robot are held at their origins"
+            self._warnings.append(f"{message}: {first_of(held)}")
+        for joint in [each for each in joints if each.kind == "planar"]:
+            at = joints.index(joint)
+            joints[at : at + 1], added = _single_axes(joint, {link.name for link in links})
+            links += added
+            names = ", ".join(f"'{each.name}'" for each in joints[at : at + 3])
+            self._warnings.append(f"planar joint '{joint.name}' is three joints: {names}")
+        return T, chosen
 
     def _item_problem(self, kind: str, item: Link | Joint, message: str) -> None:
         line = item.line if self._has_lines else None
@@ -792,6 +839,27 @@ def _reached(root: str, below: Mapping[str, list[Joint]]) -> set[str]:
                 found.add(joint.child)
                 waiting.append(joint.child)
     return found
+
+
+def _single_axes(joint: Joint, taken: set[str]) -> tuple[list[Joint], list[Link]]:
+    """Two prismatic joints and a revolute one instead of a planar one, and the links between them.
+
+    Args:
+        joint: is planar.
+        taken: names of links.
+    """
+    axes = aligned(joint.axis).T
+    made: list[Joint] = []
+    added = [Link(plain_name(f"{joint.name}_{axis}", taken), joint.line) for axis in "xy"]
+    parent, T = joint.parent, joint.frame
+    for kind, what, axis, link in zip(
+        ("prismatic", "prismatic", "revolute"), ("x", "y", "yaw"), axes,
+        [*added, None], strict=True,
+    ):  # fmt: skip
+        child = joint.child if link is None else link.name
+        made.append(Joint(f"{joint.name}_{what}", kind, parent, child, T, axis, joint.line))
+        parent, T = child, np.eye(4)
+    return made, added
 
 
 def _follows_itself(joint: Joint, by_name: Mapping[str, Joint]) -> bool:

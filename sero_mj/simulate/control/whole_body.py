@@ -55,7 +55,8 @@ class WholeBody:
         self._qpos = np.concatenate([part.qpos for part in parts])
         # What stands free is where the plant has it: controllers would have an inertial unit.
         free = self._model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)
-        self._free = np.setdiff1d(np.arange(self._model.nq), self._model.jnt_qposadr[~free])
+        of_free = np.setdiff1d(np.arange(self._model.nq), self._model.jnt_qposadr[~free])
+        self._free = np.union1d(of_free, np.concatenate([part.free for part in parts]))
 
     @staticmethod
     def is_needed(world: World) -> bool:
