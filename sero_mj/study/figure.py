@@ -69,6 +69,7 @@ _STYLE: Any = {
     "text.color": INK,
     "lines.solid_joinstyle": "round",
     "path.simplify": False,
+    "text.parse_math": False,  # names of joints may have dollar signs
     "svg.hashsalt": "sero-mj",
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
