@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+from ..base.errors import UsageError
 from ..base.options import Option, Options, Time, positional
-from ._arguments import check_new, check_span, command
+from ._arguments import check_new, check_span, command, read_scene, without_warnings
+
+if TYPE_CHECKING:
+    from ..data.record.recording import PacketFile
 
 _EPILOG = """\
 examples:
@@ -16,6 +21,10 @@ examples:
 
 A row for every good packet: its time in s since the recording began, then all of its numbers, to
 the last digit. With several sources, --source chooses one.
+
+Values of joints that messages name are called joint_angles[NAME], torques[NAME] and so on. They are
+in the order of the robot: that of --scene, the one that a recording of ROS describes, or the
+shipped robot with these joints; else in the order of the messages.
 """
 ORDER = 37  # in the help of `sero-mj`
 
@@ -27,6 +36,7 @@ class ExportCsvOptions(Options):
         recording: a recording.
         output: where to.
         source: which source (default: the only one).
+        scene: robot, or scene of one robot, in whose order joints are.
         start: from this time on, s.
         stop: until before this time, s.
         overwrite: write over a file that exists.
@@ -35,6 +45,7 @@ class ExportCsvOptions(Options):
     recording: Annotated[Path, positional("REC.mcap")]
     output: Annotated[Path, positional("OUT.csv")]
     source: Annotated[str | None, Option("NAME")] = None
+    scene: Annotated[str | None, Option("SCENE")] = None
     start: Time | None = None
     stop: Time | None = None
     overwrite: bool = False
@@ -54,15 +65,57 @@ def run(options: ExportCsvOptions) -> int:
         source = Replay(file=options.recording, source=name)
         source.allow_nan(source.events)  # a table has a place for them
         start = -math.inf if options.start is None else options.start
+        joints = recording.sources[name].declared.get("joints") or []
+        ordered, robot = _in_order(recording, joints, options)
         written = export_csv(
-            recording, name, options.output, source.decode, start=start, stop=options.stop
+            recording,
+            name,
+            options.output,
+            source.decode,
+            joints=joints,
+            ordered=ordered,
+            start=start,
+            stop=options.stop,
         )
         for fault in recording.faults:
             print(f"note: {options.recording}: {fault}")
         damaged = bool(recording.faults)
     left_out = f", {written.malformed} malformed packets left out" if written.malformed else ""
-    print(f"{options.output}: {written.rows} rows{left_out}")
+    order = f", joints in the order of {robot}" if robot else ""
+    print(f"{options.output}: {written.rows} rows{order}{left_out}")
     return 1 if (damaged or written.malformed) and not written.rows else 0
+
+
+def _in_order(
+    recording: PacketFile, joints: Sequence[str], options: ExportCsvOptions
+) -> tuple[list[str], str]:
+    """Returns the joints in the order of the robot, and its name; empty if it is not known."""
+    from ..data.drive.described_scene import described_scene, shipped_robots_of
+    from ..data.record.bag import DESCRIPTION, Bag
+    from ..data.ros.joined_packets import prefix_before
+
+    scenes: list[str] = []
+    if options.scene is not None:
+        scenes = [options.scene]
+    elif isinstance(recording, Bag) and DESCRIPTION in recording.attachments:
+        scenes = [str(described_scene(recording.read_attachment(DESCRIPTION).decode()))]
+    elif isinstance(recording, Bag):
+        scenes = shipped_robots_of(recording, options.source)
+    found: dict[str, list[str]] = {}
+    for scene in scenes:
+        with without_warnings():
+            robots = list(read_scene(scene).robots.values())
+        if len(robots) != 1:
+            count = f"it has {len(robots)} robots; expected one"
+            raise UsageError(f"--scene {scene}: {count}, in whose order joints are")
+        names = robots[0].names
+        prefix = prefix_before([name for name in names if name in joints] or names, joints)
+        there = [prefix + name for name in names if prefix + name in joints]
+        found[robots[0].name] = there + [name for name in joints if name not in there]
+    orders = list(found.values())
+    if not joints or not orders or any(order != orders[0] for order in orders):
+        return [], ""
+    return orders[0], " and ".join(found)
 
 
 add_to = command("export-csv", run, ExportCsvOptions, _EPILOG)

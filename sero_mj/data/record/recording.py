@@ -105,9 +105,13 @@ class PacketFile(ABC):
             where = f"in {self.path}"
             raise UsageError(Problem("", "no source", found=name, of=where, available=names))
         if not names:
-            raise UsageError(f"{self.path} has no source")
+            raise UsageError(f"{self.path}: {self.why_no_source()}")
         how = f"choose with {by.replace('NAME', names[0])}, say" if by else "choose one"
         raise UsageError(f"{self.path} has several sources: {self.about_sources()}; {how}")
+
+    def why_no_source(self) -> str:
+        """Describes why it has no sources."""
+        return "; ".join(["has no source", *self.faults])
 
     def about_sources(self) -> str:
         """Its sources in words, for a user who has to choose one."""
