@@ -260,8 +260,8 @@ def test_what_is_wrong_is_told(tmp_path: Path, mirrored: tuple[Path, object, obj
         RecordingError,
         path=f"{tmp_path}/foreign.mcap",
         reason=(
-            "is an MCAP file of another program: found the topics /camera; expected a "
-            "file that sero-mj record wrote"
+            "has the topics /camera (JSON: found the keys none; expected name, position, "
+            "velocity and effort, or joints); expected one of sensor_msgs/msg/JointState"
         ),
     ):
         read_run(foreign)

@@ -420,7 +420,8 @@ def read_recorded_run(
                 possible = read_scene(name)
                 if not robots or not possible.robots.keys().isdisjoint(robots):
                     run = read_run(path, source, scene=possible)
-                    note_choice(path, name)
+                    if not robots:
+                        note_choice(path, name)
                     return run
             except SeroError as error:
                 why.append(error)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ..base.errors import UsageError
+from ..base.errors import SeroError, UsageError
 from ..base.options import Option, Options, Time, positional
 from ._arguments import check_new, check_span, command, read_scene, without_warnings
 
@@ -93,29 +94,36 @@ def _in_order(
     from ..data.drive.described_scene import described_scene, shipped_robots_of
     from ..data.record.bag import DESCRIPTION, Bag
     from ..data.ros.joined_packets import prefix_before
+    from ..load import load_robot
+    from ..robots.importers.imported_tables import first_of
 
-    scenes: list[str] = []
     if options.scene is not None:
-        scenes = [options.scene]
-    elif isinstance(recording, Bag) and DESCRIPTION in recording.attachments:
-        scenes = [str(described_scene(recording.read_attachment(DESCRIPTION).decode()))]
-    elif isinstance(recording, Bag):
-        scenes = shipped_robots_of(recording, options.source)
-    found: dict[str, list[str]] = {}
-    for scene in scenes:
-        with without_warnings():
-            robots = list(read_scene(scene).robots.values())
+        robots = list(read_scene(options.scene).robots.values())
         if len(robots) != 1:
-            count = f"it has {len(robots)} robots; expected one"
-            raise UsageError(f"--scene {scene}: {count}, in whose order joints are")
-        names = robots[0].names
-        prefix = prefix_before([name for name in names if name in joints] or names, joints)
-        there = [prefix + name for name in names if prefix + name in joints]
-        found[robots[0].name] = there + [name for name in joints if name not in there]
-    orders = list(found.values())
+            count = f"it has {len(robots)} robots; expected one, in whose order joints are"
+            raise UsageError(f"--scene {options.scene}: {count}")
+    elif isinstance(recording, Bag):
+        robots = []
+        with without_warnings(), suppress(SeroError):
+            if DESCRIPTION in recording.attachments:
+                text = recording.read_attachment(DESCRIPTION).decode()
+                robots = list(read_scene(str(described_scene(text))).robots.values())
+        if not robots:
+            shipped = shipped_robots_of(recording, options.source)
+            robots = [load_robot(name) for name in shipped]
+    else:  # packets of our own recordings are in the robot's order
+        return [], ""
+    orders: list[list[str]] = []
+    for robot in robots:
+        prefix = prefix_before(robot.names, joints)
+        there = [prefix + name for name in robot.names if prefix + name in joints]
+        if options.scene is not None and not there:
+            found = f"its joints are {first_of(robot.names)}; expected {first_of(joints)}"
+            raise UsageError(f"--scene {options.scene}: {found}")
+        orders.append(there + [name for name in joints if name not in there])
     if not joints or not orders or any(order != orders[0] for order in orders):
         return [], ""
-    return orders[0], " and ".join(found)
+    return orders[0], " and ".join(robot.name for robot in robots)
 
 
 add_to = command("export-csv", run, ExportCsvOptions, _EPILOG)

@@ -98,8 +98,11 @@ def scenes_of_bag(
 
     Raises:
         RecordingError: it has no source.
-        UsageError: it describes no robot, and several shipped ones have its joints.
+        UsageError: it has no such source, or it describes no robot, and several shipped ones have
+            its joints.
     """
+    if source is not None:
+        bag.choose_source(source)
     if not bag.sources:
         raise RecordingError(bag.path, bag.why_no_source())
     is_described = DESCRIPTION in bag.attachments

@@ -10,6 +10,8 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from heapq import heappop, heappush
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, BinaryIO
@@ -78,8 +80,8 @@ class JsonMcap:
             if channel.message_encoding == _JSON:
                 first = next((raw for _, raw in self._of(number)), None)
                 kind = "JSON without messages" if first is None else _kind_of(first, channel.topic)
-                count = self._index.counts.get(number, 0)
-                found.append(JsonTopic(number, channel.topic, kind, count))
+                messages = self._index.counts.get(number, 0)
+                found.append(JsonTopic(number, channel.topic, kind, messages))
         if not found:
             raise RecordingError(self.path, "has no messages in JSON")
         return found
@@ -101,17 +103,21 @@ class JsonMcap:
             stop: end time, exclusive, likewise; None for the end.
         """
         first, end = start or 0, _LATEST_NS if stop is None else stop
+        # Chunks overlap: messages wait until no later chunk can have earlier ones.
+        waiting: list[tuple[int, int, JsonTopic, bytes]] = []
+        number = count()
         for chunk in sorted(self._index.chunks, key=lambda chunk: chunk.first):
             if chunk.last < first or chunk.first >= end:
                 continue
-            found = [
-                (time, number, topic, raw)
-                for topic in connections
-                for number, (time, raw) in enumerate(self._in_chunk(chunk, topic.channel))
-                if first <= time < end
-            ]
-            for time, _, topic, raw in sorted(found, key=lambda each: each[:2]):
+            while waiting and waiting[0][0] < chunk.first:
+                time, _, topic, raw = heappop(waiting)
                 yield topic, time, raw
+            for topic in connections:
+                for time, raw in self._in_chunk(chunk, topic.channel):
+                    if first <= time < end:
+                        heappush(waiting, (time, next(number), topic, raw))
+        for time, _, topic, raw in sorted(waiting, key=lambda each: each[:2]):
+            yield topic, time, raw
 
     def deserialize(self, raw: bytes, kind: str) -> Any:
         """Decodes a message of one of the types of ROS in `connections`."""

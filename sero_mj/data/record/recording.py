@@ -261,7 +261,11 @@ class Recording(PacketFile):
         if not index.channels:
             why = "; ".join(index.faults) or "has no channels"
             raise RecordingError(self.path, Problem("", why, expected=_EXPECTED))
-        topics = ", ".join(sorted(channel.topic for channel in index.channels.values())[:10])
+        topics = ", ".join(
+            sorted(f"{each.topic} ({each.message_encoding})" for each in index.channels.values())[
+                :10
+            ]
+        )
         reason = f"is an MCAP file of another program: found the topics {topics}"
         raise RecordingError(self.path, Problem("", reason, expected=_EXPECTED))
 

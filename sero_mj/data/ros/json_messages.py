@@ -64,7 +64,7 @@ def joint_state_of(raw: bytes) -> Any:
         header = found.get("header")
         stamp = header.get("stamp") if isinstance(header, Mapping) else None
         if not any(key in found for key in _NUMBERS):
-            keys = ", ".join(str(key)[:_SHOWN] for key in [*found][:8]) or "nothing"
+            keys = ", ".join(str(key)[:_SHOWN] for key in [*found][:8]) or "none"
             expected = "name, position, velocity and effort, or joints"
             raise MalformedMessage(f"found the keys {keys}; expected {expected}")
         names = found.get("name", [])
