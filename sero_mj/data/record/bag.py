@@ -32,6 +32,7 @@ from ._mcap_reader import BROKEN, NOT_CLOSED
 from ._mended_mcap import MendedMcap
 from ._mended_sqlite import log_of, with_log
 from .recording import PacketFile, RecordedSource, Recording
+from .recording_format import LIBRARY
 
 DESCRIPTION = "robot.urdf"  # an attachment: what the topic robot_description says
 _ENDINGS = (".bag", ".active", ".db3")  # a bag of ROS 1 is .bag.active until it is closed
@@ -83,7 +84,10 @@ def open_recording(
     try:
         return Recording(path)
     except RecordingError:  # also where what tells of its messages is in a chunk, or missing
-        if _profile(path) == "ros2":
+        profile, library = _header(path)
+        if library.startswith(LIBRARY):
+            raise
+        if profile == "ros2":
             return Bag(path, topics, tell)
         if has_json(path):
             return Bag(path, topics, tell, is_json=True)
@@ -136,11 +140,12 @@ def _why_no_bag(folder: Path) -> str:
     )
 
 
-def _profile(path: Path) -> str:
-    """What an MCAP file says that its messages are; empty where it cannot be read."""
+def _header(path: Path) -> tuple[str, str]:
+    """Returns the profile of an MCAP file, and what wrote it; empty where it cannot be read."""
     with suppress(OSError, *BROKEN), open_file(path) as file:
-        return make_reader(file).get_header().profile
-    return ""
+        header = make_reader(file).get_header()
+        return header.profile, header.library
+    return "", ""
 
 
 def _reader_of_ros(path: Path) -> Any:

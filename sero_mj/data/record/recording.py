@@ -29,6 +29,7 @@ from ._mcap_reader import (
     read_record,
     unpack_messages,
 )
+from .joint_state_messages import ENCODING
 from .recording_format import (
     ABOUT,
     CLOCK,
@@ -37,6 +38,7 @@ from .recording_format import (
     SOURCE_KEY,
     RecordingClock,
     SourceDeclaration,
+    unpack_raw,
 )
 
 _LATEST_NS = 2**64
@@ -397,6 +399,8 @@ class Recording(PacketFile):
                 raise self._unreadable(error) from error
         try:
             found = unpack_messages(record.getvalue(), channel)
+            if self._index.channels[channel].message_encoding == ENCODING:
+                found = [(time, unpack_raw(message)) for time, message in found]
         except BROKEN as error:
             self._report_damaged(chunk, error)
             return []
