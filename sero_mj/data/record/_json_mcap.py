@@ -16,11 +16,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, BinaryIO
 
-from ...base.errors import RecordingError
+from ...base.errors import RecordingError, reason_of
 from ...base.paths import open_file
 from ..ros.json_messages import joint_state_of
 from ..ros.messages import JOINT_STATE, TEXT, MalformedMessage
-from ._mcap_reader import BROKEN, FileIndex, read_index, read_record, reason_of, unpack_messages
+from ._mcap_reader import BROKEN, FileIndex, read_index, read_record, unpack_messages
 
 _JSON = "json"
 _LATEST_NS = 2**64
