@@ -662,6 +662,17 @@ def test_states_of_joints_in_json_are_a_recording(
     assert run(capsys, "render", str(bag), *picture)[0] == 0
 
 
+def test_json_whose_end_is_missing_is_read_as_far_as_it_is_whole(tmp_path: Path) -> None:
+    entries = [{"name": NAMES, "position": [k] * 7} for k in range(COUNT)]
+    bag = json_bag(tmp_path / "hand.mcap", {"/state": entries})
+    bag.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
+    with open_recording(bag) as recording:
+        assert "is cut off or damaged" in recording.faults[0]
+        found = [np.frombuffer(packet)[1] for _, packet in recording.packets("state")]
+        assert found == [*range(len(found))] and COUNT // 4 < len(found) < COUNT
+        assert recording.sources["state"].count == len(found)
+
+
 def test_json_that_is_no_state_of_joints_is_told_as_such(tmp_path: Path) -> None:
     bag = json_bag(tmp_path / "text.mcap", {"/note": [{"text": "hello"}], "/none": []})
     with pytest.raises(RecordingError) as caught:

@@ -6,6 +6,7 @@ What the messages are is found by their contents: states of joints in one of the
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -16,11 +17,24 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, BinaryIO
 
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel
+
 from ...base.errors import RecordingError, reason_of
 from ...base.paths import open_file
 from ..ros.json_messages import joint_state_of
 from ..ros.messages import JOINT_STATE, TEXT, MalformedMessage
-from ._mcap_reader import BROKEN, FileIndex, read_index, read_record, unpack_messages
+from ._mcap_reader import (
+    BROKEN,
+    RECORD_HEAD,
+    FileIndex,
+    read_index,
+    read_record,
+    records_in,
+    unpack_chunk,
+    unpack_messages,
+)
 
 _JSON = "json"
 _LATEST_NS = 2**64
@@ -64,7 +78,7 @@ class JsonMcap:
         self.path = path
         self.stack: BinaryIO | None = open_file(path)
         try:
-            self._index: FileIndex = read_index(self.stack)
+            self._index = _index_of(self.stack)
             self.faults = list(self._index.faults)
             self.connections = self._find_topics()
         except BaseException:
@@ -81,6 +95,8 @@ class JsonMcap:
                 first = next((raw for _, raw in self._of(number)), None)
                 kind = "JSON without messages" if first is None else _kind_of(first, channel.topic)
                 messages = self._index.counts.get(number, 0)
+                for chunk in self._index.uncounted:
+                    messages += len(self._in_chunk(chunk, number))
                 found.append(JsonTopic(number, channel.topic, kind, messages))
         if not found:
             raise RecordingError(self.path, "has no messages in JSON")
@@ -140,6 +156,20 @@ class JsonMcap:
             return []
 
 
+def _index_of(file: BinaryIO) -> FileIndex:
+    """Returns the index of a file; without its end, channels are found in its chunks."""
+    index = read_index(file)
+    for chunk in [] if index.channels else index.chunks:
+        with suppress(*BROKEN):
+            _, data = unpack_chunk(read_record(file, chunk.offset, chunk.length).getvalue())
+            for opcode, begin, end in records_in(data):
+                if opcode == Opcode.CHANNEL:
+                    record = io.BytesIO(data[begin + RECORD_HEAD.size : end])
+                    channel = Channel.read(ReadDataStream(record))
+                    index.channels[channel.id] = channel
+    return index
+
+
 def _kind_of(raw: bytes, topic: str) -> str:
     """Returns the type of ROS that a message is, or a description of what it is instead."""
     try:
@@ -156,6 +186,6 @@ def _kind_of(raw: bytes, topic: str) -> str:
 def has_json(path: Path) -> bool:
     """Whether a file is MCAP with messages in JSON."""
     with suppress(OSError, RecordingError, *BROKEN), open_file(path) as file:
-        index = read_index(file)
-        return any(each.message_encoding == _JSON for each in index.channels.values())
+        channels = _index_of(file).channels.values()
+        return any(channel.message_encoding == _JSON for channel in channels)
     return False
