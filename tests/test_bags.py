@@ -680,5 +680,5 @@ def test_json_that_is_no_state_of_joints_is_told_as_such(tmp_path: Path) -> None
     assert str(caught.value) == (
         f"{bag}: has the topics /none (JSON without messages), /note (JSON: found the keys text; "
         "expected name, position, velocity and effort, or joints); expected one of "
-        "sensor_msgs/msg/JointState"
+        "sensor_msgs/msg/JointState or nav_msgs/msg/Odometry, or /tf"
     )

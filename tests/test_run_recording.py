@@ -260,7 +260,8 @@ def test_what_is_wrong_is_told(tmp_path: Path, mirrored: tuple[Path, object, obj
         path=f"{tmp_path}/foreign.mcap",
         reason=(
             "has the topics /camera (JSON: found the keys none; expected name, position, "
-            "velocity and effort, or joints); expected one of sensor_msgs/msg/JointState"
+            "velocity and effort, or joints); expected one of sensor_msgs/msg/JointState or "
+            "nav_msgs/msg/Odometry, or /tf"
         ),
     ):
         read_run(foreign)

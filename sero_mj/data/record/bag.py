@@ -349,7 +349,8 @@ class Bag(PacketFile):
             dict.fromkeys(e.topic for e in self._reader.connections if e.msgtype == ODOMETRY)
         )
         base = odometry[0] if len(odometry) == 1 else ""
-        if not self._states and any(e.topic == "/tf" for e in self._reader.connections):
+        moves = [(each.topic, each.msgtype) for each in self._reader.connections]
+        if not self._states and ("/tf", TYPES[FRAMES]) in moves:
             return {TF: Ros2(name=TF, joint_states=TF, odometry=base or TF)}
         if not self._states and base:
             name = base.strip("/").replace("/", "_")

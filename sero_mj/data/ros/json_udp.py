@@ -31,6 +31,8 @@ class JsonUdp(UdpReceiver, RosSource):
     time: str = "stamp"
     commands: ClassVar[str] = ""  # type: ignore[misc]
     wrench: ClassVar[str] = ""  # type: ignore[misc]
+    odometry: ClassVar[str] = ""  # type: ignore[misc]
+    pose: ClassVar[str] = ""  # type: ignore[misc]
     frames: ClassVar[list[str]] = []  # type: ignore[misc]
     root: ClassVar[str] = ""  # type: ignore[misc]
     namespace: ClassVar[str] = ""  # type: ignore[misc]
@@ -65,6 +67,7 @@ class JsonUdp(UdpReceiver, RosSource):
         fields = RosSource.model_fields.keys() & type(self).model_fields.keys()
         source = Ros2(**{key: getattr(self, key) for key in fields & self.model_fields_set})
         source.led_to(self._led)
+        source._links = self._links
         return source
 
     def _subscribe(self, listener: Listener) -> None:
