@@ -6,8 +6,12 @@ import struct
 from collections.abc import Sequence
 from pathlib import Path
 from shutil import copy
+from typing import Any
 
 import numpy as np
+from mcap.reader import make_reader
+from mcap.records import Channel, Schema
+from mcap_ros2.decoder import DecoderFactory
 
 from sero_mj.data.receive.structure import Structure
 from sero_mj.data.record.recording_writer import RecordingWriter
@@ -72,3 +76,19 @@ def moving(count: int) -> list[bytes]:
         LAYOUT.encode({"values0": [k / 10, 0], "vectors0": [[k, 0, 1]], "matrices0": np.eye(4)})
         for k in range(count)
     ]
+
+
+def signals_in(path: Path, topic: str) -> tuple[Channel, Schema, dict[int, dict[str, Any]]]:
+    """A channel of ROS, its schema, and its messages by number, decoded by a package for ROS."""
+    with open(path, "rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = list(reader.iter_decoded_messages(topics=[topic]))
+    schema, channel, *_ = found[0]
+    assert schema is not None and (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+    return channel, schema, {each.sequence: _plain(message) for _, _, each, message in found}
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "__slots__"):
+        return {name: _plain(getattr(value, name)) for name in value.__slots__}
+    return value if isinstance(value, float) else [_plain(each) for each in value]

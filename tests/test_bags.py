@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import shutil
@@ -26,12 +27,15 @@ from test_cli import run
 
 from sero_mj.base.errors import DeclarationError, RecordingError, UsageError
 from sero_mj.cli._arguments import replay_instead
+from sero_mj.cli.shared_options import is_recording
+from sero_mj.data.drive.described_scene import scenes_of_bag
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.receive.source import LedJoint
 from sero_mj.data.record.bag import DESCRIPTION, Bag, open_recording
+from sero_mj.data.record.csv_files import read_csv
 from sero_mj.data.record.replay import Replay
 from sero_mj.load import load_scene
-from sero_mj.simulate.runs.run_recording import read_run
+from sero_mj.simulate.runs.run_recording import read_run, read_run_table
 
 KINDS = ("mcap", "db3", "bag")
 COUNT, STEP = 400, 10**7  # messages, and ns between them
@@ -112,8 +116,9 @@ def test_a_bag_is_a_table_and_a_run(bag: Path, tmp_path: Path, capsys: Any) -> N
     table = tmp_path / "drive.csv"
     assert run(capsys, "export-csv", str(bag), str(table))[0] == 0
     header, *rows = table.read_text(encoding="utf-8").splitlines()
-    assert header.split(",")[:3] == ["time", "stamp[0]", "joint_angles[0]"]
+    assert header.split(",")[:3] == ["time", "stamp[0]", "joint_angles[fr3_joint1]"]
     assert len(rows) == COUNT
+    assert list(map(float, rows[5].split(",")[2:9])) == pytest.approx(angles(5))
     log = read_run(bag, scene=load_scene("fr3"))
     assert log.signals["fr3_joint_angles"] == pytest.approx(
         np.array([angles(k) for k in range(COUNT)])
@@ -297,14 +302,31 @@ def test_a_folder_without_metadata_is_its_only_file(tmp_path: Path, capsys: Any)
         picture = ["-o", str(tmp_path / f"{kind}.png"), "--size", "80x60"]
         assert run(capsys, "render", str(bag), *picture)[0] == 0
     (bag / "other.mcap").touch()
-    status, _, told = run(capsys, "render", str(bag), *picture)
-    several = (
-        f"{bag}: is a folder without metadata.yaml; open one of its files, db3.db3, other.mcap"
-    )
-    assert status == 2 and f"{several}; or `ros2 bag reindex -s sqlite3 {bag}` writes it" in told
-    (bag / "robot.toml").touch()
-    with pytest.raises(RecordingError, match=r"open one of its files, db3\.db3, other\.mcap$"):
+    with pytest.raises(
+        RecordingError, match=r"do not belong together; open one of them, db3\.db3, other\.mcap$"
+    ):
         open_recording(bag)
+
+
+@pytest.mark.parametrize("is_cut", [False, True])
+def test_parts_of_a_recording_without_metadata_are_read_in_their_order(
+    tmp_path: Path, is_cut: bool
+) -> None:
+    bag, half = tmp_path / "parts", COUNT // 2
+    bag.mkdir()
+    (bag / "notes.md").touch()
+    for k, part in enumerate([states()[:half], states()[half:]]):
+        whole = write_bag(tmp_path / f"part{k}", {"/joint_states": part})
+        (whole / f"part{k}.mcap").rename(bag / f"parts_{k}.mcap")
+    if is_cut:
+        last = bag / "parts_1.mcap"
+        last.write_bytes(last.read_bytes()[:-40])
+    assert is_recording(bag)
+    with Replay(file=bag) as replay:
+        assert replay.recorded.count == COUNT
+        assert replay.duration == pytest.approx((COUNT - 1) * STEP / 1e9)
+    (bag / "robot.toml").touch()  # so the folder is a robot
+    assert not is_recording(bag)
 
 
 def test_messages_in_the_log_of_a_database_are_read_as_well(tmp_path: Path, capsys: Any) -> None:
@@ -465,7 +487,9 @@ def test_commands_for_runs_find_the_robot_of_a_bag(tmp_path: Path, capsys: Any) 
     assert status == 2 and "no scene or robot 'fr4'; did you mean 'fr3'?" in told
     path = write_bag(tmp_path / "shipped", {"/joint_states": states()})
     status, said, told = run(capsys, "compare", str(path), str(path))
-    assert status == 0 and "fr3_joint7" in said and not told
+    assert status == 0 and "fr3_joint7" in said
+    chosen = f"note: {path} does not describe its robot; fr3 has the joints that it names"
+    assert told.splitlines() == [chosen] * 2
     other = write_bag(tmp_path / "other", {"/joint_states": states(names=list("abcdefg"))})
     status, _, told = run(capsys, "plot", str(other), "-o", str(tmp_path / "other.pdf"))
     assert status == 2 and "no shipped one has its joints" in told and "--scene SCENE" in told
@@ -519,3 +543,142 @@ def test_check_and_status_take_a_bag_as_view_does(kind: str, tmp_path: Path, cap
     other = write_bag(tmp_path / "other", {"/joint_states": states(names=list("abcdefg"))})
     status, _, told = run(capsys, "check", str(other))
     assert status == 2 and "found no scene that shows it" in told and "--replay other" in told
+
+
+UR = [
+    "elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint",
+    "wrist_1_joint", "wrist_2_joint", "wrist_3_joint",
+]  # fmt: skip
+
+
+def ur_states(names: list[str], step: int = 0) -> list[tuple[int, Any]]:
+    """States in which a joint is at 0.1 times its number in the alphabet, plus 0.001 k."""
+    values = 0.1 * np.array([UR.index(name) for name in names])
+    return [(k * STEP + step, joint_state(names, values + 1e-3 * k)) for k in range(COUNT)]
+
+
+def test_of_several_robots_with_these_joints_none_is_taken_unasked(
+    tmp_path: Path, capsys: Any
+) -> None:
+    bag = write_bag(tmp_path / "ur", {"/joint_states": ur_states(UR)})
+    picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
+    fits = f"{bag}: its joints are those of ur10e, ur5e, and it does not describe its robot"
+    for command, how in (
+        (["render", str(bag), *picture], f"sero-mj view ur10e --replay {bag}"),
+        (["compare", str(bag), str(bag)], "--scene ur10e"),
+    ):
+        status, _, told = run(capsys, *command)
+        assert status == 2 and f"{fits}; choose one: {how}" in told
+    with open_recording(bag) as recording:
+        assert isinstance(recording, Bag)
+        assert list(scenes_of_bag(recording, "", wanted=["ur5e"])) == ["ur5e"]
+
+
+def test_columns_are_called_by_joints_in_the_order_of_the_robot(
+    tmp_path: Path, capsys: Any
+) -> None:
+    """Two devices publish the joints of one robot, in an order of their own."""
+    own = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", *UR[3:]]
+    messages = [*ur_states(UR[3:]), *ur_states(UR[:3], step=STEP // 8)]
+    messages.sort(key=lambda each: each[0])
+    # A message that contradicts itself costs itself only.
+    messages.insert(0, (0, joint_state([UR[0], UR[0]], [1, 2])))
+    bag, table = write_bag(tmp_path / "ur", {"/joint_states": messages}), tmp_path / "ur.csv"
+    status, said, _ = run(capsys, "export-csv", str(bag), str(table))
+    assert status == 0 and "joints in the order of ur10e and ur5e, 1 malformed packet" in said
+    assert f"a message of /joint_states is left out: joint {UR[0]} is named twice" in said
+    _, columns = read_csv(table)
+    assert list(columns)[1:7] == [f"joint_angles[{name}]" for name in own]
+    wrist = columns["joint_angles[wrist_2_joint]"]
+    assert wrist == pytest.approx(0.1 * UR.index("wrist_2_joint") + 1e-3 * np.arange(len(wrist)))
+    # It is read again, without a route.
+    again = read_run_table(table, load_scene("ur5e"))
+    assert again.robots["ur5e"].names == own
+    pan = again.signals["ur5e_joint_angles"][:, 0]
+    assert pan[1:] == pytest.approx(columns["joint_angles[shoulder_pan_joint]"][1:])
+    elsewhere = [str(bag), str(table), "--overwrite", "--scene", "fr3"]
+    status, _, told = run(capsys, "export-csv", *elsewhere)
+    assert status == 2 and "--scene fr3: its joints are fr3_joint1, " in told
+
+
+def test_messages_without_names_are_those_of_a_robot_that_is_named(
+    tmp_path: Path, capsys: Any
+) -> None:
+    messages = [(k * STEP, joint_state([], angles(k))) for k in range(COUNT)]
+    bag = write_bag(tmp_path / "bare", {"/joint_states": messages})
+    why = f"{bag}: the messages of /joint_states do not name their joints; with a scene of"
+    picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
+    for command in (
+        ["render", str(bag), *picture],
+        ["plot", str(bag), "-o", str(tmp_path / "seen.pdf")],
+        ["export-csv", str(bag), str(tmp_path / "seen.csv")],
+        ["send", "lwr_udp", "--play", str(bag)],
+    ):
+        status, _, told = run(capsys, *command)
+        assert status == 2 and why in told, command
+    log = read_run(bag, scene=load_scene("fr3"))
+    assert log.signals["fr3_joint_angles"][9] == pytest.approx(angles(9))
+    assert run(capsys, "render", "fr3", "--replay", str(bag), *picture)[0] == 0
+
+
+def json_bag(path: Path, topics: dict[str, list[Any]]) -> Path:
+    """Writes messages in JSON as MCAP."""
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=4096)
+        writer.start("", "another program")
+        number = writer.register_schema("anything", "jsonschema", b'{"type": "object"}')
+        for topic, entries in topics.items():
+            channel = writer.register_channel(topic, "json", number)
+            for k, entry in enumerate(entries):
+                time, raw = 10**18 + k * STEP, json.dumps(entry).encode()
+                writer.add_message(channel, time, raw, time)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("is_foxglove", [False, True])
+def test_states_of_joints_in_json_are_a_recording(
+    tmp_path: Path, capsys: Any, is_foxglove: bool
+) -> None:
+    def entry(k: int) -> Any:
+        position, effort = angles(k).tolist(), (10 * angles(k)).tolist()
+        stamp = {"sec": 10**9 + k * STEP // 10**9, "nsec": k * STEP % 10**9}
+        if is_foxglove:
+            rows = zip(NAMES, position, effort, strict=True)
+            joints = [{"name": n, "position": q, "effort": tau} for n, q, tau in rows]
+            return {"timestamp": stamp, "joints": joints}
+        states = {"name": NAMES, "position": position, "velocity": [], "effort": effort}
+        return {"header": {"stamp": stamp}, **states}
+
+    entries = [entry(k) for k in range(COUNT)]
+    entries[COUNT // 2] = "odd"
+    bag = json_bag(tmp_path / "hand.mcap", {"/state": entries, "/note": [{"text": "hello"}]})
+    log = read_run(bag, scene=load_scene("fr3"))
+    by_name = np.array([angles(9)[NAMES.index(f"fr3_joint{i + 1}")] for i in range(7)])
+    assert log.signals["fr3_joint_angles"][9] == pytest.approx(by_name)
+    assert log.signals["fr3_torques"][9] == pytest.approx(10 * by_name)
+    assert len(log.times) == COUNT - 1
+    picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
+    assert run(capsys, "render", str(bag), *picture)[0] == 0
+
+
+def test_json_whose_end_is_missing_is_read_as_far_as_it_is_whole(tmp_path: Path) -> None:
+    entries = [{"name": NAMES, "position": [k] * 7} for k in range(COUNT)]
+    bag = json_bag(tmp_path / "hand.mcap", {"/state": entries})
+    bag.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
+    with open_recording(bag) as recording:
+        assert "is cut off or damaged" in recording.faults[0]
+        found = [np.frombuffer(packet)[1] for _, packet in recording.packets("state")]
+        assert found == [*range(len(found))] and COUNT // 4 < len(found) < COUNT
+        assert recording.sources["state"].count == len(found)
+
+
+def test_json_that_is_no_state_of_joints_is_told_as_such(tmp_path: Path) -> None:
+    bag = json_bag(tmp_path / "text.mcap", {"/note": [{"text": "hello"}], "/none": []})
+    with pytest.raises(RecordingError) as caught:
+        open_recording(bag)
+    assert str(caught.value) == (
+        f"{bag}: has the topics /none (JSON without messages), /note (JSON: found the keys text; "
+        "expected name, position, velocity and effort, or joints); expected one of "
+        "sensor_msgs/msg/JointState or nav_msgs/msg/Odometry, or /tf"
+    )

@@ -1,5 +1,6 @@
 """Billboards, their text, leaders and panels, and the status corner, as numbers."""
 
+import math
 from dataclasses import replace
 
 import mujoco
@@ -706,3 +707,15 @@ def test_cards_of_several_lines_cover_each_other_in_no_small_picture(
         over = ((low[:, None] < high - 1e-6) & (high[:, None] > low + 1e-6)).all(axis=2)
         assert not (over & ~np.eye(len(low), dtype=bool)).any()
         assert (low >= -1e-6).all() and (high <= np.array(size) + 1e-6).all()
+
+
+def test_a_card_without_data_may_have_any_name() -> None:
+    robot = SerialRobot(
+        dh_convention="craig", dh_params=[[0, 0.3, 0, 0]] * 2, joint_names=["hüfte", "%s/関節"],
+        show_billboards=True, billboard_values=None, inputs=["load"],
+        billboard_lines=[{"value": "load"}],
+    )  # fmt: skip
+    world = World(Scene(robots=[robot]))
+    for lines in joint_formats(world).declared:
+        for value in (math.nan, 1.5):
+            assert lines[0].text(value).decode().startswith(("hüfte", "joint 2"))

@@ -88,8 +88,8 @@ TWO_LEGS = """
 </mujoco>
 """
 NAMES = [
-    "left_hip_x", "left_hip_y", "left_hip_z", "left_knee",
-    "right_hip", "right_slide", "right_follower",
+    "left hip x", "left hip y", "left hip z", "left knee",
+    "right hip", "right slide", "right follower",
 ]  # fmt: skip
 ALONE = "<mujoco><worldbody><body>{}</body></worldbody></mujoco>"
 ARM = """
@@ -121,12 +121,12 @@ def test_its_joints_limits_and_couplings_are_those_of_the_file(robot, caplog):
     assert robot.position_limits[2].tolist() == [-inf, inf]
     # A motor's range times its gear; the lower of the joint's and the drive's; none is stated.
     assert robot.torque_limits.tolist() == [50, inf, inf, 60, inf, inf, inf]
-    coupling = robot.couplings["right_follower"]
-    assert (coupling.to, coupling.ratio) == ("right_hip", -0.5)
+    coupling = robot.couplings["right follower"]
+    assert (coupling.to, coupling.ratio) == ("right hip", -0.5)
     assert coupling.offset == pytest.approx(0.1 + np.deg2rad(5))
     assert robot.dynamics.motor_inertias.tolist() == [0.02] * 7
     assert robot.dynamics.coulomb_friction.tolist() == [0.2] + [0.0] * 6
-    assert robot.free_base and robot.flange_on == "left_knee"
+    assert robot.free_base and robot.flange_on == "left knee"
 
 
 def test_what_it_leaves_out_is_told(path, caplog):
@@ -512,10 +512,10 @@ model = "two-legs.xml"
 name = "pad"
 shape = "box"
 size = [0.1, 0.1, 0.1]
-on = "right_slide"
+on = "right slide"
 [robots.finger]
 model = "hit_finger"
-mount = "legs/left_hip_z"
+mount = "legs/left hip z"
 [doubles.goal]
 of = "legs"
 [arrows.one]
@@ -559,7 +559,7 @@ at = "legs/nothing at all"
     with pytest.raises(DeclarationError) as caught:
         load_scene(tmp_path / "s.toml")
     told = str(caught.value)
-    assert "no frame 'legs/left_kne'; did you mean 'legs/left_knee'?" in told
+    assert "no frame 'legs/left_kne'; did you mean 'legs/left knee'?" in told
     assert (
         "no frame 'legs/nothing at all'; available: legs/base, legs/flange, and legs/link" in told
     )
@@ -567,7 +567,7 @@ at = "legs/nothing at all"
 
 def test_independent_joints_alone_say_where_the_flange_is(robot):
     q = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.05])
-    whole = [*q, robot.couplings["right_follower"].offset - 0.5 * q[4]]
+    whole = [*q, robot.couplings["right follower"].offset - 0.5 * q[4]]
     np.testing.assert_allclose(
         robot.fwd_kin_base_to_flange(q), robot.fwd_kin_base_to_flange(whole), atol=1e-12
     )

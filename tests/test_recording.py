@@ -6,6 +6,7 @@ import json
 import math
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +14,13 @@ from conftest import examples, raises_with
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from recordings import DECLARED, EVENTS, begin, record
+from recordings import DECLARED, EVENTS, begin, record, signals_in
+from rosbags.highlevel import AnyReader
 
 from sero_mj.base.errors import UnknownName
 from sero_mj.data.receive.structure import Structure
 from sero_mj.data.record.recording import Recording
-from sero_mj.data.record.recording_format import RecordingClock
+from sero_mj.data.record.recording_format import RecordingClock, unpack_raw
 from sero_mj.data.record.recording_writer import SHORT_ENDING, RecordingWriter
 from sero_mj.data.record.replay import Replay
 
@@ -139,24 +141,43 @@ def test_the_mcap_library_reads_it(tmp_path: Path) -> None:
         assert [m.name for m in reader.iter_metadata()] == ["sero-mj", "about"]
         assert [a.data for a in reader.iter_attachments()] == [b"x"]
         raw = [message for _, _, message in reader.iter_messages(topics="/arm/raw")]
-        assert [message.data for message in raw] == [b"%d" % i for i in range(100)]
+        assert [unpack_raw(message.data) for message in raw] == [b"%d" % i for i in range(100)]
         assert [message.sequence for message in raw] == list(range(100))
         assert raw[0].log_time == raw[0].publish_time == writer.clock.epoch_ns
-        schema, channel, message = next(iter(reader.iter_messages(topics="/arm/signals")))
-    assert schema is not None and schema.encoding == "jsonschema"
-    assert channel.message_encoding == "json"
-    assert json.loads(message.data) == {
-        "values0": [0.1, None],
-        "vectors0": [{"x": 1.0, "y": -2.0, "z": None}],
+    _, schema, found = signals_in(path, "/arm/signals")
+    np.testing.assert_equal(found[0], {
+        "values0": [0.1, math.nan],
+        "vectors0": [{"x": 1.0, "y": -2.0, "z": math.inf}],
         "matrices0": [
             {"position": {"x": 1.0, "y": 2.0, "z": 3.0}, "rotation": [1, 0, 0, 0, 1, 0, 0, 0, 1]}
         ],
-    }
-    properties = json.loads(schema.data)["properties"]
-    assert list(properties) == list(EVENTS)
-    assert properties["values0"] == {"type": "array", "items": {"type": "number"}}
-    # Foxglove refuses arrays of arrays.
-    assert all(p["items"]["type"] in ("number", "object") for p in properties.values())
+    })  # fmt: skip
+    assert schema.data.startswith(b"float64[2] values0\ngeometry_msgs/Point[1] vectors0\n")
+
+
+def test_rosbags_and_ros2_bag_accept_it(tmp_path: Path) -> None:
+    """All channels have a schema and the same encoding, which `ros2 bag` checks."""
+    path = tmp_path / "a.mcap"
+    writer = begin(path, "arm", "my-arm", "my_arm", "idle")
+    start = writer.clock.monotonic_ns / 1e9
+    values = {"values0": np.ones(2), "vectors0": np.ones((1, 3)), "matrices0": np.eye(4)[None]}
+    for name in ("arm", "my-arm", "my_arm"):
+        for i in range(5):
+            writer.write_raw(name, b"%d" % i, start + i)
+            writer.write_signals(name, values, start + i)
+    writer.close()
+    with AnyReader([path]) as reader:
+        assert {each.ext.serialization_format for each in reader.connections} == {"cdr"}
+        kinds = [each.msgtype for each in reader.connections]
+        assert len(set(kinds)) == 1 + len(kinds) / 2 and "__schemaless__" not in kinds
+        for connection, _, raw in reader.messages():
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            if connection.topic.endswith("/raw"):
+                assert bytes(message.data).isdigit()
+            else:
+                assert message.matrices0[0].rotation.tolist() == [1, 0, 0, 0, 1, 0, 0, 0, 1]
+        counts = {each.topic: each.msgcount for each in reader.connections}
+    assert counts["/my-arm/raw"] == counts["/my_arm/signals"] == 5
 
 
 def test_a_chunk_is_due_after_less_than_half_a_second(tmp_path: Path) -> None:
@@ -216,7 +237,7 @@ def test_rows_at_once_are_packets_one_by_one(tmp_path: Path) -> None:
         with open(file, "rb") as stream:  # the library's own reader agrees
             messages = list(make_reader(stream).iter_messages(topics=["/arm/raw"]))
         assert [message.sequence for _, _, message in messages] == list(range(5000))
-        assert b"".join(message.data for _, _, message in messages) == rows.tobytes()
+        assert b"".join(unpack_raw(each.data) for _, _, each in messages) == rows.tobytes()
     assert [packet for _, packet in found[0]] == [packet for _, packet in found[1]]
     times = np.array([[time for time, _ in each] for each in found])
     assert times[0] == pytest.approx(times[1], abs=2e-9)

@@ -20,6 +20,7 @@ from recordings import begin, numbered, record
 
 from sero_mj.base.errors import RecordingError, UnknownName
 from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.recording_format import unpack_raw
 from sero_mj.data.record.recording_writer import RecordingWriter
 
 
@@ -142,7 +143,7 @@ def test_a_file_of_another_program_is_told(tmp_path: Path) -> None:
         RecordingError,
         path=f"{tmp_path}/a.mcap",
         reason=(
-            "is an MCAP file of another program: found the topics /camera/image; "
+            "is an MCAP file of another program: found the topics /camera/image (ros1); "
             "expected a file that sero-mj record wrote"
         ),
     ):
@@ -221,7 +222,7 @@ def test_a_full_disk_ends_the_recording_and_leaves_a_file_that_all_can_read(
         with open(path, "rb") as file:
             messages = list(make_reader(file, validate_crcs=True).iter_messages())
         packets = [random.Random(i).randbytes(100) for i in range(len(messages))]
-        assert [message.data for _, _, message in messages] == packets != []
+        assert [unpack_raw(message.data) for _, _, message in messages] == packets != []
         with Recording(path) as recording:
             assert [packet for _, packet in recording.packets("arm")] == packets
             assert len(recording.faults) == 1 and "was not closed" in recording.faults[0]

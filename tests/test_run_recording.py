@@ -1,15 +1,14 @@
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import raises_with
-from mcap.reader import make_reader
 from mcap.writer import Writer
 from newton_euler import inverse_dynamics
+from recordings import signals_in
 from runs import HOME, in_old_words, record_packets, record_run, simulated
 
 from sero_mj.base.errors import CsvError, RecordingError, UsageError
@@ -260,8 +259,9 @@ def test_what_is_wrong_is_told(tmp_path: Path, mirrored: tuple[Path, object, obj
         RecordingError,
         path=f"{tmp_path}/foreign.mcap",
         reason=(
-            "is an MCAP file of another program: found the topics /camera; expected a "
-            "file that sero-mj record wrote"
+            "has the topics /camera (JSON: found the keys none; expected name, position, "
+            "velocity and effort, or joints); expected one of sensor_msgs/msg/JointState or "
+            "nav_msgs/msg/Odometry, or /tf"
         ),
     ):
         read_run(foreign)
@@ -357,26 +357,21 @@ def test_what_was_recorded_is_in_the_file_half_a_second_later(tmp_path: Path) ->
             )
 
 
-def test_values_as_json_belong_to_their_rows(tmp_path: Path) -> None:
+def test_values_of_signals_belong_to_their_rows(tmp_path: Path) -> None:
     simulation = simulated(duration=0.1)
     path = tmp_path / "run.mcap"
     with RunRecorder(simulation, path, signals_rate=100.0) as recorder:
         recorder.write(0, 15)
         recorder.write(15, 16)  # none of them is its turn
         recorder.write(16, 101)
-    with open(path, "rb") as file:
-        found = {
-            message.sequence: json.loads(message.data)
-            for _, channel, message in make_reader(file).iter_messages()
-            if channel.message_encoding == "json"
-        }
+    _, _, found = signals_in(path, f"/{SOURCE}/signals")
     assert list(found) == list(range(0, 101, 10))
     angles = simulation.layout.columns[event_of("lwr", "joint_angles")]
     for k, values in found.items():
         joints = simulation.scenario.scene.robots["lwr"].names
-        found_angles = [values[f"lwr.{joint}.angle [rad]"] for joint in joints]
+        found_angles = [values[f"lwr_{joint.lower()}_angle"] for joint in joints]
         expected = simulation.rows[k, angles].tolist()
-        assert found_angles == pytest.approx(expected, rel=1e-6, abs=1e-300)
+        assert found_angles == expected
 
 
 DEGREES = """

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import json
 import math
 import socket
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
-from mcap.reader import make_reader
+from recordings import signals_in
 
 from sero_mj import Group, Scene, SerialRobot, SmartArrow, UdpReceiver
 from sero_mj.cli import main
 from sero_mj.data.drive.record_sources import RoutedSignals, joint_names, record_sources
 from sero_mj.data.drive.wiring import wire
 from sero_mj.data.record.recording import Recording
+from sero_mj.data.record.recording_format import Signals
 
 STRUCTURE = "2F2F1V1F"
 TWO = {
@@ -24,16 +24,6 @@ TWO = {
     "joint_types": ["revolute", "prismatic"],
     "joint_names": ["turn", "slide"],
 }
-
-
-def messages(path: Path, topic: str) -> tuple[dict[str, str], dict[str, Any], list[dict[str, Any]]]:
-    """A channel's metadata, the properties of its schema, and its messages."""
-    with open(path, "rb") as file:
-        found = list(make_reader(file).iter_messages(topics=[topic]))
-    schema, channel, _ = found[0]
-    assert schema is not None
-    properties = json.loads(schema.data)["properties"]
-    return channel.metadata, properties, [json.loads(each.data) for _, _, each in found]
 
 
 def test_routed_values_are_called_after_their_joint(tmp_path: Path) -> None:
@@ -58,21 +48,23 @@ def test_routed_values_are_called_after_their_joint(tmp_path: Path) -> None:
             sock.sendto(packet, ("127.0.0.1", source.port))
             assert source.wait(5.0)
         assert recorder.error is None
-    metadata, properties, (found,) = messages(tmp_path / "a.mcap", "/udp/signals")
-    assert found == {
-        "two.turn.angle [rad]": 3.141593,
-        "two.slide.angle [m]": 0.25,
-        "two.turn.torque [Nm]": 0.3333333,
-        "two.slide.torque [N]": None,
-        "push.x [N]": 1,
-        "push.y [N]": 2,
-        "push.z [N]": 3,
+    channel, schema, found = signals_in(tmp_path / "a.mcap", "/udp/signals")
+    np.testing.assert_equal(found, {0: {
+        "two_turn_angle": math.pi,
+        "two_slide_angle": 0.25,
+        "two_turn_torque": 1 / 3,
+        "two_slide_torque": math.nan,
+        "push_x": 1,
+        "push_y": 2,
+        "push_z": 3,
         "values2": [7],
-    }
-    assert list(properties) == list(found)
-    assert metadata["two.slide.torque [N]"] == "values1[1]"
-    assert metadata["two.turn.angle [rad]"] == "([udp.values0[0] * deg, udp.values0[1]])[0]"
-    assert properties["two.slide.torque [N]"] == {"type": "number", "description": "values1[1]"}
+    }})  # fmt: skip
+    assert channel.metadata["two.slide.torque [N]"] == "values1[1]"
+    origin = "([udp.values0[0] * deg, udp.values0[1]])[0]"
+    assert channel.metadata["two.turn.angle [rad]"] == origin
+    lines = schema.data.decode().splitlines()
+    assert lines[0] == f"float64 two_turn_angle  # two.turn.angle [rad], from {origin}"
+    assert lines[3] == "float64 two_slide_torque  # two.slide.torque [N], from values1[1]"
     with Recording(tmp_path / "a.mcap") as recording:  # where the packet is whole
         ((_, kept),) = recording.packets("udp")
     assert kept == packet
@@ -109,11 +101,21 @@ def test_a_simulation_has_them_too(tmp_path: Path) -> None:
     out = tmp_path / "run.mcap"
     with pytest.raises(SystemExit):
         main(["simulate", "impedance_push", "--record", str(out)])
-    metadata, _, found = messages(out, "/simulation/signals")
-    assert found[0]["lwr.A2.angle [rad]"] == pytest.approx(0.6)
-    assert abs(found[-1]["lwr.A2.torque [Nm]"]) > 1.0
-    assert "lwr.A2.target_angle [rad]" in found[0] and "time" in found[0]
-    assert metadata["lwr.A2.commanded_torque [Nm]"] == "lwr_commanded_torques[1]"
+    channel, _, numbered = signals_in(out, "/simulation/signals")
+    found = list(numbered.values())
+    assert found[0]["lwr_a2_angle"] == pytest.approx(0.6)
+    assert abs(found[-1]["lwr_a2_torque"]) > 1.0
+    assert "lwr_a2_target_angle" in found[0] and "time" in found[0]
+    assert channel.metadata["lwr.A2.commanded_torque [Nm]"] == "lwr_commanded_torques[1]"
+
+
+def test_names_of_any_characters_are_told_beside_those_that_ros_allows() -> None:
+    names = ["r.hüfte.angle [rad]", "r.关节.angle [rad]", "r.関節.angle [rad]", "r.1/a.angle [rad]"]
+    signals = Signals({"r.joint_angles": (4,), "2d": (1,)}, {"r.joint_angles": names})
+    assert signals.fields == ["r_hufte_angle", "r_angle", "r_angle_2", "r_1_a_angle", "n2d"]
+    for line, name in zip(signals.schema().decode().splitlines(), names, strict=False):
+        assert line.endswith(f"  # {name}")
+    assert Signals({}).schema() == b"uint8 structure_needs_at_least_one_member"
 
 
 def test_an_input_of_its_own_has_the_unit_of_its_billboard() -> None:

@@ -7,6 +7,8 @@ from importlib import resources
 import numpy as np
 import pytest
 
+from sero_mj.viewer.decor.card_names import card_names
+from sero_mj.viewer.decor.font import drawable, line_of
 from sero_mj.viewer.decor.panels import Panels
 from sero_mj.viewer.decor.value_columns import value_columns
 from sero_mj.viewer.typesetting import Placed, Text, Typesetter, compose
@@ -100,12 +102,41 @@ def test_half_of_the_picture_is_seen_through_a_half_transparent_panel(setter) ->
     assert (np.abs(picture.astype(int) - 100) <= 1).all()
 
 
-def test_what_is_not_ascii_is_a_question_mark(setter) -> None:
+def test_what_no_font_has_is_a_question_mark(setter) -> None:
     asked = setter.panel((60, 40), BLACK, (Text(5, 5, "a?"),))
-    assert np.array_equal(setter.panel((60, 40), BLACK, (Text(5, 5, "aµ"),)), asked)
+    assert np.array_equal(setter.panel((60, 40), BLACK, (Text(5, 5, "a\ue000"),)), asked)
+    assert not drawable("a\ue000") and drawable("a?")
+
+
+@pytest.mark.parametrize("text", ["hüfte", "Łokieć", "колено", "γόνατο", "fuß 2"])
+def test_letters_of_other_alphabets_are_set_and_measured(setter, text: str) -> None:
+    assert drawable(text)
+    widths = [setter.font.width(character) for character in text]
+    assert min(widths) > 0 and abs(setter.font.width(text) - sum(widths)) <= len(text)
+    lines = [text.encode(), b"ascii"]
+    assert setter.font.line_widths(lines).tolist() == [*map(setter.font.width, lines)]
+    plain = text.encode("ascii", "replace").decode()
+    shown, asked = (setter.panel((160, 40), BLACK, (Text(5, 5, each),)) for each in (text, plain))
+    assert not np.array_equal(shown, asked)
+
+
+def test_lines_are_cut_between_characters() -> None:
+    assert line_of("ü" * 60) == ("ü" * 49).encode()
+    assert line_of("\ud800") == b"?"
+
+
+def test_cards_have_names_that_can_be_drawn() -> None:
+    assert card_names(["hüfte", "knie"], "bein") == ["hüfte", "knie"]
+    assert card_names(["a", "\ue000\ue001"], "bein") == ["a", "joint 2"]
 
 
 def test_the_licence_is_beside_the_typeface() -> None:
     folder = resources.files("sero_mj.viewer") / "fonts"
     assert "SIL Open Font License" in (folder / "OFL.txt").read_text()
-    assert sum((folder / f"Inter-{w}.ttf").stat().st_size for w in ("Medium", "SemiBold")) < 3e5
+    assert (
+        sum(
+            (folder / f"Inter-{w}.ttf").stat().st_size
+            for w in ("Medium", "Medium-more", "SemiBold")
+        )
+        < 3e5
+    )

@@ -365,29 +365,39 @@ def without_temporary(text: str) -> str:
     return re.sub(rf"{folder}[/\\][^/\\\s]+[/\\]", "", text)
 
 
-def bag_files_in(folder: Path | str, besides: str = "") -> list[Path]:
-    """The files of a recording of ROS 2 in a folder that has nothing else; none if it has.
+def bag_files_in(folder: Path | str) -> list[Path]:
+    """Returns the files of the recording in a folder, in order; none where it is not clear.
 
-    Such is a folder whose recorder was killed: metadata.yaml is written at the end.
+    Its recorder may have been killed, because it writes metadata.yaml at the end, or the files
+    alone were copied. One recording is a single file, or `NAME_0.mcap`, `NAME_1.mcap` and so on,
+    into which `ros2 bag record` splits long ones. Other files may be beside them, but no robots and
+    scenes.
 
     Args:
         folder: that may be one.
-        besides: name of a file that may be there as well.
     """
     try:
-        files = [each for each in Path(folder).iterdir() if each.name != besides]
-        files = sorted(each for each in files if not each.name.startswith("."))
+        files = [each for each in Path(folder).iterdir() if not each.name.startswith(".")]
     except OSError:
         return []
+    if any(each.suffix.lower() in (".toml", *robot_endings()) for each in files):
+        return []
     found = [each for each in files if each.suffix.lower() in BAG_ENDINGS]
-    # What SQLite writes beside its file is called as that is.
-    names = tuple(each.name for each in found)
-    return found if all(each.name.startswith(names) for each in files) else []
+    parts = {}
+    for each in found:
+        stem, _, number = each.stem.rpartition("_")
+        if number.isdecimal():
+            parts[int(number)] = each, (stem, each.suffix)
+    numbers = sorted(parts)
+    is_split = len({name for _, name in parts.values()}) == 1 and len(parts) == len(found)
+    if is_split and numbers == [*range(numbers[0], numbers[0] + len(numbers))]:
+        return [parts[number][0] for number in numbers]
+    return found if len(found) == 1 else []
 
 
-def bag_file_in(folder: Path | str, besides: str = "") -> Path | None:
-    """The only one of `bag_files_in`; None where there are several, or none."""
-    found = bag_files_in(folder, besides)
+def bag_file_in(folder: Path | str) -> Path | None:
+    """Returns the only one of `bag_files_in`; None where there are several, or none."""
+    found = bag_files_in(folder)
     return found[0] if len(found) == 1 else None
 
 

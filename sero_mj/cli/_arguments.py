@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import logging
 import math
 import re
 import signal
@@ -410,15 +411,18 @@ def read_recorded_run(
         return read_run_table(path, scene, source)
     if scene is None:
         with open_recording(path) as recording:
-            found = list(scenes_of_bag(recording)) if isinstance(recording, Bag) else []
+            found = []
             if isinstance(recording, Bag):
-                found += [name for name in robots if name not in found]
+                found = list(scenes_of_bag(recording, "--scene NAME", source, robots))
         why: list[SeroError] = []
         for name in found:
             try:
                 possible = read_scene(name)
                 if not robots or not possible.robots.keys().isdisjoint(robots):
-                    return read_run(path, source, scene=possible)
+                    run = read_run(path, source, scene=possible)
+                    if not robots:
+                        note_choice(path, name)
+                    return run
             except SeroError as error:
                 why.append(error)
         if why:
@@ -429,6 +433,27 @@ def read_recorded_run(
         if scene is None and "give" in error.reason:
             raise RecordingError(error.path, f"{error.reason}: --scene SCENE") from None
         raise
+
+
+@contextlib.contextmanager
+def without_warnings() -> Iterator[None]:
+    """Logs no warnings, within the context, of what is read once more or only for a detail."""
+    log = logging.getLogger("sero_mj")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
+def note_choice(recording: Path, scene: str) -> None:
+    """Prints a note that a shipped robot was chosen for a recording of ROS by its joints' names."""
+    from ..data.record.bag import Bag, look_into
+
+    if not paths.is_temporary(scene) and isinstance(look_into(recording), Bag):
+        chosen = f"does not describe its robot; {scene} has the joints that it names"
+        print(f"note: {recording} {chosen}", file=sys.stderr)
 
 
 def check_span(recording: PacketFile, start: float | None, stop: float | None = None) -> None:

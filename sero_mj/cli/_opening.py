@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
 
 from ..base import paths
 from ..base.errors import SeroError, UsageError
 from ..viewer.session.recent_views import RecentView, recent_views
-from ._arguments import NETWORK, read_scene, replay_instead
+from ._arguments import NETWORK, note_choice, read_scene, replay_instead, without_warnings
 from .shared_options import is_recording
 
 
@@ -48,9 +46,9 @@ def view_of_file(path: Path, shown: str | None, source: str | None = None) -> Re
     if not path.exists():
         raise UsageError(f"{path}: no such file")
     why: list[SeroError] = []
-    for scene in _scenes_of(path, shown):
+    for scene in _scenes_of(path, shown, source):
         try:
-            with _quiet():
+            with without_warnings():
                 replay_instead(read_scene(scene, replay=path), path, None, source)
         except SeroError as error:
             if paths.is_temporary(scene):
@@ -83,23 +81,12 @@ def with_scene(options: T) -> T:
         raise UsageError(f"--replay: {options.scene} is a recording already")
     recording = Path(options.scene)
     view = view_of_file(recording, None, options.source)
+    note_choice(recording, view.scene)
     shown = {"scene": view.scene, "replay": recording}
     return options.model_copy(update=shown)
 
 
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Logs no warnings, within the context, of what is read once more when it is shown."""
-    log = logging.getLogger("sero_mj")
-    before = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        log.setLevel(before)
-
-
-def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
+def _scenes_of(path: Path, shown: str | None, source: str | None) -> Iterator[str]:
     from ..data.drive.described_scene import scenes_of_bag
     from ..data.record.bag import Bag, open_recording
     from ..data.record.scene_files import write_scene
@@ -108,7 +95,8 @@ def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
         yield shown
     with open_recording(path) as recording:
         if isinstance(recording, Bag):
-            yield from scenes_of_bag(recording)
+            choose = f"sero-mj view NAME --replay {path}"
+            yield from scenes_of_bag(recording, choose, source)
             return
         name = recording.about.get("scene", "")
     if not name:

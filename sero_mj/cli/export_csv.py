@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+from ..base.errors import SeroError, UsageError
 from ..base.options import Option, Options, Time, positional
-from ._arguments import check_new, check_span, command
+from ._arguments import check_new, check_span, command, read_scene, without_warnings
+
+if TYPE_CHECKING:
+    from ..data.record.recording import PacketFile
 
 _EPILOG = """\
 examples:
@@ -16,6 +22,10 @@ examples:
 
 A row for every good packet: its time in s since the recording began, then all of its numbers, to
 the last digit. With several sources, --source chooses one.
+
+Values of joints that messages name are called joint_angles[NAME], torques[NAME] and so on. They are
+in the order of the robot: that of --scene, the one that a recording of ROS describes, or the
+shipped robot with these joints; else in the order of the messages.
 """
 ORDER = 37  # in the help of `sero-mj`
 
@@ -27,6 +37,7 @@ class ExportCsvOptions(Options):
         recording: a recording.
         output: where to.
         source: which source (default: the only one).
+        scene: robot, or scene of one robot, in whose order joints are.
         start: from this time on, s.
         stop: until before this time, s.
         overwrite: write over a file that exists.
@@ -35,6 +46,7 @@ class ExportCsvOptions(Options):
     recording: Annotated[Path, positional("REC.mcap")]
     output: Annotated[Path, positional("OUT.csv")]
     source: Annotated[str | None, Option("NAME")] = None
+    scene: Annotated[str | None, Option("SCENE")] = None
     start: Time | None = None
     stop: Time | None = None
     overwrite: bool = False
@@ -54,15 +66,64 @@ def run(options: ExportCsvOptions) -> int:
         source = Replay(file=options.recording, source=name)
         source.allow_nan(source.events)  # a table has a place for them
         start = -math.inf if options.start is None else options.start
+        joints = recording.sources[name].declared.get("joints") or []
+        ordered, robot = _in_order(recording, joints, options)
         written = export_csv(
-            recording, name, options.output, source.decode, start=start, stop=options.stop
+            recording,
+            name,
+            options.output,
+            source.decode,
+            joints=joints,
+            ordered=ordered,
+            start=start,
+            stop=options.stop,
         )
         for fault in recording.faults:
             print(f"note: {options.recording}: {fault}")
         damaged = bool(recording.faults)
     left_out = f", {written.malformed} malformed packets left out" if written.malformed else ""
-    print(f"{options.output}: {written.rows} rows{left_out}")
+    order = f", joints in the order of {robot}" if robot else ""
+    print(f"{options.output}: {written.rows} rows{order}{left_out}")
     return 1 if (damaged or written.malformed) and not written.rows else 0
+
+
+def _in_order(
+    recording: PacketFile, joints: Sequence[str], options: ExportCsvOptions
+) -> tuple[list[str], str]:
+    """Returns the joints in the order of the robot, and its name; empty if it is not known."""
+    from ..data.drive.described_scene import described_scene, shipped_robots_of
+    from ..data.record.bag import DESCRIPTION, Bag
+    from ..data.ros.joined_packets import prefix_before
+    from ..load import load_robot
+    from ..robots.importers.imported_tables import first_of
+
+    if options.scene is not None:
+        robots = list(read_scene(options.scene).robots.values())
+        if len(robots) != 1:
+            count = f"it has {len(robots)} robots; expected one, in whose order joints are"
+            raise UsageError(f"--scene {options.scene}: {count}")
+    elif isinstance(recording, Bag):
+        robots = []
+        with without_warnings(), suppress(SeroError):
+            if DESCRIPTION in recording.attachments:
+                text = recording.read_attachment(DESCRIPTION).decode()
+                robots = list(read_scene(str(described_scene(text))).robots.values())
+        if not robots:
+            shipped = shipped_robots_of(recording, options.source)
+            robots = [load_robot(name) for name in shipped]
+    else:  # packets of our own recordings are in the robot's order
+        return [], ""
+    orders: list[list[str]] = []
+    for robot in robots:
+        prefix = prefix_before(robot.names, joints)
+        there = [prefix + name for name in robot.names if prefix + name in joints]
+        if options.scene is not None and not there:
+            found = f"its joints are {first_of(robot.names)}; expected {first_of(joints)}"
+            raise UsageError(f"--scene {options.scene}: {found}")
+        orders.append(there + [name for name in joints if name not in there])
+    if not joints or not orders or any(order != orders[0] for order in orders):
+        return [], ""
+    return orders[0], " and ".join(robot.name for robot in robots)
 
 
 add_to = command("export-csv", run, ExportCsvOptions, _EPILOG)

@@ -6,8 +6,9 @@ matplotlib is imported only when a figure is created, and its settings are resto
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ import numpy as np
 from ..base.errors import Problem, RenderError, UsageError
 from ..base.frames import Array
 from ..base.reduction import envelope
+from ..viewer.decor.font import drawable, more_fonts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,6 +71,7 @@ _STYLE: Any = {
     "text.color": INK,
     "lines.solid_joinstyle": "round",
     "path.simplify": False,
+    "text.parse_math": False,  # names of joints may have dollar signs
     "svg.hashsalt": "sero-mj",
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
@@ -114,7 +117,31 @@ def styled() -> Iterator[None]:
     import matplotlib as mpl
 
     with mpl.rc_context(_STYLE):
+        mpl.rcParams["font.family"] = [*_STYLE["font.family"], *_more_families()]
         yield
+
+
+def drawn_name(name: str, number: int) -> str:
+    """Returns the name of a joint, or `joint 3` if no font has its characters.
+
+    Args:
+        name: of the joint.
+        number: counted from 0.
+    """
+    return name if drawable(name) else f"joint {number + 1}"
+
+
+@cache
+def _more_families() -> list[str]:
+    """Families of the fonts for scripts that the first one does not have."""
+    from matplotlib import font_manager
+
+    found = []
+    for file in more_fonts()[1:]:  # the first has what DejaVu Sans has as well
+        with suppress(OSError, RuntimeError):
+            font_manager.fontManager.addfont(file)
+            found.append(font_manager.get_font(file).family_name)
+    return found
 
 
 class Figure:

@@ -26,6 +26,7 @@ from .figure import (
     Figure,
     Span,
     check_suffix,
+    drawn_name,
     save_figures,
     styled,
 )  # fmt: skip
@@ -139,7 +140,7 @@ def _draw_run(
     has_both = all(log.has(robot, signal) for robot, _ in chosen
                    for signal in ("torques", "commanded_torques"))  # fmt: skip
     several = len({robot for robot, _ in chosen}) > 1
-    rows = [(log.robots[robot].names[k], _beneath(log, robot, k, named=several))
+    rows = [(drawn_name(log.robots[robot].names[k], k), _beneath(log, robot, k, named=several))
             for robot, k in chosen]  # fmt: skip
     units = list(dict.fromkeys(log.robots[robot].torque_units[k].name for robot, k in chosen))
     unit = " or ".join(units)
@@ -379,7 +380,7 @@ def plot_pair(
         columns.append((f"angle, A − B, {unit_of_angle}", 1.0))
     with styled():
         figure = Figure(
-            [(names[k], _beneath_pair(pair, k)) for k in chosen],
+            [(drawn_name(names[k], k), _beneath_pair(pair, k)) for k in chosen],
             columns,
             title=f"{pair.names[0]} − {pair.names[1]}",
             subtitle=_about_pair(pair) + _left_out(len(chosen), len(names)),

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from .decor.font import Font
+from .decor.font import FONTS, Font, drawable, font_with, open_face
 from .decor.panels import BAR_RGBA, PADDING, Panels
 from .decor.value_columns import Value, value_columns
 
@@ -24,7 +24,6 @@ Rgb = tuple[float, float, float]
 Rgba = tuple[float, float, float, float]
 Size = tuple[int, int]
 
-_FONTS = Path(__file__).parent / "fonts"
 _EM = 0.74  # of a line's height
 _RADIUS = 0.28  # of the corners, of a line's height
 _EDGE = 0.10  # fraction of white in a panel's outline
@@ -44,7 +43,7 @@ class Text:
     Attributes:
         x: of its left end, from the panel's left edge, pixels.
         y: of the lower edge of its line, from the panel's lower edge, pixels.
-        text: other characters than printable ASCII are shown as question marks.
+        text: characters that no font has are shown as question marks.
         rgb: its colour.
         is_strong: whether it is semibold.
     """
@@ -84,6 +83,7 @@ class Typesetter:
     def __init__(self, line: int) -> None:
         size = _EM * line
         self._line = line
+        self._size = size
         self._faces = [_face("Medium", size), _face("SemiBold", size)]
         ascent, descent = size * 0.96875, size * 0.2412  # of Inter
         self._baseline = round((line + ascent - descent) / 2)
@@ -96,7 +96,7 @@ class Typesetter:
         self._coverage = lru_cache(_TEXTS_KEPT)(self._draw)
         self.panel = lru_cache(_PANELS_KEPT)(self._set)
         self._figures = {c: self._figure(c, cell) for c, cell in cells.items()}
-        self.font = Font(line, widths, has_columns=True)
+        self.font = Font(line, widths, has_columns=True, other=self._width)
         self._last: dict[Hashable, Bytes] = {}  # panels of the last frame
 
     def _figure(self, character: str, cell: int) -> Bytes:
@@ -109,10 +109,27 @@ class Typesetter:
 
     def _draw(self, text: str, is_strong: bool) -> Bytes:
         """Returns the coverage of a text by its letters, (line, width), 0 to 255."""
-        face = self._faces[is_strong]
-        picture = Image.new("L", (int(np.ceil(face.getlength(text))) + 1, self._line))
-        ImageDraw.Draw(picture).text((0, self._baseline), text, 255, face, anchor="ls")
+        runs = [
+            (face, "".join(characters))
+            for face, characters in groupby(text, lambda c: self._face_of(c, is_strong))
+        ]
+        widths = [face.getlength(part) for face, part in runs]
+        picture = Image.new("L", (int(np.ceil(sum(widths))) + 1, self._line))
+        left = 0.0
+        for (face, part), width in zip(runs, widths, strict=True):
+            at = (left, self._baseline)
+            ImageDraw.Draw(picture).text(at, part, 255, face, anchor="ls")
+            left += width
         return np.asarray(picture)
+
+    def _face_of(self, character: str, is_strong: bool) -> ImageFont.FreeTypeFont:
+        """Returns the face that has a character."""
+        file = None if character.isascii() or character == _MINUS else font_with(character)
+        return self._faces[is_strong] if file is None else _more_face(file, self._size)
+
+    def _width(self, character: str) -> float:
+        """Returns the width of a character that is not ASCII, pixels."""
+        return float(self._face_of(character, False).getlength(character))
 
     def place(self, groups: Sequence[Panels]) -> list[Placed]:
         """Returns the panels of a picture, in drawing order."""
@@ -144,7 +161,7 @@ class Typesetter:
             size,
             rgba,
             tuple(
-                Text(pad, first - k * self._line, text.decode("ascii", "replace"))
+                Text(pad, first - k * self._line, text.decode("utf-8", "replace"))
                 for k, text in enumerate(lines)
             ),
         )
@@ -188,7 +205,7 @@ class Typesetter:
         """
         out = _background(size, rgba, _RADIUS * self._line if is_round else 0.0).copy()
         for item in texts:
-            text = item.text.encode("ascii", "replace").decode()
+            text = "".join(c if drawable(c) else "?" for c in item.text)
             if text.strip():
                 top = round(size[1] - item.y - self._line)
                 _blend(out, self._coverage(text, item.is_strong), round(item.x), top, item.rgb)
@@ -196,9 +213,12 @@ class Typesetter:
 
 
 def _face(weight: str, size: float) -> ImageFont.FreeTypeFont:
-    # Not Raqm, which is not everywhere and would set a few pixels differently.
-    layout = ImageFont.Layout.BASIC
-    return ImageFont.truetype(_FONTS / f"Inter-{weight}.ttf", size, layout_engine=layout)
+    return open_face(FONTS / f"Inter-{weight}.ttf", size)
+
+
+@lru_cache(maxsize=64)
+def _more_face(file: str, size: float) -> ImageFont.FreeTypeFont:
+    return open_face(file, size)
 
 
 @lru_cache(maxsize=64)

@@ -17,6 +17,7 @@ from ..ros.joined_packets import TF, prefix_before
 from ..ros.ros_source import RosSource, is_tf
 from .wiring import wired_source
 
+_NAMELESS = "joint_states"  # the source of messages that do not name joints
 _FIELDS = frozenset(RosSource.model_fields) - {"name", "structure", "only_latest_packet"}
 
 
@@ -28,7 +29,7 @@ def topics_of(scene: Scene) -> dict[str, RosSource]:
             source = wired_source(scene, name, declared)
             of_ros = source.of_ros if isinstance(source, Replay) else source
             if isinstance(of_ros, RosSource):
-                found[name] = of_ros
+                found[name] = of_ros.as_topics
     return found
 
 
@@ -43,7 +44,8 @@ def replay_of(scene: Scene, name: str, file: Path) -> dict[str, Any]:
     table: dict[str, Any] = {"kind": "replay", "file": str(file), "source": name}
     source = topics_of(scene).get(name)
     if source is not None and isinstance(look_into(file), Bag):
-        table["topics"] = source.model_dump(include=_FIELDS, exclude_unset=True)
+        fields = source.model_dump(include=_FIELDS, exclude_unset=True)
+        table["topics"] = {"joint_states": source.joint_states, **fields}
     return table
 
 
@@ -68,13 +70,17 @@ def with_bag(scene: Scene, file: Path, source: str | None = None) -> Scene:
     if not isinstance(recording, Bag):
         return scene
     joints = {each: of.declared["joints"] for each, of in recording.sources.items()}
+    table: dict[str, Any] = {"kind": "replay", "file": str(file)}
+    if not joints and source is None and len(recording.nameless) == 1:
+        source, joints = _NAMELESS, {_NAMELESS: []}
+        table["topics"] = {"joint_states": recording.nameless[0]}
     if source is None:
         source = _source_of(robot, joints)
     if source not in joints:
         return scene
     led = copy(scene)
-    table: dict[str, Any] = {"kind": "replay", "file": str(file), "source": source}
-    declared = recording.sources[source].declared
+    table["source"] = source
+    declared = table["topics"] if "topics" in table else recording.sources[source].declared
     if not declared.get("odometry") and _base_moves(robot, file):
         declared = {key: each for key, each in declared.items() if key != "joints"}
         table["topics"] = declared = {**declared, "odometry": TF}

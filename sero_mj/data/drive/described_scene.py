@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 from ...base import paths
-from ...base.errors import UsageError, shown
+from ...base.errors import RecordingError, UsageError, shown
 from ..record.bag import DESCRIPTION, Bag
 from ..ros.network import SCHEME, Address, Found, find_robot, robots_with
 from .bag_topics import source_routes
@@ -85,19 +85,45 @@ def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path
     return file
 
 
-def scenes_of_bag(bag: Bag) -> Iterator[str]:
-    """Scenes of the robots that a recording of ROS may be of: described in it, or shipped.
+def scenes_of_bag(
+    bag: Bag, choose: str, source: str | None = None, wanted: Collection[str] = ()
+) -> Iterator[str]:
+    """Yields scenes of the robot that a recording of ROS is of: described in it, else shipped.
 
     Args:
         bag: is read only while it is asked for the next one.
+        choose: how the user chooses the robot called NAME, for the error.
+        source: of the recording, that moves the robot; any when None.
+        wanted: names of robots of which it is one; any when empty.
 
-    Returns:
-        names or files, the likeliest first.
+    Raises:
+        RecordingError: it has no source.
+        UsageError: it has no such source, or it describes no robot, and several shipped ones have
+            its joints.
     """
-    if DESCRIPTION in bag.attachments:
+    if source is not None:
+        bag.choose_source(source)
+    if not bag.sources:
+        raise RecordingError(bag.path, bag.why_no_source())
+    is_described = DESCRIPTION in bag.attachments
+    if is_described:
         yield str(described_scene(bag.read_attachment(DESCRIPTION).decode("utf-8")))
-    for source in bag.sources.values():
-        yield from robots_with(source.declared["joints"])
+    found = shipped_robots_of(bag, source)
+    if wanted:
+        yield from [name for name in found if name in wanted]
+        yield from [name for name in wanted if name not in found]
+    elif len(found) == 1:
+        yield from found
+    elif found and not is_described:
+        fits = f"its joints are those of {', '.join(found)}, and it does not describe its robot"
+        raise UsageError(f"{bag.path}: {fits}; choose one: {choose.replace('NAME', found[0])}")
+
+
+def shipped_robots_of(bag: Bag, source: str | None = None) -> list[str]:
+    """Returns the shipped robots with the joints of a recording, or of one of its sources."""
+    sources = [each for name, each in bag.sources.items() if source in (None, name)]
+    robots = [robot for each in sources for robot in robots_with(each.declared["joints"])]
+    return list(dict.fromkeys(robots))
 
 
 def _is_xml(text: str) -> bool:

@@ -16,6 +16,7 @@ from ...base.errors import Problem
 from ...base.frames import Array
 from ...robots.declared.inputs import Input
 from ...robots.declared.scene import Scene
+from ...robots.importers.joint_names import identifiers
 from ._units import robot_of, units_of, wrong_unit
 from .route import Route
 from .values import Value, joined
@@ -68,7 +69,8 @@ def places_by_name(
         limbs = {scope + limb: joints for limb, joints in robot.limb_joints.items()}
         if in_group:
             limbs[robot.name] = list(range(robot.n))
-        limbs |= {scope + name: [i] for i, name in enumerate(robot.names)}
+        joints = {**identifiers(robot.names), **{name: i for i, name in enumerate(robot.names)}}
+        limbs |= {scope + name: [i] for name, i in joints.items()}
         places |= {name: [Place(item, i) for i in joints] for name, joints in limbs.items()}
     return places
 

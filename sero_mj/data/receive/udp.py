@@ -8,7 +8,7 @@ import socket
 import time
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, field_validator
@@ -29,7 +29,6 @@ from .source import Source, log
 
 # At high rates it is cheaper to gather packets; the renderer shares the interpreter with this
 # thread.
-_KEPT_BYTES = 2048
 _BUSY_BATCH = 8  # packets in a batch
 _GATHER_TIME = 5e-4  # s
 _MAX_CHECK_DELAY = 4e-3  # s that answered packets may wait until they are checked
@@ -65,6 +64,7 @@ class UdpReceiver(Source):
     ] = []
     buffer_size: int = Field(0, ge=0, le=2**31 - 1)
 
+    _most_bytes: ClassVar[int] = 2048  # of a packet that are kept at least
     _socket: socket.socket | None = PrivateAttr(None)
     _allowed: frozenset[tuple[bytes, int]] = PrivateAttr(frozenset())
 
@@ -120,7 +120,7 @@ class UdpReceiver(Source):
         assert sock is not None
         # One additional byte reveals packets that are too long if the system does not report it. A
         # recording keeps what is wrong whole, if it is not very long.
-        datagrams = Datagrams(sock, max(self.layout.size + 1, _KEPT_BYTES))
+        datagrams = Datagrams(sock, max(self.layout.size + 1, self._most_bytes))
         datagrams.on_arrival = self._on_arrival(datagrams.send)
         answers, since = datagrams.on_arrival is not None, 0.0
         if answers:

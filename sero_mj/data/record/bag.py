@@ -27,10 +27,12 @@ from ..ros.dds import Ros2
 from ..ros.joined_packets import FRAMES, TF, JoinedPackets
 from ..ros.messages import JOINT_STATE, ODOMETRY, TEXT, MalformedMessage, type_store
 from ..ros.ros_source import MOST_KEPT, TYPES, RosSource, is_tf
+from ._json_mcap import JsonMcap, has_json
 from ._mcap_reader import BROKEN, NOT_CLOSED
 from ._mended_mcap import MendedMcap
 from ._mended_sqlite import log_of, with_log
 from .recording import PacketFile, RecordedSource, Recording
+from .recording_format import LIBRARY
 
 DESCRIPTION = "robot.urdf"  # an attachment: what the topic robot_description says
 _ENDINGS = (".bag", ".active", ".db3")  # a bag of ROS 1 is .bag.active until it is closed
@@ -39,6 +41,7 @@ _FILES = ", ".join(f"NAME{ending}" for ending in BAG_ENDINGS)
 _SQLITE, _SQLITE_HEAD = b"SQLite format 3\0", 100  # bytes
 _ROS1 = b"#ROSBAG V2.0"
 _BEFORE = 0.5  # s before a time in which what was true at that time is looked for
+_EVERY_DEVICE = 2.0  # s in which every device should have published
 _LONGER = 8.0  # times as long, as long as nothing is found
 _NEXT = 1e-9  # s, the resolution of times
 _MANY = 10  # topics in a message
@@ -70,17 +73,24 @@ def open_recording(
     """
     path = Path(path)
     if path.is_dir() and not is_bag(path):
-        found = bag_file_in(path)
-        if found is None:
-            raise RecordingError(path, _without_metadata(path))
-        path = found
+        files = bag_files_in(path)
+        if not files:
+            raise RecordingError(path, _why_no_bag(path))
+        if len(files) > 1:
+            return Bag(path, topics, tell)
+        (path,) = files
     if is_bag(path):
         return Bag(path, topics, tell)
     try:
         return Recording(path)
     except RecordingError:  # also where what tells of its messages is in a chunk, or missing
-        if _profile(path) == "ros2":
+        profile, library = _header(path)
+        if library.startswith(LIBRARY):
+            raise
+        if profile == "ros2":
             return Bag(path, topics, tell)
+        if has_json(path):
+            return Bag(path, topics, tell, is_json=True)
         raise
 
 
@@ -118,23 +128,34 @@ def _state_of(path: Path) -> tuple[tuple[str, int, int], ...]:
     return tuple(found)
 
 
-def _without_metadata(folder: Path) -> str:
-    """What is wrong with a folder where nothing says how its files belong together."""
-    files = bag_files_in(folder)
-    found = files or sorted(each for each in folder.iterdir() if each.suffix in BAG_ENDINGS)
-    names = ", ".join(each.name for each in found[:_MANY]) or _FILES
-    reason = f"is a folder without {_METADATA}; open one of its files, {names}"
-    if not files:
-        return reason
-    storage = "mcap" if files[0].suffix.lower() == ".mcap" else "sqlite3"
-    return f"{reason}; or `ros2 bag reindex -s {storage} {folder}` writes it"
+def _why_no_bag(folder: Path) -> str:
+    """Describes why a folder without metadata is no recording."""
+    found = sorted(each for each in folder.iterdir() if each.suffix.lower() in BAG_ENDINGS)
+    if not found:
+        return f"is a folder without {_METADATA} and without recordings, {_FILES}"
+    names = ", ".join(each.name for each in found[:_MANY])
+    return (
+        f"is a folder without {_METADATA}, and its files do not belong together; open one of them, "
+        f"{names}"
+    )
 
 
-def _profile(path: Path) -> str:
-    """What an MCAP file says that its messages are; empty where it cannot be read."""
+def _header(path: Path) -> tuple[str, str]:
+    """Returns the profile of an MCAP file, and what wrote it; empty where it cannot be read."""
     with suppress(OSError, *BROKEN), open_file(path) as file:
-        return make_reader(file).get_header().profile
-    return ""
+        header = make_reader(file).get_header()
+        return header.profile, header.library
+    return "", ""
+
+
+def _reader_of_ros(path: Path) -> Any:
+    """Returns the class that reads recordings of ROS; raises RecordingError without `rosbags`."""
+    try:
+        from rosbags.highlevel import AnyReader
+    except ImportError as error:
+        reason = f"is a recording of ROS, which rosbags reads ({error}): "
+        raise RecordingError(path, f"{reason}pip install 'sero-mj[ros2]'") from error
+    return AnyReader
 
 
 def _lacks_its_end(file: Path) -> bool:
@@ -151,7 +172,7 @@ def _why_unreadable(path: Path, error: Exception) -> str:
     """Why a recording cannot be read, by the error of rosbags."""
     said = f"cannot be read: {error or type(error).__name__}"
     with suppress(OSError):
-        file = (bag_file_in(path, besides=_METADATA) if path.is_dir() else path) or path
+        file = (bag_file_in(path) if path.is_dir() else path) or path
         with open_file(file) as opened:
             begin = opened.read(_SQLITE_HEAD)
         size = file.stat().st_size
@@ -185,9 +206,13 @@ class Bag(PacketFile):
             its name (`/arm/joint_states` is `arm_joint_states`), of the joints that its first
             message names.
         tell: gets what a user should know of the messages, once or more.
+        is_json: whether it is MCAP with messages in JSON.
 
     Raises:
         RecordingError: it cannot be read, has no joint states, or a package is missing.
+
+    Attributes:
+        nameless: topics whose messages name no joints. They are sources only if `topics` has them.
     """
 
     _why_unreadable: ClassVar[str] = "no message has the joints that are wanted"
@@ -197,17 +222,20 @@ class Bag(PacketFile):
         path: Path,
         topics: Mapping[str, RosSource] | None = None,
         tell: Callable[[str], None] = lambda _: None,
+        *,
+        is_json: bool = False,
     ) -> None:
         self.path, self._tell = path, tell
         self.about, self.lost, self.faults = {}, {}, []
-        try:
-            from rosbags.highlevel import AnyReader
-        except ImportError as error:
-            reason = f"is a recording of ROS, which rosbags reads ({error}): "
-            raise RecordingError(path, f"{reason}pip install 'sero-mj[ros2]'") from error
+        self.nameless: list[str] = []
+        self._left_out: set[str] = set()  # reasons in `faults`
         self._reader: Any = None
         try:
-            self._open(AnyReader)
+            if is_json:
+                self._reader = JsonMcap(path)
+                self.faults = self._reader.faults  # more are found when messages are read
+            else:
+                self._open(_reader_of_ros(path))
             self._read_all_but_messages(topics)
         except RecordingError:
             self.close()
@@ -218,7 +246,10 @@ class Bag(PacketFile):
 
     def _open(self, reader: Any) -> None:
         """Opens it, or what is whole of it; raises RecordingError and whatever rosbags raises."""
-        file = bag_file_in(self.path, besides=_METADATA) if self.path.is_dir() else self.path
+        file = bag_file_in(self.path) if self.path.is_dir() else self.path
+        if file is None and not is_bag(self.path):
+            self._open_parts(reader, bag_files_in(self.path))
+            return
         if file is not None and (log := log_of(file)) is not None:
             self._reader = reader([with_log(file, log)], default_typestore=type_store())
             self._reader.open()
@@ -240,6 +271,22 @@ class Bag(PacketFile):
             self._reader = reader([mended], default_typestore=type_store())
             self._reader.open()
             self.faults += others
+            self._tell_cut(cut)
+
+    def _open_parts(self, reader: Any, files: list[Path]) -> None:
+        """Opens the files of a recording whose metadata are missing; raises as `_open` does."""
+        parts: list[Path | MendedMcap] = []
+        cut = ""
+        for file in files:
+            part = MendedMcap(file) if _lacks_its_end(file) else file
+            if isinstance(part, MendedMcap):
+                *others, cut = (f"{file.name}: {fault}" for fault in part.faults)
+                self.faults += others
+            if isinstance(part, Path) or part.has_topics:
+                parts.append(part)
+        self._reader = reader(parts, default_typestore=type_store())
+        self._reader.open()
+        if cut:
             self._tell_cut(cut)
 
     def _tell_cut(self, fault: str) -> None:
@@ -277,9 +324,24 @@ class Bag(PacketFile):
         return found
 
     def _joints_of(self, topic: str) -> list[str]:
-        """Names in the first message of a topic."""
-        first = next((message for _, message in self._messages([topic])), None)
-        return list(getattr(first, "name", []))
+        """Names of joints in the messages of a topic: several devices may publish on it.
+
+        These are in its first messages. Messages that name a joint twice count only if there are
+        no others.
+        """
+        names: dict[str, None] = {}
+        doubtful: dict[str, None] = {}
+        end = math.inf
+        for time, connection, raw in self._raw([topic]):
+            if time > end:
+                break
+            with suppress(MalformedMessage):
+                found = list(getattr(self._decoded(connection, raw), "name", []))
+                is_clear = len(set(found)) == len(found)
+                (names if is_clear else doubtful).update(dict.fromkeys(found))
+            if names:
+                end = min(end, time + _EVERY_DEVICE)
+        return list(names or doubtful)
 
     def _named_by_topic(self) -> dict[str, RosSource]:
         """A source for each topic with the states of joints, or one for what else moves a robot."""
@@ -287,7 +349,8 @@ class Bag(PacketFile):
             dict.fromkeys(e.topic for e in self._reader.connections if e.msgtype == ODOMETRY)
         )
         base = odometry[0] if len(odometry) == 1 else ""
-        if not self._states and any(e.topic == "/tf" for e in self._reader.connections):
+        moves = [(each.topic, each.msgtype) for each in self._reader.connections]
+        if not self._states and ("/tf", TYPES[FRAMES]) in moves:
             return {TF: Ros2(name=TF, joint_states=TF, odometry=base or TF)}
         if not self._states and base:
             name = base.strip("/").replace("/", "_")
@@ -304,7 +367,7 @@ class Bag(PacketFile):
             if names:
                 found[name] = Ros2(name=name, joint_states=topic, joints=names, odometry=base)
             else:
-                self.faults.append(f"no message of {topic} names joints; it is left out")
+                self.nameless.append(topic)
         return found
 
     def _declared(self, name: str) -> RecordedSource:
@@ -350,6 +413,15 @@ class Bag(PacketFile):
             if newest or t - back < 0.0:
                 return newest[0] if newest else None
             back *= _LONGER
+
+    def why_no_source(self) -> str:
+        """Describes why no source is in it; see `PacketFile.why_no_source`."""
+        if not self.nameless:
+            return super().why_no_source()
+        return (
+            f"the messages of {', '.join(self.nameless)} do not name their joints; with a scene of "
+            "one robot that has as many (--replay, --scene), they are taken in its order"
+        )
 
     def about_sources(self) -> str:
         """Its sources in words: topics, numbers of messages, joints."""
@@ -455,5 +527,9 @@ class Bag(PacketFile):
                 raise MalformedMessage(f"{connection.topic} is of type {connection.msgtype}")
             arrival = self._begin * 1e-9 + time
             return joined.take(tells, self._decoded(connection, raw), arrival)
-        except MalformedMessage:
+        except MalformedMessage as error:
+            reason = f"a message of {connection.topic} is left out: {error}"
+            if reason not in self.faults and len(self._left_out) < _MANY:
+                self._left_out.add(reason)
+                self.faults.append(reason)
             return joined.layout.never(raw[:MOST_KEPT])

@@ -9,7 +9,7 @@ import math
 import os
 import re
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ...base.errors import CsvError, Problem, SeroError
 from ...base.frames import Array
 from ...base.paths import open_file
+from ..ros.joined_packets import JOINT_EVENTS
 
 if TYPE_CHECKING:
     from _csv import Reader, Writer
@@ -79,10 +80,17 @@ class Exported:
     malformed: int = 0
 
 
-def column_names(events: Mapping[str, tuple[int, ...]]) -> list[str]:
-    """Returns a name for every number of a packet: `values0[0]`, `vectors0[0][2]`, ..."""
+def column_names(events: Mapping[str, tuple[int, ...]], joints: Sequence[str] = ()) -> list[str]:
+    """Returns a name for every number of a packet: `values0[0]`, `vectors0[0][2]`, ...
+
+    Args:
+        events: event to its shape.
+        joints: names of the joints that messages tell of: `torques[elbow]`; empty for none.
+    """
     return [
-        event + "".join(f"[{i}]" for i in index)
+        f"{event}[{joints[index[0]]}]"
+        if joints and event in JOINT_EVENTS
+        else event + "".join(f"[{i}]" for i in index)
         for event, shape in events.items()
         for index in np.ndindex(*shape)
     ]
@@ -94,6 +102,8 @@ def export_csv(
     path: Path | str,
     decode: Callable[[bytes], Mapping[str, NDArray[np.float64]] | None],
     *,
+    joints: Sequence[str] = (),
+    ordered: Sequence[str] = (),
     start: float = -math.inf,
     stop: float | None = None,
 ) -> Exported:
@@ -107,6 +117,8 @@ def export_csv(
         name: the source.
         path: the file to write.
         decode: a packet to its events; None, or ValueError, for a malformed one.
+        joints: names of the joints that messages tell of, in the order of the packets.
+        ordered: the same in the order of the columns; as in packets when empty.
         start: first time, s since the recording began.
         stop: end time, exclusive, likewise; None for the end.
 
@@ -121,6 +133,7 @@ def export_csv(
     packets = recording.packets(name, start, stop)
     events = recording.sources[name].events if name in recording.sources else {}
     written = Exported()
+    order = [joints.index(name) for name in ordered] or slice(None)
 
     def rows() -> Iterator[list[float]]:
         for time, packet in packets:
@@ -134,12 +147,13 @@ def export_csv(
             written.rows += 1
             row = [time]
             for event in events:
-                row += values[event].ravel().tolist()
+                numbers = values[event].ravel()
+                row += (numbers[order] if joints and event in JOINT_EVENTS else numbers).tolist()
             yield row
 
     first = next(rows_of := rows(), None)  # recording errors come before a file is created
     with csv_table(path) as table:
-        table.writerow([TIME, *column_names(events)])
+        table.writerow([TIME, *column_names(events, ordered or joints)])
         if first is not None:
             table.writerow(first)
         table.writerows(rows_of)

@@ -15,23 +15,23 @@ import numpy as np
 from ...base.frames import Array
 
 SCHEMA_NAME, ENCODING, SCHEMA_ENCODING = "sensor_msgs/msg/JointState", "cdr", "ros2msg"
-_RULE = "=" * 80
+RULE = "=" * 80  # between the definitions of a schema
 SCHEMA = f"""\
 std_msgs/Header header
 string[] name
 float64[] position
 float64[] velocity
 float64[] effort
-{_RULE}
+{RULE}
 MSG: std_msgs/Header
 builtin_interfaces/Time stamp
 string frame_id
-{_RULE}
+{RULE}
 MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """.encode()
-_HEAD = b"\0\1\0\0"  # plain CDR, little-endian
+CDR_HEAD = b"\0\1\0\0"  # plain CDR, little-endian
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,9 @@ class JointStateMessages:
             body += struct.pack("<I", count)
             if count:
                 _align(body, 8)
-                self._parts.append((len(_HEAD) + len(body), slice(ends[key] - count, ends[key])))
+                self._parts.append((len(CDR_HEAD) + len(body), slice(ends[key] - count, ends[key])))
                 body += bytes(8 * count)
-        self._template = np.frombuffer(_HEAD + bytes(body), np.uint8)
+        self._template = np.frombuffer(CDR_HEAD + bytes(body), np.uint8)
 
     def encode(self, table: Array, log_times: Sequence[int]) -> list[bytes]:
         """Returns a message for each row.

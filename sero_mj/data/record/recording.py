@@ -29,6 +29,7 @@ from ._mcap_reader import (
     read_record,
     unpack_messages,
 )
+from .joint_state_messages import ENCODING
 from .recording_format import (
     ABOUT,
     CLOCK,
@@ -37,6 +38,7 @@ from .recording_format import (
     SOURCE_KEY,
     RecordingClock,
     SourceDeclaration,
+    unpack_raw,
 )
 
 _LATEST_NS = 2**64
@@ -105,9 +107,13 @@ class PacketFile(ABC):
             where = f"in {self.path}"
             raise UsageError(Problem("", "no source", found=name, of=where, available=names))
         if not names:
-            raise UsageError(f"{self.path} has no source")
+            raise UsageError(f"{self.path}: {self.why_no_source()}")
         how = f"choose with {by.replace('NAME', names[0])}, say" if by else "choose one"
         raise UsageError(f"{self.path} has several sources: {self.about_sources()}; {how}")
+
+    def why_no_source(self) -> str:
+        """Describes why it has no sources."""
+        return "; ".join(["has no source", *self.faults])
 
     def about_sources(self) -> str:
         """Its sources in words, for a user who has to choose one."""
@@ -257,7 +263,11 @@ class Recording(PacketFile):
         if not index.channels:
             why = "; ".join(index.faults) or "has no channels"
             raise RecordingError(self.path, Problem("", why, expected=_EXPECTED))
-        topics = ", ".join(sorted(channel.topic for channel in index.channels.values())[:10])
+        topics = ", ".join(
+            sorted(f"{each.topic} ({each.message_encoding})" for each in index.channels.values())[
+                :10
+            ]
+        )
         reason = f"is an MCAP file of another program: found the topics {topics}"
         raise RecordingError(self.path, Problem("", reason, expected=_EXPECTED))
 
@@ -389,6 +399,8 @@ class Recording(PacketFile):
                 raise self._unreadable(error) from error
         try:
             found = unpack_messages(record.getvalue(), channel)
+            if self._index.channels[channel].message_encoding == ENCODING:
+                found = [(time, unpack_raw(message)) for time, message in found]
         except BROKEN as error:
             self._report_damaged(chunk, error)
             return []

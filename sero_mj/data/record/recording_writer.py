@@ -24,19 +24,26 @@ from numpy.typing import NDArray
 
 from ... import __version__
 from ...base.errors import RecordingError, UnknownName
-from . import joint_state_messages
-from .joint_state_messages import JointStateMessages
+from .joint_state_messages import (
+    ENCODING,
+    SCHEMA,
+    SCHEMA_ENCODING,
+    SCHEMA_NAME,
+    JointStateMessages,
+)
 from .recording_format import (
     ABOUT,
     CLOCK,
+    LIBRARY,
     LOST,
-    RAW_ENCODING,
-    SCHEMA_ENCODING,
-    SIGNALS_ENCODING,
+    RAW_SCHEMA,
+    RAW_SCHEMA_NAME,
     SOURCE_KEY,
     RecordingClock,
     Signals,
     SourceDeclaration,
+    message_type,
+    pack_raw,
 )
 
 CHUNK_BYTES = 1 << 20
@@ -205,7 +212,7 @@ class RecordingWriter:
     ) -> None:
         self.clock = RecordingClock() if clock is None else clock
         self._channels: dict[str, _Channels] = {}
-        self._joint_schema = 0  # until there is one
+        self._schemas: dict[str, int] = {}  # number by name
         self._chunk_bytes, self._flush_after = chunk_bytes, flush_after
         self._waiting = 0  # bytes of the messages not yet in the file
         self._oldest = 0.0  # when the first of them came, on time.monotonic
@@ -213,7 +220,7 @@ class RecordingWriter:
         self._span = (2**64, 0)  # log times of the first and the last of them, ns
         self._file = McapStream(path, overwrite=overwrite)
         self._writer = Writer(self._file, chunk_size=_BY_US)  # type: ignore[arg-type]
-        self._writer.start(library=f"sero-mj {__version__}")
+        self._writer.start(profile="ros2", library=f"{LIBRARY} {__version__}")
         self._writer.add_metadata(CLOCK, self.clock.to_metadata())
         self._writer.add_metadata(ABOUT, dict(about))
         self._file.flush()
@@ -258,36 +265,32 @@ class RecordingWriter:
             raise ValueError(f"source '{name}' is in the recording already")
         declaration = SourceDeclaration(name, kind, declared, events, size).to_json()
         signals = signals or Signals(dict(events))
-        raw = self._add_channel(f"/{name}/raw", RAW_ENCODING, 0, {SOURCE_KEY: declaration})
-        title, text = f"sero-mj.{name}", signals.schema(name)
-        schema: int = self._writer.register_schema(title, SCHEMA_ENCODING, text)
-        self._repeat(Schema(id=schema, name=title, encoding=SCHEMA_ENCODING, data=text))
-        decoded = self._add_channel(f"/{name}/signals", SIGNALS_ENCODING, schema, signals.origins)
-        joints = [
-            (self._add_joint_states(robot), JointStateMessages(states, signals.shapes))
-            for robot, states in signals.joint_states.items()
-        ]
+        of_raw = self._add_schema(RAW_SCHEMA_NAME, RAW_SCHEMA.encode())
+        raw = self._add_channel(f"/{name}/raw", of_raw, {SOURCE_KEY: declaration})
+        of_signals = self._add_schema(message_type(name, self._schemas), signals.schema())
+        decoded = self._add_channel(f"/{name}/signals", of_signals, signals.origins)
+        joints = []
+        for robot, states in signals.joint_states.items():
+            of_joints = self._add_schema(SCHEMA_NAME, SCHEMA)
+            number = self._add_channel(f"/{robot}/joint_states", of_joints, {})
+            joints.append((number, JointStateMessages(states, signals.shapes)))
         self._channels[name] = _Channels(raw, decoded, signals, joints)
         self._file.flush()
 
-    def _add_joint_states(self, robot: str) -> int:
-        if not self._joint_schema:
-            name, encoding = joint_state_messages.SCHEMA_NAME, joint_state_messages.SCHEMA_ENCODING
-            text = joint_state_messages.SCHEMA
-            self._joint_schema = self._writer.register_schema(name, encoding, text)
-            self._repeat(Schema(id=self._joint_schema, name=name, encoding=encoding, data=text))
-        topic = f"/{robot}/joint_states"
-        return self._add_channel(topic, joint_state_messages.ENCODING, self._joint_schema, {})
+    def _add_schema(self, name: str, text: bytes) -> int:
+        if name not in self._schemas:
+            number: int = self._writer.register_schema(name, SCHEMA_ENCODING, text)
+            self._repeat(Schema(id=number, name=name, encoding=SCHEMA_ENCODING, data=text))
+            self._schemas[name] = number
+        return self._schemas[name]
 
-    def _add_channel(
-        self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]
-    ) -> int:
-        number: int = self._writer.register_channel(topic, encoding, schema, dict(metadata))
+    def _add_channel(self, topic: str, schema: int, metadata: Mapping[str, str]) -> int:
+        number: int = self._writer.register_channel(topic, ENCODING, schema, dict(metadata))
         self._repeat(
             Channel(
                 id=number,
                 topic=topic,
-                message_encoding=encoding,
+                message_encoding=ENCODING,
                 schema_id=schema,
                 metadata=dict(metadata),
             )
@@ -329,7 +332,7 @@ class RecordingWriter:
         self._count += 1
         first, last = self._span
         self._span = min(first, log_time), max(last, log_time)
-        self._add(channels.raw, packet, log_time, number)
+        self._add(channels.raw, pack_raw(packet), log_time, number)
 
     def write_rows(self, name: str, rows: NDArray[np.uint8], arrivals: NDArray[np.float64]) -> None:
         """Writes packets of one length; raises as `write_raw` does.

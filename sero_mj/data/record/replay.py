@@ -111,7 +111,7 @@ class Replay(Source):
         recording = look_into(info.data["file"], wanted)
         chosen = recording.choose_source(source, name, 'source = "NAME"')
         try:
-            _receiver_of(recording.path, recording.sources[chosen], chosen)
+            receiver_of(recording.path, recording.sources[chosen], chosen)
         except RecordingError as error:
             raise ValueError(str(error)) from None
         return chosen
@@ -183,7 +183,7 @@ class Replay(Source):
     @cached_property
     def original(self) -> Source:
         """The receiver as it was recorded; never opened, it only decodes."""
-        receiver = _receiver_of(self.file, self.recorded, self.name)
+        receiver = receiver_of(self.file, self.recorded, self.name)
         receiver.only_latest_packet = self.only_latest_packet
         return receiver
 
@@ -379,8 +379,13 @@ class Replay(Source):
         self.accept(packets, arrivals)
 
 
-def _receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
-    """The receiver that a recording declares.
+def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
+    """The receiver that a recording declares; never opened, it only decodes.
+
+    Args:
+        file: the recording.
+        recorded: its source.
+        name: of the receiver.
 
     Raises:
         RecordingError: its kind is unknown, its fields are invalid, or they result in other events.

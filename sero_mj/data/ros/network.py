@@ -280,13 +280,16 @@ class _Heard:
 
 
 def robots_with(joints: Sequence[str]) -> list[str]:
-    """Shipped robots all of whose joints have these names, or these names behind one prefix."""
-    found = []
+    """Returns the shipped robots whose joints have these names, or these behind one prefix.
+
+    Of several, those with the most joints: an arm alone is not meant where its hand is there too.
+    """
+    found = {}
     for robot in paths.list_models():
         with suppress(OSError, ValueError):
             text = paths.find_model(robot).read_text(encoding="utf-8")
             names = tomllib.loads(text).get("joint_names", [])
             prefix = prefix_before(names, joints)
             if names and set(joints).issuperset(prefix + name for name in names):
-                found.append(robot)
-    return found
+                found[robot] = len(names)
+    return [robot for robot, count in found.items() if count == max(found.values())]

@@ -118,7 +118,7 @@ class RosSource(Source):
             raise Problem("", f"found {twice[0]} twice", expected="each joint once").error()
         return joints
 
-    @field_validator("frames")
+    @field_validator("frames", check_fields=False)  # messages of JSON have none
     @classmethod
     def _frames_differ(cls, frames: list[str]) -> list[str]:
         events = [event_of_frame(name) for name in frames]
@@ -250,6 +250,11 @@ class RosSource(Source):
         other.led_to(self._led)
         other._links = self._links
         return other
+
+    @property
+    def as_topics(self) -> RosSource:
+        """What reads the same from a recording of ROS."""
+        return self
 
     @property
     def trouble(self) -> str:

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 
 from ...base.errors import Problem
 
-_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_SMALL = r"[^\W\d_A-Z]"  # a letter, of any script, that is no capital of ASCII
+_WORDS = re.compile(rf"[A-Z]+(?!{_SMALL})|[A-Z]?{_SMALL}+|\d+")
 _GENERIC_WORDS = ("joint", "j")  # words that do not identify a limb, like numbers
 # Words that identify the part of a body, for limbs whose joints share no word.
 _PARTS = {

@@ -27,6 +27,7 @@ from ...base.frames import (
     rotation_to_z,
 )
 from ...base.toml_file import located
+from ..importers.joint_names import link_of_parent
 from ..importers.mjcf_file import is_file_name
 from ..importers.robot_file import read_robot_file
 from .couplings import CoupledJoints, coupled_joints
@@ -36,7 +37,7 @@ from .dynamics import is_overridden, merge_tables
 from .joint_ranges import display_ranges, plausible_limits
 from .joint_tree import JointFrames, JointTree
 from .limbs import all_limbs, find_limbs
-from .robot_declaration import BASE, RobotDeclaration
+from .robot_declaration import RobotDeclaration
 from .robot_parts import IN_DEGREES, frame_label, frame_labels
 from .shapes import clear_radii, housing_radii
 from .surroundings import set_directory
@@ -174,8 +175,7 @@ class SerialRobot(RobotDeclaration):
         """Index of each joint's parent frame, (n,), 0 for the base; None for a chain."""
         if self.parents is None:
             return None
-        index = {BASE: 0, **{name: i + 1 for i, name in enumerate(self.names)}}
-        return np.array([index[parent] for parent in self.parents], np.intp)
+        return np.array([link_of_parent(each, self.names) for each in self.parents], np.intp)
 
     @property
     def base_axes(self) -> Array:

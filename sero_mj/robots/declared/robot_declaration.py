@@ -19,6 +19,7 @@ from pydantic import (
 from ...base.declaration import Declaration, Frame, Name, Rgba, Vector, of_shape
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array
+from ..importers.joint_names import BASE, link_of_parent
 from .couplings import Coupling, coupled_joints, coupling_problems
 from .dh import COLUMNS
 from .dynamics import Dynamics, TorqueControl
@@ -50,7 +51,6 @@ from .robot_parts import (
 )
 from .surroundings import Object, check_mjcf
 
-BASE = "base"  # the parent of joints without a parent joint
 # Values of a DH table's fields for a robot with joint frames.
 _OF_TABLE: dict[str, Any] = {
     "dh_params": np.zeros((0, 4)),
@@ -93,10 +93,12 @@ class RobotDeclaration(Declaration):
         dh_base_frame: T_base_0, frame 0 of the table in the base.
         joint_frames: (n, 4, 4), for robots without a DH table: T_parent_i of every joint at zero
             joint value; joint i turns about, or slides along, z of its own frame.
-        parents: for branching robots, n names: each joint's parent joint, or `base`. When None, the
-            robot is a chain: the parent is the previous joint.
+        parents: for branching robots, n names: each joint's parent joint, or `base`. A joint that
+            is itself called `base` is referred to by its link, e.g. `link2`. When None, the robot
+            is a chain: the parent is the previous joint.
         joint_types: n times `revolute` or `prismatic`.
-        joint_names: n names; J1, J2, ... by default.
+        joint_names: n names, as in the robot's own file and in messages; any characters that can be
+            printed. J1, J2, ... by default.
         link_names: names of base and links in the robot's original file, n + 1. They are names of
             frames, in addition to `base`, `link1`, ..., and the joint of each link.
         link_frames: frames of all links of the original file by name, see `LinkFrame`; transforms
@@ -292,14 +294,15 @@ class RobotDeclaration(Declaration):
                 found=len(parents), of="entries", expected=f"{n}, {_each(info.data)}"
             ).error()
         names, problems = _joint_names(info.data), []
-        branch = [BASE]  # the path to the previous joint
+        branch = [0]  # the links of the path to the previous joint
         for i, parent in enumerate(parents):
-            if parent not in (BASE, *names):
+            link = link_of_parent(parent, names)
+            if link is None:
                 problems.append(Problem(str(i), "no joint", found=parent, available=[BASE, *names]))
-            elif parent not in branch:
+            elif link not in branch:
                 message = f"{names[i]} is on {parent}; expected it behind that and its branch whole"
                 problems.append(Problem(str(i), message))
-            branch = [*branch[: branch.index(parent) + 1 if parent in branch else 1], names[i]]
+            branch = [*branch[: branch.index(link) + 1 if link in branch else 1], i + 1]
         if problems:
             raise DeclarationError(problems)
         return parents

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from ...base.declaration import Declaration, Frame, Name, Vector, numbers, of_shape
 from ...base.errors import Problem, nearest
 from ...base.frames import Array, frame_from
+from ..importers.joint_names import identifiers, is_joint_name
 from .dh import COLUMNS, Column
 from .surroundings import FinishName, MeshFile, Object, check_shape_size
 
@@ -201,7 +202,7 @@ def _differ_from_standard(names: list[str]) -> list[str]:
 
 
 Columns = Annotated[list[Column], AfterValidator(_is_permutation)]
-JointNames = Annotated[list[Name], AfterValidator(_differ)]
+JointNames = Annotated[list[Annotated[str, AfterValidator(is_joint_name)]], AfterValidator(_differ)]
 OwnInputs = Annotated[list[Name], AfterValidator(_differ), AfterValidator(_differ_from_standard)]
 Ranges = Annotated[Array | None, _limits_of_shape(None, 2), AfterValidator(_are_ordered)]
 Limits = Annotated[Array | None, _limits_of_shape(None), AfterValidator(_are_positive)]
@@ -308,7 +309,8 @@ def frame_label(label: str, joints: Sequence[str], links: Sequence[str] | None) 
     """Translates the name of a frame in a robot's own file to ours.
 
     Args:
-        label: the name of a joint or a link; any other is returned unchanged.
+        label: the name of a joint or a link, or a joint's identifier; any other is returned
+            unchanged.
         joints: names, n; each refers to the link that it moves.
         links: names of the base and the links, n + 1; None without names.
     """
@@ -317,7 +319,10 @@ def frame_label(label: str, joints: Sequence[str], links: Sequence[str] | None) 
         return label
     if label in joints:
         return labels[1 + joints.index(label)]
-    return labels[links.index(label)] if links and label in links else label
+    if links and label in links:
+        return labels[links.index(label)]
+    joint = identifiers(joints).get(label)
+    return label if joint is None else labels[1 + joint]
 
 
 def as_link_geometry(value: Any) -> Any:

@@ -19,6 +19,7 @@ from ...base.declaration import LARGEST
 from ...base.errors import DeclarationError, Problem
 from ...base.frames import Array, Bools, Ints, frame, inverse, rotation_from_quat
 from .imported_tables import ImportedTables, first_of
+from .joint_names import joint_names_of, parents_of
 from .mjcf_couplings import couplings_of
 from .mjcf_file import as_spec, is_file_name
 from .mjcf_torque_limits import torque_limits
@@ -78,7 +79,7 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
     tables: dict[str, Any] = {
         "mjcf": source,
         "joint_frames": tree.joint_frames,
-        "parents": ["base" if p == 0 else names[p - 1] for p in tree.parents.tolist()],
+        "parents": parents_of(tree.parents.tolist(), names),
         "joint_names": names,
         "link_names": _link_names(tree),
         "link_frames": _link_frames(tree),
@@ -183,19 +184,13 @@ def _changed(file: Path) -> int:
 
 
 def _names(model: mujoco.MjModel, joints: Ints) -> list[str]:
-    """Returns the joints' names: without a common scope, and with valid characters only."""
+    """Returns the joints' names, without a common scope."""
     found = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, int(j)) for j in joints]
     given = [name or f"joint{k + 1}" for k, name in enumerate(found)]
     scopes = {name.rpartition("/")[0] for name in given}
     if len(scopes) == 1:
         given = [name.rpartition("/")[2] for name in given]
-    names: list[str] = []
-    for name in given:
-        plain = re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", name)
-        while plain in (*names, "base"):
-            plain += "_"
-        names.append(plain)
-    return names
+    return joint_names_of(given)[0]
 
 
 def _inertias(tree: MjcfTree) -> dict[str, Any]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from ...base.frames import Array, frame
 from .dh_from_frames import DhChain, dh_from_frames
+from .joint_names import joint_names_of, parents_of
 
 MOVING = ("revolute", "prismatic")
 _NO_NAME = re.compile(r"[^A-Za-z0-9_-]+")
@@ -164,12 +165,8 @@ class TreeTables:
             self.lines[key] = line
 
     def _joint_names(self) -> list[str]:
-        taken = {"base"}  # the parent of joints without a parent joint
-        names, changed = [], []
+        names, changed = joint_names_of(joint.name for joint in self.joints)
         for i, joint in enumerate(self.joints):
-            names.append(plain_name(joint.name, taken))
-            if names[-1] != joint.name:
-                changed.append(f"'{joint.name}' is {names[-1]}")
             for key in ("joint_names", "joint_types", "joint_frames", "dh_params", "parents"):
                 self._line(f"{key}.{i}", joint.line)
         if changed:
@@ -230,11 +227,11 @@ class TreeTables:
             self.tables["joint_types"] = [joint.kind for joint in self.joints]
         self.tables["joint_names"] = self._names
         self.tables["link_names"] = [links[0] for links in self.bodies]
-        around = ["base", *self._names]
         if not is_chain:
-            self.tables["parents"] = [around[body.parent] for body in bodies]
+            parents = parents_of([body.parent for body in bodies], self._names)
+            self.tables["parents"] = parents
         if flange_body != len(bodies):
-            self.tables["flange_on"] = around[flange_body]
+            self.tables["flange_on"] = self._names[flange_body - 1]
         by_name = dict(zip((joint.name for joint in self.joints), self._names, strict=True))
         couplings: dict[str, Any] = {}
         for joint, name in zip(self.joints, self._names, strict=True):

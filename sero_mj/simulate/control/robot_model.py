@@ -86,7 +86,7 @@ class RobotModel:
         if ids != sorted(set(ids)) or len(trees) != 1 or not kinds <= sliding_or_turning:
             raise ValueError(f"found joints {ids}; expected those of one robot, base to flange")
         self.n, self.name = n, name
-        self.joint_names = [model.joint(joint).name.rpartition("/")[2] for joint in ids]
+        self.joint_names = [_own_name(model.joint(joint).name) for joint in ids]
         self.position_limits: Array = np.tile([-np.inf, np.inf], (n, 1))
         self.velocity_limits: Array = np.full(n, np.inf)
         self._model = skeleton(model, ids, site, body)
@@ -510,3 +510,8 @@ def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
         ref=model.qpos0[model.jnt_qposadr[joint]],
         armature=model.dof_armature[model.jnt_dofadr[joint]],
     )
+
+
+def _own_name(name: str) -> str:
+    """Returns the name of a joint of a world, `ROBOT/JOINT`, without its robot."""
+    return name.partition("/")[2] or name

@@ -19,7 +19,6 @@ from ...data.receive.intake import pad_packets
 from ...data.receive.mailbox import Packets
 from ...data.receive.source import SIGNALS, Source
 from ...data.record.recording import PacketFile
-from ...data.record.replay import Replay
 from ...robots.assemble.friction_torques import VELOCITIES
 from ...robots.declared.double import Double
 from ...robots.declared.groups import Group
@@ -131,13 +130,6 @@ def spread_bunches(arrivals: Array) -> Array:
     spans = np.where(spans > _LONGEST * usual, usual, spans)  # a pause, and before the first
     behind = np.repeat(counts + firsts, counts) - 1 - np.arange(len(arrivals))
     return np.asarray(np.repeat(ends, counts) - np.repeat(spans / counts, counts) * behind)
-
-
-def receiver_of(recording: PacketFile, name: str) -> Source:
-    """A receiver that decodes the packets of a recorded source."""
-    receiver = Replay(file=recording.path, source=name).original
-    receiver.debug_level = 0
-    return receiver
 
 
 def _decoded(recording: PacketFile, receiver: Source, name: str) -> Iterator[Packets]:

@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from ...base.frames import Array
 from ...data.record.csv_files import column_names, csv_table
+from ...data.ros.joined_packets import prefix_before
 from ...robots.declared.robot import SerialRobot
 from .run_log import MEASURED, TIME, RunLayout, RunLog, event_of, recorded_event
 
-_COLUMN = re.compile(r"(\w+)\[(\d+)\]")
+_COLUMN = re.compile(r"(\w+)\[(.+)\]")
 
 
 def run_of_columns(
     path: Path, times: Array, columns: Mapping[str, Array], robots: Mapping[str, SerialRobot]
 ) -> RunLog | None:
     """The run in a table with `ROBOT_SIGNAL[JOINT]`, as `lwr_torques[0]`; None where there is none.
+
+    A joint is a number, counted from 0, or its name. Signals of a table with the names of joints,
+    as `export-csv` writes it of messages of ROS, need no robot before them: `torques[elbow]`.
 
     Args:
         path: of the table.
@@ -31,11 +35,11 @@ def run_of_columns(
     Returns:
         every signal that has a column for each joint; other columns are left out.
     """
-    found: dict[str, dict[int, Array]] = {}
+    found: dict[str, dict[str, Array]] = {}
     for name, values in columns.items():
         if (match := _COLUMN.fullmatch(name)) is not None:
-            found.setdefault(match[1], {})[int(match[2])] = values
-    times = found.pop(TIME, {0: times})[0]
+            found.setdefault(match[1], {})[match[2]] = values
+    times = found.pop(TIME, {"0": times})["0"]
     signals, known = {}, {}
     for robot, declared in robots.items():
         start = event_of(robot, "")
@@ -44,12 +48,31 @@ def run_of_columns(
             if (recorded := recorded_event(event, found)) in found:
                 found[event] = found.pop(recorded)
         for event, of_joints in found.items():
-            if event.startswith(start) and set(of_joints) == set(range(declared.n)):
-                signals[event] = np.stack([of_joints[k] for k in range(declared.n)], axis=1)
+            own = event.startswith(start)
+            labels = _labels(declared, of_joints, numbered=own)
+            if labels and (own or event in MEASURED):
+                signals[event if own else start + event] = np.stack(
+                    [of_joints[label] for label in labels], axis=1
+                )
                 known[robot] = declared
     rising = np.append(True, np.diff(np.maximum.accumulate(times)) > 0)
     signals = {event: values[rising] for event, values in signals.items()}
     return RunLog(known, signals, times[rising], path.stem) if known else None
+
+
+def _labels(robot: SerialRobot, labels: Collection[str], *, numbered: bool) -> list[str]:
+    """Returns the labels of a robot's joints, n, among those of an event; empty without them all.
+
+    Args:
+        robot: with these joints.
+        labels: in brackets, names or numbers.
+        numbered: whether they may be numbers.
+    """
+    prefix = prefix_before(robot.names, [*labels])
+    named, numbers = [prefix + name for name in robot.names], [*map(str, range(robot.n))]
+    if set(labels).issuperset(named):
+        return named
+    return numbers if numbered and set(labels) == set(numbers) else []
 
 
 def columns_of_events(

@@ -31,6 +31,7 @@ from ...data.receive.source import Source
 from ...data.record.bag import Bag, open_recording
 from ...data.record.csv_files import column_names, read_csv
 from ...data.record.recording import PacketFile
+from ...data.record.replay import receiver_of
 from ...data.record.scene_files import table_names
 from ...data.ros.ros_source import RosSource
 from ...robots.declared.degrees import degrees_warning
@@ -38,7 +39,7 @@ from ...robots.declared.group_model import Expanded, expand_groups
 from ...robots.declared.robot import SerialRobot, build_robot
 from ...robots.declared.scene import MOST_ENTRIES, Scene
 from ...robots.importers.robot_file import read_robot_file
-from ._recorded_signals import Series, follow_routes, read_events, receiver_of, series_of
+from ._recorded_signals import Series, follow_routes, read_events, series_of
 from .run_csv import columns_of_events, run_of_columns
 from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
 
@@ -98,7 +99,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
                 found = "it describes none, and no shipped one has its joints"
             reason = f"has no robot in it: {found}; expected a scene, give one"
             raise RecordingError(path, reason)
-        receivers = {name: receiver_of(recording, name) for name in names}
+        receivers = {name: _receiver_of(recording, name) for name in names}
         return _mirrored(
             path, receivers, lambda name: read_events(recording, receivers[name], name), declared
         )
@@ -203,7 +204,7 @@ def _chosen(recording: PacketFile, source: str | None) -> list[str]:
         where = f"in {recording.path}"
         raise UsageError(Problem("", "no source", found=source, of=where, available=names))
     if not names:
-        raise RecordingError(recording.path, "has no source")
+        raise RecordingError(recording.path, recording.why_no_source())
     return names if source is None else [source]
 
 
@@ -227,8 +228,14 @@ def _robots_of(events: Iterable[str]) -> list[str]:
     ]
 
 
+def _receiver_of(recording: PacketFile, name: str) -> Source:
+    receiver = receiver_of(recording.path, recording.sources[name], name)
+    receiver.debug_level = 0
+    return receiver
+
+
 def _simulated(recording: PacketFile, name: str, scene: Scene | None) -> RunLog:
-    receiver = receiver_of(recording, name)
+    receiver = _receiver_of(recording, name)
     receiver.allow_nan([event for event in receiver.events if event != TIME])
     series = read_events(recording, receiver, name)
     if len(series.times) == 0:

@@ -21,7 +21,7 @@ from ...robots.declared.torque_units import NM, N, TorqueUnit
 from .card_names import LONGEST, card_names, longest_name, shortened, titles
 from .cards import FEWEST, GAP, NO_SHARE, Cards, heights_in_order
 from .feature import Feature, Frame
-from .font import Font
+from .font import Font, line_of
 from .geom_buffer import Kind
 from .layout import LEFT, RIGHT, is_narrow
 from .limb_cards import card_limbs
@@ -147,13 +147,13 @@ class Billboards(Feature):
         most = [rows[cards.share[rows].argmax()] for rows in mine]
         texts, widths = [], np.empty(len(numbers))
         for k, (number, rows, top) in enumerate(zip(numbers.tolist(), mine, most, strict=True)):
-            lines = [f"{names.limbs[number]}  {len(rows)} joints".encode("ascii", "replace")]
+            lines = [line_of(f"{names.limbs[number]}  {len(rows)} joints")]
             if cards.share[top] > NO_SHARE:
                 joint = int(cards.items[top])
                 value = cards.texts[top][0].rsplit(b"  ", 1)[-1].strip()
                 if np.isfinite(frame.arrow_limit[joint]):
                     value = b"%.0f %%" % (100 * cards.share[top])
-                label = names.joints[joint].encode("ascii", "replace")
+                label = line_of(names.joints[joint])
                 lines.append(b"most " + label + b"  " + value)
             key = (view.font.height, number)
             widths[k] = max(self._limb_widths.get(key, 0), view.font.block_width(lines))
@@ -298,7 +298,7 @@ class Billboards(Feature):
         """Returns the width of a card's text, pixels, constant but for unusually long numbers."""
         key = (font.height, id(lines))
         if key not in self._widths:
-            widest = [line.widest.encode("ascii", "replace") for line in lines]
+            widest = [line_of(line.widest) for line in lines]
             self._widths[key] = font.block_width(widest)
         width = self._widths[key]
         if any(len(text) > len(line.widest) for text, line in zip(texts, lines, strict=True)):
@@ -436,11 +436,11 @@ class Line:
         """Returns the line with its number; `no data` for NaN and infinity."""
         if not math.isfinite(value):
             missing = NO_LIMIT if self.key == "torque_limit" else NO_DATA
-            return self.head.encode("ascii") + missing
+            return line_of(self.head) + missing
         # Adding zero converts -0.0, the result of rounding a small negative value, to 0.0.
         value = round(value * self.scale, self.decimals) + 0.0
         form = self.form if abs(value) < _PLAIN_BELOW else self.scientific
-        return (self.head + form % value).encode("ascii", "replace")
+        return line_of(self.head + form % value)
 
 
 def has_chosen_lines(part: Owner) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from itertools import takewhile
 
+from .font import drawable
 from .picture_view import PictureView
 
 SHORTEST, LONGEST = 14, 40  # characters to which a robot's or a joint's name is shortened
@@ -21,7 +22,8 @@ def card_names(joints: Sequence[str], robot: str) -> list[str]:
     """Returns the names of a robot's joints without repeated parts.
 
     Left out are the robot's name in front, the words that all names begin with, and `joint` at the
-    end; but names stay distinct, and more than a number.
+    end; but names stay distinct, and more than a number. A name in a script for which no font is
+    installed becomes `joint 3`.
 
     Args:
         joints: all names of the robot's joints.
@@ -37,7 +39,8 @@ def card_names(joints: Sequence[str], robot: str) -> list[str]:
             if plain != names:  # `joint_1` stays as it is
                 names = plain
                 break
-    return _if_clear(names, [_END.sub("", name) for name in names])
+    names = _if_clear(names, [_END.sub("", name) for name in names])
+    return [name if drawable(name) else f"joint {k + 1}" for k, name in enumerate(names)]
 
 
 def _if_clear(names: list[str], plain: list[str]) -> list[str]:

@@ -13,6 +13,7 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import fade_in, spread_out
 from .cards import LEADER_RGBA, CardLayout, owner_groups
 from .feature import Drawn, Frame, make_features
+from .font import line_of
 from .geom_buffer import CAPACITY, GeomBuffer
 from .outline import Outline
 from .panels import Panels, clear_of, draw_panels, labels_at, panel_sizes
@@ -152,7 +153,7 @@ def _hover_panel(toggles: Toggles, view: PictureView, others: list[Panels]) -> l
     if toggles.hover is None:
         return []
     text, pixel = toggles.hover
-    lines = [[text.encode("ascii", "replace")[:99]]]
+    lines = [[line_of(text)]]
     width = np.array([view.font.width(lines[0][0])])
     size = panel_sizes(width, 1, view)[0]
     centres = np.array(pixel) + (size / 2 + _BESIDE * view.font.height) * _CORNERS

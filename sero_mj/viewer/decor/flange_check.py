@@ -16,6 +16,7 @@ from ...robots.assemble.world_view import WorldView
 from .axes import AXIS_RGB, draw_bars
 from .cards import Cards
 from .feature import Feature, Frame
+from .font import line_of
 from .geom_buffer import GeomBuffer, Kind
 from .layout import RIGHT
 from .panels import Panels, panel_sizes
@@ -90,7 +91,7 @@ class FlangeCheck(Feature):
                 continue
             if name in frame.stale:
                 text = f"{name} flange check: {frame.stale[name]}"
-                right.append(text.encode("ascii", "replace")[:99])
+                right.append(line_of(text))
                 continue
             distance, angle = difference[0], float(np.rad2deg(difference[1]))
             robot = part.robot
@@ -98,11 +99,11 @@ class FlangeCheck(Feature):
             point = self._draw_frame(frame.buffer, data, name, off)
             numbers = f"{1e3 * distance:7.2f} mm  {angle:6.2f} deg"
             if not off:
-                right.append(f"{name} flange check{numbers}".encode("ascii", "replace"))
+                right.append(line_of(f"{name} flange check{numbers}"))
                 continue
             pixel, depth = view.project(point)
             if not view.sees(pixel, depth):
-                right.append(f"{name} flange is off {numbers}".encode("ascii", "replace"))
+                right.append(line_of(f"{name} flange is off {numbers}"))
                 unseen = True
                 continue
             clear = max(clear, robot.axes_length / view.pixel_size(float(depth)))
@@ -110,7 +111,7 @@ class FlangeCheck(Feature):
             anchors.append(pixel)
             head = f"{name} flange is off"
             position, turn = f"  position {1e3 * distance:8.2f} mm", f"  angle    {angle:8.2f} deg"
-            texts.append([head.encode("ascii", "replace"), position.encode(), turn.encode()])
+            texts.append([line_of(head), position.encode(), turn.encode()])
         if items:
             frame.cards.append(self._cards(view, items, np.array(anchors), texts, clear))
         if right:

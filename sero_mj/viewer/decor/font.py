@@ -1,12 +1,21 @@
-"""`Font`: widths of a host's characters; and those of MuJoCo's built-in label font."""
+"""`Font`: widths of a host's characters; and those of MuJoCo's built-in label font.
+
+Lines of panels are UTF-8. Characters other than ASCII are set in further faces of Inter (Latin,
+Greek, Cyrillic), or in fonts for other scripts that are installed on this machine.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import ImageFont
 
 from ...robots.assemble.world_view import WorldView
 from .value_columns import value_columns
@@ -25,6 +34,60 @@ _WIDTHS_150 = (
 FONT_HEIGHTS = {100: 18, 150: 28, 200: 37, 250: 45, 300: 54}
 
 
+FONTS = Path(__file__).parents[1] / "fonts"
+_MOST_BYTES = 99  # of a line; MuJoCo's labels have no more
+# Of systems, by the names of their files: scripts that Inter does not have.
+_OF_SYSTEMS = (
+    "NotoSansCJK-Regular.ttc", "NotoSansCJKsc-Regular.otf", "SourceHanSansSC-Regular.otf",
+    "wqy-microhei.ttc", "DroidSansFallbackFull.ttf", "DroidSansFallback.ttf", "PingFang.ttc",
+    "Hiragino Sans GB.ttc", "AppleSDGothicNeo.ttc", "msyh.ttc", "YuGothM.ttc", "malgun.ttf",
+    "NotoSansDevanagari-Regular.ttf", "NotoSansArabic-Regular.ttf", "NotoSansHebrew-Regular.ttf",
+    "NotoSansThai-Regular.ttf", "DejaVuSans.ttf", "Arial Unicode.ttf", "segoeui.ttf",
+)  # fmt: skip
+_SIZE = 16.0  # pixels, at which characters are looked for
+
+
+def line_of(text: str) -> bytes:
+    """Returns a text as a line of a panel: UTF-8, cut off where it is too long."""
+    raw = text.encode("utf-8", "replace")
+    if len(raw) <= _MOST_BYTES:
+        return raw
+    return raw[:_MOST_BYTES].decode("utf-8", "ignore").encode("utf-8")
+
+
+def open_face(file: Path | str, size: float) -> ImageFont.FreeTypeFont:
+    """Opens a font at a size in pixels; raises OSError."""
+    # Not Raqm, which is not everywhere and would set a few pixels differently.
+    return ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.BASIC)
+
+
+@lru_cache(maxsize=1)
+def more_fonts() -> tuple[str, ...]:
+    """Returns the files of fonts for characters other than ASCII, as far as they are installed."""
+    found = [str(FONTS / "Inter-Medium-more.ttf")]
+    for name in _OF_SYSTEMS:
+        with suppress(OSError):
+            found.append(str(open_face(name, _SIZE).path))
+    return tuple(found)
+
+
+@lru_cache(maxsize=4096)
+def font_with(character: str) -> str | None:
+    """Returns the file of the first of `more_fonts` that has a character; None without one."""
+    for file in more_fonts():
+        face = open_face(file, _SIZE)
+        missing = face.getmask("\uffff")
+        mask = face.getmask(character)
+        if (mask.size, bytes(mask)) != (missing.size, bytes(missing)):
+            return file
+    return None
+
+
+def drawable(text: str) -> bool:
+    """Whether fonts have all characters of a text."""
+    return text.isascii() or all(c.isascii() or font_with(c) is not None for c in text)
+
+
 @dataclass(frozen=True, eq=False)
 class Font:
     """A proportional font.
@@ -33,11 +96,13 @@ class Font:
         height: of a line, pixels.
         widths: of the characters 0 to 127, pixels.
         has_columns: whether the host aligns the numbers of a panel, see `value_columns`.
+        other: the width of any other character, pixels; that of a wide letter when None.
     """
 
     height: int
     widths: Widths
     has_columns: bool = False
+    other: Callable[[str], float] | None = None
 
     @classmethod
     def of_context(cls, context: Any) -> Font:
@@ -47,9 +112,16 @@ class Font:
         return cls(int(context.charHeight), widths)
 
     def width(self, text: str | bytes) -> int:
-        """Returns the width of a text of printable ASCII, pixels."""
-        codes = np.frombuffer(text if isinstance(text, bytes) else text.encode("ascii"), np.uint8)
-        return int(np.ceil(self.widths[codes & 127].sum()))
+        """Returns the width of a text, in UTF-8, pixels."""
+        raw = text if isinstance(text, bytes) else text.encode("utf-8", "replace")
+        if not raw.isascii():
+            return int(np.ceil(sum(map(self._width, raw.decode("utf-8", "replace")))))
+        return int(np.ceil(self.widths[np.frombuffer(raw, np.uint8)].sum()))
+
+    def _width(self, character: str) -> float:
+        if character.isascii():
+            return float(self.widths[ord(character)])
+        return float(self.widths[ord("W")]) if self.other is None else self.other(character)
 
     def block_width(self, lines: list[bytes]) -> int:
         """Returns the width of a panel's lines with values, pixels."""
@@ -58,7 +130,9 @@ class Font:
         return int(np.ceil(value_columns(lines, self.width).width))
 
     def line_widths(self, lines: list[bytes]) -> NDArray[np.float64]:
-        """Returns the widths of lines of printable ASCII (k,), pixels."""
+        """Returns the widths of lines in UTF-8 (k,), pixels."""
+        if not all(line.isascii() for line in lines):
+            return np.array([float(self.width(line)) for line in lines])
         codes = np.frombuffer(b"".join(lines), np.uint8)
         until = np.concatenate([[0.0], np.cumsum(self.widths[codes & 127])])
         ends = np.cumsum([len(line) for line in lines])

@@ -10,6 +10,7 @@ from ...base.frames import Array, Bools, round_down_1_2_5
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from .feature import Feature, Frame
+from .font import line_of
 from .panels import PADDING, Panels, panel_sizes
 from .picture_view import PictureView
 from .round_arrows import WIDEST, drawn_widths
@@ -233,7 +234,7 @@ class Legend(Feature):
             f"{_named(names) or ', '.join(kinds[scale]) + ' arrows'}: {scale}"
             for scale, names in lines.items()
         ]
-        return [text.encode("ascii", "replace")[:99] for text in texts]
+        return [line_of(text) for text in texts]
 
 
 def _routed(world: WorldView) -> Bools:
@@ -258,7 +259,7 @@ def _notes(world: WorldView) -> list[bytes]:
         elif note:
             lines.append(f"{_named(names) or f'{len(names)} robots'}: {note}")
     unique = dict.fromkeys(line for line in lines if line)
-    return [line.encode("ascii", "replace")[:99] for line in unique]
+    return [line_of(line) for line in unique]
 
 
 def _named(names: list[str]) -> str:

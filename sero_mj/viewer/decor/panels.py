@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array, Bools, Ints
+from .font import line_of
 from .geom_buffer import GeomBuffer, Kind, place_triangles
 from .layout import place_clear
 from .picture_view import PictureView
@@ -108,7 +109,7 @@ def labels_below(places: Array, names: list[str], view: PictureView) -> tuple[Pa
     seen = view.sees(pixels, depth).nonzero()[0]
     if not len(seen):
         return None
-    lines = [[names[k].encode("ascii", "replace")[:99]] for k in seen.tolist()]
+    lines = [[line_of(names[k])] for k in seen.tolist()]
     centres, sizes = labels_at(view, pixels[seen] - [0.0, view.font.height], lines)
     return Panels(centres, sizes, lines), seen
 
@@ -220,7 +221,7 @@ def _draw_lines(
     labels["mat"] = view.facing
     labels["size"] = view.pixel_size(depth)
     labels["rgba"] = 1.0
-    labels["label"] = lines
+    labels["label"] = [line.decode("utf-8", "replace").encode("ascii", "replace") for line in lines]
 
 
 def _draw_bars(buffer: GeomBuffer, view: PictureView, bars: Array) -> None:

@@ -15,6 +15,7 @@ from ...robots.assemble.world_view import WorldView
 from .billboards import NO_DATA
 from .cards import Cards, heights_in_order
 from .feature import Feature, Frame
+from .font import line_of
 from .geom_buffer import ARROW_SIZE_OF_LENGTH, GREY, Kind
 from .panels import panel_sizes
 from .picture_view import PictureView
@@ -269,4 +270,4 @@ class _VectorCards:
         lines.append(f"  in {arrow.components_in}")
         if stale:
             lines.append(f"  {stale}")
-        return [line.encode("ascii", "replace")[:99] for line in lines]
+        return [line_of(line) for line in lines]

@@ -13,6 +13,7 @@ from ...data.receive.source import QUIET_AFTER
 from ...robots.assemble.parts import DoublePart, robots_of_bodies
 from ...robots.assemble.world_view import SET_BY_PROGRAM, WorldView
 from ...robots.declared.inputs import SOURCE_FIELDS
+from .font import line_of
 from .geom_buffer import GeomBuffer
 from .panels import Panels, labels_at
 from .picture_view import PictureView
@@ -142,7 +143,7 @@ class Staleness:
                 buffer.grey = item.geoms if buffer.grey is None else buffer.grey | item.geoms
         for name, base in labels:
             if name in said:
-                text = f"{name}: {said[name]}".encode("ascii", "replace")[:99]
+                text = line_of(f"{name}: {said[name]}")
                 texts.setdefault(base, []).append(text)
         if not texts:
             return []

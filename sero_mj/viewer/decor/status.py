@@ -18,6 +18,7 @@ from ...robots.declared.degrees import FAR_BEYOND, degrees_warning
 from ...robots.declared.inputs import SOURCE_FIELDS
 from .cards import move_below
 from .feature import Feature, Frame
+from .font import line_of
 from .panels import PANEL_RGBA, Panels, panel_sizes
 from .picture_view import PictureView
 from .quantities import implausible_torques
@@ -198,7 +199,7 @@ def _corner(
     low, high = view.free
     if high[1] - low[1] < _FEW_LINES * view.font.height:
         lines = lines[:1]
-    texts = [line.encode("ascii", "replace")[:99] for line in lines]
+    texts = [line_of(line) for line in lines]
     widest = max(view.font.width(text) for text in texts)
     size = panel_sizes(np.array([widest]), len(texts), view)
     margin = _MARGIN * view.font.height

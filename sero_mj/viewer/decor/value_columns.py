@@ -65,10 +65,10 @@ def value_columns(lines: Sequence[bytes], width: Width) -> ValueColumns:
     """Returns lines in columns.
 
     Args:
-        lines: of printable ASCII.
+        lines: in UTF-8.
         width: of a text, pixels.
     """
-    rows = [_parsed(line.decode("ascii", "replace")) for line in lines]
+    rows = [_parsed(line.decode("utf-8", "replace")) for line in lines]
     values = [row for row in rows if isinstance(row, Value)]
     names = max((width(row.name) for row in values), default=0.0)
     label = names + (2 * width(" ") if any(row.label for row in values) else 0.0)

@@ -109,7 +109,7 @@ def points_apart(world: WorldView, data: mujoco.MjData) -> list[str]:
         world: the compiled scene.
         data: its state, with frames up to date.
     """
-    ends = [name for name in world.frames.names if not _LINK.fullmatch(name.rpartition("/")[2])]
+    ends = [name for name in world.frames.names if not _LINK.fullmatch(name.partition("/")[2])]
     found: dict[str, Array] = {}
     for name in [*ends, *_joints(world), *world.frames.names]:
         point = point_of(world, data, name, np.zeros(3))
@@ -153,12 +153,12 @@ def full_name(world: WorldView, name: str) -> str:
     names = point_names(world)
     if name in names:
         return name
-    ends = [each for each in names if each.rpartition("/")[2] == name]
+    ends = [each for each in names if each.partition("/")[2] == name]
     if len(ends) == 1:
         return ends[0]
     if ends:
         raise Problem(found=name, expected=f"one of {', '.join(ends)}").error()
-    short = [each.rpartition("/")[2] for each in names] if "/" not in name else []
+    short = [each.partition("/")[2] for each in names] if "/" not in name else []
     raise Problem("", "no frame or joint", found=name, available=short or names).error()
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 
+from ..decor.font import more_fonts
+
 _TEXT, _DIM = (0.90, 0.92, 0.94), (0.60, 0.65, 0.71)
 _GROUND = (0.07, 0.09, 0.12)
 _RAISED, _HOVERED, _PRESSED = (0.16, 0.20, 0.25), (0.21, 0.27, 0.34), (0.26, 0.34, 0.43)
@@ -60,6 +62,10 @@ def set_style(height: float) -> None:
     io, style = imgui.get_io(), imgui.get_style()
     font = files("sero_mj.viewer") / "fonts" / "Inter-Medium.ttf"
     io.fonts.add_font_from_file_ttf(str(Path(str(font))), height)
+    for more in more_fonts():  # for characters that the fonts before it do not have
+        merged = imgui.ImFontConfig()
+        merged.merge_mode = True
+        io.fonts.add_font_from_file_ttf(more, height, merged)
     imgui.style_colors_dark()
     for name, rgba in _COLOURS.items():
         style.set_color_(getattr(imgui.Col_, name), ImVec4(*rgba))

@@ -1,0 +1,95 @@
+"""States of joints in JSON, as hands, arms and their bridges publish them.
+
+Two forms are known. That of `sensor_msgs/JointState`, also in the envelope of rosbridge (`msg`):
+
+    {"header": {"stamp": {"sec": 1, "nanosec": 0}}, "name": ["j1", "j2"],
+     "position": [0.1, 0.2], "velocity": [], "effort": [1.5, -0.3]}
+
+And Foxglove's `foxglove.JointStates` (docs.foxglove.dev/docs/sdk/schemas/joint-states):
+
+    {"timestamp": {"sec": 1, "nsec": 0},
+     "joints": [{"name": "j1", "position": 0.1, "effort": 1.5}, ...]}
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from ...base.frames import Array
+from .messages import MOST_BYTES, MalformedMessage
+
+_NUMBERS = ("position", "velocity", "effort")
+_NANOSECONDS = ("nanosec", "nsec", "nsecs")
+_SHOWN = 40  # characters of a message in an error
+
+
+def joint_state_of(raw: bytes) -> Any:
+    """Decodes a message to the attributes of `sensor_msgs/JointState`.
+
+    A value that is missing or null is NaN. A quantity that no joint has is empty.
+
+    Args:
+        raw: JSON in UTF-8.
+
+    Raises:
+        MalformedMessage: it is not JSON, or not the state of joints.
+    """
+    if len(raw) > MOST_BYTES:
+        raise MalformedMessage(f"found {len(raw)} bytes; expected at most {MOST_BYTES}")
+    try:
+        found = json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        begin = raw[:_SHOWN].decode("utf-8", "backslashreplace")
+        raise MalformedMessage(f"no JSON: {error}; it begins with {begin!r}") from None
+    if isinstance(found, Mapping) and isinstance(found.get("msg"), Mapping):
+        found = found["msg"]
+    if not isinstance(found, Mapping):
+        raise MalformedMessage(f"found a {type(found).__name__}; expected an object in JSON")
+    joints = found.get("joints")
+    if isinstance(joints, list) and all(isinstance(each, Mapping) for each in joints):
+        names: Any = [each.get("name") for each in joints]
+        stamp = found.get("timestamp")
+        columns = {key: [each.get(key) for each in joints] for key in _NUMBERS}
+        numbers = {
+            key: _numbers(key, each if any(x is not None for x in each) else [])
+            for key, each in columns.items()
+        }
+    else:
+        header = found.get("header")
+        stamp = header.get("stamp") if isinstance(header, Mapping) else None
+        if not any(key in found for key in _NUMBERS):
+            keys = ", ".join(str(key)[:_SHOWN] for key in [*found][:8]) or "none"
+            expected = "name, position, velocity and effort, or joints"
+            raise MalformedMessage(f"found the keys {keys}; expected {expected}")
+        names = found.get("name", [])
+        numbers = {key: _numbers(key, found.get(key)) for key in _NUMBERS}
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise MalformedMessage("its names of joints are not a list of texts")
+    return SimpleNamespace(header=SimpleNamespace(stamp=_stamp(stamp)), name=names, **numbers)
+
+
+def _numbers(key: str, values: Any) -> Array:
+    values = [] if values is None else values
+    try:
+        if not isinstance(values, list):
+            raise TypeError
+        return np.array([math.nan if x is None else x for x in values], dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise MalformedMessage(f"{key} is no list of numbers") from None
+
+
+def _stamp(found: Any) -> Any:
+    """The time of a message; zero, which means unknown, where it has none."""
+    parts = [0, 0]
+    if isinstance(found, Mapping):
+        nanoseconds = next((found[key] for key in _NANOSECONDS if key in found), 0)
+        parts = [found.get("sec", found.get("secs", 0)), nanoseconds]
+    if not all(isinstance(part, int | float) and math.isfinite(part) for part in parts):
+        raise MalformedMessage("its time stamp is not in whole seconds and nanoseconds")
+    return SimpleNamespace(sec=parts[0], nanosec=parts[1])
