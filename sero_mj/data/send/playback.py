@@ -54,7 +54,13 @@ class Playback(ABC):
     def _note_absent(self, events: Collection[str]) -> None:
         """Notes the values sent for events of the structure that are missing here."""
         blank = self.structure.decode(self.structure.encode({}))  # constants are not zero
-        absent = [event for event in blank if event not in events and not blank[event].any()]
+        absent = [
+            event
+            for event in blank
+            if event not in events
+            and not blank[event].any()
+            and not self.structure.field(event).checksum
+        ]
         frames = [event for event in absent if event in self.structure.matrices]
         numbers = [event for event in absent if event not in frames]
         said = [f"{', '.join(numbers)} as zeros"] * bool(numbers)
