@@ -25,7 +25,7 @@ from ..base.frames import Array
 from ..base.paths import find_scenario, find_scene
 from ..base.toml_file import located, read_toml
 from ..base.trust import Origin, is_allowed
-from ..data.record.csv_files import read_csv
+from ..data.record.table import read_csv
 from ..robots.declared.robot import SerialRobot
 from ..robots.declared.scene import Scene
 from ..robots.declared.scene_file import read_scene_file, scene_from_tables

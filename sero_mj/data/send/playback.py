@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...base.errors import CsvError, RecordingError, UsageError, did_you_mean
+from ...base.errors import RecordingError, UsageError
 from ...base.frames import Array
 from ..receive.structure import Structure
 from ..record.bag import open_recording
-from ..record.csv_files import column_names, read_csv
 from ..record.replay import Replay
+from ..record.table import read_table
+from ..record.table_events import events_of
 
 
 @dataclass
@@ -152,30 +153,8 @@ class TablePackets(Playback):
     """
 
     def __init__(self, file: Path, structure: Structure, rate: float | None = None) -> None:
-        self._times, columns = read_csv(file, rate=rate, instead=", or --rate")
-        names = column_names(structure.events)
-        if not set(columns) & set(names):
-            if len(columns) != len(names):
-                has = f"found {len(columns)} columns beside time: {', '.join([*columns][:4])}, ..."
-                wanted = ", ".join(names[:3])
-                reason = f"{has}; expected {len(names)} for '{structure.text}', or {wanted}, ..."
-                raise CsvError(file, reason)
-            columns = dict(zip(names, columns.values(), strict=True))
-        for name in columns:
-            if name not in names:
-                near = did_you_mean(name, names)
-                raise CsvError(file, f"'{structure.text}' has no such number{near}", column=name)
-        self._columns: dict[str, Array] = {}
-        for event, shape in structure.events.items():
-            own = column_names({event: shape})
-            missing = [name for name in own if name not in columns]
-            if 0 < len(missing) < len(own):  # the others would be invented
-                few = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
-                has = f"has {len(own) - len(missing)} of the {len(own)} numbers of {event}"
-                raise CsvError(file, f"{has}; no column is called {few}")
-            if not missing:
-                numbers = np.stack([columns[name] for name in own], axis=1)
-                self._columns[event] = numbers.reshape(-1, *shape)
+        table = read_table(file, rate=rate, instead=", or --rate")
+        self._times, self._columns = table.times, events_of(table, structure)
         about = f"{file}, {', '.join(self._columns)}"
         duration = float(self._times[-1] - self._times[0])
         super().__init__(structure, about, len(self._times), duration)

@@ -29,9 +29,10 @@ from ...data.drive.bag_topics import topics_of, with_bag
 from ...data.drive.wiring import wired_source
 from ...data.receive.source import Source
 from ...data.record.bag import Bag, open_recording
-from ...data.record.csv_files import column_names, read_csv
+from ...data.record.csv_files import column_names
 from ...data.record.recording import PacketFile
 from ...data.record.scene_files import table_names
+from ...data.record.table import read_csv
 from ...data.ros.ros_source import RosSource
 from ...robots.declared.degrees import degrees_warning
 from ...robots.declared.group_model import Expanded, expand_groups
