@@ -10,6 +10,7 @@ from typing import Any, Protocol, Self, TypeVar
 
 from ..base import paths
 from ..base.errors import SeroError, UsageError
+from ..data.record.table import is_table
 from ..viewer.session.recent_views import RecentView, recent_views
 from ._arguments import NETWORK, read_scene, replay_instead
 from .shared_options import is_recording
@@ -82,6 +83,11 @@ def with_scene(options: T) -> T:
     if options.replay is not None:
         raise UsageError(f"--replay: {options.scene} is a recording already")
     recording = Path(options.scene)
+    if is_table(recording) and recording.exists():
+        raise UsageError(
+            f"{recording} is a table, which does not say what its robot is; give the robot or its "
+            f"scene, and --replay {recording}"
+        )
     view = view_of_file(recording, None, options.source)
     shown = {"scene": view.scene, "replay": recording}
     return options.model_copy(update=shown)
@@ -106,6 +112,8 @@ def _scenes_of(path: Path, shown: str | None) -> Iterator[str]:
 
     if shown is not None:
         yield shown
+    if is_table(path):
+        return
     with open_recording(path) as recording:
         if isinstance(recording, Bag):
             yield from scenes_of_bag(recording)

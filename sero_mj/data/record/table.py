@@ -201,7 +201,8 @@ class _Rows:
         try:
             for cells in reader:
                 if cells and cells[0].startswith(_COMMENT):
-                    comment = [cell.strip() for cell in (cells[0].lstrip("# "), *cells[1:])]
+                    first = cells[0].lstrip("# ")
+                    comment = [cell.strip() for cell in ([first] if first else []) + cells[1:]]
                 elif any(cell.strip() for cell in cells):
                     yield reader.line_num, cells, comment
         except csv.Error as error:

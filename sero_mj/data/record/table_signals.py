@@ -6,9 +6,12 @@ joints, and by their units; or they are declared, as `joint_angles = "A* [rad]"`
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
@@ -55,7 +58,10 @@ _NUMBER = re.compile(r"\d+(?!.*\d)")
 _SUFFIX = re.compile(r"_(rad|deg|nm)$", re.IGNORECASE)
 _BETWEEN = "[]()._/ "  # characters between the number and the rest of a name
 _BEFORE = ("state.",)  # libfranka since 2024
+_SIGNAL = re.compile(r"([A-Za-z_]\w*)(?:\s*\[\s*(.+?)\s*\])?")
 _MANY = 8  # columns in a message
+
+log = logging.getLogger(__name__)
 
 Columns = Mapping[str, str | Sequence[str]]
 
@@ -141,14 +147,21 @@ def signals_of(
     chosen = _recognised(names, joints, robot, counts) | _declared(table, columns or {})
     if "torques" not in chosen and "commanded_torques" in chosen:
         chosen["torques"] = chosen["commanded_torques"]
+        _tell_commanded(table.path, chosen["torques"].names[0])
     return {
         signal: np.stack([table.column(name) for name in each.names], axis=1) * each.factor
         for signal, each in chosen.items()
     }
 
 
+@lru_cache(16)  # once for a table, which is read for its scene, its routes and its packets
+def _tell_commanded(path: Path, column: str) -> None:
+    reason = "no torques were measured; those commanded are shown"
+    log.warning("%s: %s, %s and so on", path, reason, column)
+
+
 def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:
-    """The error for a table in which no joint angles were recognised.
+    """The error for a table without columns of joint angles, or with another number of them.
 
     Args:
         table: that was read.
@@ -156,24 +169,33 @@ def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:
         how: how columns are declared, with SIGNAL=COLUMNS or the like for what.
     """
     names = [*table.columns]
+    expected = f"{count} columns with joint angles" if count else "columns with joint angles"
+    other = _recognised(names, (), "", ()).get("joint_angles")
+    if count and other is not None and len(other.names) != count:
+        first, *_, last = other.names
+        reason = f"found joint angles in {len(other.names)} columns, {first} to {last}"
+        return CsvError(table.path, f"{reason}; expected {expected}")
     more = ", ..." if len(names) > _MANY else ""
     groups = [each for each in _groups(names, (), "") if count in (0, len(each.names))]
-    pattern = groups[0].pattern if groups else "COLUMN,COLUMN,..."
-    wanted = f"{count} columns with joint angles" if count else "columns with joint angles"
+    pattern = groups[0].pattern if groups else "NAME,NAME,..."
     example = how.replace("SIGNAL", "joint_angles").replace("COLUMNS", pattern)
-    reason = f"found the columns {', '.join(names[:_MANY])}{more}; expected {wanted}"
-    return CsvError(table.path, f"{reason}: {example}" if example else reason)
+    reason = f"found the columns {', '.join(names[:_MANY])}{more}; expected {expected}"
+    return CsvError(table.path, f"{reason}, as {example} tells" if example else reason)
 
 
 def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
     """The columns that are declared."""
     found = {}
     for key, wanted in columns.items():
-        signal, unit = split_unit(key)
-        if signal == TIME:
+        if key == TIME:
             continue
+        match = _SIGNAL.fullmatch(key)
+        if match is None:
+            expected = "a signal, with or without a unit: joint_angles [deg]"
+            raise Problem("columns", found=key, expected=expected).error()
+        signal, unit = match[1], match[2] or ""
         if unit and unit not in _FACTORS:
-            raise Problem(key, "no unit", found=unit, available=_FACTORS).error()
+            raise Problem("columns", "no unit", found=unit, of=key, available=_FACTORS).error()
         patterns = [wanted] if isinstance(wanted, str) else wanted
         names = [name for pattern in patterns for name in _matching(table, pattern)]
         units = {split_unit(name)[1] for name in names}

@@ -13,11 +13,15 @@ from numpy.typing import ArrayLike
 
 from ...base.errors import RecordingError, UsageError
 from ...base.frames import Array
+from ...robots.declared.scene import Scene
+from ..drive.table_scene import robots_in
 from ..receive.structure import Structure
 from ..record.bag import open_recording
 from ..record.replay import Replay
-from ..record.table import read_table
+from ..record.table import Table, read_table
 from ..record.table_events import events_of
+from ..record.table_signals import Columns
+from .play import MotionPackets
 
 
 @dataclass
@@ -166,6 +170,67 @@ class TablePackets(Playback):
             packet = self._encode({event: rows[k] for event, rows in self._columns.items()})
             if packet is not None:
                 yield time, packet
+
+
+class JointRows(Playback):
+    """The rows of a table with the signals of robots' joints, packed by a scene's routes.
+
+    Args:
+        table: that was read.
+        scene: robots and routes.
+        columns: which columns are which signals; see `robots_in`.
+        source: of the packets; the scene's only one when None.
+        structure: instead of the source's.
+
+    Raises:
+        CsvError: no robot has columns, or one is missing or has text.
+        DeclarationError: the scene's sources or routes are wrong.
+        UsageError: nothing is routed from the source.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        scene: Scene,
+        columns: Columns,
+        source: str | None = None,
+        structure: str | None = None,
+    ) -> None:
+        led = robots_in(table, scene.robots, columns)
+        self._times = table.times - table.times[0]
+        players = {name: _RowPlayer(self._times, signals) for name, signals in led.items()}
+        self._packets = MotionPackets(scene, source, structure, players=players)
+        about = "; ".join(f"{name}: {', '.join(signals)}" for name, signals in led.items())
+        count, duration = len(self._times), float(self._times[-1])
+        super().__init__(self._packets.structure, f"{table.path}, {about}", count, duration)
+
+    def packets(self) -> Iterator[tuple[float, bytes]]:
+        """When each row is due, s after the first, and its packet."""
+        for time in self._times.tolist():
+            try:
+                packet = self._packets.at(time)
+            except ValueError:  # a number that its type cannot hold
+                self.skipped += 1
+                continue
+            yield time, packet
+
+
+class _RowPlayer:
+    """Gives the signals in the row of a time; of those that a table lacks zeros.
+
+    Args:
+        times: of the rows, s, (T,).
+        signals: by name, (T, n).
+    """
+
+    def __init__(self, times: Array, signals: Mapping[str, Array]) -> None:
+        angles = signals["joint_angles"]
+        self._times = times
+        self._signals = {"commanded_angles": angles, "further": np.zeros_like(angles), **signals}
+
+    def signals(self, t: float) -> Mapping[str, Array]:
+        k = int(np.searchsorted(self._times, t, side="right")) - 1
+        return {name: values[k] for name, values in self._signals.items()}
 
 
 def timed(
