@@ -22,6 +22,7 @@ from ...base.frames import Array
 from .couplings import Coupling, coupled_joints, coupling_problems
 from .dh import COLUMNS
 from .dynamics import Dynamics, TorqueControl
+from .fixed_rows import fixed_row_problem
 from .limbs import limb_problems
 from .robot_parts import (
     IN_DEGREES,
@@ -95,7 +96,8 @@ class RobotDeclaration(Declaration):
             joint value; joint i turns about, or slides along, z of its own frame.
         parents: for branching robots, n names: each joint's parent joint, or `base`. When None, the
             robot is a chain: the parent is the previous joint.
-        joint_types: n times `revolute` or `prismatic`.
+        joint_types: n times `revolute` or `prismatic`; a first row without a joint is the
+            `dh_base_frame`.
         joint_names: n names; J1, J2, ... by default.
         link_names: names of base and links in the robot's original file, n + 1. They are names of
             frames, in addition to `base`, `link1`, ..., and the joint of each link.
@@ -261,6 +263,13 @@ class RobotDeclaration(Declaration):
             return np.zeros((0, 4))
         columns = info.data.get("dh_columns", [*COLUMNS])
         return dh_rows(rows, info.data.get("dh_params_deg"), columns)
+
+    @field_validator("joint_types", mode="before")
+    @classmethod
+    def _rows_have_joints(cls, types: Any, info: ValidationInfo) -> Any:
+        if isinstance(types, list) and (problem := fixed_row_problem(types, info.data)) is not None:
+            raise problem.error()
+        return types
 
     @field_validator(*PER_JOINT)
     @classmethod
