@@ -84,6 +84,7 @@ def scene_of(tmp_path: Path, port: int = 0):
         "time a b\n0,0 1 -2,5\n0,5 2 3\n",
         "# time a b\n0 1 -2.5\n0.5 2 3\n",
         "time, a, b\n0, 1, -2.5\n0.5, 2, 3\n",
+        "time;a;b;\n0;1;-2,5;\n0,5;2;3;\n",
     ],
 )
 def test_what_separates_cells_and_decimals_is_recognised(tmp_path: Path, text: str) -> None:
@@ -187,6 +188,13 @@ def test_declared_columns_have_patterns_lists_and_units(tmp_path: Path) -> None:
         signals_of(found, (), {"joint angles": "J*"})
     with pytest.raises(ValueError, match="found 'q'; expected SIGNAL=COLUMNS"):
         parse_columns(["q"])
+
+
+def test_a_degree_sign_of_windows_is_a_unit(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_bytes("t [s];A1 [°];A2 [°]\n0;90,0;180,0\n".encode("cp1252"))
+    found = signals_of(read_table(path))
+    assert found["joint_angles"] == pytest.approx(np.array([[math.pi / 2, math.pi]]))
 
 
 def test_another_number_of_joints_is_told(tmp_path: Path) -> None:

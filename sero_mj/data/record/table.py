@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 TABLE_ENDINGS = (".csv", ".tsv", ".txt")
 _COMMENT = "#"
+_WESTERN = "cp1252"  # of Windows, where programs write a degree sign, say
 _SEPARATORS = (";", "\t", ",", " ")  # in the order in which they are tried
 _SHOWN = 20  # names of columns
 _HEAD = 200  # lines in which the first two rows are looked for
@@ -142,13 +143,17 @@ def read_table(
     if rate is not None and not 0.0 < rate < math.inf:
         raise Problem("rate", found=rate, expected="rows per s, above 0").error()
     path = Path(path)
-    try:
-        with io.TextIOWrapper(open_file(path), newline="", encoding="utf-8-sig") as file:
-            return _Rows(path, rate, time, instead).read(file)
-    except UnicodeDecodeError as error:
-        raise CsvError(path, f"is no text in UTF-8: {error.reason}") from error
-    except OSError as error:
-        raise CsvError(path, f"cannot be read: {error.strerror}") from error
+    encoding = "utf-8-sig"
+    while True:
+        try:
+            with io.TextIOWrapper(open_file(path), newline="", encoding=encoding) as file:
+                return _Rows(path, rate, time, instead).read(file)
+        except UnicodeDecodeError as error:
+            if encoding == _WESTERN or b"\0" in error.object:
+                raise CsvError(path, f"is no text in UTF-8: {error.reason}") from error
+            encoding = _WESTERN
+        except OSError as error:
+            raise CsvError(path, f"cannot be read: {error.strerror}") from error
 
 
 class _Rows:
@@ -165,6 +170,7 @@ class _Rows:
         self._path, self._rate, self._wanted, self._instead = path, rate, time, instead
         self._names: list[str] = []
         self._has_index = False
+        self._open_line = 0  # of names that end in a separator
         self._time, self._factor = "", 1.0
         self._wrong: dict[str, CsvError] = {}
 
@@ -175,8 +181,7 @@ class _Rows:
         for line, cells, comment in self._filled_rows(reader):
             if not self._names and self._name_columns(line, cells, comment, number):
                 continue
-            self._check_count(line, cells)
-            for name, cell in zip(self._names, cells[self._has_index :], strict=True):
+            for name, cell in zip(self._names, self._of_columns(line, cells), strict=True):
                 value = number(cell)
                 if name == self._time:
                     earlier = value = self._checked_time(line, cell, value, earlier)
@@ -222,6 +227,8 @@ class _Rows:
             names = comment
         else:
             names = [str(i) for i in range(1, len(cells) + 1)]
+        if len(names) > 2 and not names[-1]:
+            names, self._open_line = names[:-1], line
         self._has_index = not names[0] and len(names) > 1
         names = names[self._has_index :]
         for i, name in enumerate(names):
@@ -263,11 +270,16 @@ class _Rows:
             self._factor = next(each for below, each in _EPOCHS if abs(value) < below)
         return value
 
-    def _check_count(self, line: int, cells: list[str]) -> None:
+    def _of_columns(self, line: int, cells: list[str]) -> list[str]:
+        """The cells of the columns, without an index, and without an empty one at the end."""
         wanted = len(self._names) + self._has_index
+        if self._open_line and len(cells) == wanted + 1 and cells.pop().strip():
+            reason = f"column {wanted + 1} has no name"
+            raise CsvError(self._path, reason, line=self._open_line)
         if len(cells) != wanted:
             reason = f"found {len(cells)} values; expected {wanted}, one for each column"
             raise CsvError(self._path, reason, line=line)
+        return cells[self._has_index :]
 
 
 def time_column(names: Sequence[str]) -> str:
