@@ -18,6 +18,8 @@ from .recording import PacketFile, RecordedSource
 from .table import Table, read_table
 
 SOURCE = "table"
+_LATEST = 2.5e11  # s, the end of the last year that `datetime` has
+_EPOCH = datetime.fromtimestamp(0.0, UTC)
 
 
 class TableFile(PacketFile):
@@ -39,8 +41,9 @@ class TableFile(PacketFile):
         declared: Mapping[str, Any],
     ) -> None:
         self.path, self.about, self.lost, self.faults = table.path, {}, {}, []
-        self.start = datetime.fromtimestamp(0.0, UTC)
-        self._times = table.times - table.times[0]
+        first = float(table.times[0])  # s since 1970, or since the robot was started
+        self.start = datetime.fromtimestamp(first, UTC) if 0 <= first < _LATEST else _EPOCH
+        self._times = table.times - first
         self.duration = float(self._times[-1])
         self._events, self._structure = events, structure
         count = len(self._times)
