@@ -35,9 +35,9 @@ from sero_mj.base.toml_file import key_lines, read_toml
 from sero_mj.cli import main
 from sero_mj.data.drive.language import parse
 from sero_mj.data.receive.shm import ShmReader
-from sero_mj.data.record.csv_files import read_csv
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.replay import Replay
+from sero_mj.data.record.table import read_csv
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.surroundings import Object
 from sero_mj.robots.importers.mjcf_file import as_spec

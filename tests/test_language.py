@@ -18,6 +18,7 @@ from sero_mj.data.receive.language import parse
 from sero_mj.data.receive.structure import Structure
 from sero_mj.data.receive.udp import UdpReceiver
 
+CHECK = "expected a number, the word size or a checksum, for example 1H=0x2006 or 1H=CRC-16/MODBUS"
 LETTERS = "fdbBhHiIqQ?"
 PER_KIND = {"F": 1, "V": 3, "M": 16, "T": 12}
 SHAPES: dict[str, tuple[int, ...]] = {"F": (), "V": (3,), "M": (4, 4), "T": (4, 4)}
@@ -134,8 +135,9 @@ EXPECTED = "expected a count and F, V, M, T, x or a type, for example 7F1M"
         ("7F @7F", 4, "expected < (little-endian) or > (big-endian)"),
         ("1M = 1", 4, "a matrix cannot be checked against one number"),
         ("1T=size", 3, "a matrix cannot be checked against one number"),
-        ("1H= ", 5, "expected a number or the word size, for example 1H=0x2006"),
-        ("1H=sizes 1F", 4, "expected a number or the word size, for example 1H=0x2006"),
+        ("1H= ", 5, CHECK),
+        ("1H=sizes 1F", 4, f"{CHECK}; did you mean 'size'?"),
+        ("1H=abcdefgh 1F", 4, CHECK),
         ("1H=7x", 5, "expected a count before it, for example 1x"),
         ("1H=1.5", 4, "expected a whole number for this type"),
         ("1H=65536", 4, "expected a number from 0 to 65535"),

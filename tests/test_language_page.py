@@ -14,6 +14,7 @@ import pytest
 from sero_mj.base.errors import StructureError
 from sero_mj.cli import main, structure
 from sero_mj.cli.options import read_options
+from sero_mj.data.receive.checksum import CRCS, SUMS
 from sero_mj.data.receive.fri import FriLayout
 from sero_mj.data.receive.language import KINDS, MAX_PACKET_BYTES, TYPES, parse
 from sero_mj.data.receive.sniffer import KNOWN
@@ -129,6 +130,7 @@ BESIDE = (
     "a meaning of its own", "a space or a comma before a name", "two fields have the name",
     "a count of 1 or more", "would be too long", "a matrix cannot be checked", "a number from",
     "a whole number for this type", "something that makes an event", "type that holds this number",
+    "one unsigned number", "the checksum would be of",
 )  # fmt: skip
 
 
@@ -156,3 +158,5 @@ def test_the_grammar_has_all_letters_and_the_page_the_limit() -> None:
     }
     assert quoted == {"kind": set(KINDS), "type": set(TYPES)}
     assert f"at most {MAX_PACKET_BYTES} bytes" in PAGE
+    names = set(re.findall(r"`([~-]?[a-zA-Z][\w/-]+)`", PAGE))
+    assert {*SUMS, *CRCS} <= names

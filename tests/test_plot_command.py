@@ -126,13 +126,15 @@ def test_what_is_no_figure_or_no_table_is_told(
     with raises_with(
         CsvError,
         path=f"{tmp_path}/t.csv",
-        reason="found the columns a, b[0], ...; expected such as arm_torques[0] to [1]",
+        reason="found the columns a, b[0]; expected 2 columns with joint angles, as "
+        '--columns "joint_angles=NAME,NAME,..." tells',
     ):
         read_run_table(table, Scene(robots=[two_joints()]))
     with raises_with(
         CsvError,
         path=f"{tmp_path}/t.csv",
-        reason="found the columns a, b[0], ...; expected such as ROBOT_torques[0]",
+        reason="found the columns a, b[0]; expected columns with joint angles, as "
+        '--columns "joint_angles=b[*]" tells',
     ):
         read_run_table(table, Scene())
     source = UdpReceiver(name="udp", structure="measured:2F commanded:2F", port=32000)
@@ -143,7 +145,9 @@ def test_what_is_no_figure_or_no_table_is_told(
     with raises_with(
         CsvError,
         path=f"{tmp_path}/t.csv",
-        reason="has no column measured[0], of source 'udp'",
+        reason="has no column measured[0], of source 'udp'; found the columns measured[1], "
+        "commanded[0], commanded[1]; expected 2 columns with joint angles, as "
+        '--columns "joint_angles=commanded[*]" tells',
     ):
         read_run_table(table, scene)
 

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from .. import __version__
 from ..base.errors import DeclarationError, PluginError, SeroError, UnknownName
 from ..base.plugins import COMMANDS, is_own, load_all, load_plugin, plugins
-from ..viewer.headless.backend import choose_backend
+from ..viewer.headless.backend import check_backend, choose_backend
 from ._arguments import OneLineParser, join_negative_values
 from ._terminal import escape_output
 
@@ -45,12 +45,13 @@ def main(arguments: list[str] | None = None) -> None:
     Ctrl+C is left to `__main__`, where it is caught while commands are loaded as well.
     """
     escape_output()
-    choose_backend()
     logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING)
     given = sys.argv[1:] if arguments is None else arguments
     if not given or (given[0].startswith("--") and given[0] not in ("--help", "--version")):
         given = ["view", *given]  # the start page
     try:
+        check_backend()
+        choose_backend()
         if not given[0].startswith("-") and given[0] not in plugins(COMMANDS):
             raise UnknownName("command", given[0], plugins(COMMANDS))
         options = _parser(given[0]).parse_args(join_negative_values(given))

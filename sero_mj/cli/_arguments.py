@@ -309,24 +309,36 @@ def _as_set(problem: Problem, given: Mapping[str, Any], option: str) -> Problem:
 
 
 def replay_instead(
-    scene: Scene, file: Path, start: float | None, source: str | None = None
+    scene: Scene,
+    file: Path,
+    start: float | None,
+    source: str | None = None,
+    columns: Sequence[str] = (),
 ) -> None:
     """Replaces every source of a scene that is in the recording by its replay.
 
     Args:
         scene: is changed.
-        file: the recording.
+        file: the recording, or a table.
         start: where to begin, s since the recording began; at its first packet when None.
-        source: of a recording of ROS, that moves the robot of a scene without sources.
+        source: of a recording of ROS, that moves the robot of a scene without sources; of a table,
+            the source of the scene whose packets it has.
+        columns: of a table, `SIGNAL=COLUMNS`.
 
     Raises:
         RecordingError: it cannot be read.
         UsageError: it has none of the scene's sources, or ends before `start`.
     """
     from ..data.drive.bag_topics import replay_of, topics_of, with_bag
+    from ..data.drive.table_scene import lead_by_table
     from ..data.record.bag import Bag, look_into
+    from ..data.record.table import is_table
+    from ..data.record.table_signals import parse_columns
     from ..simulate.runs.run_log import routes_from_recording
 
+    if is_table(file):
+        lead_by_table(scene, file, parse_columns(columns), start, source)
+        return
     if source is not None:
         _check_source(scene, file, source)
     led = with_bag(scene, file, source)
@@ -391,7 +403,11 @@ def print_table(table: Table) -> None:
 
 
 def read_recorded_run(
-    path: Path, source: str | None, scene: Scene | None, robots: Sequence[str] = ()
+    path: Path,
+    source: str | None,
+    scene: Scene | None,
+    robots: Sequence[str] = (),
+    columns: Sequence[str] = (),
 ) -> RunLog:
     """Reads a recording or a table, for a command with `--scene` for recordings without one.
 
@@ -400,15 +416,18 @@ def read_recorded_run(
         source: of its sources; all that matter when None.
         scene: its robots; when None, those in it, or those that a recording of ROS may be of.
         robots: which of these are wanted, by their names; any when empty.
+        columns: of a table, `SIGNAL=COLUMNS`.
     """
     from ..data.drive.described_scene import scenes_of_bag
     from ..data.record.bag import Bag, open_recording
+    from ..data.record.table import is_table
+    from ..data.record.table_signals import parse_columns
     from ..simulate.runs.run_recording import read_run, read_run_table
 
-    if path.suffix.lower() == ".csv":
+    if is_table(path):
         if scene is None:
             raise UsageError(f"{path} does not say what its robots are: give --scene SCENE")
-        return read_run_table(path, scene, source)
+        return read_run_table(path, scene, source, parse_columns(columns))
     if scene is None:
         with open_recording(path) as recording:
             found = []

@@ -8,6 +8,7 @@ from typing import Any, Protocol, Self, TypeVar
 
 from ..base import paths
 from ..base.errors import SeroError, UsageError
+from ..data.record.table import is_table
 from ..viewer.session.recent_views import RecentView, recent_views
 from ._arguments import NETWORK, note_choice, read_scene, replay_instead, without_warnings
 from .shared_options import is_recording
@@ -80,6 +81,11 @@ def with_scene(options: T) -> T:
     if options.replay is not None:
         raise UsageError(f"--replay: {options.scene} is a recording already")
     recording = Path(options.scene)
+    if is_table(recording) and recording.exists():
+        raise UsageError(
+            f"{recording} is a table, which does not say what its robot is; give the robot or its "
+            f"scene, and --replay {recording}"
+        )
     view = view_of_file(recording, None, options.source)
     note_choice(recording, view.scene)
     shown = {"scene": view.scene, "replay": recording}
@@ -93,6 +99,8 @@ def _scenes_of(path: Path, shown: str | None, source: str | None) -> Iterator[st
 
     if shown is not None:
         yield shown
+    if is_table(path):
+        return
     with open_recording(path) as recording:
         if isinstance(recording, Bag):
             choose = f"sero-mj view NAME --replay {path}"

@@ -148,7 +148,7 @@ def _scene_of_photo(options: CalibrateOptions) -> Scene:
         settings = [*options.settings, angles]
         scene = read_scene(options.robot, settings, replay=options.replay)
     if options.replay is not None:
-        replay_instead(scene, options.replay, options.start, options.source)
+        replay_instead(scene, options.replay, options.start, options.source, options.columns)
     return scene
 
 

@@ -47,7 +47,7 @@ def run(options: CheckOptions) -> int:
     trust.log.setLevel(logging.ERROR)  # what is withheld is listed below
     scene = read_scene(options.scene, replay=options.replay)
     if options.replay is not None:
-        replay_instead(scene, options.replay, options.start, options.source)
+        replay_instead(scene, options.replay, options.start, options.source, options.columns)
     world = World(scene)
     make_features(world)
     own = scene.file and not paths.is_temporary(scene.file)

@@ -172,21 +172,23 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     from ..data.drive.record_sources import record_events
     from ..data.drive.trigger import Trigger
     from ..data.drive.wiring import wire
-    from ..data.record.bag import open_recording
     from ..data.record.recording_format import RecordingClock
+    from ..data.record.replay import Replay
 
     scene = read_scene(options.scene, replay=options.replay)
     begin = time.time() - time.monotonic()  # of the clock of arrivals, s since the epoch
     more: dict[str, Any] = {}
     if options.replay is not None:
         replay_instead(scene, options.replay, 0.0)
-        with open_recording(options.replay) as recording:
+    wiring = wire(scene).check(scene)
+    replays = [source for source in wiring.sources.values() if isinstance(source, Replay)]
+    if options.replay is not None and replays:
+        with replays[0].open_recording() as recording:
             begin = recording.start.timestamp()
         more = {
             "now": None,
             "clock_at": lambda s: RecordingClock(round((begin + s) * 1e9), round(s * 1e9)),
         }
-    wiring = wire(scene).check(scene)
     sources = {
         name: source
         for name, source in wiring.sources.items()

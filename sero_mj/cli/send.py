@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 from pydantic import Field, model_validator
 
 from ..base.declaration import expecting
-from ..base.errors import UsageError
+from ..base.errors import CsvError, UsageError
 from ..base.options import Duration, NotNegative, Option, Options, Positive, Seed
 from ..base.paths import list_scenarios
 from ._arguments import command, print_programs, read_scene
 from ._sending import Sender, SinkOptions, goes_to_shm, make_sink
-from .shared_options import SceneArgument
+from .shared_options import Columns, SceneArgument
 
 if TYPE_CHECKING:
     from ..data.receive.source import Source
@@ -31,6 +31,7 @@ examples:
   sero-mj send lwr_shm --rate 10000           to the shared memory that the scene reads
   sero-mj send lwr_udp --play REC.mcap --loop what was recorded, as it came
   sero-mj send lwr_udp --play TABLE.csv --rate 500
+  sero-mj send ur5e --play TABLE.csv --columns "joint_angles=A* [deg]" --columns "time=Zeit [s]"
 
 Joints swing within their limits; torques are what the motion takes, by inverse dynamics. With a
 robot's name the packet is its joint angles and its torques, to port 32000. Above 1 kHz values go
@@ -38,7 +39,9 @@ along straight lines between packets of 1 kHz. Ctrl-C stops.
 
 A recording is sent bit for bit, at the times at which it came, where the scene's structure is the
 recorded one; else its events are packed anew, by their names. The columns of a table are called
-like the numbers of the packet (`values0[0]`, as export-csv has them), or are all of them in order.
+like the numbers of the packet (`values0[0]`, as export-csv has them); or they are signals of the
+robot's joints, recognised by their names or given by --columns, from which the scene's routes make
+the packet; or they are all numbers of the packet, in order.
 """
 
 FASTEST = 1e5  # packets/s; a Python loop does not send faster
@@ -55,6 +58,7 @@ class PlayOptions(Options):
         loop: again and again.
         recorded: which source of the recording (default: the one of the same name, or the only
             one).
+        columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; may be repeated.
     """
 
     title: ClassVar[str] = "for a recording or a table"
@@ -62,6 +66,7 @@ class PlayOptions(Options):
     speed: Annotated[Positive, Option("X")] = 1.0
     loop: bool = False
     recorded: Annotated[str | None, Option("NAME")] = None
+    columns: Columns = []
 
 
 class FriOptions(Options):
@@ -120,8 +125,8 @@ def run(options: SendOptions) -> int:
         return _send_simulation(options, file)
     source = choose_source(wire(scene).check(scene), options.source)
     if file is not None:
-        return _send_file(options, source, file)
-    options.refuse(("speed", "loop", "recorded"), " is for --play FILE")
+        return _send_file(options, scene, source, file)
+    options.refuse(("speed", "loop", "recorded", "columns"), " is for --play FILE")
     if source.protocol == "fri":
         return _send_fri(options, scene, source)
     why = ' is for a scene whose source is of kind = "fri"'
@@ -172,7 +177,7 @@ def _declare_source(scene: Scene, options: SendOptions) -> None:
         scene.routes[f"{robot.name}.torques"] = "robot.values1"
 
 
-def _send_file(options: SendOptions, source: Source, file: Path) -> int:
+def _send_file(options: SendOptions, scene: Scene, source: Source, file: Path) -> int:
     """Sends what is in a recording or a table; returns 0."""
     from ..data.send.play import structure_for
     from ..data.send.playback import timed
@@ -180,7 +185,7 @@ def _send_file(options: SendOptions, source: Source, file: Path) -> int:
 
     options.refuse(("amplitude",), " is for a motion; it does nothing with --play")
     structure = structure_for(source, options.structure)
-    playback = _open_file(options, source, structure, file)
+    playback = _open_file(options, scene, source, structure, file)
     printed = _print_notes(playback.notes)
     with make_sink(options, source, structure) as to:
         print(
@@ -208,14 +213,18 @@ def _print_notes(notes: list[str]) -> int:
     return len(notes)
 
 
-def _open_file(options: SendOptions, source: Source, structure: Structure, file: Path) -> Playback:
+def _open_file(
+    options: SendOptions, scene: Scene, source: Source, structure: Structure, file: Path
+) -> Playback:
     from ..data.record.bag import open_recording
-    from ..data.send.playback import RecordedPackets, TablePackets
+    from ..data.record.table import is_table
+    from ..data.send.playback import RecordedPackets
 
-    if file.suffix.lower() == ".csv":
+    if is_table(file):
         if options.recorded is not None:
             raise UsageError(f"--recorded is for recordings; {file} is a table")
-        return TablePackets(file, structure, options.rate)
+        return _open_table(options, scene, source, structure, file)
+    options.refuse(("columns",), f" is for tables; {file} is a recording")
     if options.rate is not None:
         raise UsageError("--rate: a recording has its own times; --speed changes them")
     name = options.recorded or ""
@@ -225,13 +234,37 @@ def _open_file(options: SendOptions, source: Source, structure: Structure, file:
     return RecordedPackets(file, name, structure, only_whole=goes_to_shm(options, source))
 
 
+def _open_table(
+    options: SendOptions, scene: Scene, source: Source, structure: Structure, file: Path
+) -> Playback:
+    """The rows of a table: numbers of packets, or signals of joints that routes make packets."""
+    from ..data.drive.table_scene import read_for
+    from ..data.record.csv_files import column_names
+    from ..data.record.table_events import has_numbers
+    from ..data.record.table_signals import parse_columns
+    from ..data.send.playback import JointRows, TablePackets
+
+    columns = parse_columns(options.columns)
+    table = read_for(file, columns, options.rate, ", or --rate")
+    if has_numbers(table, structure.events) and not columns:
+        return TablePackets(file, structure, options.rate)
+    try:
+        return JointRows(table, scene, columns, source.name, options.structure)
+    except CsvError as error:
+        if columns or len(table.columns) != len(column_names(structure.events)):
+            count = len(column_names(structure.events))
+            others = f"or the {count} numbers of '{structure.text}' in order"
+            raise error if columns else CsvError(file, f"{error.reason}; {others}") from None
+    return TablePackets(file, structure, options.rate)
+
+
 def _send_simulation(options: SendOptions, scenario: Path) -> int:
     """Simulates a scenario and sends it while it runs; returns 0."""
     from ..simulate.scenario_file import read_scenario
     from ..simulate.simulation import Simulation
 
     why = ": a scenario is sent as it is simulated, in real time"
-    options.refuse(("amplitude", "rate", "speed", "loop", "recorded"), why)
+    options.refuse(("amplitude", "rate", "speed", "loop", "recorded", "columns"), why)
     over = {} if options.duration is None else {"run.duration": options.duration}
     declared = read_scenario(scenario, over)
     print_programs(declared)

@@ -14,6 +14,8 @@ from ..base import paths
 from ..base.declaration import expecting
 from ..base.errors import UsageError
 from ..base.options import Duration, Option, Options, Time, ending, positional, whole
+from ..data.record.table import TABLE_ENDINGS, is_table
+from ..data.record.table_signals import parse_columns
 from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
 from ..study.figure import NO_MATPLOTLIB, SUFFIXES, has_matplotlib
 from ..viewer.headless.picture_options import EYE_DISTANCE, CameraOptions, StereoOptions
@@ -37,12 +39,20 @@ Recording = Annotated[Path, Option("REC")]
 Figure = Annotated[Path, ending(*SUFFIXES), AfterValidator(_drawn), Option("OUT")]
 Settings = Annotated[list[str], Option("KEY=VALUE", ("--set",))]
 Flag = Annotated[str | None, Option("NAME")]
+
+
+def _columns(text: str) -> str:
+    parse_columns([text])  # raises ValueError
+    return text
+
+
+Columns = Annotated[list[Annotated[str, AfterValidator(_columns)]], Option("SIGNAL=COLUMNS")]
 Count = Annotated[int, whole(1, 200_000), Option("N")]
 
 
 def is_recording(path: Path | str) -> bool:
-    """Whether a file or folder is a recording, ours or of ROS, by its name."""
-    if str(path).lower().endswith((".mcap", ".bag", ".bag.active", ".db3")):
+    """Whether a file or folder is a recording, ours or of ROS, or a table, by its name."""
+    if str(path).lower().endswith((".mcap", ".bag", ".bag.active", ".db3", *TABLE_ENDINGS)):
         return True
     return bool(str(path)) and (
         Path(path, "metadata.yaml").is_file() or bool(paths.bag_files_in(path))
@@ -120,14 +130,16 @@ class ReplayOptions(Options):
     """A recording that is played in the place of live sources.
 
     Attributes:
-        replay: play a recording instead of the live sources.
+        replay: play a recording, or a table (.csv), instead of the live sources.
         start: where in the recording to begin, s (default: its first packet).
         source: which source of a recording of ROS moves the robot, where it has several.
+        columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; may be repeated.
     """
 
     replay: Recording | None = None
     start: Time | None = None
     source: Flag = None
+    columns: Columns = []
 
     @model_validator(mode="after")
     def _check_start(self) -> Self:
@@ -136,6 +148,8 @@ class ReplayOptions(Options):
             raise ValueError("--start is for recordings; give --replay REC.mcap as well")
         if self.source is not None and not is_played:
             raise ValueError("--source is for recordings; give --replay REC.mcap as well")
+        if self.columns and (self.replay is None or not is_table(self.replay)):
+            raise ValueError("--columns is for tables; give --replay TABLE.csv as well")
         return self
 
 
@@ -170,7 +184,7 @@ class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
                 raise UsageError(problem)
             scene.view.follow = self.follow
         if self.replay is not None:
-            replay_instead(scene, self.replay, self.start, self.source)
+            replay_instead(scene, self.replay, self.start, self.source, self.columns)
         return scene
 
     def from_its_begin(self) -> Self:
@@ -223,10 +237,12 @@ class RunOptions(Options):
     Attributes:
         scene: robots and routes, where a recording has none, or of tables (default: what is in it).
         source: which source (default: all).
+        columns: columns of tables, e.g. "joint_angles=q_*" or time=stamp; may be repeated.
     """
 
     scene: str | None = None
     source: Flag = None
+    columns: Columns = []
 
     @cached_property
     def _declared(self) -> Scene | None:
@@ -248,7 +264,7 @@ class RunOptions(Options):
         """
         robots = vars(self).get("robot") or ()
         names = robots.split(",") if isinstance(robots, str) else robots
-        return read_recorded_run(path, source, self._declared, names)
+        return read_recorded_run(path, source, self._declared, names, self.columns)
 
 
 class EngineOptions(Options):

@@ -61,7 +61,7 @@ def run(options: StatusOptions) -> int:
     options = with_scene(options)
     scene = read_scene(options.scene, replay=options.replay)
     if options.replay is not None:
-        replay_instead(scene, options.replay, options.start, options.source)
+        replay_instead(scene, options.replay, options.start, options.source, options.columns)
     wiring = wire(scene).check(scene)
     sources = list(wiring.sources.values())
     if not sources:

@@ -165,7 +165,7 @@ def _print_layout(layout: Structure, title: str = "") -> None:
     table.add_column("offset", justify="right")
     table.add_column("bytes", justify="right")
     heads = ["type", "event", "shape"]
-    if any(item.constant is not None for item in layout.fields):
+    if any(item.constant is not None or item.checksum for item in layout.fields):
         heads.append("must be")
     for head in heads:
         table.add_column(head)
@@ -212,7 +212,9 @@ def _shape(item: Item, layout: Structure) -> str:
 
 
 def _must_be(item: Item) -> str:
-    """The constant that is demanded, as ids are written as well."""
+    """The constant that is demanded, as ids are written as well, or the checksum."""
+    if item.checksum:
+        return f"{item.checksum} of bytes {item.covers[0]} to {item.covers[1] - 1}"
     if item.constant is None:
         return ""
     if item.is_size:
@@ -239,6 +241,8 @@ def _layout_as_json(layout: Structure) -> dict[str, Any]:
                 "event": item.name or None,
                 "shape": list(item.shape) if item.name else None,
                 "constant": item.constant,
+                "checksum": item.checksum or None,
+                "covers": list(item.covers) if item.checksum else None,
             }
             for item in layout.fields
         ],
@@ -351,6 +355,7 @@ def _fits(stream: Stream, layout: Structure | None) -> bool:
         layout is not None
         and stream.size == layout.size
         and not layout.find_wrong_constants(stream.rows[-1:])[0]
+        and not layout.find_wrong_checksums(stream.rows[-1:])[0]
     )
 
 
@@ -361,7 +366,8 @@ def _values(stream: Stream, layout: Structure | None) -> str:
     if stream.size != layout.size:
         hint = layout.for_size(stream.size)
         return f"{stream.size} bytes; '{layout.text}' has {layout.size}{hint and f'; {hint}'}"
-    if wrong := layout.describe_wrong_constant(stream.rows[-1:]):
+    row = stream.rows[-1:]
+    if wrong := layout.describe_wrong_constant(row) or layout.describe_wrong_checksum(row):
         return wrong
     return _numbers(layout.decode(stream.last[-1]))
 

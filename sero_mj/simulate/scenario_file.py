@@ -25,7 +25,8 @@ from ..base.frames import Array
 from ..base.paths import find_scenario, find_scene
 from ..base.toml_file import located, read_toml
 from ..base.trust import Origin, is_allowed
-from ..data.record.csv_files import read_csv
+from ..data.drive.table_scene import robots_in
+from ..data.record.table import is_table, read_csv, read_table
 from ..robots.declared.robot import SerialRobot
 from ..robots.declared.scene import Scene
 from ..robots.declared.scene_file import read_scene_file, scene_from_tables
@@ -353,7 +354,8 @@ def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> 
     """Puts the motion that `file` names into a table of kind `recorded`.
 
     A recording (`.mcap`) has the angles of the robot of the same name, of that named `of`, or of
-    the only one. A table (`.csv`) has a column `time`, in s, and one for every joint, in order.
+    the only one. A table (`.csv`) has times and joint angles that are recognised, see
+    `data.record.table_signals`, or one column for every joint, in order.
 
     Args:
         table: of the target; others than such with a `file` come back as they are.
@@ -380,7 +382,7 @@ def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> 
         if key in fields:
             raise _wrong(key, "is what the file says; leave it or `file` out")
     try:
-        read = _from_table if file.lower().endswith(".csv") else _from_recording
+        read = _from_table if is_table(file) else _from_recording
         times, angles = read(beside / file, robot, of)
     except SeroError as error:
         if isinstance(error, DeclarationError):
@@ -398,7 +400,11 @@ def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> 
 def _from_table(file: Path, robot: SerialRobot, of: object) -> tuple[Array, Array]:
     if of is not None:
         raise _wrong("of", "is for recordings, which may have several robots; leave it out")
-    times, columns = read_csv(file)
+    try:
+        table = read_table(file)
+        return table.times, robots_in(table, {robot.name: robot}, {})[robot.name]["joint_angles"]
+    except CsvError:  # none are recognised: all columns are angles
+        times, columns = read_csv(file)
     if len(columns) != robot.n:
         found = f"found {len(columns)} columns beside time; expected {robot.n}, one per joint"
         raise CsvError(file, found)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..base.frames import Array, frame
 from ..data.record.bag import open_recording
+from ..data.record.table import is_table
 from ..robots.declared.cartesian import ReceivedFrame, SmartArrow
 from ..robots.declared.double import Double
 from ..robots.declared.scene import Scene
@@ -51,11 +52,14 @@ def replayed_scene(scenario: Scenario, file: Path) -> Scene:
 
     Args:
         scenario: that was recorded; its controllers are not made.
-        file: the recording; where it has no simulation, `replay_instead` reports that.
+        file: the recording, or a table, which `replay_instead` then lets lead the robots; where it
+            has no simulation, that reports it.
 
     Raises:
         RecordingError: the file cannot be read.
     """
+    if is_table(file):
+        return with_routes(scenario, (), {"kind": "table", "file": str(file)})
     with open_recording(file) as recording:
         source = recording.sources.get(SOURCE)
         recorded = [] if source is None else [*source.events]

@@ -321,6 +321,7 @@ class _SourceStates:
                 max(now - counters.last_fault_time, 0.0) if counters.malformed else -1.0,
                 counters.not_frames,
                 counters.wrong_constant,
+                counters.wrong_checksum,
                 *((-1.0, -1.0) if packet is None else source.link_state(packet.values)),
                 counters.lost,
                 counters.late,

@@ -25,7 +25,8 @@ from .structure import LAST_ROW, LAST_ROW_TOLERANCE, Rows, Structure, are_frames
 
 # In the order of their updates: malformed counts are last, so that waiting for them suffices.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
-            "implausible", "wrong_constant", "wrong_size", "received")  # fmt: skip
+            "implausible", "wrong_constant", "wrong_checksum", "wrong_size",
+            "received")  # fmt: skip
 _MAX_KEPT = 4096  # bytes of a packet, if it is malformed or comes encoded
 
 
@@ -54,6 +55,7 @@ class Counters:
         received: packets of any kind.
         wrong_size: malformed ones: not as long as the structure says.
         wrong_constant: malformed ones: a number differs from the structure's constant.
+        wrong_checksum: malformed ones: a checksum of the structure differs from that of the bytes.
         not_finite: malformed ones: with NaN or infinity where these are not allowed.
         not_frames: malformed ones: with a matrix that is not a rigid frame.
         implausible: malformed ones: with a number beyond its limit; see `Source.limit`.
@@ -77,6 +79,7 @@ class Counters:
     received: int = 0
     wrong_size: int = 0
     wrong_constant: int = 0
+    wrong_checksum: int = 0
     not_finite: int = 0
     not_frames: int = 0
     implausible: int = 0
@@ -101,6 +104,7 @@ class Counters:
         return (
             self.wrong_size
             + self.wrong_constant
+            + self.wrong_checksum
             + self.not_finite
             + self.not_frames
             + self.implausible
@@ -199,11 +203,15 @@ class Intake:
             self._fault(found, arrivals[bad][-1])
             rows, arrivals = rows[~bad], arrivals[~bad]
             senders = None if senders is None else senders[~bad]
-        if len(rows) and (bad := layout.find_wrong_constants(rows)).any():
-            counters.wrong_constant += int(bad.sum())
-            self._fault(layout.describe_wrong_constant(rows[bad][-1:]), arrivals[bad][-1])
-            rows, arrivals = rows[~bad], arrivals[~bad]
-            senders = None if senders is None else senders[~bad]
+        for cause, find, describe in (
+            ("wrong_constant", layout.find_wrong_constants, layout.describe_wrong_constant),
+            ("wrong_checksum", layout.find_wrong_checksums, layout.describe_wrong_checksum),
+        ):
+            if len(rows) and (bad := find(rows)).any():
+                setattr(counters, cause, getattr(counters, cause) + int(bad.sum()))
+                self._fault(describe(rows[bad][-1:]), arrivals[bad][-1])
+                rows, arrivals = rows[~bad], arrivals[~bad]
+                senders = None if senders is None else senders[~bad]
         if not len(rows):
             return rows, arrivals
         begins = None if senders is None else self._note_senders(senders, arrivals)

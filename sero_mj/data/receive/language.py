@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...base.errors import StructureError, did_you_mean
+from .checksum import ALIASES, CRCS, SUMS, find_checksum, width_of
 
 MAX_PACKET_BYTES = 65_507  # the maximum of a UDP packet over IPv4
 
@@ -33,11 +34,12 @@ _SPACES = re.compile(r"\s*")
 _NAME = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)\s*:\s*")
 _COUNT = re.compile(r"[0-9]+")
 _EQUALS = re.compile(r"\s*(=)\s*")
-_NUMBER = re.compile(
-    r"size\b|[+-]?(?:0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
-)
+_NUMBER = re.compile(r"[+-]?(?:0[xX][0-9a-fA-F]+|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)")
+_WORD = re.compile(r"[~-]?[A-Za-z][A-Za-z0-9/_-]*")
+_RANGE = re.compile(r"\s*\[\s*([0-9]*)\s*:\s*([0-9]*)\s*\]")
 _MAX_NUMBER = 40  # characters; Python itself refuses to read thousands of digits
 _NUMBERED = re.compile(r"(values|vectors|matrices)[0-9]+")
+_CHECK = "expected a number, the word size or a checksum, for example 1H=0x2006 or 1H=CRC-16/MODBUS"
 _EXPECTED = "expected a count and F, V, M, T, x or a type, for example 7F1M"
 _TOO_LONG = f"the packet would be too long; expected at most {MAX_PACKET_BYTES} bytes"
 
@@ -55,7 +57,10 @@ class Item:
         is_bool: whether any byte but 0 is 1.
         constant: the required value of every number; None for any value.
         is_size: whether that constant is the packet's size.
-        at: index in the text at which it begins; after `=` for a size.
+        checksum: name of the checksum that the number must be; empty for none.
+        covers: the bytes that the checksum is of, the first and the one after the last; its own
+            ones count as 0.
+        at: index in the text at which it begins; after `=` for a size or checksum.
     """
 
     name: str
@@ -66,6 +71,8 @@ class Item:
     is_bool: bool = False
     constant: int | float | None = None
     is_size: bool = False
+    checksum: str = ""
+    covers: tuple[int, int] = (0, 0)
     at: int = 0
 
     @cached_property
@@ -143,7 +150,8 @@ class _Parser:
                 items.append(self.item())
         if not any(item.name for item in items):
             raise self.wrong(_EXPECTED if not items else "expected something that makes an event")
-        return [self.with_size(item) if item.is_size else item for item in items]
+        items = [self.with_size(item) if item.is_size else item for item in items]
+        return [self.with_range(item, items) if item.checksum else item for item in items]
 
     @property
     def next(self) -> str:
@@ -204,7 +212,7 @@ class _Parser:
         if item.name:
             self.names.add(item.name)
             return item
-        if item.constant is not None or item.is_size:
+        if item.constant is not None or item.is_size or item.checksum:
             return item
         events = KINDS[item.kind][0]
         self.numbered[events] += 1
@@ -250,15 +258,38 @@ class _Parser:
             reason = "a matrix cannot be checked against one number"
             raise self.wrong(reason, equals.start(1))
         self.at = equals.end()
+        if (word := _WORD.match(self.text, self.at)) is not None:
+            if word[0] != "size":
+                return self.with_checksum(item, word)
+            item = replace(item, is_size=True, at=self.at)
+            self.at = word.end()
+            return item
         found = _NUMBER.match(self.text, self.at)
         if found is None:
-            raise self.wrong("expected a number or the word size, for example 1H=0x2006")
-        if found[0] == "size":
-            item = replace(item, is_size=True, at=self.at)
-        else:
-            item = replace(item, constant=self.number(found[0], item))
+            raise self.wrong(_CHECK)
+        item = replace(item, constant=self.number(found[0], item))
         self.at = found.end()
         return item
+
+    def with_checksum(self, item: Item, word: re.Match[str]) -> Item:
+        """Reads the name of a checksum, and the range that it covers, if any."""
+        name = find_checksum(word[0])
+        if name is None:
+            near = did_you_mean(word[0], ("size", *SUMS, *CRCS, *ALIASES))
+            raise self.wrong(_CHECK + (near if "did you mean" in near else ""))
+        bits = width_of(name)
+        letter = {8: "B", 16: "H", 32: "I"}.get(bits or 0, "H")
+        is_unsigned = item.type[-2] == "u" and not item.is_bool
+        if item.numbers != 1 or not is_unsigned or bits not in (None, 8 * item.item_bytes):
+            of = f" of {bits} bits" if bits else ""
+            raise self.wrong(f"expected one unsigned number{of} for it, as in 1{letter}={name}")
+        at, self.at = self.at, word.end()
+        covers = 0, -1  # the end is known at the end of the string
+        if (found := _RANGE.match(self.text, self.at)) is not None:
+            begin, end = ((int(each) if each else -1) if len(each) < 9 else MAX_PACKET_BYTES + 1
+                          for each in found.groups())  # fmt: skip
+            covers, self.at = (max(begin, 0), end), found.end()
+        return replace(item, checksum=name, covers=covers, at=at)
 
     def number(self, text: str, item: Item) -> int | float:
         """A number in the range of an item's type; integers are exact."""
@@ -279,6 +310,19 @@ class _Parser:
         if value != int(value):
             raise self.wrong("expected a whole number for this type")
         return int(value)
+
+    def with_range(self, item: Item, items: list[Item]) -> Item:
+        """Inserts the end of what a checksum covers: the checksum itself, or the packet's end."""
+        begin, end = item.covers
+        if end < 0:
+            end = item.offset if begin < item.offset else self.size
+        if not begin < end <= self.size:
+            found = f"the checksum would be of the bytes {begin} to {end - 1}"
+            raise self.wrong(f"{found}; expected some of 0 to {self.size - 1}", item.at)
+        later = [each.offset for each in items if each.checksum and each.offset > item.offset]
+        if any(begin <= offset < end for offset in later):
+            raise self.wrong("the checksum would be of a later checksum as well", item.at)
+        return replace(item, covers=(begin, end))
 
     def with_size(self, item: Item) -> Item:
         """Inserts the packet's size, which is known only at the end."""

@@ -19,6 +19,7 @@ MEANINGS = {
     "restarts": "the sender restarted",
     "wrong_size": "not as long as the structure says",
     "wrong_constant": "another number where the structure demands one",
+    "wrong_checksum": "corrupted: another checksum than that of its bytes",
     "not_finite": "NaN or infinity where something would move",
     "not_frames": "a matrix that is no frame",
     "implausible": "a number beyond what a robot can have",
@@ -108,7 +109,7 @@ def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
     meanings = dict(MEANINGS)
     if found["message"]:
         meanings["wrong_size"] = f"no {found['message']} that can be used"
-    if found["wrong_size"] or found["wrong_constant"]:
+    if found["wrong_size"] or found["wrong_constant"] or found["wrong_checksum"]:
         meanings["lost"] += ", or that of a packet below could not be read"
     rows += [(name, str(found[name]), why) for name, why in meanings.items() if found[name]]
     if found["senders"] > 1:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import errno
 import select
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ...base.errors import SourceError
 from ._tracking import Timing
 from ._udp_socket import Batch, Datagrams, open_socket, unpack_address
+from .checksum import Recognized, recognize
 from .fri import COMMAND, MEASUREMENT
 from .language import MAX_PACKET_BYTES, TYPES
 from .mixed_layout import LARGEST, SMALLEST, mixed_layout
@@ -30,6 +31,7 @@ _MAX_JOINTS = 64
 _MAX_GUESSES = 4
 _MAX_NUMBERS = 512  # searched for frames
 _HEADERS = {0: "", 2: "1H", 4: "1I", 8: "1Q", 16: "2Q"}  # size in bytes to structure
+_LETTERS = {1: "B", 2: "H", 4: "I"}  # of unsigned integers, by bytes
 _TYPES = {
     "<f8": "float64",
     "<f4": "float32",
@@ -185,13 +187,32 @@ def guess_layouts(rows: Rows) -> list[Guess]:
     Args:
         rows: packets of one sender one after the other, (n, size), n >= 1.
     """
-    size = rows.shape[1]
-    header, begin = find_header(rows)
+    size, found = rows.shape[1], recognize(rows)
+    if found is not None:
+        guesses = _guess_layouts(rows[:, : size - found.width], size)
+        if guesses:
+            return [_with_checksum(guess, found) for guess in guesses]
+    return _guess_layouts(rows, size)
+
+
+def _with_checksum(guess: Guess, found: Recognized) -> Guess:
+    """A layout with a checksum behind it."""
+    orders = [each for each in guess.structure if each in "<>"]
+    mark = "" if found.width == 1 or found.order == (orders or ["<"])[-1] else found.order
+    covers = f"[{found.begin}:]" if found.begin else ""
+    letter = _LETTERS[found.width]
+    text = f"{guess.structure} {mark}1{letter}={found.name}{covers}"
+    return replace(guess, structure=text, about=f"{guess.about}, {found.name}")
+
+
+def _guess_layouts(rows: Rows, size: int) -> list[Guess]:
+    """Layouts of packets (n, k) that have `size` bytes with what follows."""
+    header, begin = find_header(rows, size)
     first = ">" if header.startswith(">") else "<"  # the default if both fit
     fits = {}
     for start, letters in {begin: header, **({} if header else _HEADERS)}.items():
         for type_, word in _TYPES.items():
-            if start < size and (size - start) % int(type_[-1]) == 0:
+            if start < rows.shape[1] and (rows.shape[1] - start) % int(type_[-1]) == 0:
                 fits[start, type_] = _with_body(rows, letters, start, type_, word)
     best = max((guess.plausible for (at, _), (_, guess) in fits.items() if at == begin), default=-1)
     ranked = [
@@ -207,7 +228,7 @@ def guess_layouts(rows: Rows) -> list[Guess]:
     if not guesses or guesses[0].plausible < 1.0:
         known_ones = {guess.structure for guess in guesses}
         guesses[:0] = [each for each in _mixed(rows) if each.structure not in known_ones]
-    if size in KNOWN:
+    if rows.shape[1] == size and size in KNOWN:
         text, about = KNOWN[size]
         known = Structure(text, column_major=False)
         is_it = not known.find_wrong_constants(rows).any()
@@ -339,27 +360,28 @@ def find_frames(numbers: NDArray[np.floating]) -> tuple[list[int], bool]:
     return places, column_major
 
 
-def find_header(rows: Rows) -> tuple[str, int]:
+def find_header(rows: Rows, size: int) -> tuple[str, int]:
     """Structure and bytes of a header with a packet counter or size; empty if none.
 
     Args:
-        rows: consecutive packets, (n, size); at least four are needed to detect a counter.
+        rows: consecutive packets, (n, k); at least four are needed to detect a counter.
+        size: bytes of the packets, which may have a checksum behind these.
     """
-    little, big = (_header_in(rows, order) for order in "<>")
+    little, big = (_header_in(rows, size, order) for order in "<>")
     return (f">{big[0]}", big[1]) if big[1] > little[1] else little
 
 
-def _header_in(rows: Rows, order: str) -> tuple[str, int]:
+def _header_in(rows: Rows, size: int, order: str) -> tuple[str, int]:
     """The header in one byte order."""
-    size, at, parts, is_counted = rows.shape[1], 0, [], False
+    count, at, parts, is_counted = rows.shape[1], 0, [], False
     while at < 16:
         for letter, each in (("Q", 8), ("I", 4), ("H", 2)):
-            if at + each >= size:
+            if at + each >= count:
                 continue
             numbers = rows[:, at : at + each].view(f"{order}u{each}")[:, 0]
             numbers = numbers.astype(f"u{each}")  # so that differences wrap in either byte order
             # Eight bytes only if doubles after them stay aligned.
-            if letter == "Q" and ((size - at) % 8 or (numbers >= 2**32).any()):
+            if letter == "Q" and ((count - at) % 8 or (numbers >= 2**32).any()):
                 continue
             if letter == "I" and (_second(numbers, order) == size).all():
                 continue  # a counter of two bytes, then the size

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...base.errors import Problem, UnknownName
 from ...base.frames import Array, Ints
+from .checksum import compute
 from .language import Item, limits, parse
 
 Rows = NDArray[np.uint8]  # packets, or addresses of their senders, one per row
@@ -59,6 +60,7 @@ class Structure:
         fields: all items of the string in order, with their offsets.
         events: event name to the shape of its array.
         matrices: names of the events that are matrices.
+        checksums: the items that are checksums, in order.
         size: bytes of a packet.
         message: what packets are called that come encoded, of any size, and are turned into ones of
             `size` bytes by `unpack`; empty if they come as they are.
@@ -109,6 +111,7 @@ class Structure:
             for item in self.fields
             if item.constant is not None
         ]
+        self.checksums = tuple(item for item in self.fields if item.checksum)
         # Event, type, first byte, count, and the conversion unless it is a view.
         self._plan = [
             (name, item.dtype, item.offset, item.numbers, self._unless_plain(item))
@@ -374,10 +377,41 @@ class Structure:
                 return said
         return ""
 
+    def find_wrong_checksums(self, rows: Rows) -> NDArray[np.bool_]:
+        """Which packets have a wrong checksum, (n,)."""
+        bad = np.zeros(len(rows), bool)
+        for item in self.checksums:
+            bad |= _numbers(rows, item)[:, 0] != _checksums(rows, item)
+        return bad
+
+    def describe_wrong_checksum(self, rows: Rows) -> str:
+        """Describes the first packet's wrong checksum; empty if all are right."""
+        for item in self.checksums:
+            found, expected = _numbers(rows[:1], item)[0, 0], _checksums(rows[:1], item)[0]
+            if found != expected:
+                begin, end = item.covers
+                said = f"{item.checksum} of bytes {begin} to {end - 1} is 0x{int(expected):x}"
+                said += f"; found 0x{int(found):x} at byte {item.offset}"
+                if item.item_bytes > 1 and found.byteswap() == expected:
+                    other = "<" if item.dtype.byteorder == ">" else ">"
+                    said += f", which is the same with its bytes reversed: '{other}'?"
+                return said
+        return ""
+
+    def seal(self, rows: Rows) -> None:
+        """Writes the checksums of packets into them; needed after they were changed.
+
+        Args:
+            rows: (n, `size`), one packet a row.
+        """
+        for item in self.checksums:
+            _numbers(rows, item)[:, 0] = _checksums(rows, item)
+
     def encode(self, values: Mapping[str, ArrayLike]) -> bytes:
         """Returns the packet of these events; missing events are zero.
 
-        Constants are written, `scale` and `signs` are undone, and integers are rounded.
+        Constants and checksums are written, `scale` and `signs` are undone, and integers are
+        rounded.
 
         Args:
             values: event name to an array in the shape of `events`. A leading 1 may be omitted: (4,
@@ -408,6 +442,7 @@ class Structure:
                     expected=f"{_shown(constant)}, as '{self.text}' demands",
                 ).error()
             _numbers(packet, item)[:] = constant
+        self.seal(packet)
         return packet.tobytes()
 
     def _to_write(self, item: Item, array: NDArray[Any]) -> NDArray[Any]:
@@ -455,6 +490,16 @@ def are_frames(matrices: Array) -> NDArray[np.bool_]:
 
 def _numbers(rows: Rows, item: Item) -> NDArray[Any]:
     return rows[:, item.offset : item.end].view(item.dtype)
+
+
+def _checksums(rows: Rows, item: Item) -> NDArray[np.uint64]:
+    """What a checksum must be in each packet, (n,)."""
+    begin, end = item.covers
+    covered = rows[:, begin:end]
+    if begin <= item.offset < end:
+        covered = covered.copy()
+        covered[:, item.offset - begin : item.end - begin] = 0
+    return compute(item.checksum, covered, 8 * item.item_bytes)
 
 
 def _is_wrong(rows: Rows, item: Item, constant: Any) -> NDArray[np.bool_]:

@@ -29,6 +29,7 @@ from ..ros.dds import Ros2
 from ..ros.ros_source import RosSource
 from .bag import look_into, open_recording
 from .recording import PacketFile, RecordedSource, Recording
+from .table import is_table
 
 _BATCH = 4096  # packets
 
@@ -84,6 +85,8 @@ class Replay(Source):
     @field_validator("file")
     @classmethod
     def _file_is_a_recording(cls, file: Path) -> Path:
+        if is_table(file):
+            raise ValueError(f'{file} is a table; expected a recording, or kind = "table"')
         try:
             look_into(file)
         except RecordingError as error:
@@ -261,7 +264,7 @@ class Replay(Source):
         """
         self.close()
         try:
-            self._recording = open_recording(self.file, self._wanted, self.tell_once)
+            self._recording = self.open_recording()
             self._recording.check_readable(self.source)
         except RecordingError as error:
             self.close()
@@ -271,6 +274,10 @@ class Replay(Source):
         self._faults_told = 0
         self._anchor = (0.0, self._begin)
         self._go_to(self._begin)
+
+    def open_recording(self) -> PacketFile:
+        """Opens the file as this source reads it; raises RecordingError."""
+        return open_recording(self.file, self._wanted, self.tell_once)
 
     def close(self) -> None:
         """Closes the file; harmless when it is not open."""

@@ -11,12 +11,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...base.errors import CsvError, RecordingError, UsageError, did_you_mean
+from ...base.errors import RecordingError, UsageError
 from ...base.frames import Array
+from ...robots.declared.scene import Scene
+from ..drive.table_scene import robots_in
 from ..receive.structure import Structure
 from ..record.bag import open_recording
-from ..record.csv_files import column_names, read_csv
 from ..record.replay import Replay
+from ..record.table import Table, read_table
+from ..record.table_events import events_of
+from ..record.table_signals import Columns
+from .play import MotionPackets
 
 
 @dataclass
@@ -54,7 +59,13 @@ class Playback(ABC):
     def _note_absent(self, events: Collection[str]) -> None:
         """Notes the values sent for events of the structure that are missing here."""
         blank = self.structure.decode(self.structure.encode({}))  # constants are not zero
-        absent = [event for event in blank if event not in events and not blank[event].any()]
+        absent = [
+            event
+            for event in blank
+            if event not in events
+            and not blank[event].any()
+            and not self.structure.field(event).checksum
+        ]
         frames = [event for event in absent if event in self.structure.matrices]
         numbers = [event for event in absent if event not in frames]
         said = [f"{', '.join(numbers)} as zeros"] * bool(numbers)
@@ -146,30 +157,8 @@ class TablePackets(Playback):
     """
 
     def __init__(self, file: Path, structure: Structure, rate: float | None = None) -> None:
-        self._times, columns = read_csv(file, rate=rate, instead=", or --rate")
-        names = column_names(structure.events)
-        if not set(columns) & set(names):
-            if len(columns) != len(names):
-                has = f"found {len(columns)} columns beside time: {', '.join([*columns][:4])}, ..."
-                wanted = ", ".join(names[:3])
-                reason = f"{has}; expected {len(names)} for '{structure.text}', or {wanted}, ..."
-                raise CsvError(file, reason)
-            columns = dict(zip(names, columns.values(), strict=True))
-        for name in columns:
-            if name not in names:
-                near = did_you_mean(name, names)
-                raise CsvError(file, f"'{structure.text}' has no such number{near}", column=name)
-        self._columns: dict[str, Array] = {}
-        for event, shape in structure.events.items():
-            own = column_names({event: shape})
-            missing = [name for name in own if name not in columns]
-            if 0 < len(missing) < len(own):  # the others would be invented
-                few = ", ".join(missing[:4]) + (", ..." if len(missing) > 4 else "")
-                has = f"has {len(own) - len(missing)} of the {len(own)} numbers of {event}"
-                raise CsvError(file, f"{has}; no column is called {few}")
-            if not missing:
-                numbers = np.stack([columns[name] for name in own], axis=1)
-                self._columns[event] = numbers.reshape(-1, *shape)
+        table = read_table(file, rate=rate, instead=", or --rate")
+        self._times, self._columns = table.times, events_of(table, structure)
         about = f"{file}, {', '.join(self._columns)}"
         duration = float(self._times[-1] - self._times[0])
         super().__init__(structure, about, len(self._times), duration)
@@ -181,6 +170,67 @@ class TablePackets(Playback):
             packet = self._encode({event: rows[k] for event, rows in self._columns.items()})
             if packet is not None:
                 yield time, packet
+
+
+class JointRows(Playback):
+    """The rows of a table with the signals of robots' joints, packed by a scene's routes.
+
+    Args:
+        table: that was read.
+        scene: robots and routes.
+        columns: which columns are which signals; see `robots_in`.
+        source: of the packets; the scene's only one when None.
+        structure: instead of the source's.
+
+    Raises:
+        CsvError: no robot has columns, or one is missing or has text.
+        DeclarationError: the scene's sources or routes are wrong.
+        UsageError: nothing is routed from the source.
+    """
+
+    def __init__(
+        self,
+        table: Table,
+        scene: Scene,
+        columns: Columns,
+        source: str | None = None,
+        structure: str | None = None,
+    ) -> None:
+        led = robots_in(table, scene.robots, columns)
+        self._times = table.times - table.times[0]
+        players = {name: _RowPlayer(self._times, signals) for name, signals in led.items()}
+        self._packets = MotionPackets(scene, source, structure, players=players)
+        about = "; ".join(f"{name}: {', '.join(signals)}" for name, signals in led.items())
+        count, duration = len(self._times), float(self._times[-1])
+        super().__init__(self._packets.structure, f"{table.path}, {about}", count, duration)
+
+    def packets(self) -> Iterator[tuple[float, bytes]]:
+        """When each row is due, s after the first, and its packet."""
+        for time in self._times.tolist():
+            try:
+                packet = self._packets.at(time)
+            except ValueError:  # a number that its type cannot hold
+                self.skipped += 1
+                continue
+            yield time, packet
+
+
+class _RowPlayer:
+    """Gives the signals in the row of a time; of those that a table lacks zeros.
+
+    Args:
+        times: of the rows, s, (T,).
+        signals: by name, (T, n).
+    """
+
+    def __init__(self, times: Array, signals: Mapping[str, Array]) -> None:
+        angles = signals["joint_angles"]
+        self._times = times
+        self._signals = {"commanded_angles": angles, "further": np.zeros_like(angles), **signals}
+
+    def signals(self, t: float) -> Mapping[str, Array]:
+        k = int(np.searchsorted(self._times, t, side="right")) - 1
+        return {name: values[k] for name, values in self._signals.items()}
 
 
 def timed(

@@ -102,7 +102,7 @@ class ShmWriter:
 
     def __init__(self, block: str, structure: Structure, lock: str = "", offset: int = 0) -> None:
         self.place = f"shared memory {block}"
-        self._size, self._offset = structure.size, offset
+        self._size, self._offset, self._structure = structure.size, offset, structure
         self._lock = structure.field(lock) if lock else None
         if self._lock is not None and self._lock.numbers != 1:
             raise ValueError(f"lock '{lock}' has {self._lock.numbers} numbers; expected one")
@@ -141,6 +141,10 @@ class ShmWriter:
         odd = self._number | 1
         self._number = (odd + 1) % modulus or 2  # 0 means that nothing has been written
         before, after = (np.array(n, field.dtype).tobytes() for n in (odd, self._number))
+        if self._structure.checksums:  # of the packet as it is read, with the lock's last number
+            whole = bytearray(packet[: field.offset] + after + packet[field.end :])
+            self._structure.seal(np.frombuffer(whole, np.uint8)[None])
+            packet = bytes(whole)
         # Three calls: each has had its effect when the next begins, for readers on every processor.
         block.write(before, offset + field.offset)
         block.write(packet[: field.offset] + before + packet[field.end :], offset)
@@ -188,6 +192,7 @@ class PacketBuffer:
         self._sequence = structure.field(sequence) if sequence else None
         self._time = structure.field(time) if time else None
         self._time_scale = time_scale
+        self._structure = structure
         self._floats = [field for field in structure.fields if field.is_float]
         self._step = max(math.ceil(rate / _MAX_COMPUTED_RATE), 1)
         self._packets: deque[bytes] = deque()
@@ -239,6 +244,7 @@ class PacketBuffer:
             if not field.is_float:
                 stamps = np.rint(stamps).astype("<i8")
             rows[:, field.offset : field.end].view(field.dtype)[:, 0] = stamps.astype(field.dtype)
+        self._structure.seal(rows)
         self._packets.extend(row.tobytes() for row in rows)
         self._made += step
         took = time.perf_counter() - start

@@ -28,6 +28,7 @@ SOURCE_FIELDS = (
     "fault_age",  # s since the last malformed packet, -1 when there was none
     "not_frames",  # count, included in malformed
     "wrong_constant",  # count, included in malformed
+    "wrong_checksum",  # count, included in malformed
     "robot_state",  # of a robot's controller, and of the link to it, as numbers that the kind of
     "link_quality",  # source defines; -1 for those that define none, and before the first packet
     "lost",  # missing sequence numbers

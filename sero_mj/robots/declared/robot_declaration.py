@@ -23,6 +23,7 @@ from ..importers.joint_names import BASE, link_of_parent
 from .couplings import Coupling, coupled_joints, coupling_problems
 from .dh import COLUMNS
 from .dynamics import Dynamics, TorqueControl
+from .fixed_rows import fixed_row_problem
 from .limbs import limb_problems
 from .robot_parts import (
     IN_DEGREES,
@@ -96,7 +97,8 @@ class RobotDeclaration(Declaration):
         parents: for branching robots, n names: each joint's parent joint, or `base`. A joint that
             is itself called `base` is referred to by its link, e.g. `link2`. When None, the robot
             is a chain: the parent is the previous joint.
-        joint_types: n times `revolute` or `prismatic`.
+        joint_types: n times `revolute` or `prismatic`; a first row without a joint is the
+            `dh_base_frame`.
         joint_names: n names, as in the robot's own file and in messages; any characters that can be
             printed. J1, J2, ... by default.
         link_names: names of base and links in the robot's original file, n + 1. They are names of
@@ -263,6 +265,13 @@ class RobotDeclaration(Declaration):
             return np.zeros((0, 4))
         columns = info.data.get("dh_columns", [*COLUMNS])
         return dh_rows(rows, info.data.get("dh_params_deg"), columns)
+
+    @field_validator("joint_types", mode="before")
+    @classmethod
+    def _rows_have_joints(cls, types: Any, info: ValidationInfo) -> Any:
+        if isinstance(types, list) and (problem := fixed_row_problem(types, info.data)) is not None:
+            raise problem.error()
+        return types
 
     @field_validator(*PER_JOINT)
     @classmethod

@@ -515,7 +515,9 @@ class ProgramController:
             why = self._link.why_wrong or f"found {found} bytes; expected {answer.structure.size}"
             self._why_wrong = f" ({why})"
             return False
-        if answer.has_step and (step - answer.step) % self._modulus:
+        if wrong := answer.wrong_checksum:
+            self._why_wrong = f" ({wrong})"
+        elif answer.has_step and (step - answer.step) % self._modulus:
             self._why_wrong = f" (to another step than {step})"
         elif not answer.is_finite:
             self._why_wrong = f" (to step {step}: not finite)"

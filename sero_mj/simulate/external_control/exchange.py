@@ -114,6 +114,7 @@ class State:
         for item in self.structure.fields:  # constants of the structure
             if item.constant is not None:
                 np.frombuffer(self.packet, item.dtype, item.numbers, item.offset)[:] = item.constant
+        self._row = np.frombuffer(self.packet, np.uint8)[None]
         self._bound: tuple[Sensed, Target] | None = None
         self._pairs: list[tuple[Array, Array]] = []
         self._word = self._views.get("step")
@@ -152,6 +153,7 @@ class State:
             self._model.update(sensed.motor_angles, sensed.motor_velocities)
             for view, of_model in self._modelled:
                 view[:] = of_model(self._model)
+        self.structure.seal(self._row)
 
 
 class Answer:
@@ -229,6 +231,14 @@ class Answer:
     def is_finite(self) -> bool:
         """Whether all numbers of the incoming one are."""
         return all(np.isfinite(view).all() for view in self._numbers)
+
+    @property
+    def wrong_checksum(self) -> str:
+        """What is wrong with the checksum of the incoming one; empty if it is right."""
+        if not self.structure.checksums:
+            return ""
+        row = np.frombuffer(self.incoming, np.uint8)[None, :-1]
+        return self.structure.describe_wrong_checksum(row)
 
     def use(self) -> None:
         """Puts the incoming one into use."""

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -26,13 +27,16 @@ from ...base.errors import (
 from ...base.frames import Array
 from ...base.toml_file import parse_toml
 from ...data.drive.bag_topics import topics_of, with_bag
+from ...data.drive.table_scene import read_for, robots_in
 from ...data.drive.wiring import wired_source
 from ...data.receive.source import Source
 from ...data.record.bag import Bag, open_recording
-from ...data.record.csv_files import column_names, read_csv
+from ...data.record.csv_files import column_names
 from ...data.record.recording import PacketFile
 from ...data.record.replay import receiver_of
 from ...data.record.scene_files import table_names
+from ...data.record.table import Table
+from ...data.record.table_signals import Columns
 from ...data.ros.ros_source import RosSource
 from ...robots.declared.degrees import degrees_warning
 from ...robots.declared.group_model import Expanded, expand_groups
@@ -52,6 +56,7 @@ _ANGLES, _OLD_ANGLES = "_joint_angles", "_angles"
 # Before `angles`, in old events of a robot that has others as well.
 _DERIVED = ("actual_", "target_")
 _MANY = 4  # columns that are named
+_LOGGED = {"commanded_angles": "target_angles"}  # signals of tables that runs call otherwise
 
 
 def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None = None) -> RunLog:
@@ -114,13 +119,20 @@ def _opened(path: Path, topics: Mapping[str, RosSource] | None) -> Iterator[Pack
             log.warning("%s: %s", path, fault)
 
 
-def read_run_table(path: Path | str, scene: Scene, source: str | None = None) -> RunLog:
-    """Reads a table of a simulation (`simulate --csv`), or of a source's packets (`export-csv`).
+def read_run_table(
+    path: Path | str,
+    scene: Scene,
+    source: str | None = None,
+    columns: Columns = MappingProxyType({}),
+) -> RunLog:
+    """Reads a table of a simulation (`simulate --csv`), of packets (`export-csv`), or of joints.
 
     Args:
         path: of the table.
         scene: the robots, and the routes that lead from packets to them: a table says neither.
         source: in the scene, whose packets they are; the only one with such columns when None.
+        columns: which columns are which signals of the robots; see `robots_in`. Times then count
+            from the first row.
 
     Returns:
         as of `read_run`.
@@ -133,46 +145,57 @@ def read_run_table(path: Path | str, scene: Scene, source: str | None = None) ->
     if source is not None and source not in scene.sources:
         where, known = "in the scene", scene.sources
         raise UsageError(Problem("", "no source", found=source, of=where, available=known))
-    times, columns = read_csv(path)
-    run = run_of_columns(path, times, columns, scene.robots)
+    table = read_for(path, columns)
+    numbers = {name: table.columns[name] for name in table.columns if name not in table.wrong}
+    run = None if columns else run_of_columns(path, table.times, numbers, scene.robots)
     if run is not None:
         _warn_of_degrees(path, run)
         return replace(run, signals=_with_velocities(run.robots, run.signals, run.times))
     names = scene.sources if source is None else [source]
     wanted = {name: wired_source(scene, name, scene.sources[name]) for name in names}
-    sent = {name: columns_of_events(columns, each.events) for name, each in wanted.items()}
+    sent = {name: columns_of_events(numbers, each.events) for name, each in wanted.items()}
+    sent = {} if columns else sent
     possible = {name: events for name, events in sent.items() if events}
     if len(possible) > 1:
         first, *_ = possible
         found = ", ".join(possible)
         raise UsageError(f"{path} may be of {found}; choose with --source {first}, say")
     if not possible:
-        raise CsvError(path, _expected_columns(columns, scene.robots, wanted))
+        return _run_of_joints(table, scene, columns, _expected_columns(table, scene, wanted))
     ((name, events),) = possible.items()
-    series = series_of(wanted[name], events, times)
+    series = series_of(wanted[name], events, table.times)
     try:
         return _mirrored(path, {name: wanted[name]}, lambda _: series, _declared_in(scene))
     except RecordingError as error:
         raise CsvError(path, error.reason) from None
 
 
-def _expected_columns(
-    columns: Mapping[str, Array], robots: Mapping[str, SerialRobot], sources: Mapping[str, Source]
-) -> str:
-    """What is wrong with a table's columns."""
-    expected = [
-        f"{event_of(name, 'torques')}[0] to [{robot.n - 1}]" for name, robot in robots.items()
-    ]
+def _run_of_joints(table: Table, scene: Scene, columns: Columns, expected: str) -> RunLog:
+    """The run in a table of joints; `expected` is what else would be missing, if anything."""
+    try:
+        led = robots_in(table, scene.robots, columns)
+    except CsvError as error:
+        if columns or not expected:
+            raise
+        raise CsvError(table.path, f"{expected}; {error.reason}") from None
+    robots = {name: scene.robots[name] for name in led}
+    signals = {event_of(name, _LOGGED.get(signal, signal)): values
+               for name, each in led.items() for signal, values in each.items()}  # fmt: skip
+    times = table.times - table.times[0]
+    run = RunLog(robots, _with_velocities(robots, signals, times), times, table.path.stem)
+    _warn_of_degrees(table.path, run)
+    return run
+
+
+def _expected_columns(table: Table, scene: Scene, sources: Mapping[str, Source]) -> str:
+    """Which columns of a source's packets are missing; empty where no source was meant."""
     for name, source in sources.items():
         names = column_names(source.events)
-        missing = [each for each in names if each not in columns]
+        missing = [each for each in names if each not in table.columns]
         if len(missing) < len(names) / 2:
             more = f" and {len(missing) - _MANY} more" if len(missing) > _MANY else ""
             return f"has no column {', '.join(missing[:_MANY])}{more}, of source '{name}'"
-        expected.append(f"{names[0]} to {names[-1]} of source '{name}'")
-    shown = ", ".join([*columns][:6])
-    wanted = ", or ".join(expected) or "ROBOT_torques[0]"
-    return f"found the columns {shown}, ...; expected such as {wanted}"
+    return ""
 
 
 def _mirrored(

@@ -52,9 +52,12 @@ def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
             lines.append("  a matrix that is not a frame")
         if state.wrong_constant:
             lines.append("  another kind of packet: a constant is wrong")
+        if state.wrong_checksum:
+            lines.append("  corrupted: the checksum is wrong")
         if state.implausible:
             lines.append("  a number that no robot can have")
-        explained = state.wrong_size + state.not_frames + state.wrong_constant + state.implausible
+        explained = state.wrong_size + state.not_frames + state.wrong_constant
+        explained += state.wrong_checksum + state.implausible
         if state.malformed > explained:
             lines.append("  NaN or infinity")
     return lines
@@ -65,7 +68,8 @@ def _link_faults(name: str, state: Any) -> list[str]:
     lines = []
     if 0 <= state.link_age < SHOWN_FOR:
         # A malformed packet has no readable sequence number and may be one of the missing ones.
-        unread = " or not applied" if state.wrong_size or state.wrong_constant else ""
+        is_unread = state.wrong_size or state.wrong_constant or state.wrong_checksum
+        unread = " or not applied" if is_unread else ""
         counts = {
             f"{_packets(state.lost)} lost{unread}": state.lost,
             f"{state.late:.0f} late": state.late,

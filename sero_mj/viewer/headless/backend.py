@@ -12,19 +12,27 @@ import os
 import subprocess
 import sys
 import types
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from ...base.errors import RenderError
+from ...base.errors import Problem, RenderError
 
 BACKENDS = ("egl", "osmesa", "glfw")
+# Other values of `MUJOCO_GL` that MuJoCo accepts on Linux.
+_DISABLED = ("disable", "disabled", "off", "false", "0")
+_DEFAULT = ("enable", "enabled", "on", "true", "1", "glx")
 # Debian and Ubuntu packages for software rendering with each backend.
 PACKAGES = {
     "egl": "libegl1 libgl1 libgl1-mesa-dri",
     "osmesa": "libosmesa6",
     "glfw": "libgl1 libgl1-mesa-dri, and a display (xvfb has one)",
 }
+_NEEDS = {
+    "egl": "needs EGL, OpenGL and a driver, of which some are not installed",
+    "osmesa": "needs libOSMesa, which is not installed",
+}
+_LAZY = ("egl", "osmesa")
 # Folders in which drivers are registered with libglvnd's EGL.
 _EGL_DRIVERS = (Path("/etc/glvnd/egl_vendor.d"), Path("/usr/share/glvnd/egl_vendor.d"))
 
@@ -39,55 +47,99 @@ def choose_backend() -> str | None:
     if "mujoco" in sys.modules or sys.platform != "linux":
         return backend
     os.environ["MUJOCO_GL"] = backend = backend or _headless_backend()
-    if backend.lower().strip() == "egl":
-        sys.meta_path.insert(0, _LazyEglFinder())
+    name = backend.lower().strip()
+    if name in _LAZY:
+        sys.meta_path.insert(0, _LazyFinder(f"mujoco.{name}"))
     return backend
 
 
-class _LazyEgl(types.ModuleType):
-    """Placeholder of `mujoco.egl` until a context is created.
+def check_backend() -> None:
+    """Raises RenderError if `MUJOCO_GL` has a value with which MuJoCo cannot be imported."""
+    chosen = os.environ.get("MUJOCO_GL", "")
+    known = ("", *BACKENDS, *_DISABLED, *_DEFAULT)
+    if sys.platform == "linux" and chosen.lower().strip() not in known:
+        expected = f"{', '.join(BACKENDS)} or disable"
+        raise RenderError(Problem("MUJOCO_GL", found=chosen, expected=expected))
 
-    MuJoCo 4.0.0 imports that module with `mujoco` itself, and the module queries EGL's devices on
-    import, which loads the driver with Mesa 25 (Debian 13).
+
+def backend_problem() -> str:
+    """Returns why the chosen backend cannot draw here, and what would work; empty if unknown."""
+    chosen = os.environ.get("MUJOCO_GL", "")
+    name = chosen.lower().strip()
+    if sys.platform != "linux":
+        return ""
+    usable = {"egl": has_egl(), "osmesa": has_osmesa(), "glfw": has_display()}
+    if name in _DISABLED:
+        why = "turns OpenGL off"
+    elif usable.get(name, name in _DEFAULT and has_display()):
+        return ""
+    else:
+        why = _NEEDS.get(name, "needs a display, which is missing")
+    other = next((each for each, is_usable in usable.items() if is_usable), None)
+    hint = f"MUJOCO_GL={other} works here" if other else f"install {PACKAGES['egl']}"
+    return f"MUJOCO_GL={chosen} {why}; {hint}"
+
+
+class _LazyBackend(types.ModuleType):
+    """Placeholder of `mujoco.egl` or `mujoco.osmesa` until a context is created.
+
+    MuJoCo 4.0.0 imports that module with `mujoco` itself. `mujoco.egl` queries EGL's devices on
+    import, which loads the driver with Mesa 25 (Debian 13); `mujoco.osmesa` cannot be imported
+    without its library, and neither could MuJoCo by a command that draws nothing.
     """
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):  # requested by the import system; the placeholder has none
             raise AttributeError(name)
-        return _make_context if name == "GLContext" else getattr(_real_egl(), name)
+        if name == "GLContext":
+            return partial(_make_context, self.__name__)
+        return getattr(_real(self.__name__), name)
 
 
-class _LazyEglFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Provides `_LazyEgl` for the first import of `mujoco.egl`."""
+class _LazyFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Provides `_LazyBackend` for the first import of a module.
+
+    Args:
+        name: `mujoco.egl` or `mujoco.osmesa`.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
 
     def find_spec(
         self, fullname: str, path: object, target: object = None
     ) -> importlib.machinery.ModuleSpec | None:
-        if fullname != "mujoco.egl":
+        if fullname != self._name:
             return None
         sys.meta_path.remove(self)
         return importlib.machinery.ModuleSpec(fullname, self)
 
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> types.ModuleType:
-        return _LazyEgl(spec.name)
+        return _LazyBackend(spec.name)
 
     def exec_module(self, module: types.ModuleType) -> None:
         """Does nothing: the placeholder has no code."""
 
 
-def _real_egl() -> Any:
+def _real(name: str) -> Any:
+    """The module itself, in the place of its placeholder."""
     import mujoco
 
-    if isinstance(sys.modules.get("mujoco.egl"), _LazyEgl):
-        del sys.modules["mujoco.egl"], mujoco.egl
-    from mujoco import egl
+    if isinstance(sys.modules.get(name), _LazyBackend):
+        del sys.modules[name]
+        delattr(mujoco, name.removeprefix("mujoco."))
+    if name == "mujoco.egl":
+        from mujoco import egl
 
-    return egl
+        return egl
+    from mujoco import osmesa
+
+    return osmesa
 
 
-def _make_context(*size: int) -> Any:
-    """Creates a context of EGL, width and height in pixels; replaces `mujoco.GLContext`."""
-    return _real_egl().GLContext(*size)
+def _make_context(module: str, *size: int) -> Any:
+    """Creates a context, width and height in pixels; replaces `mujoco.GLContext`."""
+    return _real(module).GLContext(*size)
 
 
 def adopt_backend() -> None:
@@ -105,7 +157,8 @@ def adopt_backend() -> None:
 
     # MuJoCo 4.0.0 has no public function for it; `Renderer` reads this name for every context.
     if gl_context.GLContext is not _refuse_context:
-        gl_context.GLContext = _refuse_context if _has_glfw_failed() else _make_context
+        make = partial(_make_context, "mujoco.egl")
+        gl_context.GLContext = _refuse_context if _has_glfw_failed() else make
 
 
 def _has_glfw_failed() -> bool:

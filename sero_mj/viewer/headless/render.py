@@ -37,7 +37,7 @@ from ..session.scene_decor import SceneDecor
 from ..session.view_state import apply_switches
 from ..stereo import anaglyph, check_stereo, each_eye, looked_at
 from ..typesetting import Typesetter, compose
-from .backend import adopt_backend
+from .backend import adopt_backend, backend_problem
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
 from .film_frames import film_frames
 from .motion_blur import SUBFRAMES, Exposure
@@ -400,10 +400,9 @@ def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) 
         upload_textures(model, context_of(renderer), textures)
         return renderer
     except Exception as error:  # every GL backend raises errors of its own
-        raise RenderError(
-            f"no picture of {width}x{height} can be made: {error or type(error).__name__}; "
-            "`sero-mj doctor` lists what is missing"
-        ) from error
+        doctor = "`sero-mj doctor` lists what is missing"
+        why = backend_problem() or f"{error or type(error).__name__}; {doctor}"
+        raise RenderError(f"no picture of {width}x{height} can be made: {why}") from error
 
 
 NEXT_WITHIN = 0.5  # s in which a live source should send its next packet

@@ -1,0 +1,236 @@
+"""Checksums of packets: sums, XOR, and the cyclic redundancy checks (CRC) that are in use.
+
+CRCs have the names and parameters of the catalogue of parametrised CRC algorithms by G. Cook
+(https://reveng.sourceforge.io/crc-catalogue/), which also gives the check value of each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_Words = NDArray[np.uint32]
+
+_BLOCK = 256  # bytes for which a CRC has a table
+# What a checksum that is recognised must have taken, by its bytes: so many different values. Fewer
+# may fit one of these algorithms by chance.
+_DIFFERENT = {4: 2, 2: 3, 1: 8}
+_BEGINS = (0, 2, 4, 1, 3)  # the first byte that a recognised checksum covers
+
+
+@dataclass(frozen=True)
+class Crc:
+    """Parameters of a CRC, in the terms of the catalogue.
+
+    Attributes:
+        width: bits, 8, 16 or 32.
+        poly: generator polynomial, without its highest term.
+        init: register before the first byte.
+        is_reflected: whether bytes enter with their lowest bit first, and the register is reflected
+            (`refin` and `refout`).
+        xorout: combined with the register at the end.
+        check: CRC of the nine bytes `123456789`.
+    """
+
+    width: int
+    poly: int
+    init: int
+    is_reflected: bool
+    xorout: int
+    check: int
+
+
+CRCS = {
+    "CRC-8/SMBUS": Crc(8, 0x07, 0x00, False, 0x00, 0xF4),
+    "CRC-8/MAXIM-DOW": Crc(8, 0x31, 0x00, True, 0x00, 0xA1),
+    "CRC-8/SAE-J1850": Crc(8, 0x1D, 0xFF, False, 0xFF, 0x4B),
+    "CRC-8/AUTOSAR": Crc(8, 0x2F, 0xFF, False, 0xFF, 0xDF),
+    "CRC-16/MODBUS": Crc(16, 0x8005, 0xFFFF, True, 0x0000, 0x4B37),
+    "CRC-16/IBM-3740": Crc(16, 0x1021, 0xFFFF, False, 0x0000, 0x29B1),
+    "CRC-16/XMODEM": Crc(16, 0x1021, 0x0000, False, 0x0000, 0x31C3),
+    "CRC-16/ARC": Crc(16, 0x8005, 0x0000, True, 0x0000, 0xBB3D),
+    "CRC-16/KERMIT": Crc(16, 0x1021, 0x0000, True, 0x0000, 0x2189),
+    "CRC-16/IBM-SDLC": Crc(16, 0x1021, 0xFFFF, True, 0xFFFF, 0x906E),
+    "CRC-16/MCRF4XX": Crc(16, 0x1021, 0xFFFF, True, 0x0000, 0x6F91),
+    "CRC-16/UMTS": Crc(16, 0x8005, 0x0000, False, 0x0000, 0xFEE8),
+    "CRC-16/USB": Crc(16, 0x8005, 0xFFFF, True, 0xFFFF, 0xB4C8),
+    "CRC-32/ISO-HDLC": Crc(32, 0x04C11DB7, 0xFFFFFFFF, True, 0xFFFFFFFF, 0xCBF43926),
+    "CRC-32/ISCSI": Crc(32, 0x1EDC6F41, 0xFFFFFFFF, True, 0xFFFFFFFF, 0xE3069283),
+    "CRC-32/BZIP2": Crc(32, 0x04C11DB7, 0xFFFFFFFF, False, 0xFFFFFFFF, 0xFC891918),
+    "CRC-32/MPEG-2": Crc(32, 0x04C11DB7, 0xFFFFFFFF, False, 0x00000000, 0x0376E6E7),
+}
+# Names that the catalogue lists as aliases, and those of libraries.
+ALIASES = {
+    "CRC-8": "CRC-8/SMBUS",
+    "CRC-16": "CRC-16/ARC",
+    "CRC-16/CCITT-FALSE": "CRC-16/IBM-3740",
+    "CRC-16/AUTOSAR": "CRC-16/IBM-3740",
+    "CRC-16/CCITT": "CRC-16/KERMIT",
+    "CRC-16/X-25": "CRC-16/IBM-SDLC",
+    "CRC-16/BUYPASS": "CRC-16/UMTS",
+    "CRC-32": "CRC-32/ISO-HDLC",
+    "CRC-32C": "CRC-32/ISCSI",
+}
+SUMS = ("sum", "-sum", "~sum", "xor")
+
+
+def find_checksum(name: str) -> str | None:
+    """Returns the name of a checksum, given in any letter case or by an alias; None if unknown."""
+    for spelled in (name.lower(), name.upper()):
+        if spelled in (*SUMS, *CRCS):
+            return spelled
+        if spelled in ALIASES:
+            return ALIASES[spelled]
+    return None
+
+
+def width_of(name: str) -> int | None:
+    """Bits of a checksum; None for a sum, which may have any width."""
+    return CRCS[name].width if name in CRCS else 8 if name == "xor" else None
+
+
+def compute(name: str, rows: NDArray[np.uint8], bits: int) -> NDArray[np.uint64]:
+    """Computes the checksum of many packets.
+
+    Args:
+        name: one of `CRCS` or `SUMS`. `sum` is that of all bytes, `-sum` what makes it 0 (two's
+            complement), `~sum` its inverted bits, `xor` the exclusive or of all bytes.
+        rows: the checked bytes of each packet, (n, k), k >= 1.
+        bits: width of the result; sums are taken modulo 2 to the power of it.
+
+    Returns:
+        the checksums, (n,).
+    """
+    if name in CRCS:
+        return _crcs(CRCS[name], rows).astype(np.uint64)
+    if name == "xor":
+        combined: NDArray[np.uint8] = np.bitwise_xor.reduce(rows, axis=1)
+        return combined.astype(np.uint64)
+    total = rows.sum(axis=1, dtype=np.uint64)
+    if name != "sum":
+        total = ~total + np.uint64(name == "-sum")
+    within: NDArray[np.uint64] = total & np.uint64(2**bits - 1)
+    return within
+
+
+@dataclass(frozen=True)
+class Recognized:
+    """A checksum at the end of packets.
+
+    Attributes:
+        name: see `compute`.
+        width: its bytes.
+        order: `<` or `>`.
+        begin: the first byte that it covers.
+    """
+
+    name: str
+    width: int
+    order: str
+    begin: int
+
+
+def recognize(rows: NDArray[np.uint8]) -> Recognized | None:
+    """Returns the checksum that ends packets of one size; None if none is recognised.
+
+    Args:
+        rows: packets of one sender, (n, size).
+    """
+    for width, least in _DIFFERENT.items():
+        end = rows.shape[1] - width
+        for order in "<>"[: min(width, 2)]:
+            if end <= max(_BEGINS):
+                continue
+            found = np.ascontiguousarray(rows[:, end:]).view(f"{order}u{width}")[:, 0]
+            if len(np.unique(found)) < least:
+                continue
+            # More than a counter must vary, whose value a sum would follow.
+            varying = np.flatnonzero((rows[:, :end] != rows[0, :end]).any(axis=0))
+            for begin in _BEGINS:
+                if (varying >= begin).sum() < 2:
+                    continue
+                for name in (*CRCS, *SUMS):
+                    if (
+                        width_of(name) in (None, 8 * width)
+                        and (found == compute(name, rows[:, begin:end], 8 * width)).all()
+                    ):
+                        return Recognized(name, width, order, begin)
+    return None
+
+
+def _crcs(crc: Crc, rows: NDArray[np.uint8]) -> _Words:
+    """CRCs of many messages at once.
+
+    A CRC is affine: the registers that single bytes lead to, looked up by value and position, are
+    combined by XOR. Longer messages are taken in blocks; the register enters with the next block's
+    first bytes.
+    """
+    count = rows.shape[1]
+    tables, width = _tables(crc), crc.width // 8
+    register = np.zeros(len(rows), np.uint32)
+    begin = 0
+    while begin < count:
+        # The first block is the short one, so that the register always fits into the others.
+        end = begin + ((count - begin) % _BLOCK or _BLOCK)
+        block = rows[:, begin:end]
+        if begin:
+            block = block.copy()
+            block[:, :width] ^= _as_bytes(crc, register)
+        places = np.arange(_BLOCK - (end - begin), _BLOCK)
+        register = np.bitwise_xor.reduce(tables[places, block], axis=1)
+        begin = end
+    return register ^ np.uint32(_of_zeros(crc, count))
+
+
+def _as_bytes(crc: Crc, registers: _Words) -> NDArray[np.uint8]:
+    """Registers as the bytes that they are combined with, (n, width / 8)."""
+    width = crc.width // 8
+    order = "<" if crc.is_reflected else ">"
+    registers = registers if crc.is_reflected else registers << np.uint32(32 - crc.width)
+    return registers.astype(f"{order}u4").view(np.uint8).reshape(-1, 4)[:, :width]
+
+
+def _step(crc: Crc, registers: Any, table: Any) -> Any:
+    """Registers after a byte 0."""
+    if crc.is_reflected:
+        return registers >> 8 ^ table[registers & 0xFF]
+    return (registers << 8) & (2**crc.width - 1) ^ table[registers >> (crc.width - 8)]
+
+
+@cache
+def _tables(crc: Crc) -> _Words:
+    """Registers after a block with one byte that is not 0, by its place and value, (256, 256)."""
+    tables = np.empty((_BLOCK, 256), np.uint32)
+    registers = table = np.array([_after_bits(crc, value) for value in range(256)], np.int64)
+    for place in reversed(range(_BLOCK)):
+        tables[place] = registers
+        registers = _step(crc, registers, table)
+    return tables
+
+
+def _after_bits(crc: Crc, value: int) -> int:
+    """The register after one byte, from 0, bit by bit."""
+    if crc.is_reflected:
+        poly = int(f"{crc.poly:0{crc.width}b}"[::-1], 2)
+        for _ in range(8):
+            value = value >> 1 ^ (poly if value & 1 else 0)
+        return value
+    value <<= crc.width - 8
+    for _ in range(8):
+        high = value >> (crc.width - 1)
+        value = (value << 1) & (2**crc.width - 1) ^ (crc.poly if high else 0)
+    return value
+
+
+@lru_cache(256)
+def _of_zeros(crc: Crc, count: int) -> int:
+    """The CRC of so many bytes 0."""
+    table = _tables(crc)[-1].tolist()
+    register = crc.init  # those of `CRCS` are their own reflections
+    for _ in range(count):
+        register = _step(crc, register, table)
+    return int(register) ^ crc.xorout

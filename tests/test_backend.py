@@ -1,0 +1,78 @@
+"""`MUJOCO_GL`: what a value that cannot draw here is told to be, and what works all the same."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import raises_with
+
+from sero_mj.base.errors import RenderError
+from sero_mj.viewer.headless import backend
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="MUJOCO_GL is chosen on Linux")
+
+
+@pytest.fixture
+def nothing_installed(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+    for name in ("has_egl", "has_osmesa", "has_display"):
+        monkeypatch.setattr(backend, name, lambda: False)
+    return monkeypatch
+
+
+@pytest.mark.parametrize(
+    ("chosen", "there", "problem"),
+    [
+        ("osmesa", "has_egl", "MUJOCO_GL=osmesa needs libOSMesa, which is not installed; "
+                              "MUJOCO_GL=egl works here"),
+        ("Disable", "has_osmesa", "MUJOCO_GL=Disable turns OpenGL off; "
+                                  "MUJOCO_GL=osmesa works here"),
+        ("glfw", "has_egl", "MUJOCO_GL=glfw needs a display, which is missing; "
+                            "MUJOCO_GL=egl works here"),
+        ("1", "has_egl", "MUJOCO_GL=1 needs a display, which is missing; MUJOCO_GL=egl works here"),
+        ("egl", "", "MUJOCO_GL=egl needs EGL, OpenGL and a driver, of which some are not "
+                    "installed; install libegl1 libgl1 libgl1-mesa-dri"),
+        ("egl", "has_egl", ""),
+        ("osmesa", "has_osmesa", ""),
+        ("glfw", "has_display", ""),
+    ],
+)  # fmt: skip
+def test_a_backend_that_cannot_draw_is_described_with_one_that_can(
+    nothing_installed: pytest.MonkeyPatch, chosen: str, there: str, problem: str
+) -> None:
+    nothing_installed.setenv("MUJOCO_GL", chosen)
+    if there:
+        nothing_installed.setattr(backend, there, lambda: True)
+    assert backend.backend_problem() == problem
+
+
+def test_a_value_that_mujoco_does_not_know_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    for known in ("", "EGL ", "osmesa", "disabled", "on", "glx"):
+        monkeypatch.setenv("MUJOCO_GL", known)
+        backend.check_backend()
+    monkeypatch.setenv("MUJOCO_GL", "eglx")
+    with raises_with(RenderError, key="MUJOCO_GL", found="eglx"):
+        backend.check_backend()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(backend.has_osmesa(), reason="libOSMesa is installed")
+def test_commands_that_draw_nothing_need_no_backend_and_others_end_in_a_sentence(
+    tmp_path: Path,
+) -> None:
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "sero_mj", *words]
+        environment = {**os.environ, "MUJOCO_GL": "osmesa"}
+        environment.pop("PYOPENGL_PLATFORM", None)
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=False, timeout=60
+        )
+
+    assert run("check", "lwr").returncode == 0
+    drawn = run("render", "lwr", "-o", str(tmp_path / "lwr.png"))
+    assert drawn.returncode == 2
+    (line,) = drawn.stderr.splitlines()
+    assert "MUJOCO_GL=osmesa needs libOSMesa, which is not installed" in line
