@@ -18,7 +18,6 @@ import numpy as np
 from ..base.errors import Problem, RenderError, UsageError
 from ..base.frames import Array
 from ..base.reduction import envelope
-from ..viewer.decor.font import drawable, more_fonts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -128,6 +127,8 @@ def drawn_name(name: str, number: int) -> str:
         name: of the joint.
         number: counted from 0.
     """
+    from ..viewer.decor.font import drawable
+
     return name if drawable(name) else f"joint {number + 1}"
 
 
@@ -135,6 +136,8 @@ def drawn_name(name: str, number: int) -> str:
 def _more_families() -> list[str]:
     """Families of the fonts for scripts that the first one does not have."""
     from matplotlib import font_manager
+
+    from ..viewer.decor.font import more_fonts
 
     found = []
     for file in more_fonts()[1:]:  # the first has what DejaVu Sans has as well
