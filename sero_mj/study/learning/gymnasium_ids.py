@@ -1,17 +1,10 @@
 """The environments under their names for `gymnasium.make`.
 
 Gymnasium (1.4) looks for no packages by itself. So they are registered as soon as both it and
-sero_mj have been imported, in either order; sero_mj alone does not import it, which takes a while.
+sero_mj have been imported, in either order; see `base.when_imported`.
 """
 
 from __future__ import annotations
-
-import sys
-from collections.abc import Sequence
-from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec
-from importlib.util import find_spec
-from types import ModuleType
 
 from ...base.paths import list_models, list_scenarios
 
@@ -19,36 +12,6 @@ NAMESPACE = "sero_mj"
 TASKS = ("reach", "hold")  # those of `make.TASKS`, which takes MuJoCo to import
 _ONE = "sero_mj.study.learning.gymnasium_env:make_gymnasium_environment"
 _MANY = "sero_mj.study.learning.gymnasium_vector:make_gymnasium_vector"
-
-
-def register_with_gymnasium() -> None:
-    """Registers all environments now, or when gymnasium is imported."""
-    if "gymnasium" in sys.modules:
-        register_environments()
-    elif not any(isinstance(finder, _Registrar) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _Registrar())
-
-
-class _Registrar(MetaPathFinder):
-    """Finds nothing itself; registers the environments once others have found gymnasium."""
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        if fullname != "gymnasium":
-            return None
-        sys.meta_path.remove(self)
-        spec = find_spec(fullname)
-        if spec is None or spec.loader is None:
-            return None
-        execute = spec.loader.exec_module
-
-        def execute_and_register(module: ModuleType) -> None:
-            execute(module)
-            register_environments()
-
-        spec.loader.exec_module = execute_and_register  # type: ignore[method-assign]
-        return spec
 
 
 def register_environments() -> None:
