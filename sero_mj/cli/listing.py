@@ -15,6 +15,7 @@ from ..base.plugins import (
     CONTROLLERS,
     DECOR,
     IMPORTERS,
+    LISTED,
     ROBOTS,
     SOURCES,
     TARGET_MOTIONS,
@@ -61,7 +62,7 @@ def run(options: ListOptions) -> int:
         print(title)
         for name in names():
             print(f"  {name:18} {_about(find(name))}")
-    _print_environments()
+    _print_of_extensions()
     _print_plugins()
     return 0
 
@@ -85,15 +86,12 @@ def _print_known() -> None:
                 print(f"  {name}")
 
 
-def _print_environments() -> None:
-    from ..study.learning.make import TASKS
-
-    print("environments, for sero_mj.make_environment (dm_env)")
-    for robot in paths.list_models():
-        for name, task in TASKS.items():
-            about, *_ = (task.__doc__ or "").splitlines()
-            print(f"  {f'{robot}/{name}':18} {about}")
-    print("  and every scenario, with an agent in the place of its controller")
+def _print_of_extensions() -> None:
+    for point in plugins(LISTED).values():
+        title, lines = point.load()()
+        print(title)
+        for line in lines:
+            print(f"  {line}")
 
 
 _KINDS = {

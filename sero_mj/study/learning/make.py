@@ -25,6 +25,17 @@ from .tasks import GOAL, Expectations, Hold, Reach, Task
 TASKS: dict[str, type[Task]] = {"reach": Reach, "hold": Hold}
 
 
+def list_environments() -> tuple[str, list[str]]:
+    """Returns a title and a line for each kind of environment, for `sero-mj list`."""
+    lines = [
+        f"{f'{robot}/{name}':18} {(task.__doc__ or '').splitlines()[0]}"
+        for robot in list_models()
+        for name, task in TASKS.items()
+    ]
+    last = "and every scenario, with an agent in the place of its controller"
+    return "environments, for sero_mj.make_environment (dm_env)", [*lines, last]
+
+
 class ScenarioSettings(Settings):
     """Options of the environment of a scenario.
 
