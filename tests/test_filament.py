@@ -19,7 +19,7 @@ from sero_mj.base.errors import RenderError
 from sero_mj.base.paths import list_scenes
 from sero_mj.load import load_scene
 from sero_mj.robots.declared.surroundings import PALETTES
-from sero_mj.viewer.headless import renderer_choice
+from sero_mj.viewer.headless import renderer as renderer_choice
 from sero_mj.viewer.headless.filament import probe as filament_probe
 from sero_mj.viewer.headless.filament.environment import environment
 from sero_mj.viewer.headless.filament.flat_triangles import blend

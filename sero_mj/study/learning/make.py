@@ -25,7 +25,7 @@ from .tasks import GOAL, Expectations, Hold, Reach, Task
 TASKS: dict[str, type[Task]] = {"reach": Reach, "hold": Hold}
 
 
-def list_environments() -> tuple[str, list[str]]:
+def described_environments() -> tuple[str, list[str]]:
     """Returns a title and a line for each kind of environment, for `sero-mj list`."""
     lines = [
         f"{f'{robot}/{name}':18} {(task.__doc__ or '').splitlines()[0]}"

@@ -25,7 +25,7 @@ from ..typesetting import Typesetter, compose
 from .film import check_film, default_fps
 from .film_kinds import FILMS
 from .painter import Painter, perform_clicks
-from .picture_options import PictureOptions, Quality, RendererName
+from .picture_options import PictureOptions, Quality
 from .render import (
     MAX_SIDE,
     QUALITIES,
@@ -35,7 +35,7 @@ from .render import (
     render_picture,
     write_film,
 )
-from .renderer_choice import choose_renderer, make_filament
+from .renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
 
 log = logging.getLogger(__name__)
 
@@ -62,7 +62,7 @@ class PhotoRenderer(Painter):
         world: WorldView,
         camera: PhotoCamera,
         quality: Quality = "normal",
-        renderer: RendererName | None = None,
+        renderer: str | None = None,
     ) -> None:
         if quality not in QUALITIES:
             raise RenderError(Problem("quality", found=quality, expected=", ".join(QUALITIES)))
@@ -71,11 +71,12 @@ class PhotoRenderer(Painter):
         self.photo: Pixels = np.zeros((camera.height, camera.width, 3), np.uint8)
         self._painter = PhotoPainter(world, camera, (MAX_SIDE // 2, MAX_SIDE // 2), scale)
         size, is_draft = self._painter.size, quality == "draft"
-        self.renderer: RendererName = choose_renderer(renderer, quality, *size)
-        if self.renderer == "filament":
-            self._renderer, _ = make_filament(world, *size, quality)
-        else:
+        self.renderer = choose_renderer(renderer, quality, *size)
+        self._renderer: SceneRenderer
+        if self.renderer == CLASSIC:
             self._renderer = make_renderer(world, *size, is_draft=is_draft)
+        else:
+            self._renderer, _ = renderers()[self.renderer].make(world, *size, quality)
         self._typesetter = Typesetter(line_height(world, camera.width, camera.height))
         self.decor = SceneDecor(world, with_text=False)
 
