@@ -20,10 +20,12 @@ from sero_mj.base.paths import models_dir
 from sero_mj.simulate.external_control.library import HEADER
 from sero_mj.study import cluster, cluster_worker
 from sero_mj.study.cluster import Cluster
-from sero_mj.study.engine import KILLED, Variants, Work
+from sero_mj.study.engine import KILLED, Work
 from sero_mj.study.samples import Samples, Vary
-from sero_mj.study.scenario_inputs import files_in, files_read, pack, unpack
+from sero_mj.study.scenario_inputs import files_read, pack, unpack
+from sero_mj.study.shipped_files import files_in
 from sero_mj.study.sweep import Sweep
+from sero_mj.study.variants import Variants
 
 pytest.importorskip("distributed")
 

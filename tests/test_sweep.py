@@ -21,10 +21,11 @@ from sero_mj.base.paths import find_scenario
 from sero_mj.cli import main
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.study.engine import Variants, Work
+from sero_mj.study.engine import Work
 from sero_mj.study.samples import Samples, Vary, full_grid, latin_hypercube
 from sero_mj.study.sweep import Sweep
 from sero_mj.study.sweep_results import SweepTable, plot_sweep, summarise_sweep
+from sero_mj.study.variants import Variants
 from sero_mj.study.workers import Processes
 
 SCENARIO = """
@@ -570,7 +571,7 @@ def test_processes_load_no_opengl(file: Path) -> None:
         "import sys; from multiprocessing import Pipe; from pathlib import Path\n"
         "from sero_mj.study import workers\n"
         "end, other = Pipe(duplex=False)\n"
-        "from sero_mj.study.engine import Variants\n"
+        "from sero_mj.study.variants import Variants\n"
         f"workers.start_worker(end, Variants(Path({str(file)!r}), {{}}))\n"
         "print(workers._run([{}])[0]['held'], 'OpenGL.EGL' in sys.modules)\n"
     )

@@ -14,8 +14,10 @@ from ..base.plugins import (
     COMMANDS,
     CONTROLLERS,
     DECOR,
+    ENGINES,
     IMPORTERS,
     LISTED,
+    RENDERERS,
     ROBOTS,
     SOURCES,
     TARGET_MOTIONS,
@@ -102,6 +104,8 @@ _KINDS = {
     TARGET_MOTIONS: "kinds of target motions",
     DECOR: "visual features",
     TOOLS: "tools of windows and pages",
+    RENDERERS: "renderers besides the classic one",
+    ENGINES: "engines of many tasks besides the local one",
     COMMANDS: "commands",
 }
 

@@ -19,7 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..base.errors import ClusterError, Problem, UsageError, about_fault
 from .engine import Result, Task, Work
-from .scenario_inputs import digest_of_models, files_in, is_installed, pack
+from .scenario_inputs import digest_of_models, is_installed, pack
+from .shipped_files import files_in
 
 if TYPE_CHECKING:
     from .cluster_worker import JobFiles

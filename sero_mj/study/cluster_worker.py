@@ -18,7 +18,8 @@ from distributed import WorkerPlugin, get_worker
 from .. import __version__
 from ..base import paths
 from ..base.errors import SeroError
-from .scenario_inputs import below, digest_of_code, digest_of_models, unpack
+from .scenario_inputs import digest_of_code, digest_of_models, unpack
+from .shipped_files import below
 
 if TYPE_CHECKING:
     from .engine import Job, Runner

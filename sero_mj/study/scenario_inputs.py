@@ -25,6 +25,7 @@ from typing import Any
 
 from ..base import paths
 from ..base.errors import Problem, SeroError, UsageError
+from .shipped_files import below
 
 _TEXTS = (".toml", ".xml", ".urdf", ".mjcf", ".xacro", ".sdf", ".x3d", ".dae", ".obj", ".mtl")
 _QUOTED = re.compile(r"""(["'])(/[^"'\n]+)\1""")
@@ -61,14 +62,6 @@ def files_read(
     return list(dict.fromkeys([file.absolute(), *found]))
 
 
-def files_in(path: Path) -> list[Path]:
-    """A file, or all files in a folder; raises UsageError where there is none."""
-    found = [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file())
-    if not found:
-        raise UsageError(Problem("--ship", "no file or folder with files", found=str(path)))
-    return [each.absolute() for each in found]
-
-
 def pack(files: Sequence[Path]) -> bytes:
     """Returns an archive of files, with their folders; raises UsageError above 1 GB."""
     size = sum(file.stat().st_size for file in files)
@@ -99,17 +92,6 @@ def unpack(archive: bytes, root: Path) -> list[Path]:
         if moved != text:
             file.write_bytes(moved.encode("utf-8", "surrogateescape"))
     return files
-
-
-def below(root: Path, value: Any) -> Any:
-    """A value in which names of files that were unpacked lead to the root; others are as before."""
-    if isinstance(value, str) and value.startswith("/") and (root / value[1:]).exists():
-        return f"{root}{value}"
-    if isinstance(value, list | tuple):
-        return [below(root, each) for each in value]
-    if isinstance(value, Mapping):
-        return {key: below(root, each) for key, each in value.items()}
-    return value
 
 
 def digest_of_models(files: Iterable[Path]) -> dict[str, str]:

@@ -16,8 +16,9 @@ from .. import __version__
 from ..simulate.log_output import files_of
 from ..simulate.scenario import Scenario
 from ..simulate.scenario_file import read_scenario
-from .engine import Engine, Result, Variants, Work
+from .engine import Engine, Result, Work
 from .variant import outcome_columns, runs_alone
+from .variants import Variants
 from .workers import Processes
 
 # Variants that are run together, and steps and joints of theirs: 250 MB of logs.
