@@ -22,7 +22,7 @@ from sero_mj.cli import main
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.receive.fri import FriLayout, FriReceiver, no_command
 from sero_mj.data.send.fri_controller import AnswerStatistics, FriController, NetworkFaults
-from sero_mj.data.send.motion import FriSignals
+from sero_mj.data.send.fri_signals import FriSignals
 from sero_mj.data.send.sender import UdpSink
 from sero_mj.load import load_scene
 from sero_mj.robots.declared.robot import SerialRobot

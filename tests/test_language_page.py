@@ -17,7 +17,7 @@ from sero_mj.cli.options import read_options
 from sero_mj.data.receive.checksum import CRCS, SUMS
 from sero_mj.data.receive.fri import FriLayout
 from sero_mj.data.receive.language import KINDS, MAX_PACKET_BYTES, TYPES, parse
-from sero_mj.data.receive.sniffer import KNOWN
+from sero_mj.data.receive.sniffer import known_packets
 from sero_mj.data.receive.source import make_source
 from sero_mj.data.receive.structure import Structure
 
@@ -63,7 +63,10 @@ def test_the_fri_packet_on_the_page_is_that_of_the_receiver() -> None:
     for name, other in {**names, **dict(zip(same, same, strict=True))}.items():
         assert places[name] == fields[other]
     assert layout.encode({})[4:8] == (916).to_bytes(2, "little") + b"\x06\x20"
-    assert {size: Structure(text).size for size, (text, _) in KNOWN.items()} == {916: 916, 376: 376}
+    assert {size: Structure(text).size for size, (text, _) in known_packets().items()} == {
+        916: 916,
+        376: 376,
+    }
 
 
 def test_the_other_commands_of_the_page_are_understood() -> None:

@@ -251,7 +251,10 @@ class FriReceiver(UdpReceiver):
     answer: bool = False
     torque_sign: TorqueSign | None = None
 
-    protocol: ClassVar[str] = "fri"
+    known_packets: ClassVar[Mapping[int, tuple[str, str]]] = {
+        916: (MEASUREMENT, "KUKA FRI, measured data (LWR 4)"),
+        376: (COMMAND, "KUKA FRI, commands (LWR 4)"),
+    }
     _fixed_by: ClassVar[str] = "FRI"
     # As long as the routes are unknown, frames may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(FRAMES)

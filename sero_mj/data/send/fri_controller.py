@@ -19,7 +19,7 @@ from ...base.errors import UsageError, did_you_mean
 from ...robots.declared.robot import SerialRobot
 from ..receive.fri import COMMAND, CYCLES, QUALITIES, FriLayout
 from ..receive.structure import Structure
-from .motion import FriSignals
+from .fri_signals import FriSignals
 from .sender import SendReport, UdpSink, send
 
 _MONITOR, _COMMAND = 1, 2
