@@ -290,8 +290,8 @@ class EngineOptions(Options):
         if self.engine == _LOCAL:
             if self.scheduler is not None or self.ship:
                 option = "--ship" if self.scheduler is None else "--scheduler"
-                names = " or ".join(plugins(ENGINES)) or "NAME"
-                raise ValueError(f"{option}: expected --engine {names} as well")
+                known = " or ".join(plugins(ENGINES)) or "NAME"
+                raise ValueError(f"{option}: expected --engine {known} as well")
         elif self.engine not in plugins(ENGINES):
             names = [_LOCAL, *plugins(ENGINES)]
             raise ValueError(f"--engine: found {self.engine}{did_you_mean(self.engine, names)}")

@@ -60,6 +60,11 @@ COMMAND = " ".join(
         "joint_stiffness:7f joint_damping:7f cartesian_stiffness:6f cartesian_damping:6f",
     )
 )
+# By size: structure, row-major, and description.
+KNOWN_PACKETS = {
+    916: (MEASUREMENT, "KUKA FRI, measured data (LWR 4)"),
+    376: (COMMAND, "KUKA FRI, commands (LWR 4)"),
+}
 FRAMES = frozenset(("flange_frame", "commanded_frame"))
 _COMMANDED = ("commanded_before_fri", "commanded_offset")
 
@@ -251,10 +256,6 @@ class FriReceiver(UdpReceiver):
     answer: bool = False
     torque_sign: TorqueSign | None = None
 
-    known_packets: ClassVar[Mapping[int, tuple[str, str]]] = {
-        916: (MEASUREMENT, "KUKA FRI, measured data (LWR 4)"),
-        376: (COMMAND, "KUKA FRI, commands (LWR 4)"),
-    }
     _fixed_by: ClassVar[str] = "FRI"
     # As long as the routes are unknown, frames may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(FRAMES)

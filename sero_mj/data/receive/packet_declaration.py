@@ -47,8 +47,6 @@ class PacketDeclaration(Declaration):
     time: str = ""
     time_scale: float = Field(1.0, gt=0, lt=1e100)
 
-    # Of packets that its robots send or take, by size: structure, row-major, and description.
-    known_packets: ClassVar[Mapping[int, tuple[str, str]]] = {}
     # What fixes these fields, so that no file may: `FRI`, or nothing.
     _fixed_by: ClassVar[str] = ""
     # The origin of the structure, for kinds whose structure cannot be declared.

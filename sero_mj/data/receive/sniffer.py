@@ -16,7 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ...base.errors import SourceError
-from ...base.plugins import SOURCES, load_all
+from ...base.plugins import KNOWN_PACKETS, load_all
 from ._tracking import Timing
 from ._udp_socket import Batch, Datagrams, open_socket, unpack_address
 from .checksum import Recognized, recognize
@@ -234,8 +234,8 @@ def _guess_layouts(rows: Rows, size: int) -> list[Guess]:
 
 def known_packets() -> dict[int, tuple[str, str]]:
     """Packets of commercial robots, by size: structure, row-major, and description."""
-    kinds = load_all(SOURCES).values()
-    return {size: told for kind in kinds for size, told in kind.known_packets.items()}
+    found = load_all(KNOWN_PACKETS).values()
+    return {size: about for packets in found for size, about in packets.items()}
 
 
 def _mixed(rows: Rows) -> list[Guess]:

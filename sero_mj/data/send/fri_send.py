@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ...base.errors import UsageError
-from ..receive.fri import FriReceiver
+from ..receive.fri import FriLayout, FriReceiver
 from .fri_controller import FriController, NetworkFaults
 from .sender import UdpSink
 
@@ -18,7 +18,8 @@ _CYCLE = 0.005  # s; as in many a laboratory, and no burden for one core
 
 def send(options: SendOptions, scene: Scene, source: FriReceiver) -> int:
     """Sends as the controller of the robot that the source moves; returns 0."""
-    if source.is_iiwa:
+    layout = source.layout  # with the receiver's sign of torques
+    if not isinstance(layout, FriLayout):
         reason = f"is {source.about}; played is FRI 1.0 of an LWR, or a recording by --play"
         raise UsageError(f"source '{source.name}' {reason}")
     options.refuse(("shm",), ": FRI is a protocol of UDP; leave it out")
@@ -32,7 +33,7 @@ def send(options: SendOptions, scene: Scene, source: FriReceiver) -> int:
         quality=options.quality or (None if source.answer else "ok"),
         amplitude=options.amplitude,
         faults=NetworkFaults(loss=options.loss, seed=options.seed),
-        layout=source.layout,  # with the receiver's sign of torques
+        layout=layout,
     )
     to_port = options.port or source.udpport
     if not to_port:
