@@ -12,7 +12,6 @@ import sys
 from typing import Any
 
 from ..viewer.headless.backend import BACKENDS, PACKAGES, has_display, has_osmesa
-from ..viewer.headless.renderer import renderers
 from ._arguments import command
 from .shared_options import JsonOptions
 
@@ -81,6 +80,8 @@ class DoctorOptions(JsonOptions):
 
 def run(options: DoctorOptions) -> int:
     """Prints; returns 0 when a backend works, else 1."""
+    from ..viewer.headless.renderer import renderers
+
     versions = {name: _version(name) for name in ("sero-mj", "mujoco", "numpy", "av")}
     versions["dm-control"] = _version("dm-control")
     backends = {name: try_backend(name) for name in BACKENDS}
