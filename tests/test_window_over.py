@@ -14,9 +14,9 @@ from sero_mj.base.errors import DeclarationError, RenderError, UsageError
 from sero_mj.cli import main
 from sero_mj.cli._arguments import read_scene
 from sero_mj.cli.shared_options import OverOptions
-from sero_mj.cli.view import _feed
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.viewer.headless.film import FilmWriter
+from sero_mj.viewer.photo.background import open_feed
 from sero_mj.viewer.photo.camera_feed import CameraFeed, VideoFeed
 from sero_mj.viewer.photo.camera_file import write_camera
 
@@ -108,15 +108,15 @@ def test_a_video_goes_with_the_time_of_a_scenario_and_is_a_camera_for_what_is_li
     write_camera(tmp_path / "c.toml", camera("none", (320, 180)))
     video = write_video(tmp_path / "v.mp4", [40, 80, 120])
     options = OverOptions(over=str(video), camera_file=tmp_path / "c.toml", offset=1.5)
-    feed = _feed(Mirror(read_scene("impedance_push")), options)
+    feed = open_feed(Mirror(read_scene("impedance_push")), options)
     assert isinstance(feed, VideoFeed)
     feed.latest(1.0)
     assert feed.piece[0] == "v.mp4: begins in 0.5 s"
     feed.close()
     for scene in ("lwr_udp", "lwr"):  # live, and without sources
         with pytest.raises(UsageError, match="--offset is for a video over a recording"):
-            _feed(Mirror(read_scene(scene)), options)
-        feed = _feed(Mirror(read_scene(scene)), options.model_copy(update={"offset": None}))
+            open_feed(Mirror(read_scene(scene)), options)
+        feed = open_feed(Mirror(read_scene(scene)), options.model_copy(update={"offset": None}))
         assert isinstance(feed, CameraFeed)
         feed.close()
 

@@ -12,6 +12,7 @@
     sero_mj.senders         what `sero-mj send` does for a kind of source with its own protocol
     sero_mj.known_packets   what `structure --sniff` knows by size, see `data.receive.sniffer`
     sero_mj.explainers      what explains differences of torques, see `study.explainer`
+    sero_mj.backgrounds     what `--over` draws over, see `cli.background`
     sero_mj.engines         what does many tasks at once, see `study.engine`
     sero_mj.listed          functions that return title and lines, for `sero-mj list`
     sero_mj.names           further public names of the package `sero_mj`
@@ -42,7 +43,7 @@ IMPORTERS, ROBOTS, SOURCES = "sero_mj.importers", "sero_mj.robots", "sero_mj.sou
 CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
 DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
 NAMES, WHEN_IMPORTED = "sero_mj.names", "sero_mj.when_imported"
-EXPLAINERS = "sero_mj.explainers"
+EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
 SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"
 LISTED, RENDERERS, ENGINES = "sero_mj.listed", "sero_mj.renderers", "sero_mj.engines"
 _WITH_KIND = (CONTROLLERS, TARGET_MOTIONS)  # classes say their name, the entry point's, again

@@ -16,7 +16,7 @@ import tomllib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 
@@ -179,40 +179,6 @@ def progress_bar(
     finally:
         if bar.live.is_started:
             bar.stop()
-
-
-def offset_of_video(
-    scene: Scene,
-    video: Path,
-    camera_file: Path,
-    offset: float | Literal["auto"] | None = None,
-    quiet: bool = False,
-) -> float:
-    """Returns when a video begins in a recording or scenario, s: as given, else estimated.
-
-    Args:
-        scene: with the recording.
-        video: the file.
-        camera_file: see `camera_file`.
-        offset: as given; found by the motion in both when it is not.
-        quiet: nothing is said.
-    """
-    if isinstance(offset, float) or not scene.sources:
-        return float(offset or 0.0)
-    from ..viewer.photo.camera_file import read_camera
-    from ..viewer.photo.footage import Video
-    from ..viewer.photo.video_offset import find_offset
-
-    with Video(video) as opened:
-        camera = read_camera(camera_file, opened.size)
-    with contextlib.ExitStack() as stack:
-        if not quiet:
-            console = make_console(stderr=True)
-            stack.enter_context(console.status("comparing the motion in video and recording"))
-        found = find_offset(scene, video, camera)
-    if not quiet:
-        print(found, flush=True)
-    return found.offset
 
 
 def overrides(settings: Sequence[str]) -> dict[str, Any]:
