@@ -1,6 +1,7 @@
 """Extensions by other packages: entry points, also used for sero-mj's own parts.
 
     sero_mj.importers       files of robots, see `robots.importers.importer.Importer`
+    sero_mj.meshes          files of meshes, see `robots.importers.mesh_files.mesh_endings`
     sero_mj.robots          places where robots have names, see `robots.importers.robot_places`
     sero_mj.sources         kinds of sources in scenes, see `data.receive.source.Source`
     sero_mj.controllers     kinds of controllers, see `simulate.control.controller`
@@ -43,6 +44,7 @@ IMPORTERS, ROBOTS, SOURCES = "sero_mj.importers", "sero_mj.robots", "sero_mj.sou
 CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
 DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
 NAMES, WHEN_IMPORTED = "sero_mj.names", "sero_mj.when_imported"
+MESHES = "sero_mj.meshes"
 EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
 SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"
 LISTED, RENDERERS, ENGINES = "sero_mj.listed", "sero_mj.renderers", "sero_mj.engines"

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..base.errors import UsageError
 from ..base.options import Options, ending, positional
-from ..robots.importers.known_formats import X3d
+from ..robots.importers.x3d_importer import X3d
 from ._arguments import check_new, command, read_scene, writing
 
 if TYPE_CHECKING:
