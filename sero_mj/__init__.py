@@ -25,9 +25,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from importlib.metadata import EntryPoint
-
     from .base.errors import DeclarationError as DeclarationError
     from .base.errors import SeroError as SeroError
     from .base.errors import SimulationError as SimulationError
@@ -148,7 +145,7 @@ def __dir__() -> list[str]:
     return sorted([*globals(), *_HOME, *_added_names()])
 
 
-def _added_names() -> "Mapping[str, EntryPoint]":
+def _added_names() -> Any:
     from .base.plugins import NAMES, plugins
 
     return plugins(NAMES)

@@ -15,7 +15,6 @@ from sero_mj.base.errors import StructureError
 from sero_mj.cli import main, structure
 from sero_mj.cli.options import read_options
 from sero_mj.data.receive.checksum import CRCS, SUMS
-from sero_mj.data.receive.fri import FriLayout
 from sero_mj.data.receive.language import KINDS, MAX_PACKET_BYTES, TYPES, parse
 from sero_mj.data.receive.sniffer import known_packets
 from sero_mj.data.receive.source import make_source
@@ -48,7 +47,10 @@ def test_python_on_the_page_runs() -> None:
         exec(compile(code, "STRUCTURE.md", "exec"), {})
 
 
+@pytest.mark.extensions
 def test_the_fri_packet_on_the_page_is_that_of_the_receiver() -> None:
+    from sero_mj.extensions.fri.receiver import FriLayout
+
     (table,) = (tomllib.loads(text)["sources"]["fri"] for text in blocks("toml"))
     layout = make_source("fri", table).layout
     assert layout.size == FriLayout().size == 916

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..base.errors import UsageError
+from ..base.options import Options
 from ..base.plugins import BACKGROUNDS, load_all
 
 if TYPE_CHECKING:
     from ..data.drive.mirror import Mirror
     from ..viewer.window.host import Viewport
-    from .render import RenderOptions
     from .shared_options import OverOptions
 
 
@@ -25,11 +25,11 @@ class Background(ABC):
     """Draws scenes over pictures of the real robot. Objects are made without arguments."""
 
     @abstractmethod
-    def render(self, options: RenderOptions, over: Path) -> list[str]:
+    def render(self, options: Options, over: Path) -> list[str]:
         """Renders a picture or a film over a file; returns the silent sources.
 
         Args:
-            options: of `sero-mj render`.
+            options: those of `sero-mj render`.
             over: a photo or a video.
 
         Raises:

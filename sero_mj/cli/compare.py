@@ -20,7 +20,7 @@ from ..base.options import NotNegative, Option, ending, positional
 from ..study.explanation import OF_ONE_RUN
 from ..viewer.headless.film_kinds import FILMS
 from ..viewer.headless.picture_options import FilmOptions, SizeOptions
-from ._arguments import command, print_json, print_table, progress_bar
+from .arguments import command, print_json, print_table, progress_bar
 from .shared_options import EngineOptions, Figure, Flag, JsonOptions, RunOptions
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ..simulate.runs.run_log import RunLog
     from ..study.align import Pair
     from ..study.explanation import Explanation
-    from ._each_recording import Rows
+    from .each_recording import Rows
 
 _EPILOG = """\
 examples:
@@ -204,7 +204,7 @@ def _of_whom(fault: Explanation, first: str) -> str:
 
 def _compare_many(options: CompareOptions) -> int:
     from ..study.align import choose_robot
-    from ._each_recording import ask_each, status, tell
+    from .each_recording import ask_each, status, tell
 
     others = [path for path in (options.b, *options.more) if path is not None]
     recordings = [options.a, *others] if options.each else others

@@ -12,7 +12,7 @@ import sys
 from typing import Any
 
 from ..viewer.headless.backend import BACKENDS, PACKAGES, has_display, has_osmesa
-from ._arguments import command
+from .arguments import command
 from .shared_options import JsonOptions
 
 _EPILOG = """\

@@ -16,7 +16,7 @@ from ..base.paths import format_of_file, model_name
 from ..base.plugins import COMMANDS, is_own_class, plugins
 from ..robots.importers.importer import find_importer
 from ..robots.importers.known_formats import Mjcf
-from ._arguments import check_ending, check_new, command, writing
+from .arguments import check_ending, check_new, command, writing
 from .new import print_next, scene_text, write_scene
 from .shared_options import PackageOptions
 

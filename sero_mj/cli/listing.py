@@ -26,8 +26,8 @@ from ..base.plugins import (
     load_plugin,
     plugins,
 )
-from ._arguments import command
-from ._terminal import make_console
+from .arguments import command
+from .terminal import make_console
 
 ORDER = 61  # in the help of `sero-mj`
 

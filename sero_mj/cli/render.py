@@ -13,7 +13,7 @@ from pydantic import model_validator
 from ..base.options import Option, Time, ending
 from ..viewer.headless.film_kinds import FILMS, PASS_ENDINGS, PICTURES
 from ..viewer.headless.picture_options import FilmOptions
-from ._arguments import command, progress_bar
+from .arguments import command, progress_bar
 from .shared_options import EyeOptions, OverOptions, SceneArgument, ShownOptions
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOp
 
 def run(options: RenderOptions) -> int:
     """Renders; returns 0."""
-    from ._opening import with_scene
+    from .opening import with_scene
 
     options = with_scene(options)
     if options.clicks:  # what was hit is worth a line

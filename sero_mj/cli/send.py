@@ -12,8 +12,8 @@ from ..base.errors import CsvError, UsageError
 from ..base.options import Duration, NotNegative, Option, Options, Positive, Seed
 from ..base.paths import list_scenarios
 from ..base.plugins import SENDERS, plugins
-from ._arguments import command, print_programs, read_scene
-from ._sending import Sender, SinkOptions, goes_to_shm, make_sink
+from .arguments import command, print_programs, read_scene
+from .sending import Sender, SinkOptions, goes_to_shm, make_sink
 from .shared_options import Columns, SceneArgument
 
 if TYPE_CHECKING:

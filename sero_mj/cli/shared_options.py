@@ -20,7 +20,7 @@ from ..data.record.table_signals import parse_columns
 from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
 from ..study.figure import NO_MATPLOTLIB, SUFFIXES, has_matplotlib
 from ..viewer.headless.picture_options import EYE_DISTANCE, CameraOptions, StereoOptions
-from ._arguments import read_recorded_run, read_scene, replay_instead
+from .arguments import read_recorded_run, read_scene, replay_instead
 
 if TYPE_CHECKING:
     from ..robots.declared.scene import Scene

@@ -17,13 +17,13 @@ from pydantic import model_validator
 from ..base import trust
 from ..base.errors import UsageError
 from ..base.options import Option, Port, Size, positional
-from ._arguments import (
+from .arguments import (
     command,
     read_scene,
     replay_instead,
     until_ended,
 )
-from ._browser import can_open_browser, open_in_browser
+from .browser import can_open_browser, open_in_browser
 from .shared_options import EyeOptions, OverOptions, ShownOptions
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
 
 def run(options: ViewOptions) -> int:
     """Shows the scene until it is closed, or the start page until something is; returns 0."""
-    from ._opening import with_scene
+    from .opening import with_scene
 
     for folder in options.trust:
         if not folder.is_dir():
@@ -264,7 +264,7 @@ class Session:
 
         The options are then those of the new scene; nothing changes where it is wrong.
         """
-        from ._opening import view_of_file
+        from .opening import view_of_file
 
         view = what
         if isinstance(view, Path):
@@ -371,7 +371,7 @@ class Session:
         from ..viewer.session.live import SECTION
         from ..viewer.session.recent_views import RecentView, remember_view
         from ..viewer.session.restoring import keep
-        from ._opening import is_temporary
+        from .opening import is_temporary
 
         options, plain = self.options, self.plain
         view = RecentView(_absolute(options.scene), _absolute(options.replay))

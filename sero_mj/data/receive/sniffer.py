@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from ...base.errors import SourceError
 from ...base.plugins import KNOWN_PACKETS, load_all
 from ._tracking import Timing
-from ._udp_socket import Batch, Datagrams, open_socket, unpack_address
 from .checksum import Recognized, recognize
 from .language import MAX_PACKET_BYTES, TYPES
 from .mixed_layout import LARGEST, SMALLEST, mixed_layout
 from .structure import Rows, Structure, are_frames
+from .udp_socket import Batch, Datagrams, open_socket, unpack_address
 
 _KEPT_PACKETS = 16  # packets of a stream used for guesses
 _MAX_STREAMS = 100  # senders and sizes
