@@ -1,6 +1,7 @@
 # make demo   a film and a picture of an LWR mirrored from UDP packets, under out/
 # make test   the tests
 # make quick  those of logic: without windows, browsers, films and what else is slow
+# make core   those of logic with all extensions blocked
 # make mutations   whether every scenario notices what may be wrong in it; on a cluster with
 #             ENGINE="--engine dask --scheduler tcp://head:8786"
 # make lint   style and types
@@ -18,7 +19,7 @@ BIN := .venv/bin
 # Tests start some hundred programs; without compiled files each would compile all of ours anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test quick mutations oldest lint docs bench peers robustness foreign gallery wheel clean
+.PHONY: demo test quick core mutations oldest lint docs bench peers robustness foreign gallery wheel clean
 
 .venv/.run .venv/.test: pyproject.toml .ci/setup
 	@.ci/setup $(@:.venv/.%=%)
@@ -34,6 +35,11 @@ test: .venv/.test
 
 quick: .venv/.test
 	$(BIN)/python -m pytest -q -n auto -m "not gl and not slow and not live"
+
+# The quick tests of the core with all extensions blocked: it works without them.
+core: .venv/.test
+	PYTHONPATH=tests/blocking $(BIN)/python -m pytest -q -n auto --ignore tests/extensions \
+	  -m "not gl and not slow and not live and not extensions"
 
 mutations: .venv/.test
 	@unnoticed=0; for file in tests/mutations/*.toml; do \

@@ -21,8 +21,8 @@ import numpy as np
 
 from sero_mj import Scenario, Scene, SerialRobot, Simulation
 from sero_mj.base.errors import SimulationError
+from sero_mj.extensions.explain.explain import explain_run, explain_runs
 from sero_mj.simulate.runs.run_log import RunLog
-from sero_mj.study.explain import explain_run, explain_runs
 from sero_mj.study.explanation import FLANGE, LINKS
 
 KINDS = (

@@ -28,11 +28,11 @@ from rich.table import Table
 
 from sero_mj import make_environment
 from sero_mj.base.paths import find_scenario
+from sero_mj.extensions.sweeps.samples import Samples, Vary
+from sero_mj.extensions.sweeps.sweep import Sweep
+from sero_mj.extensions.sweeps.variant import VariantRunner
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.study.samples import Samples, Vary
-from sero_mj.study.sweep import Sweep
-from sero_mj.study.variant import VariantRunner
 from sero_mj.study.workers import Processes, available_cpus
 
 ENVIRONMENTS = (

@@ -70,10 +70,10 @@ FUZZED = (
         "test_implausible.py",
     )),
     Target("messages of KUKA FRI, UR RTDE, Franka FCI, foxglove_bridge", (
-        "test_fri_iiwa.py::test_random_bytes_are_a_packet_or_an_error",
-        "test_fri_iiwa.py::test_a_damaged_message_is_a_packet_or_an_error",
-        "test_rtde.py::test_random_bytes_end_a_connection_and_nothing_else",
-        "test_franka.py::test_random_bytes_end_a_connection_and_nothing_else",
+        "extensions/fri/test_fri_iiwa.py::test_random_bytes_are_a_packet_or_an_error",
+        "extensions/fri/test_fri_iiwa.py::test_a_damaged_message_is_a_packet_or_an_error",
+        "extensions/rtde/test_rtde.py::test_random_bytes_end_a_connection_and_nothing_else",
+        "extensions/franka/test_franka.py::test_random_bytes_end_a_connection_and_nothing_else",
         "test_foxglove.py::test_whatever_comes_the_next_message_is_read",
     )),
     Target("structures and routes as text", (
@@ -97,9 +97,9 @@ FUZZED = (
     Target("URDF", ("test_urdf.py::test_mutated_files_raise_nothing_but_declaration_errors",)),
     Target("MJCF", ("test_mjcf_robot.py::test_mutated_files_raise_nothing_but_sero_errors",)),
     Target("X3D and VRML", (
-        "test_vrml.py::test_a_mutated_file_is_read_or_told_to_be_wrong",
-        "test_vrml.py::test_long_nonsense_takes_no_longer_than_its_length",
-        "test_vrml.py::test_uses_of_uses_and_protos_of_protos_end",
+        "extensions/x3d/test_vrml.py::test_a_mutated_file_is_read_or_told_to_be_wrong",
+        "extensions/x3d/test_vrml.py::test_long_nonsense_takes_no_longer_than_its_length",
+        "extensions/x3d/test_vrml.py::test_uses_of_uses_and_protos_of_protos_end",
     )),
     Target("meshes", (
         "test_mesh_files.py::test_damaged_files_raise_nothing_but_declaration_errors",
@@ -150,7 +150,7 @@ FAULTS = (
         "test_recorder.py::test_a_killed_process_leaves_a_file_that_all_can_read",
         "test_shm_writers.py::test_a_writer_that_is_killed_in_the_middle_of_a_packet_is_replaced",
         "test_ros2.py::test_a_driver_that_is_killed_is_replaced_by_another_one",
-        "test_sweep.py::test_a_process_that_is_killed_costs_its_variant_only",
+        "extensions/sweeps/test_sweep.py::test_a_process_that_is_killed_costs_its_variant_only",
         "test_viewer_process.py::"
         "test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along",
         "test_web_guard.py::test_a_page_that_is_ended_leaves_no_files",
@@ -159,7 +159,7 @@ FAULTS = (
         "test_receiving_thread.py",
     )),
     Target("names with several addresses, slow or without any", (
-        "test_connecting.py",
+        "extensions/test_connecting.py",
     )),
     Target("systems without POSIX", (
         "test_platforms.py",
@@ -171,10 +171,10 @@ FAULTS = (
         "test_recording_faults.py::test_a_disk_that_was_full_before_is_told",
     )),
     Target("lost network", (
-        "test_rtde.py::test_who_goes_away_is_connected_to_again",
-        "test_franka.py::test_a_robot_that_goes_away_is_connected_to_again",
+        "extensions/rtde/test_rtde.py::test_who_goes_away_is_connected_to_again",
+        "extensions/franka/test_franka.py::test_a_robot_that_goes_away_is_connected_to_again",
         "test_foxglove.py::test_who_goes_away_says_why",
-        "test_fri_controller.py::test_the_network_fails_the_same_way_for_one_seed",
+        "extensions/fri/test_fri_controller.py::test_the_network_fails_the_same_way_for_one_seed",
         "test_status_command.py::test_a_source_that_has_gone_quiet_is_told",
     )),
     Target("clock jumps", (
@@ -183,7 +183,7 @@ FAULTS = (
     )),
     Target("suspended process", (
         "test_viewer_process.py::test_it_is_shown_without_any_call_and_no_call_waits_for_it",
-        "test_rtde_robot.py::test_a_client_that_sleeps_is_silent_until_it_answers_again",
+        "extensions/rtde/test_rtde_robot.py::test_a_client_that_sleeps_is_silent_until_it_answers_again",
     )),
 )  # fmt: skip
 
@@ -196,11 +196,11 @@ LIMITS = (
     ("a file of MJCF", "robots.importers.mjcf_file", "_MAX_BYTES", "bytes"),
     ("bodies, geoms and sites of MJCF", "robots.importers.mjcf_file", "_MAX_ELEMENTS", ""),
     ("a mesh or texture of MJCF", "robots.importers.mjcf_file", "MOST_ASSET_BYTES", "bytes"),
-    ("a file of X3D or VRML, unpacked", "robots.importers.vrml", "MOST_BYTES", "bytes"),
+    ("a file of X3D or VRML, unpacked", "extensions.x3d.vrml", "MOST_BYTES", "bytes"),
     ("a mesh that MuJoCo reads", "robots.importers.mesh_files", "MOST_MESH_BYTES", "bytes"),
     ("any other mesh", "robots.importers.mesh_files", "MOST_CONVERTED_BYTES", "bytes"),
     ("a chunk of a recording, unpacked", "data.record._mcap_reader", "MAX_CHUNK_BYTES", "bytes"),
-    ("a file of a camera", "viewer.photo.camera_file", "_MAX_BYTES", "bytes"),
+    ("a file of a camera", "extensions.photo.camera_file", "_MAX_BYTES", "bytes"),
     ("a packet", "data.receive.language", "MAX_PACKET_BYTES", "bytes"),
     ("packets that wait, where none may be lost", "data.receive.mailbox", "QUEUE_BYTES", "bytes"),
     ("a message of a browser", "viewer.web.messages", "MAX_BYTES", "bytes"),

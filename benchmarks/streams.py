@@ -30,12 +30,12 @@ from rich.console import Console
 from rich.table import Table
 
 from sero_mj import HeadlessRenderer, Mirror, Scene, SerialRobot, ShmReader, UdpReceiver
-from sero_mj.data.receive.fri import FriLayout, FriReceiver, no_command
 from sero_mj.data.receive.source import Source
 from sero_mj.data.receive.structure import Structure
 from sero_mj.data.record.recorder import SIGNALS_RATE
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.recording_writer import FLUSH_AFTER, RecordingWriter
+from sero_mj.extensions.fri.receiver import FriLayout, FriReceiver, no_command
 from sero_mj.load import load_scene
 
 Row = tuple[str, str, str, str, str]

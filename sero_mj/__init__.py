@@ -16,6 +16,7 @@ Conventions, everywhere in this package:
   above its own in the README's list of wings.
 
 The public names are imported when they are first used, because `import mujoco` takes a while.
+Extensions add names by entry points in the group `sero_mj.names`.
 Where there is no display, `MUJOCO_GL` is not set and MuJoCo is not yet imported, importing this
 package sets it to what works without one; no graphics driver is loaded before the first picture.
 """
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
     from .data.drive.mirror import Mirror as Mirror
     from .data.drive.place import Placer as Placer
     from .data.drive.record_sources import record_sources as record_sources
-    from .data.receive.franka import FrankaReceiver as FrankaReceiver
-    from .data.receive.fri import FriReceiver as FriReceiver
-    from .data.receive.rtde import RtdeReceiver as RtdeReceiver
     from .data.receive.shm import ShmReader as ShmReader
     from .data.receive.structure import Structure as Structure
     from .data.receive.udp import UdpReceiver as UdpReceiver
@@ -61,7 +59,6 @@ if TYPE_CHECKING:
     from .simulate.sensors import SensorErrors as SensorErrors
     from .simulate.sensors import Sensors as Sensors
     from .simulate.simulation import Simulation as Simulation
-    from .study.learning.make import make_environment as make_environment
     from .viewer.headless.render import HeadlessRenderer as HeadlessRenderer
     from .viewer.headless.render import render_film as render_film
     from .viewer.headless.render import render_picture as render_picture
@@ -72,14 +69,14 @@ if TYPE_CHECKING:
     from .viewer.program.viewer import Viewer as Viewer
     from .viewer.program.viewer import view as view
 
-from .study.learning.gymnasium_ids import register_with_gymnasium as _register_with_gymnasium
+from .base.when_imported import when_imported as _when_imported
 from .viewer.headless.backend import choose_backend as _choose_backend
 from .viewer.headless.backend import has_display as _has_display
 
 if not _has_display():
     _choose_backend()
 
-_register_with_gymnasium()
+_when_imported("gymnasium")
 
 __version__ = "0.2.0"
 
@@ -104,14 +101,10 @@ _HOME = {
     "load_scene": "load",
     "Placer": "data.drive.place",
     "record_sources": "data.drive.record_sources",
-    "make_environment": "study.learning.make",
     "DeclarationError": "base.errors",
     "SeroError": "base.errors",
-    "FrankaReceiver": "data.receive.franka",
-    "FriReceiver": "data.receive.fri",
     "Recording": "data.record.recording",
     "Replay": "data.record.replay",
-    "RtdeReceiver": "data.receive.rtde",
     "ShmReader": "data.receive.shm",
     "SimulationError": "base.errors",
     "Structure": "data.receive.structure",
@@ -138,12 +131,21 @@ __all__ = ["__version__", *_HOME]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name in _HOME:
+        value = getattr(import_module(f".{_HOME[name]}", __name__), name)
+    elif name.startswith("_") or name not in _added_names():
         raise AttributeError(f"module 'sero_mj' has no attribute '{name}'")
-    value = getattr(import_module(f".{_HOME[name]}", __name__), name)
+    else:
+        value = _added_names()[name].load()
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_HOME])
+    return sorted([*globals(), *_HOME, *_added_names()])
+
+
+def _added_names() -> Any:
+    from .base.plugins import NAMES, plugins
+
+    return plugins(NAMES)

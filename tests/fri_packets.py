@@ -8,7 +8,7 @@ from typing import Any
 
 from polling import until
 
-from sero_mj.data.receive.fri import FriReceiver
+from sero_mj.extensions.fri.receiver import FriReceiver
 
 FORMAT = "<4H16f16i2Hf2H3f4fI4H7f7f12f7f7f12f12f7f7f6f42f49f7f"
 # First byte, count, type and name of every field.

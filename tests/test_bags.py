@@ -26,7 +26,7 @@ from ros_tools import (
 from test_cli import run
 
 from sero_mj.base.errors import DeclarationError, RecordingError, UsageError
-from sero_mj.cli._arguments import replay_instead
+from sero_mj.cli.arguments import replay_instead
 from sero_mj.cli.shared_options import is_recording
 from sero_mj.data.drive.described_scene import scenes_of_bag
 from sero_mj.data.drive.mirror import Mirror

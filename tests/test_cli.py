@@ -17,10 +17,11 @@ from PIL import Image
 
 from sero_mj.base.paths import find_scene
 from sero_mj.cli import doctor, main, view
-from sero_mj.cli._arguments import overrides
+from sero_mj.cli.arguments import overrides
 
 COMMANDS = ["view", "render", "send", "fk", "check", "export", "list", "doctor", "demo", "sweep",
             "new", "schema", "convert", "import", "calibrate"]  # fmt: skip
+OF_EXTENSIONS = ("sweep", "convert", "calibrate")
 
 
 def run(capsys, *arguments: str) -> tuple[int, str, str]:
@@ -39,7 +40,13 @@ def sero_mj(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedPro
     )
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(each, marks=[pytest.mark.extensions] * (each in OF_EXTENSIONS))
+        for each in COMMANDS
+    ],
+)
 def test_every_command_has_help_worth_reading(command: str, capsys) -> None:
     status, out, _ = run(capsys, command, "--help")
     assert status == 0
@@ -47,6 +54,7 @@ def test_every_command_has_help_worth_reading(command: str, capsys) -> None:
     assert f"usage: sero-mj {command}" in out
 
 
+@pytest.mark.extensions
 def test_the_main_help_lists_all_commands(capsys) -> None:
     status, out, _ = run(capsys, "--help")
     assert status == 0
@@ -108,7 +116,11 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         (["send", "lwr", "--rate", "1e9"], "expected at most 100000 packets/s"),
         (["render", "lwr", "-o", "x.png", "--set", "lwe.show_axes=true"], "did you mean 'lwr'?"),
         (["render", "lwr", "-o", "x.png", "--set", "lwr.model=lwr"], "cannot be set"),
-        (["dance"], "no command 'dance'; available: calibrate, check"),
+        pytest.param(
+            ["dance"],
+            "no command 'dance'; available: calibrate, check",
+            marks=pytest.mark.extensions,
+        ),
         (["view", "--camera", "0,0,1"], "--camera is for a scene; name one: sero-mj view SCENE"),
         (["view", "--set", "lwr.show_axes=true"], "--set is for a scene; name one"),
     ],
@@ -228,6 +240,7 @@ def test_check_says_what_routes_compute(capsys, tmp_path) -> None:
     assert f"s.toml:7: routes.lwr.joint_angles: {message}" in err
 
 
+@pytest.mark.extensions
 def test_list_names_robots_scenes_and_fields(capsys) -> None:
     _, out, _ = run(capsys, "list")
     assert "lwr_udp" in out and "light-weight robot" in out

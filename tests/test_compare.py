@@ -321,7 +321,11 @@ def test_of_many_recordings_there_is_a_row_for_each(
     [
         (["a", "b", "c", "--plot", "x.pdf"], "--plot is for one comparison; --table has a row"),
         (["a", "b", "--jobs", "2"], "--jobs is for many recordings: --table, or --each"),
-        (["a", "b", "--engine", "dask"], "--engine dask: expected its --scheduler"),
+        pytest.param(
+            ["a", "b", "--engine", "dask"],
+            "--engine dask: expected its --scheduler",
+            marks=pytest.mark.extensions,
+        ),
         (
             ["--each", "a", "b", "--offset", "auto"],
             "--offset is for two recordings; with --each every one stands",
@@ -409,6 +413,7 @@ def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) 
     assert less[1] > same[1] + 100
 
 
+@pytest.mark.extensions
 def test_a_joint_that_is_measured_as_commanded_has_nothing_to_explain(tmp_path, capsys) -> None:
     """Even if its constant torque looks like a sensor that is stuck."""
     scene = tmp_path / "crane.toml"

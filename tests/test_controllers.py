@@ -97,7 +97,7 @@ KINDS = [
 @pytest.mark.parametrize(
     ("table", "problem"),
     [
-        (
+        pytest.param(
             {},
             Problem(
                 "kind",
@@ -106,12 +106,17 @@ KINDS = [
                 "'joint_position', 'torque', 'library', 'udp', 'shm', 'fri', 'rtde', 'fmu', "
                 "'franka' or 'ros2'",
             ),
+            marks=pytest.mark.extensions,
         ),
         (
             {"kind": "joint_impedence"},
             Problem("kind", "no kind", found="joint_impedence", available=["joint_impedance"]),
         ),
-        ({"kind": 3}, Problem("kind", "no kind", found=3, available=KINDS)),
+        pytest.param(
+            {"kind": 3},
+            Problem("kind", "no kind", found=3, available=KINDS),
+            marks=pytest.mark.extensions,
+        ),
         (3, Problem(found=3, expected="a table with `kind`")),
         (
             {"kind": "torque", "stiffness": 1},

@@ -155,6 +155,7 @@ def test_two_or_three_values_of_every_joint_are_both_named(
     assert (guess.structure, guess.about) == (structure, about)
 
 
+@pytest.mark.extensions
 def test_packets_of_robots_on_the_market_are_known_by_size_and_header() -> None:
     packet = bytearray(np.full(229, 0.5, "<f4").tobytes())
     rows = np.frombuffer(packet, np.uint8)[None]

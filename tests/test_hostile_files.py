@@ -43,8 +43,6 @@ from sero_mj.robots.declared.surroundings import Object
 from sero_mj.robots.importers.mjcf_file import as_spec
 from sero_mj.robots.importers.urdf import read_urdf
 from sero_mj.simulate.runs.run_recording import read_run
-from sero_mj.viewer.photo.calibration import read_points
-from sero_mj.viewer.photo.footage import Video, read_photo
 
 __all__ = ["block"]  # a fixture
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there are no such files")
@@ -143,7 +141,11 @@ def test_a_pipe_is_called_one_wherever_a_file_is_expected(tmp_path: Path, name: 
         assert str(found.value) == expected
 
 
+@pytest.mark.extensions
 def test_pipes_are_no_photos_videos_and_points(pipe: Path) -> None:
+    from sero_mj.extensions.photo.calibration import read_points
+    from sero_mj.extensions.photo.footage import Video, read_photo
+
     reason = "is a pipe; expected a file"
     for read, what in ((read_photo, "cannot be read"), (Video, "is no video that can be read")):
         with raises_with(RenderError, reason=f"{pipe}: {what}: {reason}"):

@@ -14,8 +14,6 @@ from sero_mj.load import load_scene
 from sero_mj.robots.declared.inverse_kinematics import independent_limits
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.simulate.endless_run import bent_pose
-from sero_mj.study.learning.gymnasium_env import GymnasiumEnvironment
-from sero_mj.study.learning.make import make_environment
 from sero_mj.viewer.tools.joint_goal import JointGoal
 
 INF = math.inf
@@ -143,8 +141,12 @@ def test_sliders_and_starts_are_within_the_ranges_and_the_joint_is_still_free(
     assert ((robot.display_ranges[:, 0] <= pose) & (pose <= robot.display_ranges[:, 1])).all()
 
 
+@pytest.mark.extensions
 @pytest.mark.parametrize("action", ["torque", "impedance"])
 def test_an_agent_begins_anywhere_and_its_spaces_are_finite(tmp_path: Path, action: str) -> None:
+    from sero_mj.extensions.learning.gymnasium_env import GymnasiumEnvironment
+    from sero_mj.extensions.learning.make import make_environment
+
     environment = make_environment(f"{gen3_like(tmp_path)}/reach", action=action, time_limit=0.2)
     starts = np.array([environment.reset().observation["joint_angles"] for _ in range(20)])
     ranges = environment.robot.display_ranges
@@ -159,14 +161,20 @@ def test_an_agent_begins_anywhere_and_its_spaces_are_finite(tmp_path: Path, acti
         assert plain.observation_space.contains(observation) and 0.0 <= reward <= 1.0
 
 
+@pytest.mark.extensions
 def test_a_continuous_joint_is_observed_beyond_its_range(tmp_path: Path) -> None:
+    from sero_mj.extensions.learning.make import make_environment
+
     environment = make_environment(
         f"{gen3_like(tmp_path)}/hold", start=[5.0, 0, 0, 0, 0, 0, 0], time_limit=0.2
     )
     assert environment.reset().observation["joint_angles"][0] == pytest.approx(5.0, abs=0.05)
 
 
+@pytest.mark.extensions
 def test_a_joint_without_torque_limit_is_named_where_torques_are_actions(tmp_path: Path) -> None:
+    from sero_mj.extensions.learning.make import make_environment
+
     path = gen3_like(tmp_path, effort="")
     with pytest.raises(DeclarationError) as error:
         make_environment(f"{path}/reach", action="torque")

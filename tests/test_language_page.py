@@ -15,9 +15,8 @@ from sero_mj.base.errors import StructureError
 from sero_mj.cli import main, structure
 from sero_mj.cli.options import read_options
 from sero_mj.data.receive.checksum import CRCS, SUMS
-from sero_mj.data.receive.fri import FriLayout
 from sero_mj.data.receive.language import KINDS, MAX_PACKET_BYTES, TYPES, parse
-from sero_mj.data.receive.sniffer import KNOWN
+from sero_mj.data.receive.sniffer import known_packets
 from sero_mj.data.receive.source import make_source
 from sero_mj.data.receive.structure import Structure
 
@@ -48,7 +47,10 @@ def test_python_on_the_page_runs() -> None:
         exec(compile(code, "STRUCTURE.md", "exec"), {})
 
 
+@pytest.mark.extensions
 def test_the_fri_packet_on_the_page_is_that_of_the_receiver() -> None:
+    from sero_mj.extensions.fri.receiver import FriLayout
+
     (table,) = (tomllib.loads(text)["sources"]["fri"] for text in blocks("toml"))
     layout = make_source("fri", table).layout
     assert layout.size == FriLayout().size == 916
@@ -63,7 +65,10 @@ def test_the_fri_packet_on_the_page_is_that_of_the_receiver() -> None:
     for name, other in {**names, **dict(zip(same, same, strict=True))}.items():
         assert places[name] == fields[other]
     assert layout.encode({})[4:8] == (916).to_bytes(2, "little") + b"\x06\x20"
-    assert {size: Structure(text).size for size, (text, _) in KNOWN.items()} == {916: 916, 376: 376}
+    assert {size: Structure(text).size for size, (text, _) in known_packets().items()} == {
+        916: 916,
+        376: 376,
+    }
 
 
 def test_the_other_commands_of_the_page_are_understood() -> None:

@@ -262,6 +262,7 @@ def test_a_material_that_cannot_be_read_costs_the_colour_only(tmp_path: Path) ->
     assert [piece.rgba for piece in pieces] == [(0.8, 0.1, 0.2, 1.0), None]
 
 
+@pytest.mark.extensions
 def test_vrml_has_the_colours_of_its_materials(tmp_path: Path) -> None:
     path = tmp_path / "two.wrl"
     path.write_text(

@@ -128,7 +128,7 @@ def test_reception_that_fails_starts_again(
 
 
 def test_an_error_of_the_socket_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sero_mj.data.receive._udp_socket import Datagrams
+    from sero_mj.data.receive.udp_socket import Datagrams
 
     read, left = Datagrams.read, [OSError(100, "Network is down")] * 2
 

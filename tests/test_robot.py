@@ -13,6 +13,7 @@ from sero_mj.base.errors import DeclarationError, Problem, shown
 from sero_mj.robots.declared.dh import COLUMNS
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.surroundings import Object
+from sero_mj.robots.importers.mesh_files import mesh_endings
 
 TWO_JOINTS = [[0, 0, 0, 0.3], [0, 0.4, 0, 0]]
 
@@ -190,8 +191,7 @@ WRONG = [
     (
         {"filenames": ["", "b.doc"]},
         Problem("filenames.1.0.file", found="b.doc",
-                expected="a mesh (.stl, .obj, .msh, .dae, .wrl, .x3dv, .ply, .off, .glb, .gltf, "
-                ".3mf)"),
+                expected=f"a mesh ({', '.join(mesh_endings())})"),
     ),
     (
         {"filenames": ["", {"file": "b.stl", "colour": "red"}]},

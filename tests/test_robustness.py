@@ -23,6 +23,7 @@ def test_every_test_of_the_table_is_there(robustness: ModuleType) -> None:
         assert not name or re.search(rf"^def {name}\(", text, re.MULTILINE), test
 
 
+@pytest.mark.extensions
 def test_every_limit_of_the_table_is_a_number_of_the_code(robustness: ModuleType) -> None:
     limits = robustness.limits()
     assert dict(limits)["a file of TOML"] == "20 MB"

@@ -17,7 +17,7 @@ import pytest
 from polling import until
 
 from sero_mj.base.child_process import ChildProcess
-from sero_mj.cli._arguments import read_scene
+from sero_mj.cli.arguments import read_scene
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.viewer.session import background_exports
 from sero_mj.viewer.session.background_exports import BackgroundExports

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from ros_tools import free_domain
 from scipy.interpolate import BPoly
 
@@ -40,7 +41,7 @@ gravity = [0, 0, 0]
 """
 NODE = f"""
 import os, sys, time
-sys.path.insert(0, {str(Path(__file__).parent)!r})
+sys.path.insert(0, {str(ROOT / "tests")!r})
 from ros2_peer import *
 from cyclonedds.sub import DataReader
 

@@ -13,7 +13,7 @@ from runs import HOME, in_old_words, record_packets, record_run, simulated
 
 from sero_mj.base.errors import CsvError, RecordingError, UsageError
 from sero_mj.cli import main
-from sero_mj.cli._arguments import replay_instead
+from sero_mj.cli.arguments import replay_instead
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.recording_writer import FLUSH_AFTER

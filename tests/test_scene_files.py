@@ -12,7 +12,7 @@ from sero_mj import UdpReceiver, World, load_scene
 from sero_mj.base import paths
 from sero_mj.base.errors import SeroError
 from sero_mj.cli import main
-from sero_mj.cli._opening import view_of_file
+from sero_mj.cli.opening import view_of_file
 from sero_mj.data.drive.record_sources import record_sources
 from sero_mj.data.record import scene_files
 from sero_mj.data.record.recording import Recording

@@ -25,6 +25,7 @@ from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.declared.scene_file import read_scene_file
 from sero_mj.robots.declared.shapes import generate_shapes
 from sero_mj.robots.declared.surroundings import FINISHES, Object
+from sero_mj.robots.importers.mesh_files import mesh_endings
 
 ANGLES = st.sampled_from([0.0, pi / 2, -pi / 2, pi]) | st.floats(-pi, pi)
 # From a watch to a crane; shorter steps than 1 um are not drawn, so none are asked for here.
@@ -312,8 +313,7 @@ def test_object_fields_are_checked():
             Problem(
                 "mesh",
                 found="a.doc",
-                expected="a mesh (.stl, .obj, .msh, .dae, .wrl, .x3dv, .ply, .off, .glb, "
-                ".gltf, .3mf)",
+                expected=f"a mesh ({', '.join(mesh_endings())})",
             ),
         ),
     ],

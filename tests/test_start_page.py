@@ -23,7 +23,7 @@ from websockets.exceptions import ConnectionClosed
 
 from sero_mj.base import paths
 from sero_mj.base.errors import SeroError, UsageError
-from sero_mj.cli._opening import is_temporary, view_of_file
+from sero_mj.cli.opening import is_temporary, view_of_file
 from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.load import load_scene
 from sero_mj.viewer.session import recent_views as recent

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from runs import simulated, sine_run, two_joints
 
-from sero_mj.cli._arguments import print_table
+from sero_mj.cli.arguments import print_table
 from sero_mj.simulate.runs.monitor import Finding
 from sero_mj.simulate.runs.run_log import RunLog
 from sero_mj.study.summary import as_json, as_table, summarise

@@ -22,6 +22,7 @@ CHEST, CHEST_SIZE = np.array([0.0, 0.0, 1.02]), np.array([0.12, 0.19, 0.27])
 LINK = 0.07  # radius of an LWR's links, m
 
 
+@pytest.mark.extensions
 def test_shipped_scenes_can_be_shown_at_the_same_time() -> None:
     """Of two that listened on one port, the second one refused to start."""
     places: dict[str, str] = {}

@@ -24,7 +24,7 @@ from sero_mj.base.errors import (
     printable,
 )
 from sero_mj.cli import main
-from sero_mj.cli._terminal import EscapedStream, escape_output, make_console, plain
+from sero_mj.cli.terminal import EscapedStream, escape_output, make_console, plain
 
 TITLE = "\x1b]0;owned\x07"  # sets the title of a terminal
 HOSTILE = f"{TITLE}\x1b[31m\u202eevil\u202c\0\u200b\x9b2J\r\ud800"

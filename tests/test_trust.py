@@ -118,6 +118,7 @@ def test_simulate_runs_the_scenario_that_its_user_names_and_says_so(tmp_path, ca
     assert "will run the program sh -c" in err
 
 
+@pytest.mark.extensions
 def test_sweep_says_what_it_runs(tmp_path, capsys):
     options = ("--vary", "run.seed=1,2", "--jobs", "1")
     _, _, err = run(capsys, "sweep", str(with_program(tmp_path)), *options)
@@ -377,13 +378,13 @@ _GUARDED: dict[str, str] = {
     "base/child_process.py": "starts what others ask for, see below",
     "cli/doctor.py": "our own probes",
     "robots/importers/mjcf_file.py": "MuJoCo's own library",
-    "simulate/external_control/fmu.py": "made by make_controller, which asks",
+    "extensions/fmu/fmu.py": "made by make_controller, which asks",
     "simulate/external_control/library.py": "made by make_controller, which asks",
     "simulate/external_control/library_host.py": "started by library.py",
     "simulate/mujoco_timers.py": "MuJoCo's own library",
-    "study/scenario_inputs.py": "reads, with our interpreter, what the user simulates",
+    "extensions/sweeps/scenario_inputs.py": "reads, with our interpreter, what the user simulates",
     "viewer/headless/backend.py": "our own probes",
-    "viewer/headless/filament/probe.py": "our own probes",
+    "extensions/filament/probe.py": "our own probes",
     "viewer/program/process.py": "our own viewer",
     "viewer/program/process_main.py": "messages of the process that has started it",
     "__init__.py": "our own modules",

@@ -14,10 +14,10 @@ from polling import until
 
 from sero_mj.base.errors import DeclarationError, SourceError
 from sero_mj.cli import main
-from sero_mj.data.receive import _udp_socket
-from sero_mj.data.receive._udp_socket import Datagrams, pack_address, unpack_address
+from sero_mj.data.receive import udp_socket
 from sero_mj.data.receive.sniffer import Sniffer
 from sero_mj.data.receive.udp import UdpReceiver
+from sero_mj.data.receive.udp_socket import Datagrams, pack_address, unpack_address
 
 GROUP, GROUP6 = "239.255.73.1", "ff02::7357"
 
@@ -175,13 +175,13 @@ def test_more_than_a_batch_comes_in_several() -> None:
         sock.bind(("127.0.0.1", 0))
         reader = Datagrams(sock, 8)
         with socket.socket(type=socket.SOCK_DGRAM) as sender:
-            for k in range(_udp_socket.BATCH + 3):
+            for k in range(udp_socket.BATCH + 3):
                 sender.sendto(packet(k), sock.getsockname())
         lengths = []
         while (batch := reader.receive()) is not None:
             lengths.append(len(batch))
-        assert sum(lengths) == _udp_socket.BATCH + 3
-        assert max(lengths) <= _udp_socket.BATCH
+        assert sum(lengths) == udp_socket.BATCH + 3
+        assert max(lengths) <= udp_socket.BATCH
 
 
 def test_a_group_can_be_sniffed_on_an_interface(capsys: pytest.CaptureFixture[str]) -> None:

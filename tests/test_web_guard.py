@@ -25,7 +25,7 @@ from websockets.sync.client import connect
 
 from sero_mj import Mirror
 from sero_mj.base.errors import RenderError, UsageError
-from sero_mj.cli._browser import leading_to
+from sero_mj.cli.browser import leading_to
 from sero_mj.load import load_scene
 from sero_mj.viewer.web.guard import is_loopback
 from sero_mj.viewer.web.host import WebHost

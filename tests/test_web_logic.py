@@ -147,7 +147,7 @@ def test_a_browser_is_opened_for_who_sits_at_this_machine(
 
     def announce(*, is_terminal: bool, has_display: bool, **options: bool) -> None:
         monkeypatch.setattr("sys.stdout.isatty", lambda: is_terminal)
-        monkeypatch.setattr("sero_mj.cli._browser.has_display", lambda: has_display)
+        monkeypatch.setattr("sero_mj.cli.browser.has_display", lambda: has_display)
         session.options = ViewOptions(**options)
         session._is_announced = False
         session._announce("lwr", listening, "127.0.0.1")

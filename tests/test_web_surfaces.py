@@ -17,7 +17,6 @@ from web_tools import MISSING
 
 from sero_mj import HeadlessRenderer
 from sero_mj.load import load_scene
-from sero_mj.viewer.headless.filament.probe import filament_problem
 from sero_mj.viewer.player.capture import capture
 
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
@@ -293,12 +292,15 @@ def test_a_scene_of_ours_has_no_more_in_its_head_than_before() -> None:
         assert key not in head
 
 
+@pytest.mark.extensions
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.parametrize("look", ["light", "dark"])
 def test_a_page_looks_as_filaments_picture_of_the_scene(
     opened: Callable[..., Any], look: Any
 ) -> None:
+    from sero_mj.extensions.filament.probe import filament_problem
+
     if (problem := filament_problem()) is not None:
         pytest.skip(problem)
     scene = load_scene("lwr")

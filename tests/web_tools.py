@@ -34,7 +34,7 @@ ARGUMENTS = [
 ]
 # Serves frames, and answers what is asked about the page on its standard input.
 _PROGRAM = """
-from sero_mj.cli._arguments import read_scene, replay_instead
+from sero_mj.cli.arguments import read_scene, replay_instead
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.viewer.program.viewer import open_page
 from pathlib import Path

@@ -23,7 +23,7 @@ MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
 _DRIVER = """
 import os
 os.environ["MUJOCO_GL"] = "glfw"
-from sero_mj.cli._arguments import read_scene, replay_instead
+from sero_mj.cli.arguments import read_scene, replay_instead
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.viewer.session.restoring import keep, restore
 from sero_mj.viewer.window.host import Window
@@ -54,8 +54,8 @@ if "stereo" in options:
     options["make_viewport"] = partial(StereoViewport, stereo=options.pop("stereo"))
 if "over" in options:  # a camera and its file
     from functools import partial
-    from sero_mj.viewer.photo.camera_feed import CameraFeed
-    from sero_mj.viewer.window.photo_viewport import PhotoViewport
+    from sero_mj.extensions.photo.camera_feed import CameraFeed
+    from sero_mj.extensions.photo.photo_viewport import PhotoViewport
     what, camera_file = options.pop("over")
     feed = CameraFeed(what, Path(camera_file))
     options["make_viewport"] = partial(PhotoViewport, feed=feed)

@@ -165,7 +165,7 @@ def environment(together: bool) -> None:
     import gymnasium
     from with_gymnasium import ROBOTS, bare_of, rate_of
 
-    import sero_mj.study.learning  # registers the environments
+    import sero_mj.extensions.learning  # registers the environments
 
     assert sero_mj
     name = "sero_mj/lwr-reach-v0"

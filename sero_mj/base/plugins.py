@@ -1,6 +1,7 @@
 """Extensions by other packages: entry points, also used for sero-mj's own parts.
 
     sero_mj.importers       files of robots, see `robots.importers.importer.Importer`
+    sero_mj.meshes          files of meshes, see `robots.importers.mesh_files.mesh_endings`
     sero_mj.robots          places where robots have names, see `robots.importers.robot_places`
     sero_mj.sources         kinds of sources in scenes, see `data.receive.source.Source`
     sero_mj.controllers     kinds of controllers, see `simulate.control.controller`
@@ -8,6 +9,15 @@
     sero_mj.decor           visual features, see `viewer.decor.feature.Feature`
     sero_mj.tools           what pointer, keys and panel do, see `viewer.session.tool.Tool`
     sero_mj.commands        commands of `sero-mj`, see `cli`
+    sero_mj.renderers       what draws pictures, see `viewer.headless.renderer.Renderer`
+    sero_mj.senders         what `sero-mj send` does for a kind of source with its own protocol
+    sero_mj.known_packets   what `structure --sniff` knows by size, see `data.receive.sniffer`
+    sero_mj.explainers      what explains differences of torques, see `study.explainer`
+    sero_mj.backgrounds     what `--over` draws over, see `cli.background`
+    sero_mj.engines         what does many tasks at once, see `study.engine`
+    sero_mj.listed          functions that return title and lines, for `sero-mj list`
+    sero_mj.names           further public names of the package `sero_mj`
+    sero_mj.when_imported   what is done once another package is, see `base.when_imported`
 
 A package adds a kind in its pyproject.toml, and no line of sero-mj changes:
 
@@ -33,6 +43,11 @@ log = logging.getLogger(__name__)
 IMPORTERS, ROBOTS, SOURCES = "sero_mj.importers", "sero_mj.robots", "sero_mj.sources"
 CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
 DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
+NAMES, WHEN_IMPORTED = "sero_mj.names", "sero_mj.when_imported"
+MESHES = "sero_mj.meshes"
+EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
+SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"
+LISTED, RENDERERS, ENGINES = "sero_mj.listed", "sero_mj.renderers", "sero_mj.engines"
 _WITH_KIND = (CONTROLLERS, TARGET_MOTIONS)  # classes say their name, the entry point's, again
 _OWN = "sero_mj"
 

@@ -15,8 +15,8 @@ from .. import __version__
 from ..base.errors import DeclarationError, PluginError, SeroError, UnknownName
 from ..base.plugins import COMMANDS, is_own, load_all, load_plugin, plugins
 from ..viewer.headless.backend import check_backend, choose_backend
-from ._arguments import OneLineParser, join_negative_values
-from ._terminal import escape_output
+from .arguments import OneLineParser, join_negative_values
+from .terminal import escape_output
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..base import paths, trust
 from ..base.errors import in_one_line
 from ..base.frames import rpy_from_rotation
-from ._arguments import command, read_scene, replay_instead
+from .arguments import command, read_scene, replay_instead
 from .shared_options import PackageOptions, ReplayOptions, SceneArgument
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def run(options: CheckOptions) -> int:
     from ..robots.declared.route_text import parts_of_origin
     from ..viewer.camera import list_cameras
     from ..viewer.decor.feature import make_features
-    from ._opening import with_scene
+    from .opening import with_scene
 
     options = with_scene(options)
     trust.log.setLevel(logging.ERROR)  # what is withheld is listed below

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -21,7 +20,7 @@ from ..base.options import NotNegative, Option, ending, positional
 from ..study.explanation import OF_ONE_RUN
 from ..viewer.headless.film_kinds import FILMS
 from ..viewer.headless.picture_options import FilmOptions, SizeOptions
-from ._arguments import command, print_json, print_table, progress_bar
+from .arguments import command, print_json, print_table, progress_bar
 from .shared_options import EngineOptions, Figure, Flag, JsonOptions, RunOptions
 
 if TYPE_CHECKING:
@@ -30,8 +29,7 @@ if TYPE_CHECKING:
     from ..simulate.runs.run_log import RunLog
     from ..study.align import Pair
     from ..study.explanation import Explanation
-    from ..study.torque_residuals import TorqueResiduals
-    from ._each_recording import Rows
+    from .each_recording import Rows
 
 _EPILOG = """\
 examples:
@@ -206,7 +204,7 @@ def _of_whom(fault: Explanation, first: str) -> str:
 
 def _compare_many(options: CompareOptions) -> int:
     from ..study.align import choose_robot
-    from ._each_recording import ask_each, status, tell
+    from .each_recording import ask_each, status, tell
 
     others = [path for path in (options.b, *options.more) if path is not None]
     recordings = [options.a, *others] if options.each else others
@@ -260,56 +258,45 @@ def _table_of(rows: Rows, signals: Mapping[str, str], title: str) -> Table:
 add_to = command("compare", run, CompareOptions, _EPILOG)
 
 
-def _compared(
-    options: CompareOptions,
-) -> tuple[Pair, list[Explanation] | None, list[str]]:
+_Compared = tuple["Pair", "list[Explanation] | None", list[str]]
+
+
+def _compared(options: CompareOptions) -> _Compared:
     """Returns the compared runs, the explanations of their difference, and lines about both."""
-    from ..study.align import align, choose_robot, choose_robots, pair_with_commands
-    from ..study.explain import explain_run, explain_runs
-    from ..study.torque_residuals import pair_with_model, torque_residuals
-
     a, *others = _read(options)
-    if others:
-        pair = align(a, others[0], options.robot, options.offset)
-        robots = choose_robots(a, others[0], options.robot)
-        if "torques" not in pair.signals:
-            return pair, None, ["nothing explains angles alone: torques are not in both"]
-        try:
-            return pair, explain_runs(a, others[0], robots, pair.offset), []
-        except UsageError as error:
-            return pair, None, [f"no explanation: {error}"]
-    name = choose_robot(a, options.robot)
+    return _two_runs(a, others[0], options) if others else _one_run(a, options)
+
+
+def _two_runs(a: RunLog, b: RunLog, options: CompareOptions) -> _Compared:
+    from ..study.align import align, choose_robots
+    from ..study.explainer import find_explainer
+
+    pair = align(a, b, options.robot, options.offset)
+    robots = choose_robots(a, b, options.robot)
+    if "torques" not in pair.signals:
+        return pair, None, ["nothing explains angles alone: torques are not in both"]
+    explainer = find_explainer()
+    try:
+        found = None if explainer is None else explainer.of_two(a, b, robots, pair.offset)
+    except UsageError as error:
+        return pair, None, [f"no explanation: {error}"]
+    return pair, found, []
+
+
+def _one_run(run: RunLog, options: CompareOptions) -> _Compared:
+    from ..study.align import choose_robot, pair_with_commands
+    from ..study.explainer import differing, find_explainer
+
+    name, explainer = choose_robot(run, options.robot), find_explainer()
     if options.against_model:
-        found = torque_residuals(a, name)
-        explanations = explain_run(a, name, replace(found, no_model=""))
-        pair = pair_with_model(a, found)
-        return pair, explanations, [*_parted(pair, explanations), *_about_model(found)]
-    pair = pair_with_commands(a, name)
-    found = torque_residuals(a, name)
-    # Where measured torques are the commanded ones, there is no difference to explain.
-    differs = np.any(pair.difference("torques") != 0, axis=0)
-    joints = {joint for joint, is_one in zip(pair.robot.names, differs, strict=True) if is_one}
-    told = [each for each in explain_run(a, name, found) if joints & {*each.joints}]
-    return pair, told, _about_model(found)
-
-
-def _about_model(found: TorqueResiduals) -> list[str]:
-    """Returns lines about the model behind the explanation."""
-    lines = ["model: inverse dynamics on the measured motion, both through a low pass of "
-             f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
-    if found.torque_control:
-        lines.append("commands are those of joint torque control: friction is made up for")
-    if not found.has_model:
-        lines.append(f"of the links nothing is known: {found.no_model}")
-    return lines
-
-
-def _parted(pair: Pair, explanations: Sequence[Explanation]) -> list[str]:
-    """Returns lines about when and where robot and model first differ."""
-    if not explanations:
-        return [f"{pair.robot.name} and its model agree"]
-    first = min(explanations, key=lambda each: (not each.from_start, each.begin))
-    return [f"{pair.robot.name} and its model part at {first.joint}, {first.when}: {first.kind}"]
+        if explainer is None:
+            raise UsageError("--against-model needs an extension that explains differences")
+        return explainer.with_model(run, name)
+    pair = pair_with_commands(run, name)
+    if explainer is None:
+        return pair, None, []
+    found, about = explainer.of_one(run, name)
+    return pair, differing(pair, found), about
 
 
 def _tolerances(options: CompareOptions) -> dict[str, float | None]:

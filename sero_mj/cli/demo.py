@@ -10,7 +10,7 @@ from typing import Annotated
 
 from ..base.options import Duration, Option, Options, Size
 from ..viewer.headless.picture_options import DEFAULT_SIZE, FilmOptions
-from ._arguments import command
+from .arguments import command
 
 _SCENE = "lwr_udp"
 _CAMERA = "150,-12,2.0"

@@ -12,8 +12,7 @@ import sys
 from typing import Any
 
 from ..viewer.headless.backend import BACKENDS, PACKAGES, has_display, has_osmesa
-from ..viewer.headless.filament import probe as filament_probe
-from ._arguments import command
+from .arguments import command
 from .shared_options import JsonOptions
 
 _EPILOG = """\
@@ -71,15 +70,18 @@ _NOT_FIRST = """\
 real time: no program may come before all others (SCHED_FIFO), so that steps may be late; on Linux,
   as root: echo "USER - rtprio 80" > /etc/security/limits.d/rtprio.conf, and log in again"""
 _SMOOTH = 0.04  # s, of a frame
+_TRIAL_SIDE = 64  # pixels
 ORDER = 73  # in the help of `sero-mj`
 
 
 class DoctorOptions(JsonOptions):
-    """Say which OpenGL backends work, whether Filament does, and what to install."""
+    """Say which OpenGL backends and renderers work, and what to install."""
 
 
 def run(options: DoctorOptions) -> int:
     """Prints; returns 0 when a backend works, else 1."""
+    from ..viewer.headless.renderer import renderers
+
     versions = {name: _version(name) for name in ("sero-mj", "mujoco", "numpy", "av")}
     versions["dm-control"] = _version("dm-control")
     backends = {name: try_backend(name) for name in BACKENDS}
@@ -88,12 +90,13 @@ def run(options: DoctorOptions) -> int:
     works = [name for name, found in backends.items() if found["works"]]
     used = chosen if chosen in works else next(iter(works), None)
     speed = None if used is None else frame_times(used)
-    filament = filament_probe.filament_problem()
+    side = _TRIAL_SIDE
+    problems = {name: each.problem(side, side) for name, each in renderers().items()}
     if options.as_json:
         found: dict[str, Any] = {"versions": versions, "backends": backends}
         found["python"] = platform.python_version()
         found |= {"chosen": chosen, "live": live, "frame_times": speed, "fifo": may_be_first()}
-        found["filament"] = {"works": filament is None, "reason": filament}
+        found |= {name: {"works": each is None, "reason": each} for name, each in problems.items()}
         print(json.dumps(found, indent=2))
         return 0 if works else 1
     print(
@@ -108,11 +111,14 @@ def run(options: DoctorOptions) -> int:
         else:
             print(f"  {name:7} does not work: {found['reason']}")
             print(f"  {'':7} Debian, Ubuntu: apt install {PACKAGES[name]}")
-    if filament is None:
-        print("  Filament works: --renderer filament, and what --quality fine takes")
-    else:
-        print(f"  Filament does not work: {filament}; pictures are classic ones")
-        print(f"  {'':7} Debian, Ubuntu: apt install {filament_probe.PACKAGES}")
+    for name, problem in problems.items():
+        kind = renderers()[name]
+        if problem is None:
+            fine = ", and what --quality fine takes" if kind.is_for_fine else ""
+            print(f"  {kind.title} works: --renderer {name}{fine}")
+        else:
+            print(f"  {kind.title} does not work: {problem}; pictures are classic ones")
+            print(f"  {'':7} Debian, Ubuntu: apt install {kind.packages}")
     print(f"sero-mj uses {chosen or 'what MuJoCo chooses'}; MUJOCO_GL overrides it")
     if speed is not None:
         print(_about_speed(used or "", speed))

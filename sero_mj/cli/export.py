@@ -10,7 +10,7 @@ from pydantic import model_validator
 
 from ..base.options import Duration, Option, Time, ending, positional
 from ..viewer.headless.picture_options import Rate
-from ._arguments import command, progress_bar, read_scene, writing
+from .arguments import command, progress_bar, read_scene, writing
 from .shared_options import SceneArgument, ShownOptions
 
 _EPILOG = """\
@@ -95,7 +95,7 @@ def run(options: ExportOptions) -> int:
     from ..study.run_marks import marks_of
     from ..viewer.player.capture import capture
     from ..viewer.player.page import write_page
-    from ._opening import with_scene
+    from .opening import with_scene
 
     options = with_scene(options)
     scene = options.read(options.scene)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from ..base.errors import SeroError, UsageError
 from ..base.options import Option, Options, Time, positional
-from ._arguments import check_new, check_span, command, read_scene, without_warnings
+from .arguments import check_new, check_span, command, read_scene, without_warnings
 
 if TYPE_CHECKING:
     from ..data.record.recording import PacketFile

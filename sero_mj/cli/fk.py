@@ -10,7 +10,7 @@ import numpy as np
 
 from ..base.errors import UsageError, did_you_mean
 from ..base.options import JointValues, Option, positional
-from ._arguments import command
+from .arguments import command
 from .shared_options import JsonOptions, PackageOptions
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from ..base.declaration import is_name
 from ..base.errors import UsageError
 from ..base.options import Option, positional
 from ..base.paths import format_of_file, model_name
-from ..base.plugins import is_own_class
+from ..base.plugins import COMMANDS, is_own_class, plugins
 from ..robots.importers.importer import find_importer
-from ..robots.importers.known_formats import Mjcf, X3d
-from ._arguments import check_ending, check_new, command, writing
+from ..robots.importers.known_formats import Mjcf
+from .arguments import check_ending, check_new, command, writing
 from .new import print_next, scene_text, write_scene
 from .shared_options import PackageOptions
 
@@ -179,12 +179,16 @@ def _comment(items: Sequence[str]) -> list[str]:
 def _check_format(path: Path) -> None:
     """Raises UsageError for anything but URDF and MJCF, naming the command that reads it."""
     ending = path.suffix.lower()
-    if ending in X3d.endings:
-        raise UsageError(
-            f"{path}: found a scene in X3D; expected a robot in URDF or MJCF. `sero-mj convert "
-            f"{path} {path.stem}.toml` writes it as a scene of ours, `sero-mj view {path}` shows it"
-        )
     importer = None if ending in _ENDINGS else find_importer(path)
+    if importer is not None and importer.is_scene:
+        hints = [f"`sero-mj view {path}` shows it"]
+        if "convert" in plugins(COMMANDS):
+            hints.insert(
+                0, f"`sero-mj convert {path} {path.stem}.toml` writes it as a scene of ours"
+            )
+        raise UsageError(
+            f"{path}: found a scene; expected a robot in URDF or MJCF. {', '.join(hints)}"
+        )
     if importer is not None and not is_own_class(type(importer)):
         raise UsageError(
             f"{path}: found {ending}; expected {', '.join(_ENDINGS)}. A scene takes it as it is: "

@@ -14,7 +14,10 @@ from ..base.plugins import (
     COMMANDS,
     CONTROLLERS,
     DECOR,
+    ENGINES,
     IMPORTERS,
+    LISTED,
+    RENDERERS,
     ROBOTS,
     SOURCES,
     TARGET_MOTIONS,
@@ -23,8 +26,8 @@ from ..base.plugins import (
     load_plugin,
     plugins,
 )
-from ._arguments import command
-from ._terminal import make_console
+from .arguments import command
+from .terminal import make_console
 
 ORDER = 61  # in the help of `sero-mj`
 
@@ -61,7 +64,7 @@ def run(options: ListOptions) -> int:
         print(title)
         for name in names():
             print(f"  {name:18} {_about(find(name))}")
-    _print_environments()
+    _print_of_extensions()
     _print_plugins()
     return 0
 
@@ -85,15 +88,12 @@ def _print_known() -> None:
                 print(f"  {name}")
 
 
-def _print_environments() -> None:
-    from ..study.learning.make import TASKS
-
-    print("environments, for sero_mj.make_environment (dm_env)")
-    for robot in paths.list_models():
-        for name, task in TASKS.items():
-            about, *_ = (task.__doc__ or "").splitlines()
-            print(f"  {f'{robot}/{name}':18} {about}")
-    print("  and every scenario, with an agent in the place of its controller")
+def _print_of_extensions() -> None:
+    for point in plugins(LISTED).values():
+        title, lines = point.load()()
+        print(title)
+        for line in lines:
+            print(f"  {line}")
 
 
 _KINDS = {
@@ -104,6 +104,8 @@ _KINDS = {
     TARGET_MOTIONS: "kinds of target motions",
     DECOR: "visual features",
     TOOLS: "tools of windows and pages",
+    RENDERERS: "renderers besides the classic one",
+    ENGINES: "engines of many tasks besides the local one",
     COMMANDS: "commands",
 }
 

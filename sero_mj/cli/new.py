@@ -14,7 +14,7 @@ from ..base import paths
 from ..base.declaration import is_name
 from ..base.errors import UsageError
 from ..base.options import Option, Options, positional, whole
-from ._arguments import check_new, command, writing
+from .arguments import check_new, command, writing
 from .schema import schema_text
 
 _EPILOG = """\

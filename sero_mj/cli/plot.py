@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, Field
 from ..base.declaration import expecting
 from ..base.errors import UsageError
 from ..base.options import Option, positional
-from ._arguments import command
+from .arguments import command
 from .shared_options import Figure, PartOptions
 
 _EPILOG = """\

@@ -16,15 +16,15 @@ from pydantic import model_validator
 
 from ..base.errors import RouteError, UsageError
 from ..base.options import Duration, NotNegative, Option, Options, Time, positional
-from ._arguments import (
+from .arguments import (
     check_ending,
     command,
     read_scene,
     replay_instead,
     until_ended,
 )
-from ._terminal import make_console
 from .shared_options import Recording, SceneArgument
+from .terminal import make_console
 
 if TYPE_CHECKING:
     from ..data.record.recorder import Recorder

@@ -5,17 +5,15 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
 
 from pydantic import model_validator
 
-from ..base.errors import UsageError
 from ..base.options import Option, Time, ending
 from ..viewer.headless.film_kinds import FILMS, PASS_ENDINGS, PICTURES
 from ..viewer.headless.picture_options import FilmOptions
-from ._arguments import command, offset_of_video, progress_bar
+from .arguments import command, progress_bar
 from .shared_options import EyeOptions, OverOptions, SceneArgument, ShownOptions
 
 if TYPE_CHECKING:
@@ -108,13 +106,15 @@ class RenderOptions(SceneArgument, FilmOptions, EyeOptions, ShownOptions, OverOp
 
 def run(options: RenderOptions) -> int:
     """Renders; returns 0."""
-    from ._opening import with_scene
+    from .opening import with_scene
 
     options = with_scene(options)
     if options.clicks:  # what was hit is worth a line
         logging.getLogger("sero_mj.viewer.headless.painter").setLevel(logging.INFO)
     if options.over is not None:
-        silent = _render_over(options, Path(options.over))
+        from .background import find_background
+
+        silent = find_background().render(options, Path(options.over))
     elif options.is_film:
         scene = options.read(options.scene)
         silent = film_with_progress(scene, options.output, options, quiet=options.quiet)
@@ -135,36 +135,6 @@ def run(options: RenderOptions) -> int:
 
 
 add_to = command("render", run, RenderOptions, _EPILOG)
-
-
-def _render_over(options: RenderOptions, over: Path) -> list[str]:
-    """Renders over a photo or a video; returns the silent sources."""
-    from ..viewer.headless.over import render_film_over, render_picture_over
-    from ..viewer.photo.footage import is_photo
-
-    assert options.camera_file is not None
-    if is_photo(over):
-        if options.is_film:
-            expected = "a photo gives a picture, .png say; found a film"
-            raise UsageError(f"-o {options.output}: {expected}")
-        options.refuse(("offset",), " is for videos; --start says when of a recording a photo is")
-        scene, offset = options.read(options.scene), 0.0
-    else:
-        options.refuse(("start",), " does not go with a video; --offset says when it begins")
-        scene = options.from_its_begin().read(options.scene)
-        if options.offset is not None and not scene.sources:
-            raise UsageError("--offset is for recordings and scenarios; the scene has no sources")
-        offset = offset_of_video(scene, over, options.camera_file, options.offset, options.quiet)
-    if not options.is_film:
-        return render_picture_over(
-            scene, options.output, options, over=over, camera_file=options.camera_file,
-            at=options.at, offset=offset,
-        )  # fmt: skip
-    make_film = partial(
-        render_film_over, over=over, camera_file=options.camera_file, offset=offset,
-        duration=options.duration if options.given("duration") else None,
-    )  # fmt: skip
-    return film_with_progress(scene, options.output, options, quiet=options.quiet, make=make_film)
 
 
 def film_with_progress(

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from ..base.options import Option, positional
-from ._arguments import command, print_json, print_table
+from .arguments import command, print_json, print_table
 from .shared_options import JsonOptions
 
 ORDER = 29  # in the help of `sero-mj`

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from ..base.options import Option, Options, positional
-from ._arguments import command, writing
+from .arguments import command, writing
 from .listing import field_rows, scenario_tables, scene_tables
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -11,8 +11,9 @@ from ..base.declaration import expecting
 from ..base.errors import CsvError, UsageError
 from ..base.options import Duration, NotNegative, Option, Options, Positive, Seed
 from ..base.paths import list_scenarios
-from ._arguments import command, print_programs, read_scene
-from ._sending import Sender, SinkOptions, goes_to_shm, make_sink
+from ..base.plugins import SENDERS, plugins
+from .arguments import command, print_programs, read_scene
+from .sending import Sender, SinkOptions, goes_to_shm, make_sink
 from .shared_options import Columns, SceneArgument
 
 if TYPE_CHECKING:
@@ -45,7 +46,6 @@ the packet; or they are all numbers of the packet, in order.
 """
 
 FASTEST = 1e5  # packets/s; a Python loop does not send faster
-_FRI_CYCLE = 0.005  # s; as in many a laboratory, and no burden for one core
 ORDER = 19  # in the help of `sero-mj`
 
 
@@ -69,8 +69,8 @@ class PlayOptions(Options):
     columns: Columns = []
 
 
-class FriOptions(Options):
-    """How the controller of a robot with FRI sends.
+class ControllerOptions(Options):
+    """How the controller of a robot sends, for kinds of sources with a protocol of their own.
 
     Attributes:
         cycle: 1 to 100 ms between packets (default 5).
@@ -80,14 +80,14 @@ class FriOptions(Options):
         seed: of what is lost.
     """
 
-    title: ClassVar[str] = 'for a source of kind = "fri"'
+    title: ClassVar[str] = "to send as the controller of a robot"
     cycle: Annotated[Positive | None, Option("MS")] = None
     loss: Annotated[float, Field(ge=0, le=1), expecting("a share from 0 to 1"), Option("P")] = 0.0
     quality: Annotated[str | None, Option("NAME")] = None
     seed: Seed = 0
 
 
-class SendOptions(SceneArgument, PlayOptions, FriOptions, SinkOptions):
+class SendOptions(SceneArgument, PlayOptions, ControllerOptions, SinkOptions):
     """Play a motion to UDP or shared memory as a robot would.
 
     Attributes:
@@ -127,9 +127,10 @@ def run(options: SendOptions) -> int:
     if file is not None:
         return _send_file(options, scene, source, file)
     options.refuse(("speed", "loop", "recorded", "columns"), " is for --play FILE")
-    if source.protocol == "fri":
-        return _send_fri(options, scene, source)
-    why = ' is for a scene whose source is of kind = "fri"'
+    if source.kind in plugins(SENDERS):
+        return int(plugins(SENDERS)[source.kind].load()(options, scene, source))
+    kinds = " or ".join(f'"{name}"' for name in plugins(SENDERS))
+    why = f" is for a scene whose source is of kind = {kinds}"
     options.refuse(("cycle", "loss", "quality", "seed"), why)
     return _send_motion(options, scene)
 
@@ -272,57 +273,3 @@ def _send_simulation(options: SendOptions, scenario: Path) -> int:
         for _ in sender.run():
             pass
     return 0
-
-
-def _send_fri(options: SendOptions, scene: Scene, source: Any) -> int:
-    """Sends as the controller of the robot that the source moves; returns 0."""
-    from ..data.send.fri_controller import FriController, NetworkFaults
-    from ..data.send.sender import UdpSink
-
-    if source.is_iiwa:
-        reason = f"is {source.about}; played is FRI 1.0 of an LWR, or a recording by --play"
-        raise UsageError(f"source '{source.name}' {reason}")
-    options.refuse(("shm",), ": FRI is a protocol of UDP; leave it out")
-    options.refuse(("structure",), ": FRI fixes it; leave it out")
-    if options.cycle is not None and options.rate is not None:
-        raise UsageError("--cycle and --rate say the same; give one")
-    cycle = _FRI_CYCLE if options.rate is None else 1.0 / options.rate
-    controller = FriController(
-        scene.robots[_robot_of(scene, source.name)],
-        cycle=cycle if options.cycle is None else options.cycle / 1e3,
-        quality=options.quality or (None if source.answer else "ok"),
-        amplitude=options.amplitude,
-        faults=NetworkFaults(loss=options.loss, seed=options.seed),
-        layout=source.layout,  # with the receiver's sign of torques
-    )
-    to_port = options.port or source.udpport
-    if not to_port:
-        raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
-    with UdpSink(options.host or "127.0.0.1", to_port) as sink:
-        print(
-            f"sending FRI 1.0 measurements (916 bytes) to {sink.place} "
-            f"every {controller.cycle * 1e3:g} ms; Ctrl-C stops",
-            flush=True,
-        )
-        report = controller.run(sink, options.duration)
-    print(
-        f"made {report.packets} packets in {report.seconds:.2f} s ({report.rate:.1f} Hz), "
-        f"lost {controller.faults.withheld} on purpose, got {controller.answers} answers, "
-        f"late by {report.jitter_p50 * 1e6:.0f} us (median), {report.jitter_p99 * 1e6:.0f} us (p99)"
-        + (f", {report.refused} refused by the system" if report.refused else "")
-    )
-    return 0
-
-
-def _robot_of(scene: Scene, source: str) -> str:
-    """The robot that a source moves, or has something to say of."""
-    fed = {
-        target.partition(".")[::2]: origin
-        for target, origin in scene.routes.items()
-        if f"{source}." in str(origin)
-    }
-    names = [name for name, _ in sorted(fed, key=lambda key: not key[1].endswith("joint_angles"))]
-    found = [name for name in names if name in scene.robots]
-    if not found:
-        raise UsageError(f"no route leads from '{source}' to a robot: there is nothing to send")
-    return found[0]

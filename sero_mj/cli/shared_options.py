@@ -12,14 +12,15 @@ from pydantic import AfterValidator, model_validator
 
 from ..base import paths
 from ..base.declaration import expecting
-from ..base.errors import UsageError
+from ..base.errors import UsageError, did_you_mean
 from ..base.options import Duration, Option, Options, Time, ending, positional, whole
+from ..base.plugins import ENGINES, load_plugin, plugins
 from ..data.record.table import TABLE_ENDINGS, is_table
 from ..data.record.table_signals import parse_columns
 from ..robots.importers.package_files import ARGUMENTS_VARIABLE, PACKAGES_VARIABLE
 from ..study.figure import NO_MATPLOTLIB, SUFFIXES, has_matplotlib
 from ..viewer.headless.picture_options import EYE_DISTANCE, CameraOptions, StereoOptions
-from ._arguments import read_recorded_run, read_scene, replay_instead
+from .arguments import read_recorded_run, read_scene, replay_instead
 
 if TYPE_CHECKING:
     from ..robots.declared.scene import Scene
@@ -48,6 +49,7 @@ def _columns(text: str) -> str:
 
 Columns = Annotated[list[Annotated[str, AfterValidator(_columns)]], Option("SIGNAL=COLUMNS")]
 Count = Annotated[int, whole(1, 200_000), Option("N")]
+_LOCAL = "local"
 
 
 def is_recording(path: Path | str) -> bool:
@@ -272,37 +274,42 @@ class EngineOptions(Options):
 
     Attributes:
         jobs: how many at once (default: one per core).
-        engine: where: processes of this machine, or workers of a Dask cluster.
-        scheduler: of Dask: tcp://HOST:PORT, its file .json, or a file .toml with a table of
+        engine: where: local, processes of this machine, or one of `sero-mj list`, on a cluster.
+        scheduler: of the cluster: tcp://HOST:PORT, its file .json, or a file .toml with a table of
             dask-jobqueue, [slurm] say.
         ship: a file or folder that workers need besides what is named; may be repeated.
     """
 
     jobs: Annotated[Count | None, Option("J")] = None
-    engine: Literal["local", "dask"] = "local"
+    engine: Annotated[str, Option("NAME")] = "local"
     scheduler: Annotated[str | None, Option("ADDRESS")] = None
     ship: Annotated[list[Path], Option("PATH")] = []
 
     @model_validator(mode="after")
     def _check_engine(self) -> Self:
-        if self.engine == "dask" and self.scheduler is None:
-            raise ValueError("--engine dask: expected its --scheduler, tcp://HOST:PORT say")
-        if self.engine == "dask" and self.jobs is not None:
-            raise ValueError("--jobs and --engine dask: expected one of them")
-        if self.engine == "local" and (self.scheduler is not None or self.ship):
-            option = "--ship" if self.scheduler is None else "--scheduler"
-            raise ValueError(f"{option}: expected --engine dask as well")
+        if self.engine == _LOCAL:
+            if self.scheduler is not None or self.ship:
+                option = "--ship" if self.scheduler is None else "--scheduler"
+                known = " or ".join(plugins(ENGINES)) or "NAME"
+                raise ValueError(f"{option}: expected --engine {known} as well")
+        elif self.engine not in plugins(ENGINES):
+            names = [_LOCAL, *plugins(ENGINES)]
+            raise ValueError(f"--engine: found {self.engine}{did_you_mean(self.engine, names)}")
+        elif self.scheduler is None:
+            expected = "expected its --scheduler, tcp://HOST:PORT say"
+            raise ValueError(f"--engine {self.engine}: {expected}")
+        elif self.jobs is not None:
+            raise ValueError(f"--jobs and --engine {self.engine}: expected one of them")
         return self
 
     def make_engine(self) -> Engine:
         """Returns what does the tasks."""
-        if self.scheduler is None:
+        if self.engine == _LOCAL:
             from ..study.workers import Processes, available_cpus
 
             return Processes(self.jobs or available_cpus())
-        from ..study.cluster import Cluster
-
-        return Cluster(self.scheduler, self.ship)
+        engine: Engine = load_plugin(ENGINES, self.engine)(self.scheduler, self.ship)
+        return engine
 
 
 class PartOptions(RunOptions):

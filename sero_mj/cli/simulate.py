@@ -19,7 +19,7 @@ from ..viewer.headless.picture_options import (
     Rate,
     SizeOptions,
 )
-from ._arguments import (
+from .arguments import (
     command,
     finite,
     named_settings,
@@ -29,8 +29,8 @@ from ._arguments import (
     print_table,
     progress_bar,
 )
-from ._sending import Sender, SinkOptions, in_real_time
 from .render import PictureOrFilm, film_with_progress
+from .sending import Sender, SinkOptions, in_real_time
 from .shared_options import Figure, JsonOptions, Settings
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from ..base.errors import UnknownName
 from ..base.options import Option, Options, Port, positional
-from ._arguments import command
+from .arguments import command
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -11,9 +11,9 @@ import numpy as np
 
 from ..base.errors import UsageError
 from ..base.options import Duration
-from ._arguments import command, print_json, read_scene, replay_instead, until_ended
-from ._terminal import make_console
+from .arguments import command, print_json, read_scene, replay_instead, until_ended
 from .shared_options import JsonOptions, ReplayOptions, SceneArgument
+from .terminal import make_console
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -56,7 +56,7 @@ class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
 def run(options: StatusOptions) -> int:
     """Watches; returns 0 when every source has received something good, else 1."""
     from ..data.drive.wiring import wire
-    from ._opening import with_scene
+    from .opening import with_scene
 
     options = with_scene(options)
     scene = read_scene(options.scene, replay=options.replay)

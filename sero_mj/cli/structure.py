@@ -16,9 +16,9 @@ from pydantic import BeforeValidator, model_validator
 from ..base.declaration import expecting
 from ..base.errors import StructureError
 from ..base.options import Count, Duration, Option, Port, Positive, positional
-from ._arguments import command, print_json, read_scene
-from ._terminal import make_console
+from .arguments import command, print_json, read_scene
 from .shared_options import Flag, JsonOptions
+from .terminal import make_console
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType

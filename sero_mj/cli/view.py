@@ -17,14 +17,13 @@ from pydantic import model_validator
 from ..base import trust
 from ..base.errors import UsageError
 from ..base.options import Option, Port, Size, positional
-from ._arguments import (
+from .arguments import (
     command,
-    offset_of_video,
     read_scene,
     replay_instead,
     until_ended,
 )
-from ._browser import can_open_browser, open_in_browser
+from .browser import can_open_browser, open_in_browser
 from .shared_options import EyeOptions, OverOptions, ShownOptions
 
 if TYPE_CHECKING:
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from ..base.frames import Array
     from ..data.drive.mirror import Mirror
     from ..robots.declared.scene import Scene
-    from ..viewer.photo.camera_feed import CameraFeed, VideoFeed
     from ..viewer.session.live import LiveHost
     from ..viewer.session.recent_views import RecentView
     from ..viewer.session.view_state import ViewState
@@ -149,7 +147,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
 
 def run(options: ViewOptions) -> int:
     """Shows the scene until it is closed, or the start page until something is; returns 0."""
-    from ._opening import with_scene
+    from .opening import with_scene
 
     for folder in options.trust:
         if not folder.is_dir():
@@ -266,7 +264,7 @@ class Session:
 
         The options are then those of the new scene; nothing changes where it is wrong.
         """
-        from ._opening import view_of_file
+        from .opening import view_of_file
 
         view = what
         if isinstance(view, Path):
@@ -373,7 +371,7 @@ class Session:
         from ..viewer.session.live import SECTION
         from ..viewer.session.recent_views import RecentView, remember_view
         from ..viewer.session.restoring import keep
-        from ._opening import is_temporary
+        from .opening import is_temporary
 
         options, plain = self.options, self.plain
         view = RecentView(_absolute(options.scene), _absolute(options.replay))
@@ -412,11 +410,9 @@ class Session:
                     StereoViewport, stereo=options.stereo, eye_distance=options.eye_distance
                 )
             if options.over is not None:
-                from ..viewer.window.photo_viewport import PhotoViewport
+                from .background import find_background
 
-                feed = _feed(mirror, options)
-                stack.callback(feed.close)
-                make_viewport = partial(PhotoViewport, feed=feed)
+                make_viewport = stack.enter_context(find_background().viewport(mirror, options))
             stack.enter_context(mirror)
             window = Window(
                 mirror,
@@ -526,21 +522,6 @@ def wants_page(options: ViewOptions) -> bool:
             "--web shows the scene on a page, `sero-mj render` makes pictures and films"
         )
     return True
-
-
-def _feed(mirror: Mirror, options: OverOptions) -> CameraFeed | VideoFeed:
-    """The camera, or the video, that the scene is drawn over."""
-    from ..viewer.photo.camera_feed import CameraFeed, VideoFeed
-
-    assert options.over is not None and options.camera_file is not None
-    sources, scene = mirror.sources.values(), mirror.world.scene
-    file = Path(options.over)
-    if not file.is_file() or not sources or any(source.is_live for source in sources):
-        if options.offset is not None:
-            raise UsageError("--offset is for a video over a recording or a scenario")
-        return CameraFeed(options.over, options.camera_file)
-    offset = offset_of_video(scene, file, options.camera_file, options.offset)
-    return VideoFeed(file, options.camera_file, offset)
 
 
 def command_of(options: ViewOptions) -> list[str]:

@@ -1,8 +1,9 @@
 """What runs many tasks: `Work` is handed to an `Engine`, which yields their results.
 
-A `Job` says what is done: a scenario is run with other values (`Variants`), or a recording is
-examined (`EachRecording`). `workers.Processes` does it on this machine, `cluster.Cluster` on
-workers of Dask. This file imports little: every new process reads it.
+A `Job` says what is done: a recording is examined (`EachRecording`), say. `workers.Processes` does
+it on this machine. A package adds an engine by an entry point in the group `sero_mj.engines`: a
+class whose arguments are the values of `--scheduler` and of `--ship`. This file imports little:
+every new process reads it.
 """
 
 from __future__ import annotations
@@ -50,53 +51,6 @@ class Job(Protocol):
 
 
 @dataclass(frozen=True)
-class Variants:
-    """A `Job`: a scenario is run with other values in every task.
-
-    Attributes:
-        file: the scenario's.
-        fixed: dotted keys that are set in all of them.
-        choices: keys and values of tasks that may name files of their own.
-    """
-
-    file: Path
-    fixed: Mapping[str, Any]
-    choices: Sequence[Mapping[str, Any]] = ()
-
-    def runner(self) -> Runner:
-        """Simulates variants together where they differ in numbers only."""
-        from .variant import VariantRunner
-
-        return VariantRunner(self.file, self.fixed)
-
-    def check(self) -> None:
-        """Reads the scenario."""
-        from ..simulate.scenario_file import read_scenario
-
-        read_scenario(self.file, self.fixed)
-
-    def files(self) -> list[Path]:
-        """What is opened where the scenario, with any of the choices, is read and simulated."""
-        from .scenario_inputs import files_read
-
-        return files_read(self.file, self.fixed, self.choices)
-
-    def files_of(self, values: Mapping[str, Any]) -> list[Path]:
-        """None besides those of the choices."""
-        return []
-
-    def below(self, root: Path) -> Variants:
-        """With the names of files in what is set as well."""
-        from .scenario_inputs import below
-
-        return replace(self, file=Path(f"{root}{self.file}"), fixed=below(root, self.fixed))
-
-    def killed(self) -> dict[str, Any]:
-        """Nothing held, at no time."""
-        return {"held": False, "error": KILLED, "ended": 0.0}
-
-
-@dataclass(frozen=True)
 class EachRecording:
     """A `Job`: the same is asked of every recording, which is the `file` of its task.
 
@@ -124,13 +78,13 @@ class EachRecording:
 
     def files_of(self, values: Mapping[str, Any]) -> list[Path]:
         """The recording, which may be a folder."""
-        from .scenario_inputs import files_in
+        from .shipped_files import files_in
 
         return files_in(Path(values["file"]))
 
     def below(self, root: Path) -> EachRecording:
         """With the names of files among the plain values."""
-        from .scenario_inputs import below
+        from .shipped_files import below
 
         return replace(self, shared=below(root, self.shared))
 

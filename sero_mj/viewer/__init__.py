@@ -5,6 +5,5 @@ In: a mirror, or the user's own model and data. Out: pictures and films (`headle
 Open first: `session/live.py` (what window and page share); `decor/draw.py` (what is drawn, a
 function of the world's state), `session/interaction.py` (actions of clicks and keys), `camera.py`
 (the view). `tools/` are what pointer and keys do to robots and time, `panels/` what both hosts show
-beside the picture, `program/` is the viewer that a user's own loop steers, `photo/` is for photos,
-videos and cameras of real robots.
+beside the picture, `program/` is the viewer that a user's own loop steers.
 """

@@ -47,9 +47,7 @@ class PacketDeclaration(Declaration):
     time: str = ""
     time_scale: float = Field(1.0, gt=0, lt=1e100)
 
-    # The protocol of the sender in addition to the structure: `fri`, or none.
-    protocol: ClassVar[str] = ""
-    # The protocol that fixes these fields, so that no file may: `FRI`, or none.
+    # What fixes these fields, so that no file may: `FRI`, or nothing.
     _fixed_by: ClassVar[str] = ""
     # The origin of the structure, for kinds whose structure cannot be declared.
     _structure_is: ClassVar[str] = ""

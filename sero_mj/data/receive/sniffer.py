@@ -16,13 +16,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ...base.errors import SourceError
+from ...base.plugins import KNOWN_PACKETS, load_all
 from ._tracking import Timing
-from ._udp_socket import Batch, Datagrams, open_socket, unpack_address
 from .checksum import Recognized, recognize
-from .fri import COMMAND, MEASUREMENT
 from .language import MAX_PACKET_BYTES, TYPES
 from .mixed_layout import LARGEST, SMALLEST, mixed_layout
 from .structure import Rows, Structure, are_frames
+from .udp_socket import Batch, Datagrams, open_socket, unpack_address
 
 _KEPT_PACKETS = 16  # packets of a stream used for guesses
 _MAX_STREAMS = 100  # senders and sizes
@@ -42,11 +42,6 @@ _IN_WORDS = {
     "d": "float64", "f": "float32", "Q": "uint64", "I": "uint32", "i": "int32", "H": "uint16",
     "h": "int16", "B": "byte", "x": "byte of padding",
 }  # fmt: skip
-# Packets of commercial robots, by size: structure, row-major, and description.
-KNOWN = {
-    916: (MEASUREMENT, "KUKA FRI, measured data (LWR 4)"),
-    376: (COMMAND, "KUKA FRI, commands (LWR 4)"),
-}
 
 
 @dataclass(frozen=True)
@@ -228,13 +223,19 @@ def _guess_layouts(rows: Rows, size: int) -> list[Guess]:
     if not guesses or guesses[0].plausible < 1.0:
         known_ones = {guess.structure for guess in guesses}
         guesses[:0] = [each for each in _mixed(rows) if each.structure not in known_ones]
-    if rows.shape[1] == size and size in KNOWN:
-        text, about = KNOWN[size]
+    if rows.shape[1] == size and size in (all_known := known_packets()):
+        text, about = all_known[size]
         known = Structure(text, column_major=False)
         is_it = not known.find_wrong_constants(rows).any()
         rank = 0 if is_it else _MAX_GUESSES - 1
         guesses.insert(rank, Guess(text, False, False, about, float(is_it)))
     return guesses[:_MAX_GUESSES]
+
+
+def known_packets() -> dict[int, tuple[str, str]]:
+    """Packets of commercial robots, by size: structure, row-major, and description."""
+    found = load_all(KNOWN_PACKETS).values()
+    return {size: about for packets in found for size, about in packets.items()}
 
 
 def _mixed(rows: Rows) -> list[Guess]:

@@ -14,8 +14,10 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, field_validator
 
 from ...base.errors import Problem
-from ._scheduling import request_short_slices
-from ._udp_socket import (
+from .connecting import is_address
+from .scheduling import request_short_slices
+from .source import Source, log
+from .udp_socket import (
     BATCH,
     Batch,
     Datagrams,
@@ -24,8 +26,6 @@ from ._udp_socket import (
     open_socket,
     pack_address,
 )
-from .connecting import is_address
-from .source import Source, log
 
 # At high rates it is cheaper to gather packets; the renderer shares the interpreter with this
 # thread.

@@ -19,7 +19,7 @@ from pydantic import (
 from ...base.declaration import Declaration, Frame, Name, Point, Rgba, Vector
 from ...base.errors import Problem
 from ...base.frames import Array
-from ..importers.mesh_files import MESH_ENDINGS
+from ..importers.mesh_files import mesh_endings
 from ..importers.mjcf_file import is_mjcf_object
 
 _MJCF_KINDS = "a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF RootElement or a composer entity"
@@ -51,8 +51,8 @@ def _inside(file: str) -> str:
 
 def _of_a_mesh(file: str) -> str:
     """Returns a file name after checking its folder and that it is a mesh."""
-    if Path(_inside(file)).suffix.lower() not in MESH_ENDINGS:
-        formats = ", ".join(MESH_ENDINGS)
+    if Path(_inside(file)).suffix.lower() not in mesh_endings():
+        formats = ", ".join(mesh_endings())
         raise Problem(found=file, expected=f"a mesh ({formats})").error()
     return file
 

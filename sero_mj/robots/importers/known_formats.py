@@ -1,4 +1,4 @@
-"""The built-in importers: URDF and xacro, MJCF, X3D."""
+"""The built-in importers: URDF and xacro, and MJCF."""
 
 from __future__ import annotations
 
@@ -54,23 +54,3 @@ class Mjcf(Importer):
         from .mjcf_robot import read_mjcf
 
         return read_mjcf(path)
-
-
-class X3d(Importer):
-    """Scenes of the paper, in X3D's classic encoding, and VRML 97."""
-
-    endings: ClassVar[tuple[str, ...]] = (".x3d", ".x3dv", ".wrl")
-    is_scene: ClassVar[bool] = True
-    takes_arguments: ClassVar[bool] = False
-    order: ClassVar[int] = 30
-
-    def read(
-        self,
-        path: Path,
-        packages: Mapping[str, Path | str] | None = None,
-        arguments: Mapping[str, Any] | None = None,
-    ) -> ImportedTables:
-        """See `Importer`."""
-        from .x3d import read_x3d
-
-        return read_x3d(path)

@@ -36,11 +36,10 @@ from ...base.declaration import LARGEST
 from ...base.errors import DeclarationError, Problem, reason_of
 from ...base.frames import Array, Ints
 from ...base.paths import read_file
+from ...base.plugins import MESHES, plugins
 
-# Formats of `read_mesh`; the first three are read by MuJoCo itself.
-MESH_ENDINGS = (
-    ".stl", ".obj", ".msh", ".dae", ".wrl", ".x3dv", ".ply", ".off", ".glb", ".gltf", ".3mf",
-)  # fmt: skip
+_BY_MUJOCO = (".stl", ".obj", ".msh")  # it reads these itself
+_CONVERTED = (".dae", ".ply", ".off", ".glb", ".gltf", ".3mf")
 MOST_MESH_BYTES = 500_000_000  # of a file that MuJoCo reads (ten million triangles)
 MOST_CONVERTED_BYTES = 100_000_000  # of any other; converting takes up to 30 times as much memory
 _MAX_STL_FACES = 200_000  # MuJoCo's limit for STL files
@@ -55,6 +54,16 @@ _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute
 log = logging.getLogger(__name__)
 
 Rgba = tuple[float, float, float, float]
+
+
+def mesh_endings() -> tuple[str, ...]:
+    """Endings of the formats that `read_mesh` reads, with their dots.
+
+    A package adds a format by an entry point in the group `sero_mj.meshes`, called like the ending
+    without its dot: a function of a path, which returns for every colour vertices (v, 3), triangles
+    (f, 3), and red, green, blue, alpha (4,) or None.
+    """
+    return (*_BY_MUJOCO, *_CONVERTED, *(f".{name}" for name in plugins(MESHES)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +133,9 @@ def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
             `MOST_CONVERTED_BYTES`), of an unknown format, or has no drawable triangles.
     """
     ending = path.suffix.lower()
-    if ending not in MESH_ENDINGS:
-        raise _wrong(path, f"found '{path.suffix}'; expected {', '.join(MESH_ENDINGS)}")
-    passed = ending in MESH_ENDINGS[:3]
+    if ending not in (known := mesh_endings()):
+        raise _wrong(path, f"found '{path.suffix}'; expected {', '.join(known)}")
+    passed = ending in _BY_MUJOCO
     try:
         status = path.stat()
         key = (str(path.absolute()), status.st_ino, status.st_mtime_ns, status.st_size)
@@ -402,7 +411,8 @@ def _mean_color(picture: Any) -> Rgba | None:
 
 
 def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...]:
-    read = _READERS.get(ending, _trimesh_parts)
+    of_extension = ending[1:] in plugins(MESHES)
+    read = _extension_parts if of_extension else _READERS.get(ending, _trimesh_parts)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of libraries about their own dependencies
@@ -572,11 +582,9 @@ def _collada_opacity(effect: Any) -> float:
     return float(1.0 - opacity if mode.endswith("ZERO") else opacity)
 
 
-def _wrl_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
-    from .wrl import read_wrl
-
+def _extension_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
     parts = []
-    for vertices, faces, color in read_wrl(path):
+    for vertices, faces, color in plugins(MESHES)[ending[1:]].load()(path):
         rgba: Rgba | None = None
         if color is not None:
             red, green, blue, alpha = (float(value) for value in color)
@@ -656,4 +664,4 @@ def _trimesh_color(mesh: Any) -> Rgba | None:
     return None if color is None else _rgba(color, 1.0 if mode == "OPAQUE" else main[3])
 
 
-_READERS = {".dae": _collada_parts, ".wrl": _wrl_parts, ".x3dv": _wrl_parts}
+_READERS = {".dae": _collada_parts}

@@ -11,7 +11,6 @@ from ...base.declaration import expecting
 from ...base.options import Duration, Option, Options, Positive, Size, Time
 
 Quality = Literal["draft", "normal", "fine"]
-RendererName = Literal["classic", "filament"]
 Stereo = Literal["side-by-side", "anaglyph"]
 DEFAULT_SIZE = (1280, 800)
 EYE_DISTANCE = 0.065  # m, of people
@@ -62,13 +61,13 @@ class SizeOptions(Options):
         size: width and height, pixels.
         quality: draft: neither shadows nor smooth edges, in a fraction of the time where OpenGL is
             software; fine: for print, with 300 dots per inch; its films blur what moves.
-        renderer: filament: soft shadows, occlusion and materials, with Vulkan; classic: OpenGL
-            (default: filament for --quality fine where it runs, else classic).
+        renderer: classic: OpenGL; or one of an extension, of which `doctor` tells (default: one
+            with soft shadows for --quality fine where it runs, else classic).
     """
 
     size: Size = DEFAULT_SIZE
     quality: Quality = "normal"
-    renderer: RendererName | None = None
+    renderer: Annotated[str | None, Option("NAME")] = None
 
 
 class StereoOptions(Options):

@@ -51,10 +51,9 @@ from .picture_options import (
     Pass,
     PictureOptions,
     Quality,
-    RendererName,
     Stereo,
 )
-from .renderer_choice import choose_renderer, make_filament
+from .renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
 from .textures import upload_textures, without_textures
 
 log = logging.getLogger(__name__)
@@ -116,7 +115,7 @@ def offscreen_size(
 
 
 class ClassicRenderer(mujoco.Renderer):  # type: ignore[misc]
-    """MuJoCo's renderer on OpenGL, with the methods of a `FilamentRenderer`."""
+    """A `SceneRenderer` that is MuJoCo's renderer on OpenGL."""
 
     def follow(self, data: mujoco.MjData) -> None:
         """Does nothing: its scene holds all that it draws."""
@@ -136,10 +135,10 @@ class HeadlessRenderer(Painter):
         eye_distance: between the eyes, m.
         follow: the robot, group or frame that the free camera moves with; that of the scene's view
             when None.
-        renderer: `classic` for OpenGL, `filament` for soft shadows and occlusion on Vulkan; None
-            for `filament` where it runs for the quality `fine`, else `classic`. Where Filament does
-            not run, the classic renderer draws, and a warning is logged that says why.
-        frames: about how many will be drawn, see `FilamentRenderer`.
+        renderer: `classic` for OpenGL, or the name of a `Renderer` of an extension; None for one
+            that is meant for the quality `fine`, if asked for, else `classic`. Where it does not
+            run, the classic renderer draws, and a warning is logged that says why.
+        frames: about how many will be drawn.
 
     Attributes:
         world: the world.
@@ -165,7 +164,7 @@ class HeadlessRenderer(Painter):
         stereo: Stereo | None = None,
         eye_distance: float = EYE_DISTANCE,
         follow: str | None = None,
-        renderer: RendererName | None = None,
+        renderer: str | None = None,
         frames: int = 1,
     ) -> None:
         check_stereo(stereo, eye_distance)
@@ -189,15 +188,16 @@ class HeadlessRenderer(Painter):
         self.decor = SceneDecor(world, with_text=False)
         drawn, tall = self._half[0] * self._scale, height * self._scale
         is_draft = quality == "draft"
-        self.renderer: RendererName = choose_renderer(renderer, quality, drawn, tall)
-        if self.renderer == "filament":
-            self._renderer, self._surroundings = make_filament(
+        self.renderer = choose_renderer(renderer, quality, drawn, tall)
+        self._renderer: SceneRenderer
+        if self.renderer == CLASSIC:
+            classic = self._renderer = make_renderer(world, drawn, tall, is_draft=is_draft)
+            # A new renderer's OpenGL context is the current one.
+            self._surroundings = added_surroundings(world, context_of(classic))
+        else:
+            self._renderer, self._surroundings = renderers()[self.renderer].make(
                 world, drawn, tall, quality, frames=frames
             )
-        else:
-            self._renderer = make_renderer(world, drawn, tall, is_draft=is_draft)
-            # A new renderer's OpenGL context is the current one.
-            self._surroundings = added_surroundings(world, context_of(self._renderer))
         if is_draft:
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self._typesetter = Typesetter(line_height(world, *self._half))

@@ -1,0 +1,135 @@
+"""Asks the same of many recordings, by what `--engine` names; a row for each in a table."""
+
+from __future__ import annotations
+
+import csv
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..base.errors import ClusterError
+from .arguments import pace, print_json, print_table, progress_bar, writing
+from .shared_options import EngineOptions, JsonOptions
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_MISSING = "there is no such file"
+Rows = list[tuple[Path, dict[str, Any]]]  # a recording and its outcomes
+
+
+def ask_each(
+    options: EngineOptions,
+    study: str,
+    recordings: Sequence[Path],
+    needed: Sequence[Path] = (),
+    *,
+    quiet: bool = False,
+) -> Rows:
+    """Returns the outcomes of every recording in their order; fewer where it was stopped.
+
+    Args:
+        options: of the command, which the study is given as plain values.
+        study: `module:name` of a function of these values and a recording's path, which returns
+            outcomes by column.
+        recordings: files, or folders.
+        needed: further files that the options name.
+        quiet: no progress bar.
+    """
+    from ..study.engine import EachRecording, Work
+
+    shared = options.model_dump(mode="json", exclude_unset=True)
+    missing = {k: _MISSING for k, path in enumerate(recordings) if not path.exists()}
+    tasks = [(k, {"file": str(path.absolute())}) for k, path in enumerate(recordings)
+             if k not in missing]  # fmt: skip
+    job = EachRecording(study, _with_whole_paths(shared, needed), needed)
+    engine, begin = options.make_engine(), time.perf_counter()
+    found: dict[int, dict[str, Any]] = {k: {"error": text} for k, text in missing.items()}
+
+    def note() -> str:
+        return pace(len(found), begin, engine.workers)
+
+    with (
+        progress_bar("recordings", quiet=quiet, note=note) as update,
+        closing(engine.run(Work(job, tasks))) as results,
+        _stopped(found, len(recordings)),
+    ):
+        update(len(found), len(recordings))
+        for number, result in results:
+            path = recordings[number]
+            error = result["error"].replace(str(path.absolute()), str(path))
+            found[number] = {**result, "error": error}
+            update(len(found), len(recordings))
+    return [(path, found[k]) for k, path in enumerate(recordings) if k in found]
+
+
+def _with_whole_paths(shared: Mapping[str, Any], needed: Sequence[Path]) -> dict[str, Any]:
+    """The options with whole paths of files, wherever a worker is."""
+    whole = {path.absolute() for path in needed}
+    return {
+        key: str(Path(value).absolute())
+        if isinstance(value, str) and Path(value).absolute() in whole
+        else value
+        for key, value in shared.items()
+    }
+
+
+@contextmanager
+def _stopped(found: Mapping[int, Any], count: int) -> Iterator[None]:
+    """Keeps what has come where its user stops it, or a cluster ends."""
+    try:
+        yield
+    except (KeyboardInterrupt, ClusterError) as error:
+        if isinstance(error, ClusterError):
+            if not found:
+                raise
+            print(f"sero-mj: {error}", file=sys.stderr)
+        print(f"sero-mj: stopped after {len(found)} of {count} recordings", file=sys.stderr)
+
+
+def tell(
+    rows: Rows,
+    options: JsonOptions,
+    to: Path | None,
+    table_of: Callable[[], Table],
+    *,
+    quiet: bool,
+) -> int:
+    """Writes and prints rows, and errors; returns how many recordings were not examined.
+
+    Args:
+        rows: as of `ask_each`.
+        options: whether JSON is printed.
+        to: a file for the rows, or None.
+        table_of: makes the table for a terminal.
+        quiet: no table.
+    """
+    if to is not None:
+        _write(rows, to)
+    if options.as_json:
+        print_json([{"recording": str(path), **row} for path, row in rows])
+    elif not quiet:
+        print_table(table_of())
+    errors = [(path, row["error"]) for path, row in rows if row["error"]]
+    for path, error in errors:
+        print(f"sero-mj: {error if str(path) in error else f'{path}: {error}'}", file=sys.stderr)
+    return len(errors)
+
+
+def _write(rows: Rows, path: Path) -> None:
+    """Writes a table (.csv): a row for each recording, and a column for each outcome of any."""
+    outcomes = dict.fromkeys(key for _, row in rows for key in row if key != "error")
+    with writing(), path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, ["recording", *outcomes, "error"], restval="")
+        table.writeheader()
+        table.writerows({"recording": name, **row} for name, row in rows)
+
+
+def status(rows: Rows, count: int, failed: int) -> int:
+    """The exit status: 130 where it was stopped, 2 where a recording was not examined, else 0."""
+    if len(rows) < count:
+        return 130
+    return 2 if failed else 0

@@ -1,0 +1,679 @@
+"""`Search`: finds the kinds and times of differences that explain a robot's residuals.
+
+See `explain` for the effects of each kind. Each kind is a linear regression between two edges in
+time; with cumulative sums over rows, every pair of edges is evaluated at constant cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import erf
+from typing import Any
+
+import numpy as np
+
+from ...base.frames import Array, Bools
+from ...study.explanation import FLANGE, LINKS, MOST_SURE, Explanation, Kind, Part
+from .torque_residuals import DELAYS, TorqueResiduals
+
+_erf = np.vectorize(erf)
+LEAST_EFFECT = 5e-4  # of the torque limit, root mean square while it acts
+LEAST_ROWS = 8  # of a stretch
+# Noise floor: of the torque limit, of the torque, and of its rate (times s).
+_FLOOR, _FLOOR_SHARE, _FLOOR_TIME = 1e-4, 1e-3, 2e-3
+_MIN_SHARE = 0.08  # of the largest effect at a joint; smaller ones are not reported
+_MIN_SCORE = 12.0  # minimum improvement over no explanation
+_ROWS_PER_FACT = 2.0  # low-pass filtered rows are correlated
+_MAX_PER_JOINT = 3
+_ROUNDS = 40
+_MIN_VARIANCE = 1e-3  # of residuals in units of their standard deviations
+# Number of differing joints above which a payload is fitted without one of them; and how many of
+# these are tried.
+_MIN_JOINTS, _MAX_TRIED = 3, 2
+_GRID, _ROUNDS_OF_EDGES = 18, 3
+# Prior standard deviations: gain, share of the torque limit, payload (SI), masses.
+_GAIN, _SHARE = 1.0, 0.1
+_LATE, _NEAR = 1.3, (0.4, 2.0)  # of the factor by which a delay is fitted
+_TRIED_DELAYS = (0.002, 0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, before they are refined
+_ROUNDS_OF_DELAYS, _EXACT = 4, 0.02
+_MAX_GAIN = 2.6  # away from 1
+_MIN_SIGN = 1.3  # likewise, above which the sign is wrong
+_PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
+_MASSES, _ENCODER = np.array([0.5]), np.array([0.1])
+_MAX_ENCODERS, _MAX_OFFSET = 2, 0.2  # rad or m, for which torques change in proportion
+# kg; of the links' masses; rad or m.
+_LEAST: dict[Kind, float] = {"payload": 0.03, "masses": 0.005, "encoder": 5e-4}
+_RESIDUAL_RATIO = 0.1  # of the squared residuals of another explanation
+_UNEXPLAINED = 0.002  # of the torque limit
+_MIN_PUSHED = 2  # minimum number of joints with an unknown torque for it to act on others as well
+
+
+@dataclass(frozen=True, eq=False)
+class _Common:
+    """A kind that all joints' torques show together.
+
+    Attributes:
+        place: `FLANGE`, `LINKS`, or the joint whose encoder it is.
+        torques: at the links per unit of each parameter, (K, n, p).
+        priors: (p,).
+        is_constant: whether it is so during the whole run.
+    """
+
+    kind: Kind
+    part: Part
+    place: str
+    torques: Array
+    priors: Array
+    is_constant: bool = False
+
+
+@dataclass(eq=False)
+class _Fit:
+    """The best explanation of a joint's residuals, or of all joints' (`joint` is -1)."""
+
+    joint: int
+    kind: Kind
+    part: Part
+    columns: Array  # (2, K, n, p), in units of the residuals' standard deviations
+    priors: Array  # (p,)
+    edges: tuple[int, int]  # in half rows, see `_Edges`
+    gain: float  # improvement of the score over no explanation
+    parameters: Array
+    errors: Array
+    delay: float = 0.0
+    confidence: float = 0.0
+    used: Bools | None = None  # joints used for the fit; all when None
+    common: _Common | None = None  # of all joints
+
+    @property
+    def is_on_link(self) -> bool:
+        """Whether the unexplained torque acts on the links."""
+        return self.part == "joint"
+
+
+class _Edges:
+    """Begin and end times of an effect, in half rows, after the low-pass filter.
+
+    Edge 0 is the start, edge 2 K - 1 the end; edge e between is at e / 2 rows. After the filter a
+    step is the integral of a Gaussian.
+
+    Args:
+        rows: K.
+        sharpness: rows per standard deviation of the low-pass filter.
+    """
+
+    def __init__(self, rows: int, sharpness: float) -> None:
+        self.rows, self.end = rows, 2 * rows - 1
+        distance = np.arange(rows)[None, :] - 0.5 * np.arange(2 * rows)[:, None]
+        self._on = 0.5 * (1.0 + _erf(distance * sharpness / np.sqrt(2.0)))
+        self._on[0], self._on[-1] = 1.0, 0.0
+
+    def share(self, first: int, last: int) -> Array:
+        """The filtered share of an effect between two edges, (K,)."""
+        return np.asarray(self._on[first] - self._on[last])
+
+    def sums(self, X: Array, y: Array) -> _Sums:
+        """Normal equations between any two edges.
+
+        Args:
+            X: columns, (c, K, p).
+            y: (c, K).
+        """
+        K, p = X.shape[1:]
+        squares = np.einsum("ckp,ckq->kpq", X, X).reshape(K, p * p)
+        products = np.einsum("ckp,ck->kp", X, y)
+        known = (X != 0.0).any(axis=(0, 2)).astype(np.float64)
+        # Before the last edge the share is 1 minus that of the effect after it.
+        begun, ended = self._on**2 @ squares, (1.0 - (1.0 - self._on) ** 2) @ squares
+        return _Sums(
+            begun.reshape(-1, p, p), ended.reshape(-1, p, p), self._on @ products, self._on @ known
+        )
+
+    def best(self, scores: Any) -> tuple[int, int, float]:
+        """The edges with the best score, and the score.
+
+        Args:
+            scores: of arrays of first and last edges.
+        """
+        # A temporary effect is not explained by its begin alone, so pairs are tried first.
+        grid = np.unique(np.linspace(0, self.end, _GRID).astype(int))
+        pairs = np.array([(i, j) for i in grid for j in grid if i < j]).T
+        found = scores(*pairs)
+        first, last = pairs[:, int(np.argmax(found))].tolist()
+        score = -np.inf
+        for _ in range(_ROUNDS_OF_EDGES):
+            firsts = np.arange(last)
+            found = scores(firsts, np.full(len(firsts), last))
+            first = int(np.argmax(found))
+            lasts = np.arange(first + 1, self.end + 1)
+            found = scores(np.full(len(lasts), first), lasts)
+            last = int(lasts[np.argmax(found)])
+            if found.max() <= score:
+                break
+            score = float(found.max())
+        return first, last, score
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """What `_Edges.sums` found: (E, p, p), (E, p, p), (E, p) and (E,)."""
+
+    begun: Array
+    ended: Array
+    products: Array
+    known: Array
+
+    def between(self, first: Any, last: Any) -> tuple[Array, Array, Array]:
+        """Normal equations, and the number of rows."""
+        return (
+            self.begun[first] - self.ended[last],
+            self.products[first] - self.products[last],
+            self.known[first] - self.known[last],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A kind, with its effects on the residuals of link and motor per unit of each parameter."""
+
+    kind: Kind
+    part: Part
+    columns: Sequence[tuple[Array, Array]]  # (K, n) each
+    priors: Array  # (n, p)
+    delay: float = 0.0  # s, of columns that are about it
+    later: Callable[[float], _Candidate] | None = None  # the same kind with another delay
+
+
+def _delayed(
+    part: Part, late: Array, sides: tuple[float, float], priors: Array, delay: float
+) -> _Candidate:
+    """The candidate of a delay.
+
+    Args:
+        part: that is late.
+        late: (D, K, n), change of the torque by each of `DELAYS`.
+        sides: its factors in the residuals of link and motor.
+        priors: (n, 1).
+        delay: s.
+    """
+    delay = float(np.clip(delay, DELAYS[0], DELAYS[-1]))
+    k = min(int(np.searchsorted(DELAYS, delay, side="right")) - 1, len(DELAYS) - 2)
+    share = (delay - DELAYS[k]) / (DELAYS[k + 1] - DELAYS[k])
+    change = late[k] + share * (late[k + 1] - late[k])
+    columns = [(sides[0] * change, sides[1] * change)]
+    again = partial(_delayed, part, late, sides, priors)
+    return _Candidate("delay", part, columns, priors, delay, again)
+
+
+class Search:
+    """Searches for explanations, best first."""
+
+    def __init__(
+        self,
+        found: TorqueResiduals,
+        without: Sequence[Explanation],
+        noisy: Sequence[Explanation] = (),
+    ) -> None:
+        self.found = found
+        self.n = found.robot.n
+        residuals = np.stack([found.link, found.motor])
+        for each in without:  # already explained rows carry no further information
+            joint = found.robot.names.index(each.joint)
+            rows = found.times > each.begin - 0.15
+            if each.end is not None:
+                rows &= found.times < each.end + 0.15
+            sides = slice(None) if each.part == "torque sensor" else 1
+            residuals[sides, rows, joint] = np.nan
+        still = np.maximum(_spread(residuals), _FLOOR * found.scale)
+        moving = np.hypot(_FLOOR_SHARE * found.model, _FLOOR_TIME * found.rates)
+        self.sigma = np.hypot(still[:, None], np.nan_to_num(moving))  # (2, K, n)
+        for each in noisy:  # the effect of noise on residuals is not evidence of anything else
+            joint, rows = found.robot.names.index(each.joint), found.times >= each.begin
+            if rows.sum() > LEAST_ROWS:
+                rough = _spread(residuals[:, rows])[:, joint]
+                self.sigma[:, rows, joint] = np.hypot(self.sigma[:, rows, joint], rough[:, None])
+        self.known = np.isfinite(residuals)
+        self.y = np.where(self.known, residuals / self.sigma, 0.0)
+        self.left = self.y.copy()
+        self.count = np.maximum(self.known.sum(axis=(0, 1)), 1)  # (n,)
+        self.facts = np.maximum(self.count / _ROWS_PER_FACT, 2.0)
+        self.edges = _Edges(len(found.times), found.step / found.width)
+        self.fits: list[_Fit] = []
+        for _ in range(_ROUNDS):
+            best = self._best()
+            if best is None:
+                break
+            self.fits.append(best)
+            self._refit()
+
+    def _candidates(self) -> list[_Candidate]:
+        found, zero = self.found, np.zeros_like(self.found.link)
+        one = np.ones_like(zero)
+        has_link = bool(self.known[0].any())
+        true, late = found.model, found.late_model
+        for fit in self.fits:  # sensors also measure a payload, say, or at other angles
+            if fit.common is not None:
+                seen = self.edges.share(*fit.edges)[:, None]
+                extra = seen * np.nan_to_num(fit.common.torques @ fit.parameters)
+                slope = np.gradient(extra, found.step, axis=0)
+                true, late = true + extra, late - DELAYS[:, None, None] * slope
+        if not has_link:
+            true = found.commanded - found.lag + np.nan_to_num(found.motor)
+        # Joint torque control regulates the measured torque, whatever the sensor's error.
+        seen_by_drive = 0.0 if found.torque_control else 1.0
+        sensor: Part = "torque sensor" if has_link else "sensor or drive"
+        torque = _SHARE * found.scale[:, None]
+        gain, factor = np.full((self.n, 1), _GAIN), np.full((self.n, 1), _LATE)
+        told: list[_Candidate] = []
+        if has_link or not found.torque_control:
+            told += [
+                _Candidate("gain", "torque sensor", [(true, -seen_by_drive * true)], gain),
+                _Candidate("bias", sensor, [(one, -seen_by_drive * one)], torque),
+            ]
+            told += [
+                _delayed("torque sensor", late, (1.0, -seen_by_drive), factor, delay)
+                for delay in _TRIED_DELAYS
+            ]
+        if self.known[1].any():
+            if not found.torque_control:
+                friction = [(zero, found.signs), (zero, found.velocities)]
+                told.append(_Candidate("friction", "joint", friction, torque.repeat(2, axis=1)))
+            told.append(_Candidate("gain", "drive", [(zero, -found.commanded)], gain))
+            told += [
+                _delayed("drive", found.late_commanded, (0.0, -1.0), factor, delay)
+                for delay in _TRIED_DELAYS
+            ]
+            if has_link:
+                told.append(_Candidate("bias", "drive", [(zero, -one)], torque))
+        return told
+
+    def _best(self) -> _Fit | None:
+        """The next explanation: of all joints together, or of the joint with the largest gain."""
+        fits = self._singles()
+        first = max(fits, key=lambda fit: fit.gain, default=None)
+        if first is None or not self.known[0].any():
+            return first
+        # If a joint has its own fault, common effects are fitted by the others.
+        without = [None, *range(self.n)] if len(fits) >= _MIN_JOINTS else [None]
+        alternative = sum(fit.gain for fit in fits)
+        totals: list[tuple[float, _Fit]] = []
+        for common in self._commons():
+            sums = self._sums_of(common)
+            tried = [self._of_all_joints(common, *sums, joint) for joint in without]
+            found = [fit for fit in tried if fit is not None]
+            found.sort(key=lambda fit: -fit.gain)
+            totals += [
+                (total, fit) for fit in found[:_MAX_TRIED]
+                if (total := self._total_with(fit)) is not None
+            ]  # fmt: skip
+        if not totals:
+            return first
+        most, best = max(totals, key=lambda each: each[0])
+        if most <= alternative:
+            return first
+        rivals = [total for total, fit in totals if fit.common is not best.common]
+        best.confidence = _odds([most, alternative, *rivals])
+        return best
+
+    def _total_with(self, common: _Fit) -> float | None:
+        """The score of a fit of all joints, and of fits of its residuals; None for none."""
+        self.fits.append(common)
+        self.left -= common.columns @ common.parameters
+        others = self._singles()
+        self.left += common.columns @ common.parameters
+        self.fits.pop()
+        # A joint may be left out for its own fault, not because it does not fit.
+        unfit = [fit for fit in others if fit.kind == "unexplained" and fit.is_on_link
+                 and common.used is not None and not common.used[fit.joint]]  # fmt: skip
+        return None if unfit else common.gain + sum(fit.gain for fit in others)
+
+    def _singles(self) -> list[_Fit]:
+        """The best separate explanation of every joint, if there is one."""
+        candidates = self._candidates()
+        found = [self._best_of(joint, candidates) for joint in range(self.n)]
+        return [fit for fit in found if fit is not None]
+
+    def _best_of(self, joint: int, candidates: Sequence[_Candidate]) -> _Fit | None:
+        mine = [fit for fit in self.fits if fit.joint == joint]
+        total = float((self.left[:, :, joint] ** 2).sum())
+        most = _evidence(total, 0.0, self.count[joint], self.facts[joint])
+        if len(mine) >= _MAX_PER_JOINT or most < _MIN_SCORE:
+            return None
+        told = {(fit.kind, fit.part) for fit in mine}
+        new = [each for each in candidates if (each.kind, each.part) not in told]
+        fits = [self._refined(joint, each) for each in new]
+        fits += [self._unknown(joint, side) for side in (0, 1)]
+        known = [fit for fit in fits if fit is not None]
+        best = max(known, key=lambda fit: fit.gain, default=None)
+        if best is None or best.gain < _MIN_SCORE or not self._matters(best):
+            return None
+        rivals = [fit.gain for fit in known if (fit.kind, fit.part) != (best.kind, best.part)]
+        best.confidence = _odds([best.gain, *rivals, 0.0])
+        return best
+
+    def _refined(self, joint: int, candidate: _Candidate) -> _Fit | None:
+        """The interval in which a kind explains most, and the best delay.
+
+        Effects of delays are not proportional to each other: fast changes distinguish them.
+        """
+        fit = self._fitted(joint, candidate)
+        for _ in range(_ROUNDS_OF_DELAYS):
+            if fit is None or candidate.later is None or abs(fit.parameters[0] - 1.0) < _EXACT:
+                break
+            other = candidate.later(fit.delay * float(fit.parameters[0]))
+            better = self._fitted(joint, other, fit.edges)
+            if better is None or better.gain <= fit.gain:
+                break
+            fit = better
+        return fit
+
+    def _fitted(
+        self, joint: int, candidate: _Candidate, edges: tuple[int, int] | None = None
+    ) -> _Fit | None:
+        """A kind in the interval in which it explains most, or in a given one."""
+        columns = np.stack([np.stack([side[:, joint] for side in column])
+                            for column in candidate.columns], axis=-1)  # fmt: skip
+        scaled = columns / self.sigma[:, :, joint, None]
+        X = np.where(self.known[:, :, joint, None] & np.isfinite(scaled), scaled, 0.0)
+        y, priors = self.left[:, :, joint], candidate.priors[joint]
+        sums, inverse = self.edges.sums(X, y), np.diag(1.0 / priors**2)
+        total, count, facts = float((y * y).sum()), self.count[joint], self.facts[joint]
+
+        def scores(first: Any, last: Any) -> Array:
+            H, g, rows = sums.between(first, last)
+            phi = np.linalg.solve(H + inverse, g[..., None])[..., 0]
+            gains = 2.0 * np.einsum("kp,kp->k", g, phi) - np.einsum("kp,kpq,kq->k", phi, H, phi)
+            ends = 0.0 + (np.asarray(first) > 0) + (np.asarray(last) < self.edges.end)
+            price = (len(priors) + ends) * np.log(facts)
+            better = _evidence(total, total - np.clip(gains, 0.0, total), count, facts) - price
+            return np.where(rows >= LEAST_ROWS, better, -np.inf)
+
+        if edges is None:
+            first, last, gain = self.edges.best(scores)
+        else:
+            first, last = edges
+            gain = float(scores(np.array([first]), np.array([last]))[0])
+        if not gain > 0.0:
+            return None
+        H, g, _ = sums.between(first, last)
+        parameters, errors = _solved(H, g, inverse, total, int(count))
+        if candidate.kind == "gain" and abs(parameters[0]) > _MAX_GAIN:
+            return None
+        if candidate.delay and not _NEAR[0] < parameters[0] < _NEAR[1]:
+            return None
+        whole = np.zeros((*self.y.shape, len(priors)))
+        whole[:, :, joint] = X * self.edges.share(first, last)[:, None]
+        return _Fit(joint, candidate.kind, candidate.part, whole, priors, (first, last), gain,
+                    parameters, errors, candidate.delay)  # fmt: skip
+
+    def _unknown(self, joint: int, side: int) -> _Fit | None:
+        """An arbitrary torque far above noise on one side of a joint.
+
+        It has as many parameters as there are data, so any simpler explanation is preferred.
+        """
+        y = self.left[side, :, joint]
+        least = _UNEXPLAINED * self.found.scale[joint] / self.sigma[side, :, joint]
+        over = np.flatnonzero(np.abs(y) > np.maximum(least, 6.0))
+        if not len(over) or over[-1] - over[0] < LEAST_ROWS // 2:
+            return None
+        rows = slice(max(int(over[0]) - 2, 0), min(int(over[-1]) + 3, len(y)))
+        total, facts = float((self.left[:, :, joint] ** 2).sum()), self.facts[joint]
+        gain = _evidence(total, total - float((y[rows] ** 2).sum()), self.count[joint], facts)
+        count = np.count_nonzero(self.known[side, rows, joint]) / _ROWS_PER_FACT
+        whole = np.zeros((*self.y.shape, 1))
+        whole[side, rows, joint, 0] = y[rows]
+        last = self.edges.end if rows.stop >= len(y) else 2 * rows.stop
+        return _Fit(joint, "unexplained", "joint" if side == 0 else "drive", whole, np.ones(1),
+                    (2 * rows.start, last), float(gain - (count + 2.0) * np.log(facts)),
+                    np.ones(1), np.array([np.nan]))  # fmt: skip
+
+    def _commons(self) -> list[_Common]:
+        """What all joints may show together and is not explained yet."""
+        found, names = self.found, self.found.robot.names
+        masses = found.model[..., None]
+        commons = [
+            _Common("payload", "flange", FLANGE, found.payload, _PAYLOAD),
+            _Common("masses", "links", LINKS, masses, _MASSES, is_constant=True),
+        ]
+        # To try all encoders with all times would take long: those that explain most all along.
+        scaled = found.by_angle / self.sigma[0][..., None]
+        scaled = np.where(self.known[0][..., None] & np.isfinite(scaled), scaled, 0.0)
+        squares = (scaled**2).sum(axis=(0, 1)) + 1.0 / _ENCODER**2
+        gains = np.einsum("kij,ki->j", scaled, self.left[0]) ** 2 / squares
+        commons += [
+            _Common("encoder", "encoder", names[j], -found.by_angle[:, :, [j]], _ENCODER)
+            for j in np.argsort(-gains)[:_MAX_ENCODERS]
+        ]
+        told = {(fit.common.kind, fit.common.place) for fit in self.fits if fit.common}
+        return [each for each in commons if (each.kind, each.place) not in told]
+
+    def _sums_of(self, common: _Common) -> tuple[Array, list[_Sums]]:
+        """Its torques by the residuals' deviations, and normal equations joint by joint."""
+        link = common.torques / self.sigma[0, :, :, None]
+        link = np.where(self.known[0][..., None] & np.isfinite(link), link, 0.0)
+        sums = [self.edges.sums(link[None, :, j], self.left[:1, :, j]) for j in range(self.n)]
+        return link, sums
+
+    def _of_all_joints(
+        self, common: _Common, link: Array, sums: list[_Sums], without: int | None
+    ) -> _Fit | None:
+        """What all joints show together, by all of them, or all but one."""
+        used = np.arange(self.n) != (-1 if without is None else without)
+        inverse = np.diag(1.0 / common.priors**2)
+        totals, facts = (self.left**2).sum(axis=(0, 1)), float(self.facts.sum())
+
+        def scores(first: Any, last: Any) -> Array:
+            parts = [each.between(first, last) for each in sums]
+            H = np.stack([part[0] for part in parts], axis=1)  # (k, n, 10, 10)
+            g = np.stack([part[1] for part in parts], axis=1)
+            all_H = H[:, used].sum(axis=1)
+            regular = all_H + inverse
+            phi = np.linalg.solve(regular, g[:, used].sum(axis=1)[..., None])[..., 0]
+            cut = 2.0 * np.einsum("knp,kp->kn", g, phi) - np.einsum("kp,knpq,kq->kn", phi, H, phi)
+            count = np.trace(np.linalg.solve(regular, all_H), axis1=1, axis2=2)
+            better = _evidence(totals, totals - np.minimum(cut, totals), self.count, self.facts)
+            ends = 0.0 + (np.asarray(first) > 0) + (np.asarray(last) < self.edges.end)
+            enough = np.asarray(last) - np.asarray(first) >= 2 * LEAST_ROWS
+            return np.where(enough, better.sum(axis=1) - (count + ends) * np.log(facts), -np.inf)
+
+        if common.is_constant:
+            first, last = 0, self.edges.end
+            gain = float(scores(np.array([first]), np.array([last]))[0])
+        else:
+            first, last, gain = self.edges.best(scores)
+        if not gain > _MIN_SCORE:
+            return None
+        parts = [sums[j].between(first, last) for j in np.flatnonzero(used)]
+        H, g = (
+            np.sum([part[0] for part in parts], axis=0),
+            np.sum([part[1] for part in parts], axis=0),
+        )
+        parameters, errors = _solved(H, g, inverse, float(totals.sum()), int(self.count.sum()))
+        columns = np.zeros((*self.y.shape, len(common.priors)))
+        columns[0] = link * self.edges.share(first, last)[:, None, None]
+        fit = _Fit(-1, common.kind, common.part, columns, common.priors, (first, last), gain,
+                   parameters, errors, used=used, common=common)  # fmt: skip
+        seen = np.ix_(self.edges.share(first, last) > 0.5, used)
+        before = float((self.left[0][seen] ** 2).sum())
+        after = float(((self.left - columns @ parameters)[0][seen] ** 2).sum())
+        if common.kind == "encoder" and abs(parameters[0]) > _MAX_OFFSET:
+            return None
+        is_clear = abs(parameters[0]) > max(_LEAST[common.kind], 3.0 * errors[0])
+        return fit if is_clear and after < 0.4 * before and self._matters(fit) else None
+
+    def _effects(self, fit: _Fit) -> Array:
+        """Of a fit at every joint, root mean square while it acts, of the larger side, (n,)."""
+        effect = (fit.columns @ fit.parameters) * self.sigma
+        seen = self.edges.share(*fit.edges) > 0.5
+        known = np.maximum(self.known[:, seen].sum(axis=1), 1)
+        return np.asarray(np.sqrt((effect[:, seen] ** 2).sum(axis=1) / known).max(axis=0))
+
+    def _matters(self, fit: _Fit) -> bool:
+        """Whether it is above zero, and not a small part of the other explanations."""
+        effects = self._effects(fit)
+        if fit.joint < 0:
+            return bool((effects > LEAST_EFFECT * self.found.scale).any())
+        others = [self._effects(each)[fit.joint] for each in self.fits]
+        least = LEAST_EFFECT * self.found.scale[fit.joint]
+        return bool(effects[fit.joint] > max([least, *(_MIN_SHARE * each for each in others)]))
+
+    def _refit(self) -> None:
+        """Refits all explanations, each to the residuals of the others, and subtracts them."""
+        for _ in range(4 if len(self.fits) > 1 else 1):
+            for fit in self.fits:
+                if fit.kind == "unexplained":
+                    continue
+                others = sum(
+                    (other.columns @ other.parameters for other in self.fits if other is not fit),
+                    np.zeros_like(self.y),
+                )
+                used = np.ones(self.n, bool) if fit.used is None else fit.used
+                X = fit.columns[:, :, used].reshape(-1, fit.columns.shape[-1])
+                H = X.T @ X + np.diag(1.0 / fit.priors**2)
+                g = X.T @ (self.y - others)[:, :, used].ravel()
+                fit.parameters = np.asarray(np.linalg.solve(H, g), np.float64)
+        self.left = self.y.copy()
+        for fit in self.fits:
+            self.left -= fit.columns @ fit.parameters
+        for fit in self.fits:  # errors are based on the final residuals
+            used = (np.arange(self.n) == fit.joint) | (fit.joint < 0)
+            variance = float((self.left[:, :, used] ** 2).sum()) / int(self.count[used].sum())
+            X = fit.columns.reshape(-1, fit.columns.shape[-1])
+            covariance = np.linalg.inv(X.T @ X + np.diag(1.0 / fit.priors**2))
+            if fit.kind != "unexplained":
+                scale = _ROWS_PER_FACT * max(variance, _MIN_VARIANCE)
+                fit.errors = np.asarray(np.sqrt(np.diag(covariance) * scale), np.float64)
+
+    def explanations(self, more: Sequence[Explanation]) -> list[Explanation]:
+        """All explanations, with those found otherwise; joint by joint, the largest first."""
+        order = {name: k for k, name in enumerate([*self.found.robot.names, FLANGE, LINKS])}
+        fits = [fit for fit in self.fits if self._is_large(fit) and not self._is_of_contact(fit)]
+        fits.sort(key=lambda fit: -float(self._effects(fit).max()))
+        made = [*more, *(self._explanation(fit) for fit in fits)]
+        made.sort(key=lambda each: each.kind == "noise")  # vibrations cause noise as well
+        return sorted(made, key=lambda each: order[each.joint])
+
+    def explains(self, sign: Explanation) -> bool:
+        """Whether another explanation fits better than a drive with a wrong sign.
+
+        That is so where it fits far better, or acts before or after as well.
+
+        Args:
+            sign: the apparent wrong sign, with its interval.
+        """
+        found, joint = self.found, self.found.robot.names.index(sign.joint)
+        end = np.inf if sign.end is None else sign.end
+        during = (found.times >= sign.begin) & (found.times <= end)
+        known = self.known[1, :, joint]
+        rows = known & during
+        before, after = ((each[1, rows, joint] ** 2).sum() for each in (self.y, self.left))
+        asked = 2.0 * found.commanded[rows, joint] / self.sigma[1, rows, joint]
+        by_sign = ((self.y[1, rows, joint] - asked) ** 2).sum()
+        # Joint torque control commands no motors.
+        is_far_better = not found.torque_control and after < _RESIDUAL_RATIO * by_sign
+        for fit in self.fits:
+            is_sign = fit.kind == "gain" and abs(fit.parameters[0]) > _MIN_SIGN
+            if fit.joint != joint or fit.kind == "unexplained" or is_sign:
+                continue
+            acts = known & (self.edges.share(*fit.edges) > 0.5)
+            acts &= np.abs(fit.columns[1, :, joint]).sum(axis=-1) > 0.0
+            count = int((acts & during).sum())
+            lasts = (acts & ~during).sum() >= max(LEAST_ROWS, count)
+            if not rows.any():  # too near the end for the low-pass filter
+                if lasts and fit.edges[1] >= self.edges.end:
+                    return True
+            elif count and after < _RESIDUAL_RATIO * before and (lasts or is_far_better):
+                return True
+        return False
+
+    def _is_large(self, fit: _Fit) -> bool:
+        """Whether it is not a small part of later explanations."""
+        if fit.joint < 0:
+            return True
+        effects = [float(self._effects(each)[fit.joint]) for each in self.fits]
+        return float(self._effects(fit)[fit.joint]) > _MIN_SHARE * max(effects)
+
+    def _is_of_contact(self, fit: _Fit) -> bool:
+        """Whether a sensor appears wrong while other joints are pushed more."""
+        if fit.kind == "unexplained" or fit.joint < 0 or fit.part != "torque sensor":
+            return False
+        first, last = fit.edges
+        size = float((self._effects(fit) / self.found.scale)[fit.joint])
+        pushed = {
+            other.joint
+            for other in self.fits
+            if other.kind == "unexplained" and other.is_on_link and other.joint != fit.joint
+            and min(other.edges[1], last) - max(other.edges[0], first) > 0.5 * (last - first)
+            and (self._effects(other) / self.found.scale)[other.joint] > size
+        }  # fmt: skip
+        return len(pushed) >= _MIN_PUSHED
+
+    def _explanation(self, fit: _Fit) -> Explanation:
+        found, names = self.found, self.found.robot.names
+        kind, size, error = fit.kind, float(fit.parameters[0]), float(fit.errors[0])
+        turns = fit.joint < 0 or found.robot.types[fit.joint] == "revolute"
+        unit = "Nm" if turns else "N"
+        values: dict[str, float] = {}
+        felt = self._effects(fit) > LEAST_EFFECT * found.scale
+        joints = np.array(names)[felt].tolist() if fit.joint < 0 else [names[fit.joint]]
+        if kind == "gain":
+            # With two runs the second may have the wrong sign.
+            kind = "sign" if abs(size) > _MIN_SIGN else "gain"
+            size, unit = 1.0 + (size if size < _MIN_SIGN else -size), ""
+        elif kind == "delay":
+            size, error, unit = fit.delay * size, fit.delay * error, "s"
+        elif kind == "friction":
+            values = {"viscous": float(fit.parameters[1])}
+        elif kind == "payload":
+            unit, mass = "kg", fit.parameters[0]
+            values = dict(zip("xyz", (fit.parameters[1:4] / mass).tolist(), strict=True))
+        elif kind == "masses":
+            size, error, unit = 100.0 * size, 100.0 * error, "%"
+        elif kind == "encoder" and fit.common is not None:
+            is_angle = found.robot.types[names.index(fit.common.place)] == "revolute"
+            scale, unit = (180.0 / np.pi, "deg") if is_angle else (1.0, "m")
+            size, error = scale * size, scale * error
+        elif kind == "unexplained":
+            effect = (fit.columns[..., 0] * self.sigma)[:, :, fit.joint].ravel()
+            size = float(effect[np.argmax(np.abs(effect))])
+        first, last = fit.edges
+        place = names[fit.joint] if fit.common is None else fit.common.place
+        return Explanation(
+            place, kind, fit.part, size, unit, error,
+            fit.confidence, float(found.times[0] + 0.5 * first * found.step),
+            None if last >= self.edges.end else float(found.times[0] + 0.5 * last * found.step),
+            first == 0, values, tuple(joints),
+        )  # fmt: skip
+
+
+def _spread(residuals: Array) -> Array:
+    """Standard deviation of row-to-row changes, (2, n), independent of slow changes."""
+    steps = np.abs(np.diff(residuals, axis=1))
+    result = np.zeros((2, residuals.shape[2]))
+    for side, joint in np.ndindex(result.shape):
+        known = steps[side, :, joint][np.isfinite(steps[side, :, joint])]
+        if len(known):
+            result[side, joint] = np.median(known) / 0.6745 / np.sqrt(2.0)
+    return result
+
+
+def _evidence(before: Any, after: Any, count: Any, facts: Any) -> Any:
+    """Twice the logarithm of the likelihood ratio of two sums of squares, the noise's as well."""
+    return facts * (np.log1p(before / count) - np.log1p(np.maximum(after, 0.0) / count))
+
+
+def _solved(H: Array, g: Array, inverse: Array, total: float, count: int) -> tuple[Array, Array]:
+    """Parameters of normal equations, and their standard errors."""
+    covariance = np.linalg.inv(H + inverse)
+    parameters = covariance @ g
+    rest = total - float(2.0 * g @ parameters - parameters @ H @ parameters)
+    variance = _ROWS_PER_FACT * max(rest / count, _MIN_VARIANCE)
+    return parameters, np.sqrt(np.diag(covariance) * variance)
+
+
+def _odds(scores: Sequence[float]) -> float:
+    """Probability of the first of several, by their scores."""
+    differences = np.asarray(scores[1:], np.float64) - scores[0]
+    return min(float(1.0 / (1.0 + np.exp(0.5 * np.minimum(differences, 60.0)).sum())), MOST_SURE)

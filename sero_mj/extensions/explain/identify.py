@@ -1,0 +1,481 @@
+"""Identifies friction, payload and torque offsets of a robot by linear regression.
+
+Both sides of every joint are linear in the parameters (see `TorqueResiduals`):
+
+    motor side, joint by joint:  commanded - measured = B ddtheta + v dq + f sign(dq) + c
+    link side, all together:     measured - model = Y(q, dq, ddq) p + o
+
+with motor inertia B, viscous and Coulomb friction v and f (and c, the asymmetry of friction or the
+drive's own offset), the ten parameters p of a body at the flange, and the sensors' offsets o.
+Joints are weighted by their residuals (Aitken's generalised least squares, as in Gautier). The
+residuals are not white noise, so standard errors are those of Newey and West for autocorrelated
+residuals, of all joints together.
+
+Parameters the motion does not excite are not reported: if the variance of an estimate is more than
+`_MAX_INFLATED` times that of an uncorrelated one, or if too few rows contribute to it.
+
+Source: Newey, West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
+consistent covariance matrix, Econometrica 55(3), 1987; Swevers, Verdonck, De Schutter, Dynamic
+model identification for industrial robots, IEEE Control Systems Magazine 27(5), 2007; Belsley, Kuh,
+Welsch, Regression Diagnostics, 1980 (condition number of scaled columns, variance inflation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...base.errors import Problem, UsageError
+from ...base.frames import Array
+from ...base.reduction import rms
+from ...robots.declared.robot import SerialRobot
+from ...simulate.runs.run_log import RunLog
+from ...study.compare import one_unit, unit_of
+from ...study.figure import BLUE, MIN_SHARE, ORANGE, Figure, check_suffix, save_figures, styled
+from .torque_residuals import TorqueResiduals, torque_residuals
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_MAX_ROWS = 4000
+_MIN_MOVING = 20  # rows in which a joint moves
+_MAX_INFLATED = 3000.0
+# Prior standard deviation of the payload's inertia, kg m2.
+_INERTIA = 0.3
+# Of the torque limit: above the residuals of a perfect run due to friction at low speed and
+# filtering.
+_FLOOR = 2e-5
+_UNITS = ("N", "N s/m", "kg"), ("Nm", "Nm s/rad", "kg m2")  # sliding and turning joints
+_MIN_SIGNIFICANCE = 3.0  # standard errors; minimum significance of a payload
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimate with its standard error, or why it is not identifiable.
+
+    Attributes:
+        value: in SI units; None if not identifiable.
+        error: its standard error.
+        reason: why it is not identifiable.
+    """
+
+    value: float | None
+    error: float | None = None
+    reason: str | None = None
+
+    def __str__(self) -> str:
+        if self.value is None or self.error is None:
+            return "-"
+        digits = max(0, min(6, int(np.ceil(-np.log10(max(self.error, 1e-12)))) + 1))
+        return f"{self.value + 0.0:.{digits}f} ± {self.error:.1g}"
+
+
+@dataclass(frozen=True, eq=False)
+class JointFigures:
+    """The estimates of a joint.
+
+    Attributes:
+        joint: its name.
+        coulomb_friction: Nm or N.
+        viscous_friction: Nm s/rad or N s/m.
+        motor_inertia: kg m2 or kg, reflected to the joint.
+        torque_offset: of the torque sensor, Nm or N.
+        condition: condition number of the motor side's columns, each scaled to length 1; infinite
+            if the joint does not move.
+    """
+
+    joint: str
+    coulomb_friction: Estimate
+    viscous_friction: Estimate
+    motor_inertia: Estimate
+    torque_offset: Estimate
+    condition: float
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """The estimates of a robot.
+
+    Attributes:
+        run: name of the recording.
+        robot: as declared.
+        joints: base to flange.
+        mass: of the payload, kg.
+        center: of its mass, in the flange's frame, m; not reported without a payload.
+        condition: condition number of the link side's columns, each scaled to length 1.
+        times: (K,), s.
+        motor: commanded minus measured torque, (K, n), Nm or N, and its fit `motor_fit`.
+        link: measured torque minus the model's, (K, n), and its fit `link_fit`.
+        begin: s, of the run, and `end`.
+    """
+
+    run: str
+    robot: SerialRobot
+    joints: list[JointFigures]
+    mass: Estimate
+    center: list[Estimate]
+    condition: float
+    times: Array
+    motor: Array
+    motor_fit: Array
+    link: Array
+    link_fit: Array
+    begin: float
+    end: float
+
+    @property
+    def has_payload(self) -> bool:
+        """Whether a payload is significant."""
+        mass = self.mass
+        return mass.value is not None and mass.value > _MIN_SIGNIFICANCE * (mass.error or 0.0)
+
+
+def identify(log: RunLog, name: str) -> Identified:
+    """Estimates a robot's friction, payload and torque sensors' offsets.
+
+    Args:
+        log: a run in which it moves, with measured torques; for friction with commanded ones.
+        name: of the robot in it.
+
+    Raises:
+        UsageError: no such robot, no measured torques, the run is too short, or no joint moves.
+    """
+    found = torque_residuals(log, name, most_rows=_MAX_ROWS)
+    n = found.robot.n
+    if bool(found.slow.all()):
+        reason = f"no joint of '{name}' moves"
+        raise UsageError(Problem(log.name, reason, expected="a run that moves it"))
+    motors = [_motor_side(found, log.has(name, "commanded_torques"), k) for k in range(n)]
+    payload, offsets, condition, link_fit = _link_side(found)
+    joints = [
+        JointFigures(joint, coulomb, viscous, inertia, offset, number)
+        for joint, ((coulomb, viscous, inertia), number, _), offset in zip(
+            found.robot.names, motors, offsets, strict=True
+        )
+    ]
+    return Identified(
+        log.name, found.robot, joints, payload[0], payload[1:], condition, found.times, found.lag,
+        np.stack([fit for _, _, fit in motors], axis=1), found.link, link_fit,
+        float(log.times[0]), float(log.times[-1]),
+    )  # fmt: skip
+
+
+def _motor_side(
+    found: TorqueResiduals, is_commanded: bool, k: int
+) -> tuple[list[Estimate], float, Array]:
+    """Coulomb and viscous friction and motor inertia of joint k, condition number and fit (K,)."""
+    name, nothing = found.robot.names[k], np.full(len(found.times), np.nan)
+    reason = None
+    if not is_commanded:
+        reason = "the run has no commanded torques"
+    elif found.torque_control:
+        reason = "joint torque control makes up for friction"
+    rows = np.isfinite(found.motor[:, k])
+    if reason is None and rows.sum() < _MIN_MOVING:
+        reason = f"the run moves {name} too little to tell"
+    if reason is not None:
+        return [Estimate(None, None, reason)] * 3, np.inf, nothing
+    columns = [found.signs, found.velocities, found.accelerations, np.ones_like(found.signs)]
+    X = np.stack([column[:, k] for column in columns], axis=1)
+    y = found.lag[:, k]
+    X, y = np.where(rows[:, None], X, 0.0), np.where(rows, y, 0.0)
+    values, covariance, inflation = _regression(X[:, None], y[:, None], np.zeros(4))
+    left = float(np.mean((y - X @ values)[rows] ** 2))
+    covariance = covariance * (1.0 + (_FLOOR * found.scale[k]) ** 2 / max(left, 1e-30))
+    condition = _condition(X[rows])
+    estimates = _estimates(values, covariance, inflation,
+                           f"the run moves {name} too little to tell", condition)  # fmt: skip
+    if len(np.unique(np.rint(X[rows, 0]))) < 2:
+        estimates[0] = Estimate(None, None, f"the run moves {name} in one direction only")
+    if _is_negative(estimates[2]):
+        unit = _UNITS[found.robot.types[k] == "revolute"][2]
+        reason = f"{name} would have {estimates[2]} {unit}; is it commanded what its drive does?"
+        estimates[2] = Estimate(None, None, reason)
+    fit = np.where(rows, X @ values, np.nan)
+    return estimates[:3], condition, fit
+
+
+def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], float, Array]:
+    """Mass and centre of the payload, offsets of the torque sensors, condition number, fit."""
+    n, K = found.robot.n, len(found.times)
+    if not found.has_model:
+        unknown = Estimate(None, None, found.no_model)
+        return [unknown] * 4, [unknown] * n, np.inf, np.full((K, n), np.nan)
+    known = np.isfinite(found.link)
+    if not known.any():
+        unknown = Estimate(None, None, "the run has no torques at links that are free to move")
+        return [unknown] * 4, [unknown] * n, np.inf, np.full((K, n), np.nan)
+    X = np.concatenate(
+        [found.payload, np.broadcast_to(np.eye(n), (K, n, n))], axis=2
+    )  # (K, n, 10 + n)
+    X, y = np.where(known[..., None], X, 0.0), np.where(known, found.link, 0.0)
+    priors = np.concatenate([np.zeros(4), np.full(6, _INERTIA**-2), np.zeros(n)])
+    weights = np.ones(n)
+    for _ in range(3):
+        values, covariance, inflation = _regression(X * weights[:, None], y * weights, priors)
+        left = np.where(known, y - X @ values, 0.0)
+        spread = np.sqrt((left**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+        weights = 1.0 / np.hypot(spread, _FLOOR * found.scale)
+    # Only the part of the scores above the floor is in the residuals.
+    is_known = known.any(axis=0)
+    covariance = covariance * float(1.0 / np.mean((weights * spread)[is_known] ** 2))
+    tells = np.r_[0:4, 10 : 10 + n]
+    condition = _condition((X * weights[:, None]).reshape(-1, 10 + n)[:, tells])
+    estimates = _estimates(values, covariance, inflation, "the run moves the flange too little to "
+                           "tell", condition)  # fmt: skip
+    offsets = _estimates(values[10:], covariance[10:, 10:], inflation[10:], "", condition)
+    offsets = [
+        each if each.value is not None
+        else Estimate(None, None, f"the run moves {joint} too little to tell offset from load")
+        for joint, each in zip(found.robot.names, offsets, strict=True)
+    ]  # fmt: skip
+    mass = estimates[0]
+    fit = np.where(known, X @ values, np.nan)
+    if _is_negative(mass):
+        reason = f"a payload of {mass} kg would fit best, so another force acts on the robot"
+        unknown = Estimate(None, None, reason)
+        return [unknown] * 4, [unknown] * n, condition, fit
+    if mass.value is None or mass.error is None or mass.value < _MIN_SIGNIFICANCE * mass.error:
+        reason = mass.reason or "there is no payload beyond doubt"
+        return [mass, *[Estimate(None, None, reason)] * 3], offsets, condition, fit
+    # c = h / m, and its error by the slopes of that.
+    center = values[1:4] / mass.value
+    slopes = np.column_stack([-center, np.eye(3)]) / mass.value
+    errors = np.sqrt(np.diag(slopes @ covariance[:4, :4] @ slopes.T))
+    told = [
+        Estimate(float(value), float(error)) if each.value is not None else each
+        for value, error, each in zip(center, errors, estimates[1:4], strict=True)
+    ]
+    return [mass, *told], offsets, condition, fit
+
+
+def _regression(X: Array, y: Array, priors: Array) -> tuple[Array, Array, Array]:
+    """Least squares of several series at the same times.
+
+    Args:
+        X: columns, (K, s, p), zero where unknown.
+        y: (K, s), likewise.
+        priors: (p,), inverse prior variance of each parameter, in units of the residuals'.
+
+    Returns:
+        parameters (p,), their covariance (p, p) by Newey and West, and their variance inflation
+        factors, (p,).
+    """
+    H = np.einsum("ksp,ksq->pq", X, X) + np.diag(priors)
+    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    inverse = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-13, hermitian=True)
+    inflation = np.diag(inverse).copy()
+    inverse = inverse / np.outer(scale, scale)
+    # An exactly dependent column becomes zero, and its inflation infinite.
+    resolved = np.diag(inverse @ H)
+    inflation[(resolved < 0.999) | (scale < 1e-9)] = np.inf
+    values = inverse @ np.einsum("ksp,ks->p", X, y)
+    left = y - X @ values
+    scores = np.einsum("ksp,ks->kp", X, left)
+    used = (X != 0.0).any(axis=(1, 2)).sum()
+    S = scores.T @ scores
+    lags = max(int(np.ceil(1.3 * np.sqrt(used))), 4)
+    for lag in range(1, min(lags, len(scores) - 1) + 1):
+        share = 1.0 - lag / (lags + 1.0)
+        part = scores[lag:].T @ scores[:-lag]
+        S += share * (part + part.T)
+    facts = used * y.shape[1]
+    S *= facts / max(facts - len(values), 1)
+    return values, inverse @ S @ inverse, inflation
+
+
+def _estimates(
+    values: Array, covariance: Array, inflation: Array, reason: str, condition: float
+) -> list[Estimate]:
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    why = f"{reason} (condition number {condition:.0f})"
+    return [
+        Estimate(float(value), float(error)) if each < _MAX_INFLATED else Estimate(None, None, why)
+        for value, error, each in zip(values, errors, inflation, strict=True)
+    ]
+
+
+def _is_negative(mass: Estimate) -> bool:
+    """Whether a mass or an inertia is less than 0 beyond doubt."""
+    return mass.value is not None and mass.value < -_MIN_SIGNIFICANCE * (mass.error or 0.0)
+
+
+def _condition(X: Array) -> float:
+    """Condition number of columns scaled to length 1; infinite if one is zero."""
+    lengths = np.linalg.norm(X, axis=0)
+    if not len(X) or not (lengths > 0).all():
+        return np.inf
+    return float(np.linalg.cond(X / lengths))
+
+
+def figures(found: Identified) -> dict[str, tuple[Estimate, str]]:
+    """All estimates with their units by name, `JOINT.FIGURE` and `payload.FIGURE`."""
+    named: dict[str, tuple[Estimate, str]] = {}
+    for joint, kind in zip(found.joints, found.robot.types, strict=True):
+        force, rate, inertia = _UNITS[kind == "revolute"]
+        units = {"coulomb_friction": force, "viscous_friction": rate, "motor_inertia": inertia,
+                 "torque_offset": force}  # fmt: skip
+        named |= {f"{joint.joint}.{key}": (getattr(joint, key), unit)
+                  for key, unit in units.items()}  # fmt: skip
+    named["payload.mass"] = found.mass, "kg"
+    centre = dict(zip("xyz", found.center, strict=True))
+    return named | {f"payload.{axis}": (estimate, "m") for axis, estimate in centre.items()}
+
+
+def as_json(found: Identified) -> dict[str, Any]:
+    """The estimates as JSON types; unidentifiable ones are None, with the reason."""
+    return {
+        "run": found.run,
+        "robot": found.robot.name,
+        "begin": found.begin,
+        "end": found.end,
+        "joints": [asdict(each) for each in found.joints],
+        "payload": {
+            "mass": asdict(found.mass),
+            "center_of_mass": [asdict(each) for each in found.center],
+        },
+        "condition": found.condition,
+    }
+
+
+def as_table(found: Identified) -> Table:
+    """A table for the terminal."""
+    from rich import box
+    from rich.table import Table
+
+    title = f"{found.run}: {found.robot.name}, {found.begin:.3f} s to {found.end:.3f} s"
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD)
+    units = dict.fromkeys(_UNITS[kind == "revolute"] for kind in found.robot.types)
+    force, rate, inertia = (" or ".join(each) for each in zip(*units, strict=True))
+    table.add_column("joint", no_wrap=True)
+    for heading in (f"Coulomb\nfriction, {force}", f"viscous\nfriction, {rate}",
+                    f"motor\ninertia, {inertia}", f"torque\noffset, {force}"):  # fmt: skip
+        table.add_column(heading, justify="right", no_wrap=True)
+    for each in found.joints:
+        figures = (each.coulomb_friction, each.viscous_friction, each.motor_inertia)
+        table.add_row(each.joint, *map(str, figures), str(each.torque_offset))
+    return table
+
+
+def remarks(found: Identified) -> list[str]:
+    """The payload, and unidentifiable parameters, a line for each."""
+    if found.has_payload:
+        center = ", ".join(map(str, found.center))
+        lines = [f"payload: {found.mass} kg at ({center}) m of the flange"]
+    elif found.mass.value is not None:
+        lines = [f"payload: none beyond doubt ({found.mass} kg)"]
+    else:
+        lines = [f"payload: not told: {found.mass.reason}"]
+    untold: dict[str, list[str]] = {}
+    for each in found.joints:
+        for what, estimate in (
+            ("friction", each.coulomb_friction), ("friction", each.viscous_friction),
+            ("motor inertia", each.motor_inertia), ("torque offset", each.torque_offset),
+        ):  # fmt: skip
+            if estimate.reason is not None:
+                words = untold.setdefault(estimate.reason, [])
+                words += [what] if what not in words else []
+    return lines + [f"not told: {', '.join(words)}: {why}" for why, words in untold.items()]
+
+
+def as_toml(found: Identified) -> str:
+    """Lines of a robot's file, followed by those of a scenario as comments.
+
+    Unidentifiable parameters keep their declared values.
+    """
+    from ...robots.assemble.robot_dynamics import robot_dynamics
+
+    declared = robot_dynamics(found.robot)
+    lines = [f"# Identified from {found.run}, {found.begin:.3f} s to {found.end:.3f} s.",
+             "[dynamics]"]  # fmt: skip
+    for key, old, estimates in (
+        ("viscous_friction", declared.viscous_friction,
+         [each.viscous_friction for each in found.joints]),
+        ("coulomb_friction", declared.coulomb_friction,
+         [each.coulomb_friction for each in found.joints]),
+    ):  # fmt: skip
+        values = [
+            float(before) if each.value is None else max(each.value, 0.0)
+            for before, each in zip(old, estimates, strict=True)
+        ]
+        errors = ", ".join("-" if each.error is None else f"{each.error:.1g}" for each in estimates)
+        lines += [f"# standard errors {errors}", f"{key} = {_numbers(values)}"]
+        kept = [joint.joint for joint, each in zip(found.joints, estimates, strict=True)
+                if each.value is None]  # fmt: skip
+        if kept:
+            lines.append(f"# not identifiable from the run, unchanged: {', '.join(kept)}")
+    offsets = [each.torque_offset for each in found.joints]
+    if any(each.value is not None for each in offsets):
+        errors = ", ".join("-" if each.error is None else f"{each.error:.1g}" for each in offsets)
+        lines += ["", "# In a scenario, which has sensors and payloads:",
+                  f"# [sensors.{found.robot.name}.torques]", f"# standard errors {errors}",
+                  f"# bias = {_numbers([each.value or 0.0 for each in offsets])}"]  # fmt: skip
+    if found.has_payload and found.mass.value is not None:
+        center = [each.value or 0.0 for each in found.center]
+        estimates = [found.mass, *found.center]
+        errors = ", ".join("-" if each.error is None else f"{each.error:.1g}" for each in estimates)
+        unknown = [axis for axis, each in zip("xyz", found.center, strict=True)
+                   if each.value is None]  # fmt: skip
+        lines += ["#", "# [disturbances.payload]", '# kind = "payload"',
+                  f'# robot = "{found.robot.name}"', f"# standard errors {errors}",
+                  f"# mass = {found.mass.value:.5g}",
+                  f"# center_of_mass = {_numbers(center)}"]  # fmt: skip
+        if unknown:
+            lines.append(f"# not identifiable from the run, 0 here: {', '.join(unknown)}")
+    return "\n".join(lines) + "\n"
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return f"[{', '.join(f'{value + 0.0:.5g}' for value in values)}]"
+
+
+def _brief(estimate: Estimate) -> str:
+    # No sign of zero.
+    return "not told" if estimate.value is None else f"{round(estimate.value, 3) + 0.0:.3f}"
+
+
+def plot_identified(found: Identified, path: Path | str) -> None:
+    """Draws measurements and fits: a row for each joint, motor and link side.
+
+    Args:
+        found: the estimates.
+        path: where to: .png (300 dpi), .pdf or .svg.
+
+    Raises:
+        RenderError: the file cannot be written.
+        UsageError: another suffix.
+    """
+    path = check_suffix(path)
+    from matplotlib.lines import Line2D
+
+    robot = found.robot
+    unit = one_unit(unit_of("torques", kind) for kind in robot.types) or "Nm or N"
+    limits = robot.torque_bounds
+    with styled():
+        figure = Figure(
+            [(each.joint, f"friction {_brief(each.coulomb_friction)}\n"
+                          f"offset {_brief(each.torque_offset)}")
+             for each in found.joints],
+            [(f"commanded − measured, {unit}", 1.0), (f"measured − model, {unit}", 1.0)],
+            title=f"{found.run}: {robot.name} identified",
+            subtitle=remarks(found)[0],
+            times=(float(found.times[0]), float(found.times[-1])),
+        )  # fmt: skip
+        for k, panels in enumerate(figure.axes):
+            for panel, values, fit in zip(
+                panels, (found.motor[:, k], found.link[:, k]),
+                (found.motor_fit[:, k], found.link_fit[:, k]), strict=True,
+            ):  # fmt: skip
+                figure.line(panel, found.times, values, "run", color=BLUE, linewidth=1.5)
+                figure.line(panel, found.times, fit, "fit", color=ORANGE, linewidth=0.8)
+                if figure.fit(panel, [values, fit], least=MIN_SHARE * limits[k], floor=0.2):
+                    figure.note(panel, f"rms left {rms(values - fit):.2g}")
+        figure.legend([
+            Line2D([], [], color=BLUE, linewidth=1.5, label="run"),
+            Line2D([], [], color=ORANGE, linewidth=1.0, label="fit"),
+        ])  # fmt: skip
+        save_figures([figure], path)

@@ -1,0 +1,62 @@
+"""The light of the sky around a scene, as the cube map that Filament's image-based light takes."""
+
+from __future__ import annotations
+
+import struct
+from functools import lru_cache
+
+import numpy as np
+
+from ...robots.declared.surroundings import Palette
+from ...viewer.sky_light import LEVELS, SkyLight
+
+_SIDE = 32  # pixels of the sharpest level; the last one has one
+# KTX 1.1 of three small floats (OpenGL's R11F_G11F_B10F) a pixel, the format of MuJoCo's own.
+_MAGIC = b"\xabKTX 11\xbb\r\n\x1a\n"
+_ENDIANNESS, _GL_RGB, _R11F_G11F_B10F = 0x04030201, 0x1907, 0x8C3A
+
+
+@lru_cache(maxsize=4)
+def environment(look: str, palette: Palette) -> bytes:
+    """Returns a cube map, a file of KTX, of the light around a scene.
+
+    Args:
+        look: of the palette, whose name it is.
+        palette: colours, and how bright the sky, the ground and the lamp are.
+    """
+    light = SkyLight(palette)
+    header = struct.pack(
+        "<13I", _ENDIANNESS, _R11F_G11F_B10F, 1, _GL_RGB, _R11F_G11F_B10F, _R11F_G11F_B10F,
+        _SIDE, _SIDE, 0, 0, 6, LEVELS, len(about := _harmonics(light)),
+    )  # fmt: skip
+    return b"".join([_MAGIC, header, about, *(_level(light, k) for k in range(LEVELS))])
+
+
+def _harmonics(light: SkyLight) -> bytes:
+    """Returns KTX's metadata: spherical harmonics of the irradiance, as Filament reads them.
+
+    It evaluates c0 + c1 y + c2 z + c3 x + c4 xy + c5 yz + c6 (3 z^2 - 1) + c7 xz + c8 (x^2 - y^2)
+    for the normal (x, y, z) with y up, of which a + b y + c (3 y^2 - 1) are left here: with
+    x^2 + y^2 + z^2 = 1, 3 y^2 - 1 is -(3 z^2 - 1) / 2 - 3/2 (x^2 - y^2).
+    """
+    a, b, c = light.irradiance()
+    rows = np.zeros((9, 3))
+    rows[0], rows[1], rows[6], rows[8] = a, b, -c / 2.0, -1.5 * c
+    text = "".join(" ".join(f"{value:.6g}" for value in row) + "\n" for row in rows)
+    entry = b"sh\0" + text.encode()
+    return struct.pack("<I", len(entry)) + entry + b"\0" * (-len(entry) % 4)
+
+
+def _level(light: SkyLight, level: int) -> bytes:
+    """Returns a level of the cube map: all faces, blurred as surfaces of a roughness reflect it."""
+    side = _SIDE >> level
+    centres = (np.arange(side) + 0.5) / side * 2.0 - 1.0
+    right, down = np.meshgrid(centres, centres)
+    one = np.ones_like(right)
+    # The vertical coordinates of directions of +x, -x, +y, -y, +z and -z, before normalization.
+    heights = np.stack([-down, -down, one, -one, -down, -down])
+    up = heights / np.sqrt(1.0 + right**2 + down**2)
+    # Of a half float without its sign, the upper 11 or 10 bits.
+    bits = light.reflected(up, level).astype(np.float16).view(np.uint16).astype(np.uint32)
+    packed = (bits >> 4) | ((bits >> 4) << 11) | ((bits >> 5) << 22)
+    return struct.pack("<I", 4 * side * side) + packed.astype("<u4").tobytes()

@@ -1,0 +1,368 @@
+"""`GeomPool`: the geoms of an `MjvScene` as objects of a Filament scene.
+
+Every geom is an object of its own: those of a model with its meshes, all others from a pool by
+type. Decor as one mesh would have to be uploaded again in every frame, once for each of its
+colours, since materials have one colour.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, Bools
+from ...viewer.mujoco_private import filament
+from ...viewer.sky_light import linear, shown
+from .light import upload
+
+_TYPES = mujoco.mjtGeom
+_GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+_DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
+_PLANE, _MESH = int(_TYPES.mjGEOM_PLANE), int(_TYPES.mjGEOM_MESH)
+_PRIMITIVES = frozenset(
+    int(getattr(_TYPES, f"mjGEOM_{name}"))
+    for name in ("PLANE", "SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER", "BOX", "ARROW", "ARROW1",
+                 "ARROW2", "LINE", "LINEBOX", "TRIANGLE")
+)  # fmt: skip
+_RGB = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
+_ROLES = int(mujoco.mjtTextureRole.mjNTEXROLE)
+_CUBE = int(mujoco.mjtTexture.mjTEXTURE_CUBE)
+SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
+# A surface of this fraction of a colour that glows with the colour is independent of light.
+_DARK = 1 / 256
+_REFLECTANCE = 0.08  # of plastic at right angles, 0.04, for MuJoCo's usual specular of 0.5
+_LIT = 0.7  # share of light in the colour of doubles, whose shape it shows; the rest glows
+# Filament grades colours by a table, which rounds off where they reach white: what is seen, and the
+# light that is needed for it. Source: greys and colours drawn by MuJoCo 4.0.0, to 2 of 255.
+_NEAR_WHITE = (
+    (0.0, 0.83, 0.871, 0.905, 0.931, 0.992, 1.0),
+    (0.0, 0.83, 0.9, 0.95, 1.0, 1.1, 1.3),
+)
+_FAINTEST = 0.01  # opacity
+
+
+class ModelGeoms:
+    """The geoms of a model that light falls on, and its meshes and textures.
+
+    Args:
+        context: of the scene.
+        scene: of Filament.
+        model: compiled.
+    """
+
+    def __init__(self, context: Any, scene: Any, model: mujoco.MjModel) -> None:
+        module = filament()
+        self.model, self._context = model, context
+        self._resources = module.ModelResources(context, model)
+        self._objects = module.ModelRenderables(scene, self._resources)
+        get = self._objects.get_renderable
+        self.geoms = [get(mujoco.mjtObj.mjOBJ_GEOM, k) for k in range(model.ngeom)]
+        for item in (*self.geoms, *(get(mujoco.mjtObj.mjOBJ_SITE, k) for k in range(model.nsite))):
+            scene.remove_renderable(item)
+        self.textures = [own_texture(context, model, k) for k in range(model.ntex)]
+        roles = model.mat_texid.reshape(-1, _ROLES)
+        self._images = [-1 if k < 0 else int(roles[k, _RGB]) for k in model.geom_matid]
+        has_roughness = (model.mat_metallic >= 0) | (model.mat_roughness >= 0)
+        self._is_physical = [bool(k >= 0 and has_roughness[k]) for k in model.geom_matid]
+        self._meshes: dict[int, Any] = {}
+
+    def follow(self, data: mujoco.MjData) -> None:
+        """Computes the meshes of skins and flexes, which are others in every frame."""
+        if self.model.nflex or self.model.nskin:
+            self._objects.update(data)
+
+    def material(self, geom: int, row: Any) -> Any:
+        """Returns the material of a geom, with the colour of a scene's row."""
+        material = self.geoms[geom].get_material()
+        material.color = seen_rgba(row)
+        image = self._images[geom]
+        if image >= 0 and self.textures[image] is not None:
+            material.color_texture = self.textures[image]
+        if not self._is_physical[geom]:
+            material.specular, material.glossiness = finish(row)
+        return material
+
+    def mesh(self, index: int) -> Any:
+        """Returns a mesh of the model for objects that cast no shadow."""
+        if index not in self._meshes:
+            self._meshes[index] = upload_mesh(self._context, self.model, index)
+        return self._meshes[index]
+
+    def close(self) -> None:
+        """Frees the objects."""
+        self.geoms.clear()
+        del self._objects
+        self._meshes.clear()
+        self.textures.clear()
+        del self._resources
+
+
+class GeomPool:
+    """Objects of a Filament scene for the geoms of an `MjvScene`.
+
+    Args:
+        context: of the scene.
+        scene: of Filament.
+        models: the shown model, and that of added surroundings if any.
+        doubles: geoms of the shown model that are those of doubles, (ngeom,).
+        is_dark: whether what is behind transparent geoms is mostly dark.
+    """
+
+    def __init__(
+        self,
+        context: Any,
+        scene: Any,
+        models: Sequence[mujoco.MjModel],
+        doubles: Bools,
+        *,
+        is_dark: bool = False,
+    ) -> None:
+        self._module, self._context, self._scene = filament(), context, scene
+        self._models = [ModelGeoms(context, scene, model) for model in models]
+        self._doubles, self._is_dark = doubles, is_dark
+        # By type, number of the mesh or -1, and whether they cast shadows: that cannot be changed
+        # once an object is made.
+        self._pool: dict[tuple[int, int, bool], list[Any]] = {}
+        self._shown: set[Any] = set()
+        self._looks: dict[Any, tuple[bytes, float, int]] = {}  # of the materials that were set
+        quality = models[0].vis.quality
+        self._quality = int(quality.numstacks), int(quality.numslices), int(quality.numquads)
+
+    @property
+    def skybox(self) -> Any | None:
+        """The texture of the sky, of the first model that has one."""
+        for geoms in self._models:
+            for kind, texture in zip(geoms.model.tex_type, geoms.textures, strict=True):
+                if kind == SKYBOX and texture is not None:
+                    return texture
+        return None
+
+    def follow(self, data: mujoco.MjData) -> None:
+        """Takes the shapes of skins and flexes from a state, which a scene's geoms do not tell."""
+        self._models[0].follow(data)
+
+    def update(self, rows: np.ndarray) -> None:
+        """Shows the geoms of a scene, and nothing else.
+
+        Args:
+            rows: (k,) of `GEOM`.
+        """
+        shown: set[Any] = set()
+        used: Counter[tuple[int, int, bool]] = Counter()
+        model = self._models[0].model
+        kinds, of, ids, meshes = (
+            rows[name].tolist() for name in ("type", "objtype", "objid", "dataid")
+        )
+        decor = (rows["category"] == _DECOR).tolist()
+        casts = (rows["castshadow"].astype(bool) & (rows["rgba"][:, 3] >= 1.0)).tolist()
+        sizes, places = list(rows["size"].copy()), list(rows["pos"].copy())
+        turned = list(rows["mat"].reshape(-1, 9))
+        finishes = np.stack([rows["specular"], rows["shininess"]], axis=1)
+        looks = np.concatenate([rows["rgba"], finishes], axis=1, dtype=np.float32).tobytes()
+        width = len(looks) // max(len(rows), 1)
+        for k in np.flatnonzero(rows["rgba"][:, 3] > 0).tolist():
+            kind, geom, geoms = kinds[k], ids[k], self._models[0]
+            is_own = of[k] == _GEOM and 0 <= geom < model.ngeom and model.geom_type[geom] == kind
+            is_double = of[k] == _GEOM and (decor[k] or (is_own and bool(self._doubles[geom])))
+            lit = _LIT if is_double else 0.0 if decor[k] else 1.0
+            if kind == _PLANE and not is_own and len(self._models) > 1:
+                geoms, geom = self._models[1], 0  # the floor of the surroundings
+                is_own = geoms.model.ngeom > 0
+            place = places[k]
+            if is_own and lit == 1.0:
+                item = geoms.geoms[geom]
+                if kind == _PLANE and not geoms.model.geom_bodyid[geom]:
+                    # MuJoCo moves infinite planes with the camera, and textures of theirs the
+                    # other way; Filament draws this one so large that it can stay.
+                    place = geoms.model.geom_pos[geom].astype(np.float32)
+            elif kind in _PRIMITIVES or kind == _MESH:
+                key = (kind, meshes[k] // 2 if kind == _MESH else -1, casts[k] and lit == 1.0)
+                item = self._pooled(key, used[key])
+                used[key] += 1
+                if kind != _MESH:
+                    item.set_size(sizes[k])
+            else:
+                continue
+            item.set_pose(place, turned[k])
+            look = (looks[k * width : (k + 1) * width], lit, geom if is_own else -1)
+            if self._looks.get(item) != look:
+                self._looks[item] = look
+                item.set_material(self._material(rows[k], geoms if is_own else None, geom, lit))
+            shown.add(item)
+        for item in self._shown - shown:
+            self._scene.remove_renderable(item)
+        for item in shown - self._shown:
+            self._scene.add_renderable(item)
+        self._shown = shown
+
+    def _pooled(self, key: tuple[int, int, bool], number: int) -> Any:
+        pool = self._pool.setdefault(key, [])
+        if number == len(pool):
+            kind, mesh, casts = key
+            # With soft shadows, what receives shadows casts them as well.
+            params = self._module.RenderableParams(cast_shadow=casts, receive_shadow=casts)
+            item = self._context.create_renderable(params)
+            if kind == _MESH:
+                item.set_mesh(self._models[0].mesh(mesh), 0, 0)
+            else:
+                item.set_geom_mesh(mujoco.mjtGeom(kind), *self._quality)
+            pool.append(item)
+        return pool[number]
+
+    def _material(self, row: Any, geoms: ModelGeoms | None, geom: int, lit: float) -> Any:
+        """Returns the material of an object.
+
+        Args:
+            row: of the scene.
+            geoms: the model that it belongs to; None for a primitive of the pool.
+            geom: its number in the model.
+            lit: share of light in its colour; the rest glows.
+        """
+        if lit < 1.0:
+            return self._glowing(row["rgba"], max(lit, _DARK))
+        if geoms is not None:
+            return geoms.material(geom, row)
+        specular, glossiness = finish(row)
+        return self._module.Material(color=seen_rgba(row), specular=specular, glossiness=glossiness)
+
+    def _glowing(self, rgba: Array, lit: float) -> Any:
+        light, opacity = glow(tuple(rgba.tolist()), self._is_dark)
+        surface = shown(np.array(light) * lit / opacity)
+        # Filament multiplies what glows by the opacity twice: as a glow and as a colour.
+        return self._module.Material(
+            color=np.array([*surface, opacity], np.float32), specular=0.0, glossiness=0.0,
+            emissive=(1.0 - lit) / (lit * opacity),
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """Frees the objects."""
+        for item in self._shown:
+            self._scene.remove_renderable(item)
+        self._shown.clear()
+        self._looks.clear()
+        self._pool.clear()
+        for geoms in self._models:
+            geoms.close()
+        self._models.clear()
+
+
+def opacity_of(alpha: float) -> float:
+    """Returns the opacity with which the classic renderer shows a geom of a declared one.
+
+    It blends every transparent geom twice.
+    """
+    return 1.0 - (1.0 - min(float(alpha), 1.0)) ** 2
+
+
+def seen_rgba(row: Any) -> Array:
+    """Returns the colour of a scene's row with the opacity that the classic renderer gives it."""
+    rgba: Array = row["rgba"].copy()
+    rgba[3] = opacity_of(rgba[3])
+    return rgba
+
+
+@lru_cache(maxsize=4096)
+def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], float]:
+    """Returns light (3) and opacity with which a colour looks as the classic renderer draws it.
+
+    The classic renderer mixes colours as they are shown, Filament mixes light, in which the same
+    opacity looks paler. Light and opacity are those that differ least over greys behind them.
+
+    Args:
+        rgba: as it is declared.
+        is_dark: whether what is behind is mostly dark.
+    """
+    colour, alpha = np.array(rgba[:3]), opacity_of(rgba[3])
+    if alpha >= 1.0:
+        return tuple(np.interp(linear(colour), *_NEAR_WHITE).tolist()), 1.0
+    behind = np.linspace(0.05, 0.5, 10) if is_dark else np.linspace(0.5, 0.95, 10)
+    wanted = linear(alpha * colour + (1.0 - alpha) * behind[:, None])  # (10, 3)
+    there = linear(behind)[:, None]
+    spread = there - there.mean()
+    through = float((spread * (wanted - wanted.mean(axis=0))).sum() / (3.0 * (spread**2).sum()))
+    opacity = float(np.clip(1.0 - through, _FAINTEST, 1.0 - 1e-3))
+    # Not less than the colour's own, so that several layers keep its hue.
+    least = opacity * linear(colour)
+    light = np.maximum((wanted - (1.0 - opacity) * there).mean(axis=0), least)
+    return tuple(light.tolist()), opacity
+
+
+def finish(row: Any) -> tuple[float, float]:
+    """Returns Filament's specular colour and glossiness, 0 to 1, of a scene's row.
+
+    MuJoCo's usual specular, 0.5, becomes the reflectance of plastic at right angles, 0.04.
+
+    Source: Blinn-Phong's exponent n, MuJoCo's shininess times 128, as the width of a microfacet
+    lobe, alpha^2 = 2 / (n + 2) (Walter et al., Microfacet Models for Refraction, 2007); Filament's
+    roughness is sqrt(alpha), its glossiness 1 - roughness.
+    """
+    exponent = 128.0 * max(float(row["shininess"]), 0.0)
+    return _REFLECTANCE * float(row["specular"]), 1.0 - (2.0 / (exponent + 2.0)) ** 0.25
+
+
+def upload_mesh(context: Any, model: mujoco.MjModel, index: int) -> Any:
+    """Returns a mesh of a model as a mesh of Filament, three corners of its own for each face."""
+    module = filament()
+    first, count = int(model.mesh_faceadr[index]), int(model.mesh_facenum[index])
+    faces = model.mesh_face[first : first + count].ravel()
+    corners = model.mesh_vert[model.mesh_vertadr[index] :][faces]
+    faces = model.mesh_facenormal[first : first + count].ravel()
+    normals = model.mesh_normal[model.mesh_normaladr[index] :][faces]
+    usage, kinds = module.VertexAttributeUsage, module.VertexAttributeType
+    attributes = [
+        module.VertexAttribute(
+            usage.VERTEX_ATTRIBUTE_USAGE_POSITION, kinds.VERTEX_ATTRIBUTE_TYPE_FLOAT3
+        ),
+        module.VertexAttribute(
+            usage.VERTEX_ATTRIBUTE_USAGE_TANGENTS, kinds.VERTEX_ATTRIBUTE_TYPE_FLOAT4
+        ),
+    ]
+    config = module.MeshConfig(
+        max_vertices=3 * count, max_indices=3 * count, attributes=attributes, interleaved=True,
+        index_type=module.IndexType.INDEX_TYPE_U32,
+        primitive_type=module.MeshPrimitiveType.MESH_PRIMITIVE_TYPE_TRIANGLES,
+    )  # fmt: skip
+    data = module.MeshData(compute_bounds=True)
+    vertices = np.concatenate([corners, _tangents(normals)], axis=1).astype(np.float32)
+    data.set_vertices(config, vertices.tobytes())
+    data.set_indices(config, np.arange(3 * count, dtype=np.uint32).tobytes())
+    mesh = context.create_mesh(config)
+    mesh.upload(data)
+    return mesh
+
+
+def _tangents(normals: Array) -> Array:
+    """Returns quaternions (k, 4), x, y, z, w, that turn z to unit normals (k, 3)."""
+    x, y, z = normals.T.astype(float)
+    turned = np.stack([-y, x, np.zeros_like(z), 1.0 + z], axis=1)
+    turned[z < -1.0 + 1e-6] = (1.0, 0.0, 0.0, 0.0)  # half a turn about any axis across
+    return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
+
+
+def own_texture(context: Any, model: mujoco.MjModel, index: int) -> Any | None:
+    """Returns a texture of a model as colours that are shown; None for no colours.
+
+    Of its own accord Filament takes them for linear light, and shows them pale.
+    """
+    module = filament()
+    channels = int(model.tex_nchannel[index])
+    if channels not in (3, 4):
+        return None
+    width, height = int(model.tex_width[index]), int(model.tex_height[index])
+    kind = int(model.tex_type[index])
+    kinds = module.SamplerType
+    sampler = {_CUBE: kinds.TEXTURE_CUBE, SKYBOX: kinds.TEXTURE_SKYBOX}.get(kind, kinds.TEXTURE_2D)
+    formats = module.PixelFormat
+    config = module.TextureConfig(
+        width=width, height=height, sampler_type=sampler,
+        format=formats.PIXEL_FORMAT_RGB8 if channels == 3 else formats.PIXEL_FORMAT_RGBA8,
+        color_space=module.ColorSpace.COLORSPACE_SRGB,
+    )  # fmt: skip
+    start = int(model.tex_adr[index])
+    pixels = model.tex_data[start : start + width * height * channels]
+    return upload(context, config, pixels.tobytes())

@@ -1,0 +1,234 @@
+"""The light of Filament's pictures: options, the sky, and the lights of an `MjvScene`."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from ...robots.declared.surroundings import Palette
+from ...viewer.headless.picture_options import Quality
+from ...viewer.mujoco_private import filament
+from ...viewer.sky_light import linear
+from .environment import environment
+
+log = logging.getLogger(__name__)
+
+# cd/m^2 that Filament's camera (f/16, 1/125 s, ISO 100) shows as white.
+# Source: Filament's documentation, 8.1.2: exposure = 1 / (1.2 * 2^EV100), EV100 = log2(N^2 / t).
+_WHITE = 1.2 * 16**2 * 125
+PREFIX = "filament."
+# Colours are kept as they are declared: a linear tone mapping that clips. MuJoCo 4.0.0 shows
+# everything twice as bright, which the exposure of -1 stop undoes.
+_OPTIONS: dict[str, str | float] = {
+    "cg.tone_mapping": "linear",
+    "cg.exposure": -1.0,
+    "bloom.enabled": 0.0,
+    "ao.enabled": 1.0,
+}
+# Shadows whose softness grows with distance, `pcss`, double the time of a frame in software; few
+# samples of occlusion save 3 % of it, and look the same.
+_QUICK: dict[str, str | float] = {"shadows.type": "pcf", "ao.quality": "low"}
+_BY_QUALITY: dict[Quality, dict[str, str | float]] = {
+    "draft": _QUICK,
+    "normal": _QUICK,
+    "fine": {"shadows.type": "pcss"},
+}
+_SHADOW_MAP = 2048  # pixels a side, of each of four cascades
+_FAR = 20.0  # extents of the model from which a further light of parallel rays shines
+_SPOT, _DIRECTIONAL, _POINT, _IMAGE = (
+    int(getattr(mujoco.mjtLightType, f"mjLIGHT_{name}"))
+    for name in ("SPOT", "DIRECTIONAL", "POINT", "IMAGE")
+)
+_KNOWN = frozenset(
+    {
+        f"{group}.{name}"
+        for group, names in {
+            "ao": "bent_normals bilateral_threshold enabled low_pass_filter quality ssct "
+            "upsampling",
+            "bloom": "dirt_strength enabled levels quality resolution strength",
+            "cg": "contrast exposure gamut_mapping highlight_scale highlights luminance_scaling "
+            "mid_point midtones offset output_color_space power saturation shadow_gamma shadows "
+            "slope temperature tint tonal_ranges tone_mapping vibrance",
+            "fallback": "environment_light_intensity head_light_intensity scene_light_intensity",
+            "fog": "color cut_off_distance density distance enabled height height_falloff "
+            "in_scattering_size in_scattering_start maximum_opacity",
+            "material": "base_color_type",
+            "msaa": "enabled",
+            "phong": "emissive_multiplier shininess_multiplier specular_multiplier",
+            "shadows": "map_size type",
+            "vignette": "enabled midpoint",
+        }.items()
+        for name in names.split()
+    }
+    | {"clear_color"}
+)
+
+_SIZES = {  # of options that are several numbers
+    **dict.fromkeys(("clear_color", "fog.color"), 3),
+    **{f"cg.{name}": 3 for name in ("slope", "offset", "power")},
+    **{f"cg.{name}": 3 for name in ("shadow_gamma", "mid_point", "highlight_scale")},
+    **{f"cg.{name}": 4 for name in ("shadows", "midtones", "highlights", "tonal_ranges")},
+}
+
+
+def options_model(
+    model: mujoco.MjModel, quality: Quality, *, has_occlusion: bool = True
+) -> mujoco.MjModel:
+    """Returns a model with the options of the view, which Filament reads from a model's custom.
+
+    Those of the shown model come before ours. It is not changed: a page, whose renderer is the
+    same, reads it as well.
+
+    Args:
+        model: the shown model.
+        quality: of the picture.
+        has_occlusion: whether corners are darker, whatever the model says.
+    """
+    spec = mujoco.MjSpec()
+    own = _own_options(model)
+    no_occlusion = {} if has_occlusion else {"ao.enabled": 0.0}
+    ours = _OPTIONS | _BY_QUALITY[quality]
+    for name, value in (ours | own | no_occlusion).items():
+        if isinstance(value, str):
+            text = spec.add_text()
+            text.name, text.data = PREFIX + name, value
+        else:
+            numbers = np.atleast_1d(value).tolist()
+            numeric = spec.add_numeric()
+            numeric.name, numeric.data, numeric.size = PREFIX + name, numbers, len(numbers)
+    options = spec.compile()
+    # Filament takes it for linear light.
+    options.vis.rgba.haze[:3] = linear(model.vis.rgba.haze[:3])
+    options.vis.map.haze = model.vis.map.haze
+    options.stat.extent = model.stat.extent
+    return options
+
+
+def _own_options(model: mujoco.MjModel) -> dict[str, Any]:
+    """Returns the options of a model that Filament takes; logs those that it does not know."""
+    found: dict[str, Any] = {}
+    for index in range(model.nnumeric):
+        start, size = int(model.numeric_adr[index]), int(model.numeric_size[index])
+        found[model.numeric(index).name] = model.numeric_data[start : start + size].copy()
+    for index in range(model.ntext):
+        start, size = int(model.text_adr[index]), int(model.text_size[index])
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, index)
+        found[name or ""] = model.text_data[start : start + size - 1].decode("utf-8", "replace")
+    taken: dict[str, Any] = {}
+    for name, value in found.items():
+        if not name.startswith(PREFIX):
+            continue
+        key = name.removeprefix(PREFIX)
+        # MuJoCo 4.0.0 ends the process for another number of numbers.
+        size, expected = 0 if isinstance(value, str) else len(value), _SIZES.get(key, 1)
+        if key not in _KNOWN:
+            log.warning("'%s' is no option of MuJoCo's Filament renderer: it has no effect", name)
+        elif size and (size != expected or not np.isfinite(value).all()):
+            numbers = " ".join(f"{each:g}" for each in value)
+            log.warning("%s: found %s; expected finite numbers, %d", name, numbers, expected)
+        else:
+            taken[key] = value
+    return taken
+
+
+class SceneLights:
+    """The lights of a Filament scene: the sky, and those that MuJoCo has put into an `MjvScene`.
+
+    Args:
+        context: of the scene.
+        scene: of Filament.
+        model: the shown one, whose centre lights are aimed at.
+        look: name of the palette.
+        palette: of the surroundings.
+    """
+
+    def __init__(
+        self, context: Any, scene: Any, model: mujoco.MjModel, look: str, palette: Palette
+    ) -> None:
+        self._module, self._context, self._scene = filament(), context, scene
+        self._palette = palette
+        self._centre, self._extent = model.stat.center.copy(), float(model.stat.extent)
+        self._lights: dict[tuple[int, int, bool], Any] = {}
+        self._on: set[tuple[int, int, bool]] = set()
+        module = self._module
+        config = module.TextureConfig(
+            width=1, height=1, format=module.PixelFormat.PIXEL_FORMAT_KTX,
+            sampler_type=module.SamplerType.TEXTURE_CUBE,
+            color_space=module.ColorSpace.COLORSPACE_AUTO,
+        )  # fmt: skip
+        # A texture is kept for as long as a light or material refers to it.
+        self._texture = upload(context, config, environment(look, palette))
+        params = module.LightParams(
+            type=module.LightType.LIGHT_IMAGE, texture=self._texture, intensity=_WHITE
+        )
+        self._sky = context.create_light(params)
+        scene.add_light(self._sky)
+
+    def update(self, scene: mujoco.MjvScene) -> None:
+        """Sets the lights to those of a scene that MuJoCo has filled."""
+        lights = [each for each in scene.lights[: scene.nlight] if each.type != _IMAGE]
+        # The sky is the fill that the headlight is in the classic renderer.
+        lights = [each for each in lights if not each.headlight] or lights
+        on, has_directional = set(), False
+        for number, light in enumerate(lights):
+            kind = int(light.type)
+            place, towards = np.array(light.pos, float), np.array(light.dir, float)
+            share = np.array(light.diffuse, float)
+            level = float(share.max()) or 1.0
+            illuminance = self._palette.physical.key * np.pi * _WHITE * level / self._palette.key
+            if kind == _DIRECTIONAL and has_directional:  # Filament takes one
+                kind, distance = _SPOT, _FAR * self._extent
+                place = self._centre - distance * towards
+            distance = max(float(np.linalg.norm(place - self._centre)), 0.1)
+            is_directional = kind == _DIRECTIONAL
+            has_directional |= is_directional
+            intensity = illuminance if is_directional else illuminance * distance**2  # lx, cd
+            if light.intensity > 0.0:
+                intensity = float(light.intensity)
+            key = (number, kind, bool(light.castshadow and not light.headlight))
+            if key not in self._lights:
+                self._lights[key] = self._make(key, light)
+            own = self._lights[key]
+            own.set_color((share / level).astype(np.float32))
+            own.set_intensity(intensity)
+            own.set_pose(place.astype(np.float32), towards.astype(np.float32))
+            on.add(key)
+        for key in self._on - on:
+            self._scene.remove_light(self._lights[key])
+        for key in on - self._on:
+            self._scene.add_light(self._lights[key])
+        self._on = on
+
+    def _make(self, key: tuple[int, int, bool], light: Any) -> Any:
+        _, kind, casts = key
+        types = self._module.LightType
+        by_kind = {_DIRECTIONAL: types.LIGHT_DIRECTIONAL, _POINT: types.LIGHT_POINT}
+        bulb = float(light.bulbradius)
+        params = self._module.LightParams(
+            type=by_kind.get(kind, types.LIGHT_SPOT), cast_shadow=casts,
+            shadow_map_size=_SHADOW_MAP, range=100.0 * self._extent,
+            cutoff=float(np.clip(light.cutoff, 1.0, 89.0)), softness=0.2,
+            bulb_radius=self._palette.physical.bulb if kind == _DIRECTIONAL else bulb,
+        )  # fmt: skip
+        return self._context.create_light(params)
+
+    def close(self) -> None:
+        """Takes all lights out of the scene."""
+        for key in self._on:
+            self._scene.remove_light(self._lights[key])
+        self._scene.remove_light(self._sky)
+        self._on.clear()
+        self._lights.clear()
+        del self._sky, self._texture
+
+
+def upload(context: Any, config: Any, data: bytes) -> Any:
+    """Returns a new texture of Filament with an image, which it copies."""
+    module = filament()
+    texture, image = context.create_texture(config), module.TextureData()
+    image.set_image(data)
+    texture.upload(image)
+    return texture

@@ -1,0 +1,171 @@
+"""Whether MuJoCo's Filament renderer draws on this machine: tried elsewhere, remembered.
+
+Filament ends the process that asks it for what it cannot do: without the Vulkan loader, without a
+driver, for a picture that is larger than the driver's largest. So a process of its own tries first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import logging
+import os
+import re
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from platformdirs import user_cache_path
+
+from ...viewer.headless.backend import library_files
+
+log = logging.getLogger(__name__)
+
+# Debian and Ubuntu packages of Vulkan's loader and of drivers, with one that needs no GPU.
+PACKAGES = "libvulkan1 mesa-vulkan-drivers"
+ALWAYS = 4096  # pixels a side that every driver of Vulkan 1.0 can draw
+_TRIAL_SIDE = 64  # pixels
+_PATIENCE = 120.0  # s; a driver compiles its shaders for the first picture
+_DRIVERS = tuple(
+    Path(folder) / "vulkan" / "icd.d" for folder in ("/usr/share", "/usr/local/share", "/etc")
+)
+# What chooses a driver, of Vulkan's loader and of Mesa.
+_CHOICES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES", "VK_LOADER_DRIVERS_SELECT", "LD_LIBRARY_PATH")
+
+
+def filament_problem(width: int = _TRIAL_SIDE, height: int = _TRIAL_SIDE) -> str | None:
+    """Returns why Filament cannot draw pictures of a size here; None where it can.
+
+    The first answer takes seconds, later ones are read from the user's cache folder, until MuJoCo,
+    the loader or a driver changes.
+
+    Args:
+        width: pixels.
+        height: pixels.
+    """
+    if max(width, height) <= ALWAYS:
+        width = height = _TRIAL_SIDE
+    return _problem(_digest(width, height), width, height)
+
+
+@cache
+def _problem(digest: str, width: int, height: int) -> str | None:
+    known = _read()
+    if digest not in known:
+        problem = _try(width, height)
+        if problem is not None and "no answer" in problem:  # the machine may just be busy
+            return problem
+        known[digest] = problem
+        _write(known)
+    return known[digest]
+
+
+def _digest(width: int, height: int) -> str:
+    """Names what an answer depends on: versions, the loader, drivers and the size."""
+    files = [Path(path) for path in library_files("libvulkan")]
+    listed = [file for folder in _DRIVERS if folder.is_dir() for file in sorted(folder.iterdir())]
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        listed += [Path(path) for path in os.environ.get(name, "").split(os.pathsep) if path]
+    about: list[Any] = [importlib.metadata.version("mujoco"), sys.version, width, height]
+    about += [os.environ.get(name) for name in _CHOICES]
+    for file in [*files, *listed, *(lib for each in listed for lib in _library_of(each))]:
+        about.append([str(file), file.stat().st_mtime_ns if file.exists() else None])
+    return hashlib.sha256(json.dumps(about).encode()).hexdigest()[:24]
+
+
+def _library_of(driver: Path) -> list[Path]:
+    """Returns the library that a driver's file names, in a list; empty where it names none."""
+    try:
+        return [Path(json.loads(driver.read_bytes())["ICD"]["library_path"])]
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+
+
+def _try(width: int, height: int) -> str | None:
+    """Draws a picture of a size in another process; returns why it could not."""
+    code = f"from {__name__} import draw_trial; draw_trial({width}, {height})"
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            capture_output=True, text=True, errors="replace", timeout=_PATIENCE, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return f"no answer within {_PATIENCE:g} s"
+    if done.returncode == 0:
+        return None
+    return reason_of(done.stderr, done.returncode)
+
+
+def reason_of(stderr: str, status: int) -> str:
+    """Returns in a line why a process that tried Filament has ended.
+
+    Args:
+        stderr: what it said.
+        status: its exit status, negative for a signal.
+    """
+    lines = [line.strip() for line in stderr.splitlines() if line.strip()]
+    said = [line.partition("reason:")[2].strip() for line in lines if "reason:" in line]
+    said = said or [line for line in lines if re.match(r"[\w.]*(Error|Exception)\b", line)]
+    reason = (said or lines or [""])[-1][:160]
+    if "Vulkan instance" in reason or "libvulkan" in reason or "Vulkan device" in reason:
+        reason = f"no driver of Vulkan ({reason.rstrip('.')})"
+    if not reason:
+        reason = f"a process that tried it ended with {status}"
+    return reason
+
+
+def draw_trial(width: int, height: int) -> None:
+    """Draws a red sphere; ends this process where that is not possible.
+
+    Args:
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+
+    Raises:
+        RenderError: this MuJoCo has no Filament, or the picture is empty.
+    """
+    import mujoco
+
+    from ...base.errors import RenderError
+    from .renderer import FilamentRenderer
+
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom size='.2' rgba='1 0 0 1'/></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    renderer = FilamentRenderer(model, width, height)
+    mujoco.mjv_updateScene(
+        model, data, mujoco.MjvOption(), None, mujoco.MjvCamera(),
+        int(mujoco.mjtCatBit.mjCAT_ALL), renderer.scene,
+    )  # fmt: skip
+    pixels = renderer.render()
+    if int(pixels[..., 0].max()) - int(pixels[..., 2].min()) < 40:
+        raise RenderError("its picture is empty")
+    renderer.close()
+
+
+def _file() -> Path:
+    return user_cache_path("sero-mj", appauthor=False) / "filament.json"
+
+
+def _read() -> dict[str, str | None]:
+    try:
+        known = json.loads(_file().read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return known if isinstance(known, dict) else {}
+
+
+def _write(known: dict[str, str | None]) -> None:
+    file = _file()
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        temporary = file.with_suffix(f".{os.getpid()}")
+        temporary.write_text(json.dumps(known, indent=1), encoding="utf-8")
+        temporary.replace(file)
+    except OSError as error:  # tried again next time
+        log.debug("%s: %s", file, error)

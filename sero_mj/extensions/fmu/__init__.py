@@ -1,0 +1,5 @@
+"""Controllers as Functional Mock-up Units, as Simulink, Dymola and OpenModelica export them.
+
+In: a file .fmu. Out: the controller kind `fmu`.
+Open first: `fmu.py`.
+"""

@@ -1,0 +1,87 @@
+"""A robot's model as URDF, which clients of FCI ask for (`GetRobotModel`, servers from 8 on)."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from ...base.frames import Array, frame, inverse, rotation_from_quat, rpy_from_rotation
+from ...simulate.control.robot_model import RobotModel
+
+# libfranka looks for the last link by this name, and takes robots named `tmr...` for mobile ones.
+_ROBOT, _LINK, _JOINT = "fr3", "link{}", "joint{}"
+# How fast a joint may be near its limit, which libfranka insists on: deceleration, rad/s2, and
+# offset, rad/s, of each joint of an FR3 (libfranka, test/fr3.urdf).
+_NEAR_LIMITS = ((6.0, 0.3), (2.585, 0.2), (3.5, 0.2), (4.0, 0.3), (17.0, 0.35), (5.5, 0.35),
+                (17.0, 0.35))  # fmt: skip
+
+
+def urdf_of(model: RobotModel) -> str:
+    """Kinematics and masses of a robot's links as URDF, with libfranka's names.
+
+    The base is that of the robot. Shapes, and the inertia of motors, are not there, as in Franka's
+    own model.
+    """
+    skeleton = model.skeleton
+    robot = ElementTree.Element("robot", name=_ROBOT)
+    ElementTree.SubElement(robot, "link", name=_LINK.format(0))
+    joints = skeleton.njnt
+    back = inverse(model.base())
+    bodies = skeleton.jnt_bodyid.tolist()
+    for number, body in enumerate(bodies, 1):
+        _add_link(robot, _LINK.format(number), skeleton, body)
+        at = frame(rotation_from_quat(skeleton.body_quat[body]), skeleton.body_pos[body])
+        if number == 1:  # the base of a fixed robot is one with the world
+            at = back @ at
+        low, high = model.position_limits[number - 1]
+        joint = _add_joint(robot, _JOINT.format(number), "revolute", number - 1, at)
+        axis = skeleton.jnt_axis[number - 1]
+        ElementTree.SubElement(joint, "axis", xyz=_text(axis))
+        most = model.velocity_limits[number - 1]
+        limits = {"lower": low, "upper": high, "velocity": most, "effort": 1e3}
+        ElementTree.SubElement(
+            joint, "limit", {key: f"{np.nan_to_num(value):.17g}" for key, value in limits.items()}
+        )
+        slowing, offset = _NEAR_LIMITS[number - 1]
+        near = {"deceleration_limit": f"{slowing}", "velocity_offset": f"{offset}"}
+        ElementTree.SubElement(joint, "position_based_velocity_limits", near)
+    ElementTree.SubElement(robot, "link", name=_LINK.format(joints + 1))
+    at = frame(rotation_from_quat(skeleton.site_quat[0]), skeleton.site_pos[0])
+    _add_joint(robot, _JOINT.format(joints + 1), "fixed", joints, at)
+    return ElementTree.tostring(robot, encoding="unicode")
+
+
+def _add_joint(
+    robot: ElementTree.Element, name: str, kind: str, parent: int, at: Array
+) -> ElementTree.Element:
+    joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
+    ElementTree.SubElement(joint, "parent", link=_LINK.format(parent))
+    ElementTree.SubElement(joint, "child", link=_LINK.format(parent + 1))
+    _add_origin(joint, at)
+    return joint
+
+
+def _add_link(robot: ElementTree.Element, name: str, skeleton: mujoco.MjModel, body: int) -> None:
+    link = ElementTree.SubElement(robot, "link", name=name)
+    inertial = ElementTree.SubElement(link, "inertial")
+    _add_origin(inertial, frame(np.eye(3), skeleton.body_ipos[body]))
+    ElementTree.SubElement(inertial, "mass", value=f"{skeleton.body_mass[body]:.17g}")
+    turn = rotation_from_quat(skeleton.body_iquat[body])
+    inertia = turn @ np.diag(skeleton.body_inertia[body]) @ turn.T
+    entries = {
+        f"i{a}{b}": f"{inertia['xyz'.index(a), 'xyz'.index(b)]:.17g}"
+        for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")
+    }
+    ElementTree.SubElement(inertial, "inertia", entries)
+
+
+def _add_origin(element: ElementTree.Element, at: Array) -> None:
+    """Adds a pose: xyz, and angles about the fixed axes x, y and z."""
+    rpy = rpy_from_rotation(at[:3, :3])
+    ElementTree.SubElement(element, "origin", xyz=_text(at[:3, 3]), rpy=_text(rpy))
+
+
+def _text(numbers: Array) -> str:
+    return " ".join(f"{round(number, 12) + 0.0:.12g}" for number in numbers.tolist())

@@ -1,0 +1,360 @@
+"""`FrankaReceiver`: a robot of Franka, by its Franka Control Interface (FCI) on TCP 1337.
+
+A client asks by TCP for states on a UDP port of its own; the robot then sends one each millisecond.
+All messages are little-endian and packed. Nothing but this one question is ever sent, so nothing
+can be commanded. The protocol and names of fields are those of libfranka-common's
+`research_interface::robot`, server versions 3 (Panda) to 10 (Franka Research 3).
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time as clock
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cached_property
+from typing import ClassVar, NoReturn
+
+import numpy as np
+from pydantic import Field, PrivateAttr
+
+from ...base.frames import Array, Ints
+from ...data.receive import connecting
+from ...data.receive.connecting import ConnectingSource, Connection, Nonsense
+from ...data.receive.structure import Rows, Structure, TorqueSign
+from ...data.receive.udp_socket import (
+    DEFAULT_BUFFER,
+    Batch,
+    Datagrams,
+    canonical_address,
+    pack_address,
+)
+
+PORT = 1337
+CONNECT = 0  # the command
+_HEAD = struct.Struct("<III")  # command, number of the question, bytes of all
+_QUESTION = struct.Struct("<HH")  # version, UDP port
+_ANSWER = struct.Struct("<BH")  # status, version of the server
+_SUCCESS, _INCOMPATIBLE = 0, 1
+_MOST_BYTES = 1024  # of an answer; those of today have 15
+OLDEST, NEWEST = 3, 10  # versions of servers
+_SINGLE_SINCE = 10  # numbers of a state are float32, before that float64
+_BOOLEANS = {3: 37, 4: 37}  # version to the number of errors; of all others 41
+
+# All fields of `RobotState` in order, first version, and count of numbers, or struct's type.
+FIELDS: tuple[tuple[str, int, int | str], ...] = (
+    ("message_id", 3, "Q"),
+    ("O_T_EE", 3, 16), ("O_T_EE_d", 3, 16), ("F_T_EE", 3, 16), ("EE_T_K", 3, 16),
+    ("F_T_NE", 4, 16), ("NE_T_EE", 4, 16),
+    ("m_ee", 3, 1), ("I_ee", 3, 9), ("F_x_Cee", 3, 3),
+    ("m_load", 3, 1), ("I_load", 3, 9), ("F_x_Cload", 3, 3),
+    ("elbow", 3, 2), ("elbow_d", 3, 2),
+    ("tau_J", 3, 7), ("tau_J_d", 3, 7), ("dtau_J", 3, 7),
+    ("q", 3, 7), ("q_d", 3, 7), ("dq", 3, 7), ("dq_d", 3, 7), ("ddq_d", 3, 7),
+    ("joint_contact", 3, 7), ("cartesian_contact", 3, 6),
+    ("joint_collision", 3, 7), ("cartesian_collision", 3, 6),
+    ("tau_ext_hat_filtered", 3, 7), ("O_F_ext_hat_K", 3, 6), ("K_F_ext_hat_K", 3, 6),
+    ("O_dP_EE_d", 3, 6), ("O_ddP_O", 5, 3),
+    ("elbow_c", 3, 2), ("delbow_c", 3, 2), ("ddelbow_c", 3, 2),
+    ("O_T_EE_c", 3, 16), ("O_dP_EE_c", 3, 6), ("O_ddP_EE_c", 3, 6),
+    ("theta", 3, 7), ("dtheta", 3, 7),
+    ("accelerometer_top", 10, 18), ("accelerometer_bottom", 10, 18),
+    ("motion_generator_mode", 3, "B"), ("controller_mode", 3, "B"),
+    ("errors", 3, "?"), ("reflex_reason", 3, "?"),
+    ("robot_mode", 3, "B"), ("control_command_success_rate", 3, 1),
+)  # fmt: skip
+# Those that are events, in the same order, and how they are packed.
+EVENTS = {
+    "message_id": "message_id:1Q",
+    "tau_J": "torques:7d",
+    "tau_J_d": "commanded_torques:7d",
+    "q": "joint_angles:7d",
+    "q_d": "commanded_angles:7d",
+    "dq": "joint_velocities:7d",
+    "tau_ext_hat_filtered": "external_torques:7d",
+    "O_F_ext_hat_K": "tcp_force:1Vd tcp_moment:1Vd",
+    "errors": "errors:41?",
+    "reflex_reason": "reflex_reasons:41?",
+    "robot_mode": "robot_mode:1B",
+}
+STRUCTURE = " ".join(EVENTS.values())
+# External torques and forces are those that the robot exerts on its environment, so they have the
+# opposite sign of ours. Sources: libfranka include/franka/robot_state.h (O_F_ext_hat_K) and issue
+# 26, drake manipulation/README.md; docs/conventions.md.
+_EXTERNAL_SIGN = -1.0
+_PACKET = struct.Struct("<Q48d41s41sB")  # shorter strings are filled with zeros
+
+ROBOT_MODES = (
+    "in another mode", "idle", "moving", "being guided", "stopped by a reflex",
+    "stopped by its user", "recovering from an error",
+)  # fmt: skip
+_GOOD = (1, 2, 3)
+# Of `errors` and `reflex_reason`, as libfranka calls them.
+ERRORS = (
+    "joint_position_limits_violation", "cartesian_position_limits_violation",
+    "self_collision_avoidance_violation", "joint_velocity_violation",
+    "cartesian_velocity_violation", "force_control_safety_violation", "joint_reflex",
+    "cartesian_reflex", "max_goal_pose_deviation_violation", "max_path_pose_deviation_violation",
+    "cartesian_velocity_profile_safety_violation",
+    "joint_position_motion_generator_start_pose_invalid",
+    "joint_motion_generator_position_limits_violation",
+    "joint_motion_generator_velocity_limits_violation",
+    "joint_motion_generator_velocity_discontinuity",
+    "joint_motion_generator_acceleration_discontinuity",
+    "cartesian_position_motion_generator_start_pose_invalid",
+    "cartesian_motion_generator_elbow_limit_violation",
+    "cartesian_motion_generator_velocity_limits_violation",
+    "cartesian_motion_generator_velocity_discontinuity",
+    "cartesian_motion_generator_acceleration_discontinuity",
+    "cartesian_motion_generator_elbow_sign_inconsistent",
+    "cartesian_motion_generator_start_elbow_invalid",
+    "force_controller_desired_force_tolerance_violation", "start_elbow_sign_inconsistent",
+    "communication_constraints_violation", "power_limit_violation",
+    "cartesian_motion_generator_joint_position_limits_violation",
+    "cartesian_motion_generator_joint_velocity_limits_violation",
+    "cartesian_motion_generator_joint_velocity_discontinuity",
+    "cartesian_motion_generator_joint_acceleration_discontinuity",
+    "cartesian_position_motion_generator_invalid_frame_flag", "controller_torque_discontinuity",
+    "joint_p2p_insufficient_torque_for_planning", "tau_J_range_violation", "instability_detected",
+    "joint_move_in_wrong_direction", "cartesian_spline_motion_generator_violation",
+    "joint_via_motion_generator_planning_joint_limit_violation",
+    "base_acceleration_initialization_timeout", "base_acceleration_invalid_reading",
+)  # fmt: skip
+
+
+def state_fields(version: int) -> dict[str, tuple[int, str]]:
+    """Fields of the state that a server of this version sends: their offsets, bytes, and types.
+
+    The types are those of `struct`, with a count.
+    """
+    number = "f" if version >= _SINGLE_SINCE else "d"
+    fields, at = {}, 0
+    for name, since, count in FIELDS:
+        if version < since:
+            continue
+        if isinstance(count, int):
+            kind = f"{count}{number}"
+        else:
+            kind = f"{_BOOLEANS.get(version, 41)}?" if count == "?" else f"1{count}"
+        fields[name] = at, kind
+        at += struct.calcsize(f"<{kind}")
+    return fields
+
+
+def state_size(version: int) -> int:
+    """Bytes of the state that a server of this version sends."""
+    return sum(struct.calcsize(f"<{kind}") for _, kind in state_fields(version).values())
+
+
+def _picker(version: int) -> struct.Struct:
+    """What reads the fields of `EVENTS` from a state, and skips the others."""
+    kinds = (
+        kind.replace("?", "s") if name in EVENTS else f"{struct.calcsize(f'<{kind}')}x"
+        for name, (_, kind) in state_fields(version).items()
+    )
+    return struct.Struct("<" + "".join(kinds))
+
+
+# Bytes of a state to what reads it: versions of one size have one layout.
+_PICKERS = {state_size(version): _picker(version) for version in range(OLDEST, NEWEST + 1)}
+_LONGEST_STATE = max(_PICKERS)
+
+
+class FrankaReceiver(ConnectingSource):
+    """Receives the state of a robot of Franka, without commanding it.
+
+    It connects, and connects again when the connection is lost; the version of the robot's server
+    is found by asking. As a robot has one client at a time, nobody else can be connected meanwhile.
+    Events are in SI units. `torques` include gravity, `commanded_torques` do not. `tcp_force` and
+    `tcp_moment` act at the stiffness frame, in directions of the base; near a singularity they are
+    0. Like `external_torques` they are what the environment exerts on the robot.
+
+    Attributes:
+        host: address of the robot's controller.
+        port: its port.
+        torque_sign: factor of measured and commanded torques: 1 or -1.
+    """
+
+    name: str = "franka"
+    port: int = Field(PORT, ge=1, le=65535)
+    structure: str = STRUCTURE
+    sequence: str = "message_id"
+    time: str = "message_id"
+    time_scale: float = 1e-3
+    torque_sign: TorqueSign = 1
+
+    _fixed_by: ClassVar[str] = "FCI"
+    _link: ClassVar[str] = "Franka FCI"
+    _if_refused: ClassVar[str] = "; is FCI activated in Desk?"
+    _version: int = PrivateAttr(NEWEST)  # that is asked for
+
+    @cached_property
+    def layout(self) -> Structure:
+        """The decoder."""
+        return FrankaLayout(self.torque_sign)
+
+    def describe_link(self, values: Mapping[str, Array]) -> str:
+        """What a packet says of the robot, in words."""
+        said = [f"robot {_mode(float(values['robot_mode'][0]))}", *_errors(values["errors"])]
+        if not values["errors"].any():
+            said += [f"last: {name}" for name in _errors(values["reflex_reasons"])]
+        return ", ".join(said)
+
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """A packet's `robot_mode`, and which of `ERRORS` is the first, counted from 1; 0: none."""
+        errors = values["errors"] != 0
+        first = 1 + int(np.argmax(errors)) if errors.any() else 0
+        return float(values["robot_mode"][0]), float(first)
+
+    def link_faults(self, state: float, quality: float) -> list[str]:
+        """What keeps the robot from moving, one per line."""
+        if state in _GOOD and quality <= 0:
+            return []
+        error = f": {ERRORS[int(quality) - 1]}" if 1 <= quality <= len(ERRORS) else ""
+        return [f"robot {_mode(state)}{error}"]
+
+    def _converse(self, wake: socket.socket) -> None:
+        """Connects and receives; see `ConnectingSource`."""
+        asked = set[int]()
+        while True:
+            with Connection(self.host, self.port, wake) as connection:
+                asked.add(self._version)
+                version = self._talk(connection)
+            # A server that does not know our version tells its own.
+            if not OLDEST <= version <= NEWEST:
+                known = f"{OLDEST} to {NEWEST} are known"
+                raise Nonsense(f"has version {version} of the server; {known}")
+            if version in asked:
+                raise Nonsense(f"refuses version {self._version}, and says that it has {version}")
+            self._version = version
+
+    def _talk(self, connection: Connection) -> int:
+        """Asks for states and receives until the connection ends.
+
+        Returns at once the server's version where it refuses ours.
+        """
+        with socket.socket(connection.socket.family, socket.SOCK_DGRAM) as states:
+            with suppress(OSError):  # some systems refuse so much
+                states.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, DEFAULT_BUFFER)
+            here = connection.socket.getsockname()
+            states.bind((here[0], 0, *here[2:]))
+            port = int(states.getsockname()[1])
+            status, version = self._ask(connection, port)
+            if status == _INCOMPATIBLE:
+                return version
+            if status != _SUCCESS:
+                raise Nonsense(f"refuses to connect, by status {status}")
+            if not OLDEST <= version <= NEWEST:
+                return version
+            peer = connection.socket.getpeername()[0]
+            self._receive_states(connection, states, peer, version)
+
+    def _ask(self, connection: Connection, port: int) -> tuple[int, int]:
+        """Asks for states; returns the status and the server's version."""
+        number = 1
+        size = _HEAD.size + _QUESTION.size
+        question = _HEAD.pack(CONNECT, number, size) + _QUESTION.pack(self._version, port)
+        connection.socket.sendall(question)
+        deadline = clock.monotonic() + connecting.PATIENCE
+        hint = "is another client connected?"
+        answer = b""
+        while True:
+            connection.wait(deadline, f"does not answer; {hint}")
+            try:
+                answer += connection.read()
+            except ConnectionError as error:
+                raise ConnectionError(
+                    f"{error.strerror or error} without an answer; {hint}"
+                ) from None
+            if len(answer) < _HEAD.size:
+                continue
+            command, found, size = _HEAD.unpack_from(answer)
+            least = _HEAD.size + _ANSWER.size
+            if (command, found) != (CONNECT, number) or not least <= size <= _MOST_BYTES:
+                raise Nonsense("answers by what is no message of FCI", answer)
+            if len(answer) < size:
+                continue
+            if len(answer) > size:
+                raise Nonsense("says more than it was asked", answer)
+            status, version = _ANSWER.unpack_from(answer, _HEAD.size)
+            return status, version
+
+    def _receive_states(
+        self, connection: Connection, states: socket.socket, peer: str, version: int
+    ) -> NoReturn:
+        """Receives states until the connection ends."""
+        expected = canonical_address(pack_address(peer, 0))[0]
+        datagrams = Datagrams(states, _LONGEST_STATE + 1)
+        connection.watch(states)
+        self._begin(f"version {version}")
+        port = int(states.getsockname()[1])
+        silent = f"sends no states to UDP port {port}; is it closed by a firewall?"
+        deadline = clock.monotonic() + connecting.PATIENCE
+        while True:
+            ready = connection.wait(deadline, silent)
+            if states in ready and (batch := datagrams.receive()) is not None:
+                if batch.dropped is not None:
+                    self.counters.dropped = batch.dropped
+                if self._take_in(batch, expected):
+                    silent = f"sends nothing for {connecting.PATIENCE:g} s"
+                    deadline = clock.monotonic() + connecting.PATIENCE
+                elif clock.monotonic() > deadline:  # others keep the socket ready
+                    raise TimeoutError(silent)
+            if connection.socket in ready:
+                raise Nonsense("says what it was not asked", connection.read())
+
+    def _take_in(self, batch: Batch, expected: bytes) -> bool:
+        """Accepts what the robot has sent; returns whether there was any."""
+        rows, lengths, arrivals = batch.rows, batch.lengths, batch.arrivals
+        known = np.array([canonical_address(s.tobytes())[0] == expected for s in batch.senders])
+        if not known.all():
+            foreign = int((~known).sum())
+            self.counters.foreign += foreign
+            self.counters.received += foreign
+            rows, lengths, arrivals = rows[known], lengths[known], arrivals[known]
+        if len(rows):
+            self._accept(rows, lengths, arrivals)
+        return bool(len(rows))
+
+
+class FrankaLayout(Structure):
+    """The packets of `FrankaReceiver`, made of states of all versions.
+
+    Args:
+        torque_sign: factor of measured and commanded torques.
+    """
+
+    message = "state"
+
+    def __init__(self, torque_sign: TorqueSign = 1) -> None:
+        own = dict.fromkeys(("torques", "commanded_torques"), float(torque_sign))
+        external = dict.fromkeys(("external_torques", "tcp_force", "tcp_moment"), _EXTERNAL_SIGN)
+        super().__init__(STRUCTURE, signs={**own, **external})
+
+    def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
+        """Turns states into packets; see `Structure.unpack`."""
+        packets = np.zeros((len(rows), self.size), np.uint8)
+        sizes = np.full(len(rows), -1)
+        for i, length in enumerate(lengths.tolist()):
+            picker = _PICKERS.get(length)
+            if picker is not None and length <= rows.shape[1]:
+                packet = _PACKET.pack(*picker.unpack_from(rows[i]))
+                packets[i], sizes[i] = np.frombuffer(packet, np.uint8), self.size
+        return packets, sizes
+
+    def describe_wrong_size(self, packet: bytes, length: int) -> str:
+        """Describes why a packet is none; see `Structure.describe_wrong_size`."""
+        sizes = ", ".join(map(str, sorted(_PICKERS)))
+        return f"{length} bytes; a {self.message} of the robot has {sizes}"
+
+
+def _mode(state: float) -> str:
+    """The robot's mode in words."""
+    known = 0 <= state < len(ROBOT_MODES)
+    return ROBOT_MODES[int(state)] if known else f"in mode {state:.0f}"
+
+
+def _errors(flags: Array) -> list[str]:
+    """Names of the errors that are set."""
+    return [ERRORS[i] for i in np.flatnonzero(flags)]

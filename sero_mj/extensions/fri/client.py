@@ -1,0 +1,69 @@
+"""`kind = "fri"`: a client of KUKA's Fast Research (or Robot) Interface holds a simulated robot."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from ...base.errors import Problem
+from ...simulate.control.robot_model import RobotModel
+from . import iiwa as fri_iiwa
+from . import receiver as fri
+from .iiwa_fri import IiwaFri
+from .lwr_fri import LwrFri
+from .robot import JOINTS, FriRobot, FriSession
+
+# What a client may add to angles, and the control of the robot that it needs.
+_NEEDS = {"wrench": "cartesian_impedance", "torque": "joint_impedance"}
+
+
+class FriClient(FriSession):
+    """A client of FRI; the simulated robot is an LWR or an iiwa, or another one of seven joints."""
+
+    logged: ClassVar[tuple[str, ...]] = ("fri_state", "fri_quality", "step_lateness")
+    title: ClassVar[str] = "client of FRI"
+    order: ClassVar[int] = 75
+
+    kind: Literal["fri"] = "fri"
+    port: int = Field(fri.PORT, ge=0, le=65535)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _port_follows_version(cls, fields: dict[str, Any]) -> dict[str, Any]:
+        if fields.get("version", "1") != "1" and "port" not in fields:
+            return {**fields, "port": fri_iiwa.PORT}
+        return fields
+
+    @model_validator(mode="after")
+    def _fields_fit_each_other(self) -> Self:
+        low, high = fri.CYCLES  # also those of an iiwa
+        if self.cycle and not low <= self.cycle <= high:
+            raise Problem("cycle", found=self.cycle, expected=f"{low} to {high} s").error()
+        needs = _NEEDS.get(self.command_mode)
+        if self.version == "1" and needs:
+            expected = "position with FRI 1.0, whose commands have flags instead"
+            raise Problem("command_mode", found=self.command_mode, expected=expected).error()
+        if needs and needs != self.control:
+            expected = f"{needs} with command_mode = '{self.command_mode}'"
+            raise Problem("control", found=self.control, expected=expected).error()
+        return self
+
+    def make(self, model: RobotModel, timestep: float) -> FriRobot:
+        """The controller; the program is started with its first step."""
+        if model.n != JOINTS:
+            reason = f"FRI is for {JOINTS} joints; {model.name} has {model.n}"
+            raise Problem("kind", reason).error()
+        cycle = self.cycle or timestep
+        steps = round(cycle / timestep)
+        if steps < 1 or abs(steps * timestep - cycle) > 1e-9:
+            expected = f"a multiple of the time step, {timestep:g} s"
+            raise Problem("cycle", found=self.cycle, expected=expected).error()
+        if cycle < fri.CYCLES[0] - 1e-9:
+            expected = f"{fri.CYCLES[0]} s or more: the time step is {timestep:g} s"
+            raise Problem("cycle", found=self.cycle, expected=expected).error()
+        if self.version == "1":
+            return LwrFri(self, model, timestep, steps)
+        if abs(cycle - round(cycle, 3)) > 1e-9:
+            raise Problem("cycle", found=cycle, expected="whole milliseconds").error()
+        return IiwaFri(self, model, timestep, steps)

@@ -1,0 +1,393 @@
+"""KUKA's Fast Research Interface (FRI): packets of an LWR 4/4+ (1.0), and `FriReceiver`.
+
+`fri_iiwa.py` has the messages of an iiwa. The controller of an LWR sends one measurement packet
+each cycle (1 to 100 ms) to a configured address; a client answers each with a command packet.
+Without answers it still sends measurements, with the quality `unacceptable`. Packets are
+little-endian and without gaps; their layouts are those of the interface, the names are ours.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Collection, Mapping
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, PrivateAttr, model_validator
+
+from ...base.frames import Array
+from ...data.receive.scheduling import short_turns
+from ...data.receive.structure import Rows, Structure, TorqueSign, are_frames
+from ...data.receive.udp import UdpReceiver
+from ...data.receive.udp_socket import OnArrival
+from . import iiwa as fri_iiwa
+
+PORT = 49938  # FRI's own default
+TORQUE_SIGN: TorqueSign = 1  # of an LWR; not verified on hardware
+CYCLES = (0.001, 0.1)  # s; minimum and maximum of a controller's setting
+ALL_DRIVES = 0x7F  # `power` with all seven on
+
+INVALID = 65535  # -1, as state and quality are unsigned
+STATES = {0: "off", 1: "monitor", 2: "command", INVALID: "invalid"}
+QUALITIES = {0: "unacceptable", 1: "bad", 2: "ok", 3: "perfect", INVALID: "invalid"}
+
+_ID = 0x2006  # of measurements
+_HEADER = "send_counter:1H reflected_counter:1H packet_size:1H=size datagram_id:1H={}"
+_KRL = "krl_real:16f krl_int:16i krl_bool:1H 2x"
+# From the controller, 916 bytes.
+MEASUREMENT = " ".join(
+    (
+        _HEADER.format(hex(_ID)),
+        _KRL,
+        "timestamp:1f state:1H quality:1H measurement_cycle:1f command_cycle:1f safety_limits:1f",
+        "answer_rate:1f latency:1f jitter:1f miss_rate:1f miss_counter:1I",
+        "power:1H control:1H error:1H warning:1H temperatures:7f",
+        "joint_angles:7f flange_frame:1Tf",
+        "commanded_before_fri:7f commanded_offset:7f",
+        "commanded_frame:1Tf commanded_frame_offset:12f",
+        "torques:7f external_torques:7f tcp_force:1Vf tcp_moment:1Vf",
+        "jacobian:42f mass_matrix:49f gravity_torques:7f",
+    )
+)
+# To the controller, 376 bytes. Without a bit in `command_flags` the rest is ignored.
+COMMAND = " ".join(
+    (
+        _HEADER.format("0x1005"),
+        _KRL,
+        "command_flags:1I joint_angles:7f tcp_frame:12f joint_torques:7f tcp_wrench:6f",
+        "joint_stiffness:7f joint_damping:7f cartesian_stiffness:6f cartesian_damping:6f",
+    )
+)
+# By size: structure, row-major, and description.
+KNOWN_PACKETS = {
+    916: (MEASUREMENT, "KUKA FRI, measured data (LWR 4)"),
+    376: (COMMAND, "KUKA FRI, commands (LWR 4)"),
+}
+FRAMES = frozenset(("flange_frame", "commanded_frame"))
+_COMMANDED = ("commanded_before_fri", "commanded_offset")
+
+
+class FriLayout(Structure):
+    """The measurement packet, with its values in this package's conventions.
+
+    - `commanded_angles` is added: FRI reports the command of the robot's program and the offset of
+      its client; the robot follows the sum.
+    - `tcp_moment` is sent as z, y, x and returned as x, y, z; so are the last three rows of the
+      `jacobian` (6 x 7, row by row).
+    - `torques` are multiplied by `torque_sign`.
+    - An invalid frame (zeros, say, before a program has commanded one) is no data, NaN, where that
+      is allowed.
+
+    Attributes:
+        missing: frames that may be no data; in the others, what is no frame is malformed.
+    """
+
+    def __init__(
+        self, missing: Collection[str] = FRAMES, torque_sign: TorqueSign = TORQUE_SIGN
+    ) -> None:
+        super().__init__(
+            MEASUREMENT,
+            is_double=False,
+            column_major=False,
+            signs={"torques": float(torque_sign)},
+        )
+        self.missing = FRAMES & set(missing)
+        self.events["commanded_angles"] = self.events[_COMMANDED[0]]
+
+    def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
+        """Returns every event's array; see `Structure.decode`."""
+        values = super().decode(packet)
+        derived = self._derive({event: array[None] for event, array in values.items()})
+        return {event: array[0] for event, array in derived.items()}
+
+    def decode_rows(self, rows: Rows, events: Collection[str] | None = None) -> dict[str, Array]:
+        """Decodes many packets at once; see `Structure.decode_rows`."""
+        if events is not None and "commanded_angles" in events:
+            events = {*events, *_COMMANDED}
+        return self._derive(super().decode_rows(rows, events))
+
+    def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
+        """A packet's `state` and `quality`, see `STATES` and `QUALITIES`.
+
+        Args:
+            values: event name to its array, of one packet.
+        """
+        return float(values["state"][0]), float(values["quality"][0])
+
+    def link_words(self, state: float, quality: float) -> tuple[str, str]:
+        """Returns a state and a quality in words."""
+        state_word, quality_word = (
+            words.get(int(number), f"{number:.0f}")
+            for words, number in ((STATES, state), (QUALITIES, quality))
+        )
+        return state_word, quality_word
+
+    def is_good(self, state: float, quality: float) -> bool:
+        """Whether a controller's state and quality need no warning."""
+        state_word, quality_word = self.link_words(state, quality)
+        return state_word in ("monitor", "command") and quality_word in ("ok", "perfect")
+
+    def describe(self, values: Mapping[str, Array]) -> str:
+        """What a packet says of the robot's controller, in words."""
+        return "state {}, quality {}".format(*self.link_words(*self.link_state(values)))
+
+    @property
+    def required_frames(self) -> tuple[str, ...]:
+        """Matrices that make a packet malformed unless they are frames or NaN."""
+        return tuple(event for event in self.matrices if event not in self.missing)
+
+    def find_not_finite(self, rows: Rows, but: Collection[str] = ()) -> NDArray[np.bool_]:
+        """Which packets have NaN or infinity outside the events `but`, (n,)."""
+        if "commanded_angles" not in but:  # then both of its parts must be finite
+            but = frozenset(but).difference(_COMMANDED)
+        return super().find_not_finite(rows, but)
+
+    def bounds(self, limits: Mapping[str, float]) -> list[Any]:
+        """Prepares `find_odd`; see `Structure.bounds`."""
+        if "commanded_angles" in limits:  # the sum of two
+            half = limits["commanded_angles"] / 2.0
+            parts = {part: min(half, limits.get(part, half)) for part in _COMMANDED}
+            limits = {**limits, **parts}
+        return super().bounds(limits)
+
+    def _derive(self, values: dict[str, Array]) -> dict[str, Array]:
+        if all(event in values for event in _COMMANDED):
+            before, offset = (values[event] for event in _COMMANDED)
+            with np.errstate(invalid="ignore"):  # infinity - infinity
+                values["commanded_angles"] = before + offset
+        _reverse_moments(values)
+        for event in self.missing & values.keys():
+            frames = values[event]
+            with np.errstate(invalid="ignore", over="ignore"):
+                good = are_frames(frames.reshape(-1, 4, 4)).reshape(-1, 1, 1, 1)
+            values[event] = np.where(good, frames, np.nan)
+        return values
+
+    def encode(self, values: Mapping[str, ArrayLike]) -> bytes:
+        """Returns the packet that carries these events; see `Structure.encode`.
+
+        `commanded_angles` are written as the program's, minus the `commanded_offset` if given.
+        """
+        packed: dict[str, Any] = {
+            event: np.array(value) if event in ("tcp_moment", "jacobian") else value
+            for event, value in values.items()
+        }
+        if "commanded_angles" in packed:
+            offset = np.asarray(packed.get("commanded_offset", 0.0))
+            packed["commanded_before_fri"] = np.asarray(packed.pop("commanded_angles")) - offset
+        _reverse_moments(packed)
+        return super().encode(packed)
+
+
+def _reverse_moments(values: dict[str, Any]) -> None:
+    """Reverses the order of z, y, x to x, y, z, and back."""
+    if "tcp_moment" in values:
+        values["tcp_moment"] = values["tcp_moment"][..., ::-1]
+    if "jacobian" in values:
+        rows = np.array(values["jacobian"])
+        turned = rows.reshape(*rows.shape[:-1], 6, 7)[..., [0, 1, 2, 5, 4, 3], :]
+        values["jacobian"] = turned.reshape(rows.shape)
+
+
+_HEAD = struct.Struct("<4H")  # as _HEADER has it
+_SIZE = Structure(MEASUREMENT, is_double=False).size
+_NO_COMMAND = Structure(COMMAND).encode({})[4:]
+
+
+def counter_of(packet: memoryview, length: int) -> int | None:
+    """Returns the `send_counter` of a measurement; None for any other packet.
+
+    The same check as `FriLayout.find_wrong_constants`, but ten times as fast for one packet.
+
+    Args:
+        packet: its bytes, at least eight.
+        length: their number.
+    """
+    if length != _SIZE:
+        return None
+    counter, _, size, datagram_id = _HEAD.unpack_from(packet)
+    return int(counter) if (size, datagram_id) == (_SIZE, _ID) else None
+
+
+def no_command(counter: int, reflected: int) -> bytes:
+    """Returns a command packet that commands nothing: all zero except its header.
+
+    Args:
+        counter: of the packets sent so far, this one included; its lower 16 bits are sent.
+        reflected: `send_counter` of the last measurement.
+    """
+    return struct.pack("<HH", counter & 0xFFFF, reflected) + _NO_COMMAND
+
+
+_STRUCTURES = {"1": MEASUREMENT, **fri_iiwa.STRUCTURES}
+
+
+class FriReceiver(UdpReceiver):
+    """Receives the measurements of an LWR or an iiwa, without commanding it.
+
+    Fields fixed by FRI (`structure`, byte order, counters, time stamps) cannot be set. Events are
+    in SI units; frames are T_base_tcp with the base and tool set in the controller, that is base to
+    flange without a tool. `answer_rate` is 1 when every packet was answered; like `latency`,
+    `jitter` (s) and `miss_rate` it is an average of the controller over 100 packets.
+
+    Attributes:
+        version: of FRI: `1` of an LWR 4/4+, `iiwa-1` and `iiwa-2` (1.x and 2.x) of an iiwa or Med,
+            whose port is 30200 unless another is given.
+        answer: whether measurements are answered. Every answer is a command packet without a
+            command: all but its header, including its flags, is 0, or left out. Without answers
+            the controller rates the quality as unacceptable, or poor. With them an interface of an
+            LWR put into command mode by its program stays there, and the robot follows that
+            program; an iiwa that waits for commands, or follows them, gets no answer. Answers have
+            priority: packets are processed up to 4 ms later.
+        torque_sign: factor of measured and commanded torques: 1 or -1 (default: 1 for an LWR, -1
+            for an iiwa).
+    """
+
+    name: str = "fri"
+    udpport: int = Field(PORT, alias="port", ge=0, le=65535)
+    is_double: bool = Field(False, alias="double")
+    column_major: bool = False
+    structure: str = MEASUREMENT
+    sequence: str = "send_counter"
+    time: str = "timestamp"
+    version: Literal["1", "iiwa-1", "iiwa-2"] = "1"
+    answer: bool = False
+    torque_sign: TorqueSign | None = None
+
+    _fixed_by: ClassVar[str] = "FRI"
+    # As long as the routes are unknown, frames may be missing.
+    _nan_allowed: frozenset[str] = PrivateAttr(FRAMES)
+    _answers: int = PrivateAttr(0)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, fields: dict[str, Any]) -> dict[str, Any]:
+        """Completes what follows from the version."""
+        fields = dict(fields)
+        structure = _STRUCTURES.get(str(fields.get("version", "1")))
+        if structure and fields.get("structure", MEASUREMENT) in _STRUCTURES.values():
+            fields["structure"] = structure
+        if structure != MEASUREMENT and not {"port", "udpport"} & fields.keys():
+            fields["port"] = fri_iiwa.PORT
+        return fields
+
+    def model_post_init(self, context: Any, /) -> None:
+        """Lets messages of an iiwa leave out what they may, until the routes are known."""
+        self.__pydantic_fields_set__.discard("structure")  # nobody has declared it
+        if self.is_iiwa:
+            self._nan_allowed = fri_iiwa.OPTIONAL & self.events.keys()
+
+    @classmethod
+    def _fixed(cls, field: str) -> Collection[Any]:
+        return _STRUCTURES.values() if field == "structure" else super()._fixed(field)
+
+    @cached_property
+    def layout(self) -> FriLayout | fri_iiwa.IiwaLayout:
+        """The decoder."""
+        if self.is_iiwa:
+            return fri_iiwa.IiwaLayout(self.version, self.torque_sign or fri_iiwa.TORQUE_SIGN)
+        return FriLayout(self._nan_allowed, self.torque_sign or TORQUE_SIGN)
+
+    def decoding_fields(self) -> dict[str, Any]:
+        """The fields that determine the meaning of packets; for recordings."""
+        if not self.is_iiwa:
+            return super().decoding_fields()
+        kept = {"version", "torque_sign"}  # which determine the structure and the signs
+        return self.model_dump(mode="json", include=kept, exclude_defaults=True)
+
+    @property
+    def is_iiwa(self) -> bool:
+        """Whether it receives messages of an iiwa."""
+        return self.version != "1"
+
+    @property
+    def can_be_played(self) -> bool:
+        """Whether `sero-mj send` can send what it receives."""
+        return not self.is_iiwa
+
+    @property
+    def about(self) -> str:
+        """Kind and address, as shown to the user."""
+        does = "answers, commands nothing" if self.answer else "listens only"
+        name = f"FRI {self.version[-1]}.x of an iiwa" if self.is_iiwa else "FRI 1.0"
+        return f"KUKA {name} on {super().about}, {does}"
+
+    def describe_link(self, values: Mapping[str, Array]) -> str:
+        """What a packet says of the robot's controller, in words."""
+        return self.layout.describe(values)
+
+    def link_faults(self, state: float, quality: float) -> list[str]:
+        """What is wrong with the robot's controller or the link to it, one per line."""
+        if self.layout.is_good(state, quality):
+            return []
+        state_word, quality_word = self.layout.link_words(state, quality)
+        lines = [f"quality {quality_word}, state {state_word}"]
+        if quality_word in ("unacceptable", "poor") and not self.answer:
+            lines.append("  no answers are sent to it: answer = false")
+        return lines
+
+    @property
+    def answers(self) -> int:
+        """Number of packets answered since it was opened."""
+        return self._answers
+
+    def allow_nan(self, events: Collection[str]) -> None:
+        """Treats NaN and invalid frames as `no data` in these events, and in no others.
+
+        Raises:
+            UnknownName: an event that FRI does not have.
+        """
+        super().allow_nan(events)
+        if isinstance(self.layout, FriLayout):
+            self.layout.missing = FRAMES & self._nan_allowed
+
+    def open(self) -> None:
+        """Binds the socket and starts the thread; raises SourceError as `UdpReceiver.open` does."""
+        super().open()
+        if self.answer:
+            short_turns.begin(self)
+
+    def close(self) -> None:
+        """Stops the thread and closes the socket; harmless when it is not open."""
+        short_turns.end(self)
+        super().close()
+
+    def reset(self) -> None:
+        """Forgets all packets and counters, and takes a changed declaration into account."""
+        super().reset()
+        self._answers = 0
+
+    def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
+        """Answers before anything else, because the controller measures the latency."""
+        if not self.answer:
+            return None
+        reply = self._reply_of_lwr if not self.is_iiwa else self._reply_of_iiwa(fri_iiwa.Monitor())
+
+        def answer(packet: memoryview, length: int, sender: bytes) -> None:
+            if not self._is_known(sender):
+                return
+            packed = reply(packet, length)
+            if packed is None:
+                return
+            try:
+                send(packed, sender)
+            except OSError as error:
+                self._warn(f"no answer could be sent: {error.strerror}")
+                return
+            self._answers += 1
+
+        return answer
+
+    def _reply_of_lwr(self, packet: memoryview, length: int) -> bytes | None:
+        reflected = counter_of(packet, length)
+        return None if reflected is None else no_command(self._answers + 1, reflected)
+
+    def _reply_of_iiwa(
+        self, monitor: fri_iiwa.Monitor
+    ) -> Callable[[memoryview, int], bytes | None]:
+        def reply(packet: memoryview, length: int) -> bytes | None:
+            return monitor.answer(bytes(packet[:length]), self._answers)
+
+        return reply

@@ -1,0 +1,167 @@
+"""`GymnasiumVector`: environments of a robot with a task, stepped together, for gymnasium."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from ...base.errors import DeclarationError, Problem
+from ...base.frames import Array, Bools
+from ...study.workers import available_cpus
+from .gymnasium_env import (
+    Observation,
+    action_space,
+    chosen,
+    observation_bounds,
+    observation_space,
+)
+from .make import make_environment
+from .many import ManyEnvironments
+
+
+class GymnasiumVector(VectorEnv[Any, Any, Any]):
+    """Environments that are stepped together; each is as `GymnasiumEnvironment` has it.
+
+    Where an episode is over, the next step begins another one, whatever the action
+    (`AutoresetMode.NEXT_STEP`).
+
+    Args:
+        many: the environments.
+        is_seeded: whether the first `reset` is to begin with the seeds that they have.
+
+    Attributes:
+        many: as given.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+        "render_modes": [],
+    }
+    render_mode = None
+
+    def __init__(self, many: ManyEnvironments, *, is_seeded: bool = False) -> None:
+        self.many, self.num_envs = many, many.m
+        one = many.environment
+        self._bounds = observation_bounds(one)
+        self._scale: Array = one.action_spec().maximum
+        self.single_observation_space = observation_space(self._bounds)
+        self.single_action_space = action_space(one)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._is_seeded = is_seeded
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begins the next episode of all.
+
+        Args:
+            seed: of the first environment, the others have those after it; or one for each. None
+                goes on with the next episodes, at first of random seeds.
+            options: none are known.
+        """
+        is_first = bool(self.many.episodes[0] < 0) and not self._is_seeded
+        seeds: Any = None
+        if isinstance(seed, int | np.integer):
+            super().reset(seed=int(seed))
+            seeds = int(seed) + np.arange(self.num_envs)
+        elif seed is not None:
+            seeds = np.array(seed)
+        elif is_first:
+            seeds = np.random.SeedSequence().generate_state(self.num_envs)
+        if seeds is not None and seeds.shape != (self.num_envs,):
+            raise Problem(
+                "seed", found=seeds.size, expected=f"one number, or {self.num_envs}"
+            ).error()
+        seen = self.many.reset(seeds)
+        return self._within(seen), self._episodes(np.ones(self.num_envs, bool))
+
+    def step(self, actions: Any) -> tuple[Observation, Array, Bools, Bools, dict[str, Any]]:
+        """Simulates a control step of all.
+
+        Args:
+            actions: (num_envs, n), -1 to 1 of what the robots may be asked for; what is beyond is
+                cut off.
+
+        Raises:
+            ValueError: it is not num_envs times n numbers.
+            SimulationError: one is NaN or infinite; names the joint. Nothing has been moved.
+            gymnasium.error.ResetNeeded: no episode was begun.
+        """
+        many = self.many
+        if many.episodes[0] < 0:
+            raise gymnasium.error.ResetNeeded("found no episode; expected reset() before step()")
+        wanted = np.asarray(actions, np.float64)
+        if wanted.shape == self.action_space.shape:  # else `step` reports it
+            wanted = wanted * self._scale
+        begun = many.is_over.copy()
+        seen, rewards, terminated, truncated = many.step(wanted)
+        infos = self._episodes(begun) if begun.any() else {}
+        if terminated.any():
+            infos["error"] = np.full(self.num_envs, None)
+            infos["error"][terminated] = "the motion has become unstable"
+            infos["_error"] = terminated.copy()
+        return self._within(seen), rewards, terminated, truncated, infos
+
+    def begin_next(self) -> Observation:
+        """Begins the next episodes where one is over, at once; returns what all observe."""
+        return self._within(self.many.begin_next())
+
+    def _episodes(self, which: Bools) -> dict[str, Any]:
+        """Numbers of the episodes that some have begun, as gymnasium hands information on."""
+        return {"episode": np.where(which, self.many.episodes, 0), "_episode": which.copy()}
+
+    def _within(self, seen: Observation) -> Observation:
+        """Observations within the bounds of their space, in arrays of their own."""
+        return {name: np.clip(seen[name], *bounds) for name, bounds in self._bounds.items()}
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Ends the threads."""
+        self.many.close()
+
+
+def make_gymnasium_vector(
+    num_envs: int,
+    name: str | None = None,
+    *,
+    threads: int | None = None,
+    render_mode: str | None = None,
+    **options: Any,
+) -> GymnasiumVector:
+    """What `gymnasium.make_vec` calls for robots with a task.
+
+    Args:
+        num_envs: how many.
+        name: as for `make_gymnasium_environment`.
+        threads: on how many cores; all when None.
+        render_mode: None: these draw nothing.
+        **options: of `make_environment`.
+
+    Raises:
+        UnknownName: no such robot or task.
+        DeclarationError: everything that is wrong with the options, or in a file; or environments
+            of this kind can only be stepped one by one.
+    """
+    problems = [
+        Problem(key, found=value, expected="1 or more")
+        for key, value in (("num_envs", num_envs), ("threads", threads))
+        if value is not None and value < 1
+    ]
+    if render_mode is not None:
+        problems.append(
+            Problem("render_mode", found=render_mode, expected="None, or vectorization_mode='sync'")
+        )
+    if problems:
+        raise DeclarationError(problems)
+    name, options = chosen(name, options)
+    environment = make_environment(name, **options)
+    many = ManyEnvironments(environment, num_envs, threads or available_cpus())
+    return GymnasiumVector(many, is_seeded="seed" in options)

@@ -1,0 +1,116 @@
+"""`Photos`: what `--over` of `render` and `view` does: photos, videos and cameras."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from ...base.errors import UsageError
+from ...base.options import Options
+from ...cli.background import Background
+from ...cli.render import RenderOptions, film_with_progress
+from ...cli.terminal import make_console
+from .camera_feed import CameraFeed, VideoFeed
+from .camera_file import read_camera
+from .footage import Video, is_photo
+from .over import render_film_over, render_picture_over
+from .video_offset import find_offset
+
+if TYPE_CHECKING:
+    from ...cli.shared_options import OverOptions
+    from ...data.drive.mirror import Mirror
+    from ...robots.declared.scene import Scene
+    from ...viewer.window.host import Viewport
+
+
+class Photos(Background):
+    """Photos and videos in files, and live cameras."""
+
+    def render(self, options: Options, over: Path) -> list[str]:
+        """See `render_picture_over` and `render_film_over`."""
+        assert isinstance(options, RenderOptions)
+        assert options.camera_file is not None
+        if is_photo(over):
+            if options.is_film:
+                expected = "a photo gives a picture, .png say; found a film"
+                raise UsageError(f"-o {options.output}: {expected}")
+            options.refuse(
+                ("offset",), " is for videos; --start says when of a recording a photo is"
+            )
+            scene, offset = options.read(options.scene), 0.0
+        else:
+            options.refuse(("start",), " does not go with a video; --offset says when it begins")
+            scene = options.from_its_begin().read(options.scene)
+            if options.offset is not None and not scene.sources:
+                raise UsageError(
+                    "--offset is for recordings and scenarios; the scene has no sources"
+                )
+            offset = offset_of_video(
+                scene, over, options.camera_file, options.offset, options.quiet
+            )
+        if not options.is_film:
+            return render_picture_over(
+                scene, options.output, options, over=over, camera_file=options.camera_file,
+                at=options.at, offset=offset,
+            )  # fmt: skip
+        make_film = partial(
+            render_film_over, over=over, camera_file=options.camera_file, offset=offset,
+            duration=options.duration if options.given("duration") else None,
+        )  # fmt: skip
+        return film_with_progress(
+            scene, options.output, options, quiet=options.quiet, make=make_film
+        )
+
+    @contextlib.contextmanager
+    def viewport(self, mirror: Mirror, options: OverOptions) -> Iterator[Callable[..., Viewport]]:
+        """See `PhotoViewport`."""
+        from .photo_viewport import PhotoViewport
+
+        with contextlib.closing(open_feed(mirror, options)) as feed:
+            yield partial(PhotoViewport, feed=feed)
+
+
+def open_feed(mirror: Mirror, options: OverOptions) -> CameraFeed | VideoFeed:
+    """The camera, or the video, that the scene is drawn over."""
+    assert options.over is not None and options.camera_file is not None
+    sources, scene = mirror.sources.values(), mirror.world.scene
+    file = Path(options.over)
+    if not file.is_file() or not sources or any(source.is_live for source in sources):
+        if options.offset is not None:
+            raise UsageError("--offset is for a video over a recording or a scenario")
+        return CameraFeed(options.over, options.camera_file)
+    offset = offset_of_video(scene, file, options.camera_file, options.offset)
+    return VideoFeed(file, options.camera_file, offset)
+
+
+def offset_of_video(
+    scene: Scene,
+    video: Path,
+    camera_file: Path,
+    offset: float | Literal["auto"] | None = None,
+    quiet: bool = False,
+) -> float:
+    """Returns when a video begins in a recording or scenario, s: as given, else estimated.
+
+    Args:
+        scene: with the recording.
+        video: the file.
+        camera_file: see `camera_file`.
+        offset: as given; found by the motion in both when it is not.
+        quiet: nothing is said.
+    """
+    if isinstance(offset, float) or not scene.sources:
+        return float(offset or 0.0)
+    with Video(video) as opened:
+        camera = read_camera(camera_file, opened.size)
+    with contextlib.ExitStack() as stack:
+        if not quiet:
+            console = make_console(stderr=True)
+            stack.enter_context(console.status("comparing the motion in video and recording"))
+        found = find_offset(scene, video, camera)
+    if not quiet:
+        print(found, flush=True)
+    return found.offset

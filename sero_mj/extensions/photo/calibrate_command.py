@@ -1,0 +1,255 @@
+"""`sero-mj calibrate`: estimates a camera's pose from points of the robot in a photo."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+
+from ...base.errors import UsageError
+from ...base.options import JointValues, Option, positional
+from ...cli.arguments import (
+    check_ending,
+    command,
+    print_json,
+    print_table,
+    read_scene,
+    replay_instead,
+    until_ended,
+)
+from ...cli.shared_options import File, JsonOptions, ReplayOptions, SettingOptions
+
+if TYPE_CHECKING:
+    from ...robots.assemble.world import World
+    from ...robots.declared.scene import Scene
+    from .calibration import Calibration, ClickedPoint
+    from .photo_camera import PhotoCamera
+
+_CAREFUL = 6.0  # pixels that clicks are off at most
+_EPILOG = """\
+examples:
+  sero-mj calibrate photo.png --robot lwr --joint-angles 0,0.5,0,-1.5,0,1,0 -o cell.toml
+  sero-mj calibrate photo.png --robot lwr --joint-angles 0,0.5,0,-1.5,0,1,0 \\
+      --points points.csv --camera-file intrinsics.yaml -o cell.toml
+  sero-mj render lwr_udp -o now.png --over photo.png --camera-file cell.toml
+
+Without --points a window shows the photo beside a list of points and a sketch of the robot: click
+where the photo shows the one that is marked; from the fourth on it says how far off each is, and
+Enter writes the camera, and the points beside it.
+
+points.csv says which pixel (counted from 0 at the upper left) shows which point of the robot, a
+frame or a joint (the middle of its axis), perhaps with an offset in m along the frame's axes:
+
+  point,x,y,dx,dy,dz
+  lwr/flange,612,301,0,0,0
+  lwr/A3,410,255,0.06,0,0
+
+With intrinsics (--camera-file, OpenCV's or ROS's) 4 points do, 8 are better; without them the focal
+length is found from 6 or more, for a lens without distortion.
+"""
+ORDER = 16  # in the help of `sero-mj`
+
+
+class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
+    """Estimate a camera's pose from points of the robot in a photo.
+
+    Attributes:
+        photo: what the camera has taken.
+        robot: robot or scene: a file, or a shipped name.
+        joint_angles: of the robot in the photo, with commas, rad or m.
+        replay: take the pose from a recording.
+        start: when in the recording, s (default: first).
+        points: which pixel shows which point; .csv or .toml.
+        camera_file: the camera's intrinsics; YAML or TOML.
+        output: camera file to write; .yaml or .toml.
+        names: print the points' names, and end.
+    """
+
+    photo: Annotated[Path, positional("PHOTO")]
+    robot: Annotated[str, Option("SCENE")]
+    joint_angles: JointValues | None = None
+    points: File | None = None
+    camera_file: File | None = None
+    output: Annotated[Path | None, Option("OUT", ("-o", "--output"))] = None
+    names: bool = False
+
+
+def run(options: CalibrateOptions) -> int:
+    """Estimates the pose and writes it; returns 0."""
+    from ...viewer.headless.backend import has_display
+
+    if options.points is None and not options.names:
+        if not has_display():
+            raise UsageError(
+                "no display for a window in which points are clicked; --points POINTS.csv says "
+                "which pixel shows which point of the robot"
+            )
+        os.environ["MUJOCO_GL"] = "glfw"  # MuJoCo takes its OpenGL from the window here
+    from .calibration import (
+        calibrate,
+        point_names,
+        point_of,
+        read_points,
+        write_points,
+    )
+    from .camera_file import ENDINGS, write_camera
+    from .footage import read_photo
+
+    if options.output is not None:
+        check_ending(f"-o {options.output}", options.output, ENDINGS)
+    world, data = _pose(_scene_of_photo(options), is_replayed=options.replay is not None)
+    if options.names:
+        print("\n".join(point_names(world)))
+        return 0
+    pixels = read_photo(options.photo)
+    size = (pixels.shape[1], pixels.shape[0])
+    lens = _lens(options.camera_file, size)
+    if options.points is not None:
+        clicked = read_points(options.points, world, size)
+    else:
+        clicked = _click(options, world, data, pixels, lens)
+    points = np.array([point_of(world, data, p.name, p.offset) for p in clicked]).reshape(-1, 3)
+    found = calibrate(
+        [point.name for point in clicked],
+        points,
+        np.array([point.pixel for point in clicked]).reshape(-1, 2),
+        lens,
+        find_focal=options.camera_file is None,
+    )
+    if options.output is not None:
+        note = (
+            f"Found by sero-mj calibrate from {int(found.used.sum())} points of "
+            f"{options.photo.name}, which are {found.rms:.2f} pixels off (root mean square)."
+        )
+        write_camera(options.output, found.camera, note)
+        if options.points is None:
+            write_points(_points_beside(options.output), clicked)
+    _report(options, clicked, found)
+    return 0
+
+
+add_to = command("calibrate", run, CalibrateOptions, _EPILOG)
+
+
+def _scene_of_photo(options: CalibrateOptions) -> Scene:
+    """Returns the scene with the joint angles, or the recording, given in the options."""
+    scene = read_scene(options.robot, options.settings, replay=options.replay)
+    if options.joint_angles is not None:
+        if len(scene.robots) != 1:
+            names = ", ".join(scene.robots)
+            raise UsageError(
+                f"--joint-angles is for one robot; '{options.robot}' has {names}: use "
+                "--set ROBOT.joint_angles=..."
+            )
+        (name,) = scene.robots
+        angles = f"{name}.joint_angles={[*options.joint_angles]}"
+        settings = [*options.settings, angles]
+        scene = read_scene(options.robot, settings, replay=options.replay)
+    if options.replay is not None:
+        replay_instead(scene, options.replay, options.start, options.source, options.columns)
+    return scene
+
+
+def _lens(camera_file: Path | None, size: tuple[int, int]) -> PhotoCamera:
+    """Returns the lens from a file, else one whose focal length is to be estimated."""
+    from .camera_file import read_intrinsics
+    from .photo_camera import PhotoCamera
+
+    if camera_file is not None:
+        return read_intrinsics(camera_file, size)
+    matrix = np.array([[1.0, 0, (size[0] - 1) / 2], [0, 1.0, (size[1] - 1) / 2], [0, 0, 1]])
+    return PhotoCamera(*size, matrix, np.eye(4))
+
+
+def _pose(scene: Scene, *, is_replayed: bool) -> tuple[World, Any]:
+    """Returns the world and its state: as declared, or as recorded."""
+    from ...data.drive.mirror import Mirror
+    from ...data.drive.place import Placer
+    from ...robots.assemble.world import World
+
+    if is_replayed:
+        with Mirror(scene) as mirror:
+            mirror.advance(0.0)
+            return mirror.world, mirror.data
+    world = World(scene)
+    data = world.make_data()
+    Placer(world).place(data)
+    return world, data
+
+
+def _points_beside(output: Path) -> Path:
+    """Returns the file of clicked points that belongs to a camera file."""
+    return output.with_name(f"{output.stem}_points.csv")
+
+
+def _click(
+    options: CalibrateOptions, world: Any, data: Any, pixels: Any, lens: PhotoCamera
+) -> list[ClickedPoint]:
+    """Lets the user click points in a window."""
+    from .calibration import ClickedPoint, point_of, points_apart
+    from .point_board import PointBoard
+    from .point_window import PointWindow
+
+    names = points_apart(world, data)
+    points = np.array([point_of(world, data, name, np.zeros(3)) for name in names])
+    board = PointBoard(pixels, names, points, lens, find_focal=options.camera_file is None)
+    title = f"{options.photo.name} - sero-mj calibrate"
+    with until_ended(), PointWindow(world, data, points, board, title) as window:
+        is_done = window.run()
+    if not is_done:
+        raise UsageError("nothing is written: the window was closed without Enter")
+    return [
+        ClickedPoint(names[k], pixel, np.zeros(3)) for k, pixel in sorted(board.clicked.items())
+    ]
+
+
+def _report(options: CalibrateOptions, clicked: list[ClickedPoint], found: Calibration) -> None:
+    T, off = found.camera.T_world_camera, np.linalg.norm(found.errors, axis=1)
+    if options.as_json:
+        print_json(_plain(clicked, found))
+        return
+    from rich.table import Table
+
+    table = Table(box=None)
+    table.add_column("point")
+    for title in ("x", "y", "off"):
+        table.add_column(title, justify="right")
+    table.add_column("")
+    for point, distance, is_used in zip(clicked, off, found.used, strict=True):
+        at = [f"{value:.1f}" for value in point.pixel]
+        note = "" if is_used else "left out: another point, or a wrong name?"
+        table.add_row(point.name, *at, f"{distance:.2f} pixels", note)
+    print_table(table)
+    print(f"{found.rms:.2f} pixels root mean square, of {int(found.used.sum())} points")
+    if found.rms > _CAREFUL:
+        print("that is more than clicks are off: another pose, mixed up names, or another lens?")
+    errors = ", ".join(f"{value:.1f}" for value in 1e3 * found.position_error)
+    place = ", ".join(f"{value:.4f}" for value in T[:3, 3])
+    print(f"camera at {place} m, standard errors {errors} mm")
+    if options.camera_file is None:
+        focal = found.camera.matrix[0, 0]
+        print(
+            f"focal length {focal:.1f} pixels, standard error {found.focal_error:.1f}; a lens "
+            "without distortion is assumed"
+        )
+    if options.output is not None:
+        print(options.output)
+        if options.points is None:
+            print(_points_beside(options.output))
+
+
+def _plain(clicked: list[ClickedPoint], found: Calibration) -> dict[str, Any]:
+    camera = found.camera
+    return {
+        "rms": found.rms,
+        "points": [
+            {"point": point.name, "off": float(np.hypot(*error)), "used": bool(is_used)}
+            for point, error, is_used in zip(clicked, found.errors, found.used, strict=True)
+        ],
+        "T_world_camera": camera.T_world_camera.tolist(),
+        "position_error": found.position_error.tolist(),
+        "camera_matrix": camera.matrix.tolist(),
+        "focal_error": found.focal_error,
+    }

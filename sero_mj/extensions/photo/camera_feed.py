@@ -1,0 +1,317 @@
+"""`CameraFeed`: pictures of a live camera; `VideoFeed`: of a video, at the displayed time.
+
+Both read on separate threads.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import RenderError, UsageError
+from ...viewer.session.status_line import Piece
+from .camera_file import read_camera
+from .footage import Pixels, Video
+from .photo_camera import PhotoCamera, opencv
+
+_FIRST_TIMEOUT = 10.0  # s until the first picture of a camera
+_RETRY_INTERVAL = 1.0  # s until a lost camera is reopened
+_LOST_AFTER = 0.7  # s without a picture after which it is lost
+_TIME_TOLERANCE = 1e-4  # s
+_MAX_READ_AHEAD = 2.0  # s; frames farther ahead are sought instead of read sequentially
+_RATE_WEIGHT = 0.1  # share of the last interval in the mean
+
+
+class CameraFeed:
+    """Reads a camera until it is closed; a context manager.
+
+    A lost camera is reported in `piece`, and reopened; its last picture is kept.
+
+    Args:
+        what: a camera's number, `0`; a file, which is played over and over at its rate; or an
+            address that OpenCV opens, `rtsp://...` or `/dev/video0`.
+        camera_file: of the camera, see `camera_file`.
+
+    Attributes:
+        what: likewise.
+        name: what it is called.
+        camera: as its file says.
+
+    Raises:
+        RenderError: it sends no picture.
+        DeclarationError: the camera file is wrong, or of pictures of another size.
+    """
+
+    def __init__(self, what: str, camera_file: Path) -> None:
+        self.what = what
+        self.is_file = not what.isdecimal() and Path(what).is_file()
+        self.name = f"camera {what}" if what.isdecimal() else what
+        if not self.is_file and Path(what).suffix and "://" not in what and "/dev/" not in what:
+            raise RenderError(
+                f"{what}: no such file; expected a video, or a camera's number, 0 say"
+            )
+        self._changed = threading.Condition()
+        self._pixels: Pixels | None = None
+        self._number = 0
+        self._arrival, self._interval = -np.inf, 0.0
+        self._wrong_size: tuple[int, int] | None = None
+        self._error = ""
+        self._closing = threading.Event()
+        self._size: tuple[int, int] | None = None
+        self._wanted = None if self.is_file else _size_in(camera_file)
+        self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self._thread.start()
+        try:
+            with self._changed:
+                self._changed.wait_for(
+                    lambda: self._pixels is not None or self._failed, _FIRST_TIMEOUT
+                )
+                first = self._pixels
+            if first is None:
+                why = self._error or f"no picture within {_FIRST_TIMEOUT:.0f} s"
+                raise RenderError(f"{self.name}: {why}")
+            self.camera: PhotoCamera = read_camera(camera_file, (first.shape[1], first.shape[0]))
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def _failed(self) -> bool:
+        return bool(self._error)
+
+    def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
+        """Returns the number of the newest picture, from 1, and its pixels (height, width, 3).
+
+        Args:
+            time: that is shown, s; has no meaning here.
+        """
+        with self._changed:
+            assert self._pixels is not None  # there is one since it is opened
+            return self._number, self._pixels
+
+    @property
+    def piece(self) -> Piece:
+        """Its piece of the status line."""
+        with self._changed:
+            age, interval = time.monotonic() - self._arrival, self._interval
+            wrong, error = self._wrong_size, self._error
+        if age > max(_LOST_AFTER, 3.0 * interval):
+            return f"{self.name}: lost for {age:.0f} s{error and ', '}{error}", "bad"
+        if wrong is not None:
+            expected = f"{self.camera.width}x{self.camera.height}"
+            return f"{self.name}: sends {wrong[0]}x{wrong[1]} now; expected {expected}", "bad"
+        rate = 1.0 / interval if interval > 0 else 0.0
+        return f"{self.name}: {rate:.0f}/s", "good"
+
+    def close(self) -> None:
+        """Ends reading; harmless when it is closed."""
+        self._closing.set()
+        self._thread.join(2.0)
+
+    def __enter__(self) -> CameraFeed:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        read: Callable[[], None] = self._play if self.is_file else self._film
+        while not self._closing.is_set():
+            try:
+                read()
+                continue
+            except (RenderError, UsageError) as error:
+                self._tell(str(error).removeprefix(f"{self.what}: "))
+            except Exception as error:  # OpenCV's and FFmpeg's; the window continues without it
+                self._tell(str(error) or type(error).__name__)
+            self._closing.wait(_RETRY_INTERVAL)
+
+    def _tell(self, error: str) -> None:
+        with self._changed:
+            self._error = error
+            self._changed.notify_all()
+
+    def _take(self, pixels: Pixels) -> None:
+        now = time.monotonic()
+        size = (pixels.shape[1], pixels.shape[0])
+        with self._changed:
+            self._size = self._size or size
+            # A reconnected camera may send pictures of another size.
+            self._wrong_size = None if size == self._size else size
+            passed = now - self._arrival
+            if np.isfinite(passed):
+                self._interval += (_RATE_WEIGHT if self._interval else 1.0) * (
+                    passed - self._interval
+                )
+            self._arrival, self._error = now, ""
+            if self._wrong_size is None:
+                self._pixels = pixels
+                self._number += 1
+            self._changed.notify_all()
+
+    def _play(self) -> None:
+        """Plays a file once."""
+        with Video(Path(self.what)) as video:
+            begin = time.monotonic()
+            for at, pixels in video.frames():
+                if self._closing.wait(max(begin + at - time.monotonic(), 0.0)):
+                    return
+                self._take(pixels)
+            self._closing.wait(1.0 / video.fps)
+
+    def _film(self) -> None:
+        """Reads a camera until it stops sending."""
+        cv2: Any = opencv()
+        logging = cv2.utils.logging  # its messages are shown in the status line instead
+        logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+        capture = cv2.VideoCapture(int(self.what) if self.what.isdecimal() else self.what)
+        try:
+            if not capture.isOpened():
+                raise RenderError("no such camera, or it is in use; expected 0, 1, ... or a video")
+            if self._wanted is not None:
+                capture.set(cv2.CAP_PROP_FRAME_WIDTH, self._wanted[0])
+                capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self._wanted[1])
+            while not self._closing.is_set():
+                is_read, picture = capture.read()
+                if not is_read:
+                    raise RenderError("sends nothing any more")
+                self._take(np.ascontiguousarray(picture[..., ::-1]))
+        finally:
+            capture.release()
+
+
+class VideoFeed:
+    """Reads a video at the displayed time, forward and back; a context manager.
+
+    Frames are decoded on a separate thread: while that seeks, the last one is kept.
+
+    Args:
+        path: the video.
+        camera_file: of the camera, see `camera_file`.
+        offset: time that is shown, s, at the first frame.
+
+    Attributes:
+        name: what it is called.
+        camera: as its file says.
+
+    Raises:
+        RenderError: it cannot be read.
+        DeclarationError: the camera file is wrong, or of pictures of another size.
+    """
+
+    def __init__(self, path: Path, camera_file: Path, offset: float) -> None:
+        self.name = path.name
+        self._video = Video(path)
+        try:
+            self.camera: PhotoCamera = read_camera(camera_file, self._video.size)
+        except BaseException:
+            self._video.close()
+            raise
+        self._offset = offset
+        self._wanted = 0.0  # time since the first frame, s
+        self._number = 0
+        self._end = self._video.duration
+        self._pixels: Pixels | None = None
+        self._error = ""
+        self._closing = False
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, name="video", daemon=True)
+        self._thread.start()
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._pixels is not None or bool(self._error), _FIRST_TIMEOUT
+            )
+
+    def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
+        """Returns the number and the pixels (height, width, 3) of the newest frame that is read.
+
+        Args:
+            time: that is shown, s; the frame of this time is read next.
+        """
+        with self._changed:
+            self._wanted = time - self._offset
+            self._changed.notify_all()
+            if self._pixels is None:
+                return 0, np.zeros((self.camera.height, self.camera.width, 3), np.uint8)
+            return self._number, self._pixels
+
+    @property
+    def piece(self) -> Piece:
+        """Its piece of the status line."""
+        with self._changed:
+            wanted, error = self._wanted, self._error
+        if error:
+            return f"{self.name}: {error}", "bad"
+        if wanted < 0:
+            return f"{self.name}: begins in {-wanted:.1f} s", "quiet"
+        if self._end and wanted > self._end:
+            return f"{self.name}: ended {wanted - self._end:.1f} s ago", "quiet"
+        return f"{self.name}: {wanted:.1f} s", "good"
+
+    def close(self) -> None:
+        """Ends reading; harmless when it is closed."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join(2.0)
+        self._video.close()
+
+    def __enter__(self) -> VideoFeed:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        try:
+            while not self._closing:
+                self._read_on()
+        except Exception as error:  # of damaged data; the window continues with the last frame
+            with self._changed:
+                self._error = str(error) or type(error).__name__
+                self._changed.notify_all()
+
+    @property
+    def _sought(self) -> float:
+        """The requested time, clipped to the video's duration, s."""
+        return max(self._wanted, 0.0)
+
+    def _read_on(self) -> None:
+        """Reads frames sequentially at their times, until another part is requested."""
+        last: tuple[float, Pixels] | None = None
+        for frame in self._video.frames(self._sought):
+            if last is not None and frame[0] > self._sought:
+                self._show(last[1])
+                if not self._goes_on(last[0], frame[0]):
+                    return
+            last = frame
+        if last is not None:
+            self._show(last[1])
+            self._goes_on(last[0], np.inf)
+
+    def _show(self, pixels: Pixels) -> None:
+        with self._changed:
+            self._number += 1
+            self._pixels = pixels
+            self._changed.notify_all()
+
+    def _goes_on(self, at: float, end: float) -> bool:
+        """Waits while the frame of this interval is requested; whether later ones are next."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._closing or not at - _TIME_TOLERANCE <= self._sought < end
+            )
+            return not self._closing and end <= self._sought < end + _MAX_READ_AHEAD
+
+
+def _size_in(camera_file: Path) -> tuple[int, int] | None:
+    """The size of pictures that a camera file is for."""
+    from .camera_file import read_intrinsics
+
+    camera = read_intrinsics(camera_file)
+    return camera.width, camera.height

@@ -1,0 +1,229 @@
+"""Pictures and films of decor over photos and videos of the real robot."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from ...base.errors import Problem, RenderError, UsageError
+from ...data.drive.mirror import Mirror
+from ...robots.assemble.world_view import WorldView
+from ...robots.declared.scene import Scene
+from ...viewer.decor.font import line_height
+from ...viewer.decor.picture_view import PictureView
+from ...viewer.headless.film import check_film, default_fps
+from ...viewer.headless.film_kinds import FILMS
+from ...viewer.headless.painter import Painter, perform_clicks
+from ...viewer.headless.picture_options import PictureOptions, Quality
+from ...viewer.headless.render import (
+    MAX_SIDE,
+    QUALITIES,
+    SUPERSAMPLING,
+    OnProgress,
+    make_renderer,
+    render_picture,
+    write_film,
+)
+from ...viewer.headless.renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
+from ...viewer.session.held_torques import HeldTorques
+from ...viewer.session.scene_decor import SceneDecor
+from ...viewer.typesetting import Typesetter, compose
+from .camera_file import read_camera
+from .footage import Pixels, Video, at_rate, is_photo, read_frame, read_photo
+from .over_photo import PhotoPainter
+from .photo_camera import PhotoCamera
+
+log = logging.getLogger(__name__)
+
+
+class PhotoRenderer(Painter):
+    """Renders the decor of a world over photos of one camera; a context manager.
+
+    Args:
+        world: what is in the photos.
+        camera: of the photos.
+        quality: see `HeadlessRenderer`.
+        renderer: likewise.
+
+    Attributes:
+        renderer: which one draws.
+        photo: the photo to draw over if `render` gets none.
+
+    Raises:
+        RenderError: no OpenGL, or the photos are too large.
+    """
+
+    def __init__(
+        self,
+        world: WorldView,
+        camera: PhotoCamera,
+        quality: Quality = "normal",
+        renderer: str | None = None,
+    ) -> None:
+        if quality not in QUALITIES:
+            raise RenderError(Problem("quality", found=quality, expected=", ".join(QUALITIES)))
+        scale = SUPERSAMPLING if quality == "fine" else 1
+        self.world, self.size = world, (camera.width, camera.height)
+        self.photo: Pixels = np.zeros((camera.height, camera.width, 3), np.uint8)
+        self._painter = PhotoPainter(world, camera, (MAX_SIDE // 2, MAX_SIDE // 2), scale)
+        size, is_draft = self._painter.size, quality == "draft"
+        self.renderer = choose_renderer(renderer, quality, *size)
+        self._renderer: SceneRenderer
+        if self.renderer == CLASSIC:
+            self._renderer = make_renderer(world, *size, is_draft=is_draft)
+        else:
+            self._renderer, _ = renderers()[self.renderer].make(world, *size, quality)
+        self._typesetter = Typesetter(line_height(world, camera.width, camera.height))
+        self.decor = SceneDecor(world, with_text=False)
+
+    def render(self, data: mujoco.MjData, photo: Pixels | None = None) -> Pixels:
+        """Returns a photo with decor over it.
+
+        Args:
+            data: the world's state, with frames up to date.
+            photo: (height, width, 3), uint8, of the camera's size; the one of this when None.
+        """
+        photo = self.photo if photo is None else photo
+        scene = self._renderer.scene
+        self.decor.draw(data, self._look(data), scene)
+        self._renderer.follow(data)
+        pixels = self._painter.over(photo, scene, self._renderer.render)
+        compose(pixels, self._typesetter.place(self.decor.panels))
+        return pixels
+
+    def _look(self, data: mujoco.MjData) -> PictureView:
+        self.decor.fill(data, mujoco.MjvCamera(), self._renderer.scene)
+        return self._painter.look(self._renderer.scene, self._typesetter.font)
+
+
+def render_picture_over(
+    scene: Scene,
+    path: Path,
+    options: PictureOptions,
+    *,
+    over: Path,
+    camera_file: Path,
+    at: float | None = None,
+    offset: float = 0.0,
+) -> list[str]:
+    """Renders the current state of a scene over a photo, or over a frame of a video.
+
+    Args:
+        scene: what to show.
+        path: of the picture; .png, or another format of Pillow.
+        options: of the picture, whose size, camera and eyes are those of the photo.
+        over: the photo, or a video, of which the frame of that time is taken.
+        camera_file: see `camera_file`.
+        at: time of recordings and simulations, s after their start; None for the start, or for the
+            first frame of a video.
+        offset: time of these at the first frame of a video.
+
+    Returns:
+        names of the sources without data; their robots have the declared pose.
+
+    Raises:
+        SeroError: a problem of the scene, its sources, the camera or a file.
+    """
+    is_video = not is_photo(over)
+    now = (offset if is_video else 0.0) if at is None else at
+    pixels = read_frame(over, now - offset) if is_video else read_photo(over)
+    camera = read_camera(camera_file, (pixels.shape[1], pixels.shape[0]))
+
+    def painter(mirror: Mirror, options: PictureOptions) -> PhotoRenderer:
+        if is_video:
+            refuse_live(mirror, over)
+        renderer = PhotoRenderer(mirror.world, camera, options.quality, options.renderer)
+        renderer.photo = pixels
+        return renderer
+
+    return render_picture(scene, path, options, at=now, painter=painter)
+
+
+def render_film_over(
+    scene: Scene,
+    path: Path,
+    options: PictureOptions,
+    *,
+    over: Path,
+    camera_file: Path,
+    offset: float = 0.0,
+    duration: float | None = None,
+    on_progress: OnProgress | None = None,
+) -> list[str]:
+    """Renders a recording or a simulation over a video, frame by frame.
+
+    Frames of before it began or after it ended are left as they are.
+
+    Args:
+        scene: what to show; its sources are recordings or simulated.
+        path: of the film; .mp4, .webm or .gif.
+        options: of the pictures. Clicks are performed before the first frame that shows data.
+        over: the video.
+        camera_file: see `camera_file`.
+        offset: time of the recording, s since it began, at the first frame of the video; see
+            `video_offset.find_offset`.
+        duration: of the film, s; None for the video's.
+        on_progress: called with the number of rendered frames and of all frames.
+
+    Returns:
+        names of the sources without data.
+
+    Raises:
+        SeroError: a problem of the scene, its sources, the camera or a file.
+    """
+    with Video(over) as video, Mirror(scene) as mirror:
+        camera = read_camera(camera_file, video.size)
+        refuse_live(mirror, over)
+        begin, end = recorded_span(mirror)
+        length = video.duration if duration is None else min(duration, video.duration or duration)
+        fps = min(video.fps, FILMS[check_film(path).suffix.lower()].most_fps)
+        if path.suffix.lower() == ".gif":
+            fps = min(fps, default_fps(path))
+        with PhotoRenderer(mirror.world, camera, options.quality, options.renderer) as renderer:
+            plain = drawn = 0
+            held = HeldTorques(mirror, renderer.toggles)
+
+            def frames() -> Iterator[Pixels]:
+                nonlocal plain, drawn
+                for time, pixels in at_rate(video, fps, duration):
+                    if not begin <= time + offset <= end:
+                        plain += 1
+                        yield pixels
+                        continue
+                    mirror.advance(time + offset)
+                    held.update(mirror.data)
+                    if not drawn:
+                        perform_clicks(renderer, mirror.data, options.clicks)
+                    drawn += 1
+                    yield renderer.render(mirror.data, pixels)
+
+            silent = write_film(
+                mirror, renderer, path, frames(), fps=fps, count=max(round(length * fps), 1),
+                options=options, on_progress=on_progress,
+            )  # fmt: skip
+        if plain:
+            span = f"from {begin - offset:.2f} to {end - offset:.2f} s of the video"
+            what = f"{plain} of {plain + drawn} frames are as they were"
+            log.warning("%s: there are data %s", what, span)
+    return silent
+
+
+def refuse_live(mirror: Mirror, video: Path) -> None:
+    """Raises UsageError where a video is to show what comes now."""
+    if mirror.is_live:
+        raise UsageError(
+            f"{video}: live sources do not go with a video; expected a recording, --replay "
+            "REC.mcap, or a photo"
+        )
+
+
+def recorded_span(mirror: Mirror) -> tuple[float, float]:
+    """When the recordings or simulations of a mirror begin and end, s."""
+    if not mirror.sources:
+        return float("-inf"), float("inf")
+    ends = [source.end for source in mirror.sources.values()]
+    return 0.0, max(float("inf") if end is None else end for end in ends)

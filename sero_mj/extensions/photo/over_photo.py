@@ -1,0 +1,140 @@
+"""`PhotoPainter`: decor over a photo of the real robot, occluded by its invisible model.
+
+The scene is drawn twice, once with the robot and the background black and once with both white.
+The first picture gives the colours of the decor, the difference of the two its transparency: exact
+for smooth edges and transparent decor, in every OpenGL.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from ...base.frames import Bools
+from ...robots.assemble.world_view import WorldView
+from ...viewer.decor.font import Font
+from .photo_camera import PhotoCamera, PhotoView, PlanePicture, Size
+
+Pixels = NDArray[np.uint8]
+Draw = Callable[[], Pixels]
+_GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+_DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
+_UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
+_BACKGROUND_DEPTH = 0.9  # of the far plane
+# Effects of the model's surroundings and lights, and holes in it.
+_FLAGS = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_SKYBOX", "mjRND_FOG", "mjRND_HAZE",
+          "mjRND_WIREFRAME")  # fmt: skip
+
+
+class PhotoPainter:
+    """Draws decor over photos of one camera.
+
+    Args:
+        world: what is shown.
+        camera: of the photos.
+        largest: width and height, pixels, that the host can draw.
+        scale: see `PlanePicture`.
+
+    Attributes:
+        camera: the camera.
+        size: width and height, pixels, that the host has to draw.
+    """
+
+    def __init__(
+        self, world: WorldView, camera: PhotoCamera, largest: Size, scale: int = 1
+    ) -> None:
+        self.camera = camera
+        self._plane = PlanePicture(camera, largest, scale)
+        self.size = self._plane.size
+        doubles = [double.bodies.ravel() for double in world.doubles.values()]
+        bodies = np.concatenate(doubles) if doubles else np.zeros(0, np.intp)
+        self._is_double: Bools = np.isin(world.model.geom_bodyid, bodies)
+        self._is_floor: Bools = world.model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+
+    def look(
+        self,
+        scene: mujoco.MjvScene,
+        font: Font,
+        inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+    ) -> PhotoView:
+        """Sets a scene's camera to that of the photos, and removes the floor.
+
+        Args:
+            scene: that `mjv_updateScene` has filled, before decor is added.
+            font: of the host's labels.
+            inset: see `PictureView`.
+        """
+        self._plane.look(scene)
+        for name in _FLAGS:
+            scene.flags[int(getattr(mujoco.mjtRndFlag, name))] = 0
+        for geom in scene.geoms[: scene.ngeom]:
+            if geom.objtype == _GEOM and geom.objid >= 0 and self._is_floor[geom.objid]:
+                # MuJoCo draws every plane as infinite; a point behind the camera is invisible.
+                geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 1e-6)
+                geom.pos = scene.camera[0].pos - scene.camera[0].forward
+        near = float(scene.camera[0].frustum_near)
+        return PhotoView.of_camera(self.camera, near, font, inset)
+
+    def over(self, photo: Pixels, scene: mujoco.MjvScene, draw: Draw) -> Pixels:
+        """Returns a photo with the decor of a scene.
+
+        Args:
+            photo: (height, width, 3) of the camera's size.
+            scene: with decor.
+            draw: draws the scene in `size`, top row first.
+        """
+        masked = self._masked(scene)
+        for geom in masked:
+            geom.matid = geom.texid = -1
+            geom.specular = geom.reflectance = 0.0
+            # Like decor, which Filament draws in its colour without light.
+            geom.category, geom.objtype = _DECOR, _UNKNOWN
+        _colour(masked, 0.0)
+        black = self._plane.to_photo(draw().copy(), 0)
+        _colour(masked, 1.0)
+        white = self._plane.to_photo(draw(), 255)
+        out = photo.astype(np.uint16)
+        out *= np.maximum(white, black) - black
+        out += 127
+        out //= 255
+        out += black
+        return np.minimum(out, 255).astype(np.uint8)
+
+    def _masked(self, scene: mujoco.MjvScene) -> list[mujoco.MjvGeom]:
+        """Returns the geoms that mask the photo: robots and objects, and an added background."""
+        geoms = [
+            geom
+            for geom in scene.geoms[: scene.ngeom]
+            if geom.category != _DECOR
+            and not (geom.objtype == _GEOM and geom.objid >= 0 and self._is_double[geom.objid])
+        ]
+        if scene.ngeom == scene.maxgeom:
+            scene.ngeom -= 1  # without a background, all decor would be lost
+        camera, background = scene.camera[0], scene.geoms[scene.ngeom]
+        distance = _BACKGROUND_DEPTH * camera.frustum_far
+        forward, up = np.array(camera.forward, float), np.array(camera.up, float)
+        axes = np.column_stack([np.cross(forward, up), up, -forward])
+        scale = distance / camera.frustum_near
+        wide = abs(camera.frustum_center) + camera.frustum_width
+        high = max(abs(camera.frustum_bottom), abs(camera.frustum_top))
+        size = 1.1 * scale * np.array([wide, high, 1e-3 * camera.frustum_near])
+        mujoco.mjv_initGeom(
+            background,
+            mujoco.mjtGeom.mjGEOM_BOX,
+            size,
+            np.array(camera.pos, float) + distance * forward,
+            axes.ravel(),
+            np.ones(4, np.float32),
+        )
+        background.category = _DECOR
+        scene.ngeom += 1
+        return [*geoms, background]
+
+
+def _colour(geoms: list[mujoco.MjvGeom], brightness: float) -> None:
+    """Makes geoms black (0) or white (1), independent of lighting."""
+    for geom in geoms:
+        geom.rgba, geom.emission = np.array([*[brightness] * 3, 1.0]), brightness

@@ -1,0 +1,469 @@
+"""`RtdeServer`: the sockets of a simulated controller of Universal Robots, and what is said there.
+
+One thread, that of the simulation, serves all clients; no socket is ever waited for longer than is
+asked. RTDE is on TCP 30004. Where they are wanted, there are a dashboard server (29999), which
+answers what clients ask when they connect, and one that takes URScript (30003) and throws it away.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import selectors
+import socket
+import struct
+import time as clock
+import weakref
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, Protocol
+
+from ...data.receive.connecting import Nonsense
+from .receiver import (
+    ASK_CONTROLLER,
+    ASK_VERSION,
+    DATA,
+    HEAD,
+    PAUSE,
+    SET_UP,
+    SET_UP_INPUTS,
+    START,
+    TEXT,
+    VERSION,
+)
+from .variables import INPUTS, OUTPUTS, Recipe
+
+log = logging.getLogger(__name__)
+
+CONTROLLER_VERSION = 5, 23, 0, 0  # the first that has actual_current_as_torque
+_KINDS = {ASK_VERSION, ASK_CONTROLLER, SET_UP, SET_UP_INPUTS, START, PAUSE, DATA, TEXT}
+# Bytes of a message from a client. UR takes 2048 of names.
+_MOST_BYTES = 4096
+_MOST_PEERS, _MOST_RECIPES, _MOST_TOLD = 16, 255, 100
+_MOST_UNSENT = 1 << 18  # bytes, that a client may leave unread
+# s, from the start to the first package. UR's own client does not see one that comes together with
+# the answer to its start before another one comes, which in lockstep there is not.
+_LATER = 0.02
+_STUCK = 10.0  # s, in which a client may read nothing; another one could not have its inputs
+_WARNING = 2  # level of a text message
+_SOURCE = b"sero-mj"
+
+
+class Desk(Protocol):
+    """What clients get and give; see `RtdeRobot`."""
+
+    def value(self, name: str) -> Any:
+        """The value of an output now: a number, or those of a vector."""
+
+    def take(self, peer: RtdePeer, values: dict[str, Any]) -> bool:
+        """Takes inputs; whether they answer the last package."""
+
+    def count_wrong(self, why: str) -> None:
+        """Counts what was not taken, and tells why once."""
+
+    def take_script(self, text: bytes) -> None:
+        """Gets a script, which is not run."""
+
+    def stop_program(self) -> None:
+        """The dashboard server was told so."""
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the robot's program is."""
+
+
+class Peer(ABC):
+    """A connection from a client.
+
+    Args:
+        server: that it is of.
+        connection: accepted.
+        name: of the other end, for messages.
+    """
+
+    def __init__(self, server: RtdeServer, connection: socket.socket, name: str) -> None:
+        self.server, self.name = server, name
+        self.socket = connection
+        self._unsent = bytearray()
+        self._received = b""
+
+    @abstractmethod
+    def hear(self, received: bytes) -> bytes:
+        """Acts on what has come, and returns what is incomplete; raises Nonsense."""
+
+    def read(self) -> None:
+        """Takes what has come.
+
+        Raises:
+            OSError: the connection has ended.
+            Nonsense: what came is not of its protocol.
+        """
+        more = self.socket.recv(65536)
+        if not more:
+            raise ConnectionError("it closed the connection")
+        self._received = self.hear(self._received + more)
+
+    def send(self, message: bytes) -> None:
+        """Sends, at once or as soon as there is room; raises OSError."""
+        self._unsent += message
+        if len(self._unsent) > _MOST_UNSENT:
+            raise ConnectionError("it does not read")
+        self.flush()
+
+    def flush(self) -> bool:
+        """Sends what is left; whether nothing is."""
+        with suppress(BlockingIOError):
+            while self._unsent:
+                del self._unsent[: self.socket.send(self._unsent)]
+        return not self._unsent
+
+
+class RtdePeer(Peer):
+    """A client of RTDE.
+
+    Attributes:
+        is_started: whether it gets packages.
+        is_awaited: whether the last one has not been answered.
+        inputs: recipes, of which the first has number 1.
+        claimed: names of inputs that are its own.
+        skipped: packages that were left out because it does not read.
+    """
+
+    def __init__(self, server: RtdeServer, connection: socket.socket, name: str) -> None:
+        super().__init__(server, connection, name)
+        self.is_started = self.is_awaited = False
+        self.inputs: list[Recipe] = []
+        self.claimed: set[str] = set()
+        self.skipped = 0
+        self._outputs: Recipe | None = None
+        self._every, self._begins = 1, 0.0
+        self._last_sent = 0.0  # on the clock's time
+        self._has_version = False
+
+    def hear(self, received: bytes) -> bytes:
+        """See `Peer`."""
+        at = 0
+        while len(received) - at >= HEAD.size:
+            size, kind = HEAD.unpack_from(received, at)
+            if not HEAD.size <= size <= _MOST_BYTES or kind not in _KINDS:
+                raise Nonsense(f"sent what is no message of RTDE: {size} bytes of type {kind}")
+            if len(received) - at < size:
+                break
+            self._obey(kind, received[at + HEAD.size : at + size])
+            at += size
+        return received[at:]
+
+    def say(self, text: str) -> None:
+        """Sends a text message."""
+        said = text.encode()[:255]
+        payload = bytes([len(said)]) + said + bytes([len(_SOURCE)]) + _SOURCE + bytes([_WARNING])
+        self._answer(TEXT, payload)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether packages may be sent to it."""
+        return self.is_started and clock.monotonic() >= self._begins
+
+    def is_due(self, cycle: int) -> bool:
+        """Whether it gets a package in a cycle."""
+        return self.is_ready and cycle % self._every == 0
+
+    def send_package(self) -> None:
+        """Sends the values of its recipe, unless it has not read those before."""
+        assert self._outputs is not None
+        now = clock.monotonic()
+        if self.flush():
+            self._last_sent, self.is_awaited = now, True
+            values = self._outputs.pack(self.server.desk.value)
+            self._answer(DATA, b"\1" + values)
+        else:
+            self.skipped += 1
+            if now - self._last_sent > _STUCK:
+                raise ConnectionError(f"it has read nothing for {_STUCK:g} s")
+
+    def _answer(self, kind: int, payload: bytes) -> None:
+        self.send(HEAD.pack(HEAD.size + len(payload), kind) + payload)
+
+    def _obey(self, kind: int, payload: bytes) -> None:
+        if kind == ASK_VERSION:
+            self._has_version = payload == struct.pack(">H", VERSION)
+            self._answer(kind, bytes([self._has_version]))
+        elif kind == ASK_CONTROLLER:
+            self._answer(kind, struct.pack(">4I", *CONTROLLER_VERSION))
+        elif kind == TEXT:
+            said = payload[1 : 1 + payload[0]] if payload else b""
+            self.server.tell(f"client {self.name} says: {said.decode('utf-8', 'replace')}")
+        elif not self._has_version:
+            raise Nonsense(f"sent {chr(kind)} before it asked for version {VERSION} of RTDE")
+        elif kind == SET_UP:
+            self._set_up_outputs(payload)
+        elif kind == SET_UP_INPUTS:
+            self._set_up_inputs(payload)
+        elif kind == START:
+            self.is_started = self._outputs is not None
+            if not self.is_started:
+                self.say("no outputs are set up")
+            self._begins = clock.monotonic() + _LATER
+            self._answer(kind, bytes([self.is_started]))
+        elif kind == PAUSE:
+            self.is_started = self.is_awaited = False
+            self._answer(kind, b"\1")
+        elif kind == DATA:
+            self._take(payload)
+
+    def _set_up_outputs(self, payload: bytes) -> None:
+        if len(payload) < 8:
+            raise Nonsense(f"set up outputs in {len(payload)} bytes")
+        (rate,) = struct.unpack_from(">d", payload)
+        recipe = Recipe(payload[8:], OUTPUTS, frozenset())
+        self.is_started = self.is_awaited = False
+        self._outputs = recipe if recipe.is_valid else None
+        # A rate that is no divisor is that of whole cycles below it; nonsense is the highest.
+        cycles = 1.0 / (rate * self.server.cycle) if math.isfinite(rate) and rate > 0.0 else 1.0
+        self._every = max(math.ceil(min(cycles, 1e6) - 1e-6), 1)
+        self._answer(SET_UP, bytes([recipe.is_valid]) + ",".join(recipe.types).encode())
+
+    def _set_up_inputs(self, payload: bytes) -> None:
+        recipe = Recipe(payload, INPUTS, self.server.claimed_by_others(self))
+        is_taken = recipe.is_valid and len(self.inputs) < _MOST_RECIPES
+        if is_taken:
+            self.inputs.append(recipe)
+            self.claimed |= set(recipe.names)
+        number = len(self.inputs) if is_taken else 0
+        self._answer(SET_UP_INPUTS, bytes([number]) + ",".join(recipe.types).encode())
+
+    def _take(self, payload: bytes) -> None:
+        number = payload[0] if payload else 0
+        desk = self.server.desk
+        if not 1 <= number <= len(self.inputs):
+            desk.count_wrong(f"a data package of client {self.name} is of recipe {number}")
+            return
+        recipe = self.inputs[number - 1]
+        if len(payload) != 1 + recipe.size:
+            what = f"found {len(payload) - 1} bytes; expected {recipe.size}"
+            desk.count_wrong(f"a data package of recipe {number} of client {self.name}: {what}")
+            return
+        try:
+            values = recipe.unpack(payload[1:])
+        except ValueError as error:
+            desk.count_wrong(f"a data package of recipe {number} of client {self.name}: {error}")
+            return
+        if desk.take(self, values):
+            self.is_awaited = False
+
+
+class DashboardPeer(Peer):
+    """A client of the dashboard server, as far as clients of RTDE use it."""
+
+    def greet(self) -> None:
+        """What is said first."""
+        self.send(b"Connected: Universal Robots Dashboard Server\n")
+
+    def hear(self, received: bytes) -> bytes:
+        """See `Peer`."""
+        *lines, rest = received.split(b"\n")
+        if len(rest) > _MOST_BYTES:
+            raise Nonsense("sent no line")
+        for line in lines:
+            self.send(self._answer_to(line.decode("utf-8", "replace").strip()).encode() + b"\n")
+        return rest
+
+    def _answer_to(self, line: str) -> str:
+        desk, said = self.server.desk, line.lower()
+        if said == "stop":
+            desk.stop_program()
+            return "Stopped"
+        if said == "running":
+            return f"Program running: {str(desk.is_running).lower()}"
+        version = ".".join(map(str, CONTROLLER_VERSION))
+        answers = {
+            "polyscopeversion": f"URSoftware {version} (sero-mj)",
+            "get serial number": "0",
+            "is in remote control": "true",
+            "robotmode": "Robotmode: RUNNING",
+            "safetystatus": "Safetystatus: NORMAL",
+            "programstate": "PLAYING" if desk.is_running else "STOPPED",
+            "power on": "Powering on",
+            "brake release": "Brake releasing",
+            "quit": "Disconnected",
+        }
+        if said not in answers:
+            self.server.tell(f"the dashboard server is asked for '{line[:40]}', which it has not")
+        return answers.get(said, f"could not understand: '{line[:40]}'")
+
+
+class ScriptPeer(Peer):
+    """A client that sends URScript, of which no more than the end is seen."""
+
+    def hear(self, received: bytes) -> bytes:
+        """See `Peer`."""
+        if received.rstrip().endswith((b"\nend", b"\r\nend")):  # others in it are indented
+            self.server.desk.take_script(received)
+            return b""
+        return received[-_MOST_UNSENT:]
+
+
+class RtdeServer:
+    """Listens, and serves all clients.
+
+    Args:
+        desk: what they get and give.
+        cycle: s between packages at most.
+
+    Attributes:
+        port: of RTDE, where it is open.
+        peers: clients of RTDE.
+        desk: as given.
+        cycle: as given.
+    """
+
+    def __init__(self, desk: Desk, cycle: float, name: str) -> None:
+        self.desk, self.cycle = desk, cycle
+        self.port = 0
+        self._name = name
+        self._selector: selectors.BaseSelector | None = None
+        self._peers: dict[socket.socket, Peer] = {}
+        self._makes: dict[socket.socket, Callable[[socket.socket, str], Peer]] = {}
+        self._told: set[str] = set()
+
+    @property
+    def peers(self) -> list[RtdePeer]:
+        """The clients of RTDE."""
+        return [peer for peer in self._peers.values() if isinstance(peer, RtdePeer)]
+
+    def open(self, host: str, port: int, dashboard: int = 0, script: int = 0) -> None:
+        """Listens.
+
+        Args:
+            host: address.
+            port: of RTDE; 0 for a free one.
+            dashboard: port of the dashboard server; 0 for none.
+            script: port that takes URScript; 0 for none.
+
+        Raises:
+            OSError: there is no such address, or a port is in use; says which one.
+        """
+        self._selector = selectors.DefaultSelector()
+        for number, make in ((port, RtdePeer), (dashboard, DashboardPeer), (script, ScriptPeer)):
+            if not number and make is not RtdePeer:
+                continue
+            try:
+                listening = socket.create_server((host, number))
+            except OSError as error:
+                self.close()
+                said = error.strerror or str(error)
+                raise OSError(error.errno, f"{host}:{number}: {said}") from error
+            listening.setblocking(False)
+            weakref.finalize(self, listening.close)
+            self._makes[listening] = self._maker(make)
+            self._selector.register(listening, selectors.EVENT_READ)
+            if make is RtdePeer:
+                self.port = int(listening.getsockname()[1])
+
+    def _maker(self, kind: type[Peer]) -> Callable[[socket.socket, str], Peer]:
+        return lambda connection, name: kind(self, connection, name)
+
+    def close(self) -> None:
+        """Ends all connections; harmless when that is done."""
+        for peer in [*self._peers.values()]:
+            self._drop(peer, "")
+        for listening in self._makes:
+            listening.close()
+        self._makes.clear()
+        if self._selector is not None:
+            self._selector.close()
+        self._selector = None
+
+    def serve(self, seconds: float = 0.0) -> bool:
+        """Takes what has come; whether anything had.
+
+        Args:
+            seconds: to wait for something.
+        """
+        if self._selector is None:
+            return False
+        ready = self._selector.select(max(seconds, 0.0))
+        for key, _ in ready:
+            found = key.fileobj
+            assert isinstance(found, socket.socket)
+            if found in self._makes:
+                self._accept(found)
+            elif (peer := self._peers.get(found)) is not None:
+                self._do(peer, peer.read)
+        return bool(ready)
+
+    def send(self, cycle: int) -> None:
+        """Sends packages to all that get one in a cycle."""
+        for peer in self.peers:
+            if peer.is_due(cycle):
+                self._do(peer, peer.send_package)
+
+    def send_to(self, peer: RtdePeer) -> None:
+        """Sends a package to one client."""
+        self._do(peer, peer.send_package)
+
+    def claimed_by_others(self, but: RtdePeer) -> frozenset[str]:
+        """Names of inputs that other clients have."""
+        return frozenset().union(*(peer.claimed for peer in self.peers if peer is not but))
+
+    def tell(self, text: str) -> None:
+        """Logs something once."""
+        if text not in self._told and len(self._told) < _MOST_TOLD:
+            self._told.add(text)
+            log.warning("%s: %s", self._name, text)
+
+    def _accept(self, listening: socket.socket) -> None:
+        assert self._selector is not None
+        try:
+            connection, address = listening.accept()
+        except OSError:
+            return
+        name = f"{address[0]}:{address[1]}"
+        if len(self._peers) >= _MOST_PEERS:
+            self.tell(f"more than {_MOST_PEERS} connections; others are closed")
+            connection.close()
+            return
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        peer = self._makes[listening](connection, name)
+        self._peers[connection] = peer
+        self._selector.register(connection, selectors.EVENT_READ)
+        if isinstance(peer, RtdePeer):
+            log.info("%s: client %s has connected", self._name, name)
+        if isinstance(peer, DashboardPeer):
+            self._do(peer, peer.greet)
+
+    def _do(self, peer: Peer, act: Callable[[], None]) -> None:
+        """Lets a client act, and drops it where that fails."""
+        try:
+            act()
+        except BlockingIOError:
+            pass
+        except Nonsense as error:
+            self.desk.count_wrong(f"client {peer.name} {error}")
+            self._drop(peer, "")
+        except OSError as error:
+            is_told = isinstance(peer, RtdePeer)
+            why = str(error) if error.errno is None else error.strerror
+            self._drop(peer, f"client {peer.name} has gone: {why}" if is_told else "")
+
+    def _drop(self, peer: Peer, why: str) -> None:
+        if self._peers.pop(peer.socket, None) is None:
+            return
+        if self._selector is not None:
+            with suppress(KeyError, ValueError):
+                self._selector.unregister(peer.socket)
+        peer.socket.close()
+        if why:
+            log.warning("%s: %s", self._name, why)
+
+    def wait_until(self, due: float) -> None:
+        """Serves until it is a time of `time.monotonic`, s, or a bit later."""
+        while (left := due - clock.monotonic()) > 0.0:
+            self.serve(left)
+        while self.serve() and clock.monotonic() < due + self.cycle:
+            pass
+
+    def __getstate__(self) -> Any:
+        raise TypeError("sockets are of this process")

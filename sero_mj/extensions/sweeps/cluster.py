@@ -1,0 +1,363 @@
+"""`Cluster`: tasks, variants of a sweep say, on the workers of a Dask cluster.
+
+Every worker is given two batches at a time, and the next as one is ready, by this program rather
+than by the scheduler. So a worker that joins late is used, little waits at the scheduler, and it is
+known what a worker was doing when it died.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import tomllib
+import uuid
+from collections import Counter, deque
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ...base.errors import ClusterError, Problem, UsageError, about_fault
+from ...study.engine import Result, Task, Work
+from ...study.shipped_files import files_in
+from .scenario_inputs import digest_of_models, is_installed, pack
+
+if TYPE_CHECKING:
+    from .cluster_worker import JobFiles
+
+log = logging.getLogger(__name__)
+
+PATIENCE = 10.0  # s until a scheduler is told to be missing
+ELSEWHERE = 2  # how often a task whose worker died is done again
+_EACH = 2  # batches that a worker has: one that it runs and one that follows at once
+_LOOK = 1.0  # s between looks for new workers and dead ones
+_ANSWER = 30.0  # s in which a worker hands over results
+_NEEDED = "pip install 'sero-mj[dask]'"
+_QUEUES = {
+    "slurm": "SLURMCluster",
+    "pbs": "PBSCluster",
+    "lsf": "LSFCluster",
+    "sge": "SGECluster",
+}
+
+
+class Cluster:
+    """An `Engine` of Dask workers, which need share no disk with this machine.
+
+    Args:
+        scheduler: an address `tcp://HOST:PORT`, a scheduler's file `.json`, or a file `.toml` with
+            a table of `dask-jobqueue`: `[slurm]`, `[pbs]`, `[lsf]` or `[sge]`.
+        shipped: further files and folders that the workers are given.
+
+    Attributes:
+        workers: how many are used at the moment.
+
+    Raises:
+        UsageError: Dask is not installed, or `scheduler` is none of these.
+    """
+
+    def __init__(
+        self,
+        scheduler: str,
+        shipped: Iterable[Path] = (),
+    ) -> None:
+        try:
+            import distributed  # noqa: F401
+        except ImportError as error:
+            raise UsageError(f"--engine dask needs Dask ({error}): {_NEEDED}") from None
+        if not scheduler.endswith((".json", ".toml")) and "://" not in scheduler:
+            expected = "tcp://HOST:PORT, a scheduler's file .json, or a file .toml with [slurm]"
+            raise UsageError(Problem("--scheduler", found=scheduler, expected=expected))
+        if "://" not in scheduler and not Path(scheduler).is_file():
+            raise UsageError(Problem("--scheduler", "no file", found=scheduler))
+        self.workers = 0
+        self._scheduler = scheduler
+        self._shipped = [file for path in shipped for file in files_in(path)]
+
+    def run(self, work: Work) -> Generator[Result]:
+        """Yields results as they come.
+
+        Raises:
+            ClusterError: the scheduler cannot be reached or is gone, or workers differ.
+        """
+        with _quiet(), self._client() as client:
+            from .cluster_worker import JobFiles
+
+            files = work.job.files()
+            own = [file for file in files if not is_installed(file)]
+            archive = pack(list(dict.fromkeys([*own, *self._shipped])))
+            name = f"sero-mj-{uuid.uuid4().hex[:12]}"
+            models = digest_of_models(files)
+            files_there = JobFiles(name, archive, work.job, models)
+            run = _Run(client, self._scheduler, work, files_there)
+            try:
+                for found in run.results():
+                    self.workers = run.workers
+                    yield from found
+            finally:
+                self.workers = 0
+                run.end()
+
+    @contextmanager
+    def _client(self) -> Iterator[Any]:
+        """A client of the scheduler, and the cluster itself where it is a batch system's."""
+        from distributed import Client
+
+        if self._scheduler.endswith(".toml"):
+            with _job_queue(Path(self._scheduler)) as cluster, _closed(Client(cluster)) as client:
+                yield client
+            return
+        is_file = self._scheduler.endswith(".json")
+        given = {"scheduler_file" if is_file else "address": self._scheduler}
+        try:
+            client = Client(**given, timeout=PATIENCE, set_as_default=False)
+        except (OSError, ValueError) as error:
+            reason = f"no scheduler answers within {PATIENCE:.0f} s"
+            if isinstance(error, ValueError):
+                reason = str(error)
+            expected = "that of a running `dask scheduler`, which prints it"
+            raise ClusterError(self._scheduler, Problem("", reason, expected=expected)) from None
+        with _closed(client):
+            yield client
+
+
+class _Run:
+    """One work on the workers of a client.
+
+    Args:
+        client: of a scheduler.
+        address: the scheduler's, for errors.
+        work: what is done.
+        files: those of the job.
+    """
+
+    def __init__(self, client: Any, address: str, work: Work, files: JobFiles) -> None:
+        self._client, self._address, self._work, self._files = client, address, work, files
+        self._todo: deque[Task] = deque(work.tasks)
+        self._alone: deque[Task] = deque()  # one of them may have killed a worker
+        self._deaths: Counter[int] = Counter()
+        self._batches: dict[str, tuple[str, Sequence[Task], Any]] = {}  # by the future's key
+        self._of: dict[str, deque[str]] = {}  # worker to keys, that which it runs first
+        self._refused: set[str] = set()
+        self._done: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._count, self._has_warned = 0, False
+
+    @property
+    def workers(self) -> int:
+        """How many are used."""
+        return len(self._of)
+
+    def results(self) -> Generator[list[Result]]:
+        """Yields what has come, at least every second."""
+        with self._scheduler():
+            installed = self._client.get_versions(check=False, packages=["sero_mj"])["workers"]
+            self._refuse_without(installed)
+            self._client.register_plugin(self._files)
+        self._look()
+        if not self._of:
+            log.warning("%s has no workers yet: waiting for them", self._address)
+        while self._todo or self._alone or self._batches:
+            self._hand_out()
+            try:
+                yield self._take(self._done.get(timeout=_LOOK))
+            except queue.Empty:
+                yield self._look()
+
+    def _refuse_without(self, installed: Mapping[str, Any]) -> None:
+        for worker, found in installed.items():
+            if not found["packages"].get("sero_mj"):
+                expected = f"in the environment of its workers: {_NEEDED}"
+                problem = Problem("", f"worker {worker} has no sero-mj", expected=expected)
+                raise ClusterError(self._address, problem)
+
+    @contextmanager
+    def _scheduler(self) -> Iterator[None]:
+        """Where the scheduler is asked something; raises ClusterError if it is gone."""
+        try:
+            yield
+        except (OSError, TimeoutError) as error:
+            raise self._gone() from error
+        if self._client.status != "running":
+            raise self._gone()
+
+    def _gone(self) -> ClusterError:
+        return ClusterError(self._address, "the scheduler is gone; what has come is kept")
+
+    def _look(self) -> list[Result]:
+        """Takes in workers that are new; runs elsewhere what those had that are gone."""
+        with self._scheduler():
+            threads: dict[str, int] = self._client.nthreads()
+        new = [each for each in threads if each not in self._of and each not in self._refused]
+        if new:
+            self._check(new, threads)
+        return [row for worker in set(self._of) - set(threads) for row in self._lost(worker)]
+
+    def _check(self, new: list[str], threads: Mapping[str, int]) -> None:
+        """Takes in workers where results will be the same; raises ClusterError if none is left."""
+        from .cluster_worker import differences_on_worker
+
+        try:
+            told = self._client.run(
+                differences_on_worker, self._files.name, workers=new, on_error="return"
+            )
+        except OSError:
+            return  # one of them is gone: the others are asked again
+        differing = {}
+        for worker, found in told.items():
+            if isinstance(found, KeyError | OSError):
+                continue  # it has just joined, or gone: it is asked again
+            if found:
+                is_error = isinstance(found, Exception)
+                lines = [about_fault(found, Cluster)] if is_error else found
+                differing[worker] = "; ".join(lines)
+                continue
+            self._of[worker] = deque()
+        wide = [worker for worker in told if threads[worker] > 1]
+        if wide and not self._has_warned:
+            self._has_warned = True
+            log.warning(
+                "worker %s has %d threads, and runs one batch at a time; more run by: "
+                "dask worker --nworkers %d --nthreads 1", wide[0], *2 * [threads[wide[0]]],
+            )  # fmt: skip
+        self._refused |= set(differing)
+        for worker, text in differing.items():
+            if not self._of or not self._count:
+                raise ClusterError(self._address, f"worker {worker} differs: {text}")
+            log.warning("worker %s differs and is not used: %s", worker, text)
+
+    def _hand_out(self) -> None:
+        """Gives every worker something to run and something to follow."""
+        from .cluster_worker import run_tasks
+
+        job = self._work.job
+
+        for has in range(_EACH):  # first to those that have nothing
+            for worker, keys in self._of.items():
+                if len(keys) > has:
+                    continue
+                batch = self._next()
+                if not batch:
+                    return
+                self._count += 1
+                key = f"{self._files.name}-{self._count}"
+                tasks = [dict(values) for _, values in batch]
+                own = [file.absolute() for values in tasks for file in job.files_of(values)]
+                future = self._client.submit(
+                    run_tasks, self._files.name, tasks, pack(own) if own else b"", key=key,
+                    workers=[worker], allow_other_workers=False, pure=False,
+                )  # fmt: skip
+                keys.append(key)
+                self._batches[key] = worker, batch, future
+                future.add_done_callback(lambda future: self._done.put(future.key))
+
+    def _next(self) -> list[Task]:
+        if not self._todo:
+            return [self._alone.popleft()] if self._alone else []
+        size = self._work.size(len(self._todo), self.workers)
+        return [self._todo.popleft() for _ in range(size)]
+
+    def _take(self, key: str) -> list[Result]:
+        """The results of a batch that is ready."""
+        if key not in self._batches:  # it was given up
+            return []
+        worker, batch, future = self._batches[key]
+        if future.status in ("cancelled", "lost"):  # not by us: the scheduler is gone, or a worker
+            with self._scheduler():
+                return self._lost(worker)
+        try:
+            results = future.result(timeout=_ANSWER)
+        except Exception as error:
+            if type(error).__name__ in ("KilledWorker", "TimeoutError", "CommClosedError"):
+                return self._lost(worker)
+            with self._scheduler():
+                pass
+            text = f"worker {worker} cannot do tasks: {type(error).__name__}: {error}"
+            raise ClusterError(self._address, text) from error
+        del self._batches[key]
+        self._of[worker].remove(key)
+        return list(zip((number for number, _ in batch), results, strict=True))
+
+    def _lost(self, worker: str) -> list[Result]:
+        """Has the tasks of a dead worker done elsewhere; returns those that are given up."""
+        keys = self._of.pop(worker)
+        given_up: list[Result] = []
+        waiting: list[Task] = []
+        for place, key in enumerate(keys):
+            _, batch, future = self._batches.pop(key)
+            with suppress(Exception):
+                self._client.cancel([future], force=True)
+            if place:
+                waiting += batch
+                continue
+            for number, values in batch:
+                self._deaths[number] += 1
+                if self._deaths[number] > ELSEWHERE:
+                    given_up.append((number, self._work.job.killed()))
+                else:
+                    self._alone.append((number, values))
+        self._todo.extendleft(reversed(waiting))
+        log.info("worker %s is gone", worker)
+        return given_up
+
+    def end(self) -> None:
+        """Cancels what is still to be run, and removes the files from the workers."""
+        if self._client.status != "running":
+            return
+        with suppress(Exception):
+            self._client.cancel([future for _, _, future in self._batches.values()], force=True)
+        with suppress(Exception):
+            self._client.unregister_worker_plugin(self._files.name)
+
+
+@contextmanager
+def _closed(client: Any) -> Iterator[Any]:
+    try:
+        yield client
+    finally:
+        with suppress(Exception):
+            client.close(timeout=2)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """What Dask says of lost connections is told by our own errors, also after these."""
+    import distributed  # noqa: F401  # which gives its loggers levels of their own
+
+    known = [name for name in logging.root.manager.loggerDict if name.startswith("distributed.")]
+    names = ("distributed", "tornado", "asyncio", *known)
+    logs = [logging.getLogger(name) for name in names]
+    levels = [each.level for each in logs]
+    for each in logs:
+        each.setLevel(logging.CRITICAL + 1)
+    yield  # after an error, tasks that are given up would still log theirs
+    for each, level in zip(logs, levels, strict=True):
+        each.setLevel(level)
+
+
+@contextmanager
+def _job_queue(file: Path) -> Iterator[Any]:
+    """A cluster whose workers are jobs of a batch system."""
+    try:
+        import dask_jobqueue
+    except ImportError as error:
+        raise UsageError(f"{file} needs dask-jobqueue ({error}): {_NEEDED}") from None
+    try:
+        tables = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UsageError(Problem("--scheduler", f"cannot be read: {error}", str(file))) from None
+    kinds = [kind for kind in tables if kind in _QUEUES]
+    if len(tables) != 1 or not kinds or not isinstance(tables[kinds[0]], dict):
+        found, expected = ", ".join(tables) or "nothing", f"one table of {', '.join(_QUEUES)}"
+        raise UsageError(Problem("", file=str(file), found=found, expected=expected))
+    settings = dict(tables[kinds[0]])
+    jobs = settings.pop("jobs", 1)
+    try:
+        made = getattr(dask_jobqueue, _QUEUES[kinds[0]])(**settings)
+    except (TypeError, ValueError) as error:
+        first = str(error).partition(". ")[0]  # the rest tells of its insides
+        expected = f"what dask_jobqueue.{_QUEUES[kinds[0]]} takes, and jobs"
+        problem = Problem(kinds[0], f"cannot be taken: {first}", str(file), expected=expected)
+        raise UsageError(problem) from None
+    with made as cluster:
+        cluster.scale(jobs=jobs)
+        yield cluster

@@ -1,0 +1,155 @@
+"""What the table of a sweep comes to, in the terminal and as JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from textwrap import shorten
+from typing import Any, Protocol
+
+from ...cli.arguments import print_table
+from .mutations import Judged, Mutations, judge
+from .sweep import Sweep
+from .sweep_results import Rows, summarise_sweep
+
+_MOST = 3  # expectations that are named for one mutation
+_WIDTH = 100  # of them, or of an error
+_ERRORS = 5
+
+
+class Report(Protocol):
+    """What came of the variants that are known.
+
+    Attributes:
+        is_good: whether all is as it should be.
+    """
+
+    is_good: bool
+
+    def tell(self) -> None:
+        """Prints it."""
+
+    def as_json(self) -> dict[str, Any]:
+        """The same, as JSON types."""
+
+
+def report_of(sweep: Sweep, rows: Rows) -> Report:
+    """Returns what came of a sweep."""
+    if isinstance(sweep.design, Mutations):
+        return _OfMutations(sweep.design, rows)
+    return _OfSamples(sweep, rows)
+
+
+class _OfSamples:
+    """Where outcomes are lowest and highest, and how many variants held."""
+
+    def __init__(self, sweep: Sweep, rows: Rows) -> None:
+        self._sweep = sweep
+        self._summary = summarise_sweep(rows, sweep.columns)
+        self.is_good = self._summary.held == self._summary.count
+
+    def tell(self) -> None:
+        from rich.table import Table
+
+        summary = self._summary
+        shown = Table(box=None, pad_edge=False)
+        shown.add_column("")
+        for heading in ("held", "lowest", "at", "median", "highest", "at"):
+            shown.add_column(heading, justify="left" if heading == "at" else "right")
+        for each in summary.outcomes:
+            held = "" if each.held is None else f"{each.held}/{summary.count}"
+            lowest, median, highest = (
+                "" if math.isnan(value) else f"{value:.4g}"
+                for value in (each.lowest[0], each.median, each.highest[0])
+            )
+            low, high = (self._values(number) for _, number in (each.lowest, each.highest))
+            shown.add_row(each.name, held, lowest, low, median, highest, high)
+        print_table(shown)
+        for number, error in list(summary.errors.items())[:_ERRORS]:
+            print(f"  stopped {self._values(number)}: {error}")
+        if len(summary.errors) > _ERRORS:
+            print(f"  stopped ... {len(summary.errors) - _ERRORS} more")
+        failed = summary.count - summary.held - len(summary.errors)
+        print(f"{summary.held} held, {failed} did not, {len(summary.errors)} stopped with an error")
+
+    def _values(self, number: int) -> str:
+        """The values of a variant, in short: the last part of each key."""
+        if number < 0:
+            return ""
+        parts = []
+        for key, value in self._sweep.variants[number].items():
+            text = f"{value:.4g}" if isinstance(value, float) else str(value)
+            parts.append(f"{key.rpartition('.')[2]} {text}")
+        return ", ".join(parts)
+
+    def as_json(self) -> dict[str, Any]:
+        def at(value: float, number: int) -> Any:
+            if math.isnan(value):
+                return None
+            return {"value": value, "variant": number, "values": self._sweep.variants[number]}
+
+        return {
+            "variants": self._summary.count,
+            "held": self._summary.held,
+            "errors": {str(number): error for number, error in self._summary.errors.items()},
+            "outcomes": {
+                each.name: {
+                    "held": each.held,
+                    "known": each.known,
+                    "lowest": at(*each.lowest),
+                    "median": each.median,
+                    "highest": at(*each.highest),
+                }
+                for each in self._summary.outcomes
+            },
+        }
+
+
+class _OfMutations:
+    """Which mutations are noticed, and by what; those that are not come last."""
+
+    def __init__(self, design: Mutations, rows: Rows) -> None:
+        without = rows.get(0, {})
+        found = {design.name(number): judge(row, without) for number, row in sorted(rows.items())}
+        # What fails of the scenario as it is.
+        self._failing = found.pop("").noticed_by if without else []
+        self._found: Mapping[str, Judged] = found
+        self._unnoticed = [name for name, judged in found.items() if not judged.noticed_by]
+        self.is_good = not (self._unnoticed or self._failing)
+
+    def tell(self) -> None:
+        from rich.table import Table
+        from rich.text import Text
+
+        shown = Table(box=None, pad_edge=False)
+        shown.add_column("mutation")
+        shown.add_column("noticed by")
+        for name, judged in sorted(self._found.items(), key=lambda each: not each[1].noticed_by):
+            nothing = Text.assemble(("nothing", "bold"), _moved(judged))
+            shown.add_row(name, _named(judged.noticed_by) or nothing)
+        print_table(shown)
+        if self._failing:
+            failing = ", ".join(self._failing)
+            print(f"without any mutation these fail already: {failing}")
+        noticed = len(self._found) - len(self._unnoticed)
+        print(f"{noticed} noticed, {len(self._unnoticed)} not")
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "mutations": len(self._found),
+            "unnoticed": self._unnoticed,
+            "found": {name: asdict(judged) for name, judged in self._found.items()},
+            "failing_without": self._failing,
+        }
+
+
+def _named(noticed_by: list[str]) -> str:
+    more = f" and {len(noticed_by) - _MOST} more" if len(noticed_by) > _MOST else ""
+    return shorten(", ".join(noticed_by[:_MOST]), _WIDTH, placeholder=" ...") + more
+
+
+def _moved(judged: Judged) -> str:
+    if judged.moved is None:
+        return ""
+    return f"; {judged.moved} {judged.value:.4g}, without it {judged.value_without:.4g}"

@@ -1,0 +1,184 @@
+"""The files that a scenario reads, and their way to a machine that does not share a disk.
+
+Which they are is seen, not guessed: a process of its own reads the scenario and makes its
+simulation, and the names of all files that Python opens meanwhile are noted. They are packed with
+their folders and unpacked below another root, so that names from one file to another stay right;
+names that begin at the root of the file system are rewritten. What is installed (Python, packages,
+shipped robots) is not packed: it has to be the same there.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import tarfile
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from ...base import paths
+from ...base.errors import Problem, SeroError, UsageError
+from ...study.shipped_files import below
+
+_TEXTS = (".toml", ".xml", ".urdf", ".mjcf", ".xacro", ".sdf", ".x3d", ".dae", ".obj", ".mtl")
+_QUOTED = re.compile(r"""(["'])(/[^"'\n]+)\1""")
+_REFERRED = re.compile(rb"""\b(?:file\w*|url)\s*=\s*["']([^"'\n]+)["']""")
+_MOST_BYTES = 1_000_000_000
+_OWN = Path(__file__).resolve().parents[1]
+_NO_CODE = re.compile(r"(models|scenes|viewer/player/js)/")
+_WRITES = os.O_WRONLY | os.O_RDWR
+_SYSTEM = ("/proc", "/sys", "/dev", "/etc", "/run", "/bin", "/lib", "/lib64", "/usr")
+
+
+def files_read(
+    file: Path, fixed: Mapping[str, Any], choices: Iterable[Mapping[str, Any]] = ()
+) -> list[Path]:
+    """Returns the absolute paths of the files that are read for variants of a scenario.
+
+    Those that programs of controllers open by themselves are not known; the programs are.
+
+    Args:
+        file: the scenario's.
+        fixed: dotted keys that are set in all variants.
+        choices: further keys to their values, of which a variant may have one: files, say.
+    """
+    asked = json.dumps([str(file), dict(fixed), [dict(each) for each in choices]], default=str)
+    environment = {**os.environ, "MUJOCO_GL": "disable"}
+    done = subprocess.run(
+        [sys.executable, "-m", __name__],
+        input=asked, capture_output=True, text=True, env=environment, check=False,
+    )  # fmt: skip
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["nothing"])[-1]
+        raise UsageError(Problem("", f"its files cannot be found: {last}", str(file)))
+    found = [Path(line) for line in json.loads(done.stdout.splitlines()[-1])]
+    return list(dict.fromkeys([file.absolute(), *found]))
+
+
+def pack(files: Sequence[Path]) -> bytes:
+    """Returns an archive of files, with their folders; raises UsageError above 1 GB."""
+    size = sum(file.stat().st_size for file in files)
+    if size > _MOST_BYTES:
+        largest = max(files, key=lambda file: file.stat().st_size)
+        message = f"files of {size / 1e6:.0f} MB would be sent to a worker, {largest} among them"
+        raise UsageError(Problem("--scheduler", message, expected=f"{_MOST_BYTES / 1e6:.0f} MB"))
+    archive = io.BytesIO()
+    with tarfile.open(fileobj=archive, mode="w:gz", compresslevel=1, dereference=True) as tar:
+        for file in files:
+            tar.add(file, str(file.absolute()).lstrip("/"), recursive=False)
+    return archive.getvalue()
+
+
+def unpack(archive: bytes, root: Path) -> list[Path]:
+    """Writes the files of an archive below a root, and returns them.
+
+    Absolute names in texts lead there.
+    """
+    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
+        tar.extractall(root, filter="data")
+        files = [root / name for name in tar.getnames()]
+    for file in files:
+        if file.suffix.lower() not in _TEXTS:
+            continue
+        text = file.read_bytes().decode("utf-8", "surrogateescape")
+        moved = _QUOTED.sub(lambda match: f"{match[1]}{below(root, match[2])}{match[1]}", text)
+        if moved != text:
+            file.write_bytes(moved.encode("utf-8", "surrogateescape"))
+    return files
+
+
+def digest_of_models(files: Iterable[Path]) -> dict[str, str]:
+    """The shipped files among these, by their names below the folder of models, to SHA-256."""
+    shipped = paths.models_dir().resolve()
+    found = {}
+    for file in files:
+        if file.resolve().is_relative_to(shipped):
+            name = file.resolve().relative_to(shipped).as_posix()
+            found[name] = hashlib.sha256(file.read_bytes()).hexdigest()
+    return found
+
+
+@cache
+def digest_of_code() -> str:
+    """SHA-256 of the Python files of sero-mj."""
+    digest = hashlib.sha256()
+    names = (file.relative_to(_OWN).as_posix() for file in _OWN.rglob("*.py"))
+    # A wheel has scenes inside, and the page's sources not.
+    for name in sorted(name for name in names if not _NO_CODE.match(name)):
+        digest.update(name.encode())
+        digest.update((_OWN / name).read_bytes())
+    return digest.hexdigest()
+
+
+def is_installed(file: Path) -> bool:
+    """Whether a file is of the system, Python, a package, or shipped with sero-mj."""
+    scenes = paths.scenes_dir().resolve()
+    if file.is_relative_to(scenes):
+        return False  # a scenario is read from there by its path
+    return any(file.is_relative_to(folder) for folder in _installed())
+
+
+@cache
+def _installed() -> tuple[Path, ...]:
+    folders = [*_SYSTEM, sys.prefix, *sysconfig.get_paths().values(), str(_OWN)]
+    return tuple(Path(each).resolve() for each in [*folders, str(paths.models_dir())])
+
+
+def _note_files(file: str, fixed: dict[str, Any], choices: list[dict[str, Any]]) -> set[Path]:
+    """Reads and makes variants of a scenario; returns what was opened, shipped robots too."""
+    noted: set[str] = set()
+
+    def note(event: str, arguments: tuple[Any, ...]) -> None:
+        if event == "open" and isinstance(arguments[0], str | bytes):
+            if not arguments[2] & _WRITES:
+                noted.add(os.path.abspath(os.fsdecode(arguments[0])))
+        elif event == "ctypes.dlopen" and isinstance(arguments[0], str):
+            noted.add(os.path.abspath(arguments[0]))
+        elif event == "subprocess.Popen":
+            program, words, folder, _ = arguments
+            for word in (program, *words):
+                noted.add(os.path.abspath(os.path.join(folder or "", os.fsdecode(word))))
+
+    from ...simulate.log_output import files_of
+    from ...simulate.scenario_file import read_scenario
+    from ...simulate.simulation import Simulation
+
+    sys.addaudithook(note)
+    known: set[Path] = set()
+    for choice in ({}, *choices):
+        try:
+            scenario = read_scenario(file, {**fixed, **choice})
+            known |= {*files_of(scenario), *(mesh for _, mesh in scenario.scene.meshes())}
+            Simulation(scenario)
+        except SeroError:
+            continue  # an error of its row
+    # MuJoCo opens what XML includes.
+    todo = [*known, *map(Path, sorted(noted))]
+    found: set[Path] = set()
+    while todo:
+        path = Path(os.path.abspath(todo.pop()))
+        if path in found or not path.is_file():
+            continue
+        found.add(path)
+        if path.suffix.lower() in (".xml", ".mjcf", ".urdf"):
+            names = _REFERRED.findall(path.read_bytes())
+            todo += [path.parent / os.fsdecode(name) for name in names]
+    models = paths.models_dir().resolve()
+    return {
+        each
+        for each in found
+        if each.resolve().is_relative_to(models)
+        or not (is_installed(each) or is_installed(each.resolve()))
+    }
+
+
+if __name__ == "__main__":
+    _asked = json.load(sys.stdin)
+    print(json.dumps([str(each) for each in sorted(_note_files(*_asked))]))

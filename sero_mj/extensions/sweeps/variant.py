@@ -1,0 +1,151 @@
+"""Runs variants of a sweep in batches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.errors import DeclarationError, SeroError
+from ...base.reduction import rms
+from ...simulate.control.compiler import Compiler
+from ...simulate.mujoco_timers import without_timers
+from ...simulate.run_batch import batch_key
+from ...simulate.runs.run_log import RunLog
+from ...simulate.scenario import Scenario
+from ...simulate.scenario_file import read_scenario
+from ...simulate.simulation import Simulation
+
+# Of every robot, all in Nm except the share: of its worst joint, over the whole run.
+PER_ROBOT = ("peak_torque_error", "rms_torque_error", "peak_torque_share", "findings")
+UNITS = {"peak_torque_error": "Nm", "rms_torque_error": "Nm", "peak_torque_share": "of the limit"}
+
+
+def outcome_columns(scenario: Scenario) -> list[str]:
+    """The columns of a variant's results.
+
+    `held`: whether all that is expected did and nothing stopped the run. `error`: what stopped it.
+    `ended`: s of simulated time. For every expectation whether it held and the value found;
+    for every robot `PER_ROBOT`.
+    """
+    columns = ["held", "error", "ended"]
+    for name in scenario.expect:
+        columns += [f"expect.{name}", f"expect.{name}.value"]
+    for robot in scenario.scene.robots:
+        columns += [f"{robot}.{key}" for key in PER_ROBOT]
+    return columns
+
+
+def runs_alone(scenario: Scenario) -> bool:
+    """Whether a scenario has controllers outside of this process, programs say.
+
+    Runs in a batch all advance together, so their programs would all run at the same time.
+    """
+    controllers = (scenario.controller_of(name) for name in scenario.scene.robots)
+    return not all(getattr(each, "may_be_asked", True) for each in controllers)
+
+
+class VariantRunner:
+    """Runs variants of one scenario, those together that differ in numbers only; keeps no logs.
+
+    Args:
+        file: the scenario's.
+        fixed: dotted keys set in all of them.
+    """
+
+    def __init__(self, file: Path, fixed: Mapping[str, Any]) -> None:
+        self._file, self._fixed = file, dict(fixed)
+        self._compiler = Compiler()
+
+    def run(self, variants: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+        """Runs the variants with these values, and returns what is known of each.
+
+        Nothing that goes wrong in one is raised: it is the variant's `error`.
+        """
+        found = [{"held": False, "error": "", "ended": 0.0} for _ in variants]
+        batches: dict[object, list[tuple[Scenario, dict[str, Any]]]] = {}
+        for values, result in zip(variants, found, strict=True):
+            with _error_in(result):
+                scenario = read_scenario(self._file, {**self._fixed, **values})
+                key = len(batches) if runs_alone(scenario) else batch_key(scenario)
+                batches.setdefault(key, []).append((scenario, result))
+        with without_timers():
+            for batch in batches.values():
+                self._run_batch(batch)
+        return found
+
+    def _run_batch(self, batch: list[tuple[Scenario, dict[str, Any]]]) -> None:
+        """Runs scenarios together and fills their results."""
+        runs: list[Simulation] = []
+        try:
+            made = Simulation.together([scenario for scenario, _ in batch], self._compiler)
+            runs += [each for each in made if isinstance(each, Simulation)]
+            if runs:
+                runs[0].advance(runs[0].steps)
+        except Exception as error:
+            if len(batch) > 1:  # whose it is shows where each is alone
+                for each in batch:
+                    self._run_batch([each])
+                return
+            with _error_in(batch[0][1]):
+                raise error
+            return
+        finally:
+            for run in runs:
+                run.close()  # also one that has ended early
+        for (scenario, result), one in zip(batch, made, strict=True):
+            with _error_in(result):
+                if isinstance(one, DeclarationError):
+                    raise one
+                _judge(one, scenario, result)
+
+
+@contextmanager
+def _error_in(found: dict[str, Any]) -> Iterator[None]:
+    """Catches all errors in its context, for the variant's row."""
+    try:
+        yield
+    except DeclarationError as error:
+        # The file is the same in all of them, and so is where it stands.
+        found["error"] = "; ".join(
+            ": ".join(filter(None, (problem.key, problem.message))) for problem in error.problems
+        )
+    except SeroError as error:
+        found["error"] = str(error)
+    except Exception as error:  # a fault in this program shall not end ten thousand runs
+        found["error"] = f"{type(error).__name__}: {error}"
+    found["error"] = " ".join(found["error"].split())  # a row is one line
+
+
+def _judge(simulation: Simulation, scenario: Scenario, found: dict[str, Any]) -> None:
+    """Fills in the results of a run, which may have ended early."""
+    found["error"] = str(simulation.error or "")
+    found["ended"] = simulation.time
+    log, findings = simulation.log, simulation.findings()
+    for name, expect in scenario.expect.items():
+        outcome = expect.judge(name, log, findings, scenario)
+        found[f"expect.{name}"] = outcome.holds
+        found[f"expect.{name}.value"] = outcome.value
+    for robot in scenario.scene.robots:
+        own = sum(finding.robot == robot for finding in findings)
+        found.update(_of_robot(log, robot, own))
+    held = all(found[f"expect.{name}"] for name in scenario.expect)
+    found["held"] = held and not found["error"]
+
+
+def _of_robot(log: RunLog, robot: str, findings: int) -> dict[str, Any]:
+    rows = slice(
+        1 if len(log.times) > 1 else 0, None
+    )  # nothing was commanded before the first step
+    error = log.torque_error(robot)[rows]
+    share = np.abs(log.of(robot, "commanded_torques")[rows]) / log.torque_limits(robot)
+    values = (
+        float(np.abs(error).max()),
+        max(rms(of_joint) for of_joint in error.T),
+        float(share.max()),
+        findings,
+    )
+    return {f"{robot}.{key}": value for key, value in zip(PER_ROBOT, values, strict=True)}

@@ -1,0 +1,169 @@
+"""Mutations are read and told; and every shipped scenario notices what an engineer may get wrong.
+
+`mutations/NAME.toml` has gains, loads, friction, sensors, limits, motions and pushes that are not
+what they should be. `make test` tries the first two, which are subtle ones, of some scenarios; CI
+eight, or four of slow scenarios, and `make mutations` all.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import ROOT, examples, raises_with
+from test_cli import run
+
+from sero_mj.base.paths import find_scenario, list_scenarios
+from sero_mj.extensions.sweeps.mutations import Mutations, judge
+from sero_mj.extensions.sweeps.sweep import Sweep
+
+SHIPPED = ROOT / "tests" / "mutations"
+LEAST = 8
+TRIED = {25: 2, 100: LEAST}[examples(100)]  # of every scenario, every day and in CI
+SLOW = ("biped_stand", "hit_hand_grasp", "justin_push")
+
+SCENARIO = """
+[robots.lwr]
+model = "lwr"
+joint_angles = [0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0]
+
+[run]
+duration = 0.05
+
+[controllers.lwr]
+kind = "joint_impedance"
+stiffness = 800.0
+
+[expect.it_holds]
+measure = "position_error"
+below = 1e-5
+"""
+MUTATIONS = """
+["undeclared load"]
+"disturbances.load" = { kind = "payload", robot = "lwr", mass = 2.0 }
+
+["half as stiff"]
+controllers.lwr.stiffness = 400.0
+
+["too weak"]
+"controllers.lwr" = { kind = "joint_impedance", stiffness = 800.0, torque_limits = 5.0 }
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "hold.toml"
+    path.write_text(SCENARIO)
+    return path
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "faults.toml"
+    path.write_text(text)
+    return path
+
+
+def test_every_mutation_is_a_variant_with_what_it_sets(file: Path, tmp_path: Path) -> None:
+    design = Mutations.read(written(tmp_path, MUTATIONS))
+    assert design.variants == [
+        {},
+        {"disturbances.load": {"kind": "payload", "robot": "lwr", "mass": 2.0}},
+        {"controllers.lwr.stiffness": 400.0},
+        {"controllers.lwr": {"kind": "joint_impedance", "stiffness": 800.0, "torque_limits": 5.0}},
+    ]
+    sweep = Sweep(file, design)
+    assert sweep.columns[:3] == ["variant", "mutation", "held"]
+    rows = dict(sweep.run())
+    found = {design.name(number): judge(row, rows[0]) for number, row in rows.items()}
+    assert {name: judged.noticed_by for name, judged in found.items()} == {
+        "": [],
+        "undeclared load": ["it_holds"],
+        "half as stiff": [],  # at rest a spring's stiffness does not show
+        "too weak": ["it_holds"],
+    }
+    loaded = found["undeclared load"]
+    assert loaded.moved == "it_holds"
+    assert (loaded.value, loaded.value_without) == tuple(
+        rows[number]["expect.it_holds.value"] for number in (1, 0)
+    )
+    assert found[""].moved is None
+
+
+def test_the_command_tells_what_nothing_notices(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mutations, out = written(tmp_path, MUTATIONS), tmp_path / "out.csv"
+    asked = "sweep", str(file), "--mutations", str(mutations), "--jobs", "1"
+    status, told, _ = run(capsys, *asked, "-o", str(out))
+    assert status == 1
+    lines = [line.split() for line in told.splitlines()]
+    assert lines[-2][:5] == ["half", "as", "stiff", "nothing;", "it_holds"]
+    assert lines[-1] == ["2", "noticed,", "1", "not"]
+    assert [line.split(",")[1:3] for line in out.read_text().splitlines()] == [
+        ["mutation", "held"], ["", "true"], ["undeclared load", "false"],
+        ["half as stiff", "true"], ["too weak", "false"],
+    ]  # fmt: skip
+    status, told, _ = run(capsys, *asked, "-o", str(out), "--resume", "--json")
+    assert status == 1 and json.loads(told)["unnoticed"] == ["half as stiff"]
+    mutations.write_text(MUTATIONS.replace("400", "401"))
+    _, _, told = run(capsys, *asked, "-o", str(out), "--resume")
+    assert "mutations.half as stiff.controllers.lwr.stiffness was 400.0 and is 401.0" in told
+    mutations.write_text(MUTATIONS.partition('["half')[0])
+    assert run(capsys, *asked, "--quiet")[:2] == (0, "")
+    file.write_text(SCENARIO.replace("below", "holds_at = 'all'\nabove"))
+    status, told, _ = run(capsys, *asked)
+    assert status == 1 and "without any mutation these fail already: it_holds" in told
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("", {"reason": "has no mutation"}),
+        ("[load]", {"key": "load", "line": 1, "reason": "sets nothing"}),
+        ("\nload = 3", {"key": "load", "line": 2, "reason": "is no table"}),
+        (
+            '\n["soft"]\n"controllers.lwr.stifness" = 1',
+            {"key": "soft.controllers.lwr.stifness", "line": 3, "near": "stiffness"},
+        ),
+        (
+            "[stiff]\ncontrollers.lwr.stiffness = 9000",
+            {"key": "stiff.controllers.lwr.stiffness", "line": 2, "found": 9000},
+        ),
+        (
+            '["a load"]\n"disturbances.load" = { kind = "payload", robot = "lvr", mass = 1.0 }',
+            {"key": "a load.disturbances.load.robot", "line": 2, "near": "lwr"},
+        ),
+    ],
+)
+def test_what_is_wrong_in_the_file_is_told_by_line(
+    file: Path, tmp_path: Path, text: str, problem: dict[str, Any]
+) -> None:
+    path = written(tmp_path, text)
+    with raises_with(file=str(path), **problem):
+        Sweep(file, Mutations.read(path))
+
+
+def test_every_shipped_scenario_is_mutated() -> None:
+    assert sorted(path.stem for path in SHIPPED.iterdir()) == sorted(list_scenarios())
+    for path in SHIPPED.iterdir():
+        assert len(Mutations.read(path).tables) >= LEAST, path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.thorough] if name in SLOW else [])
+        for name in list_scenarios()
+    ],
+)
+def test_what_is_wrong_in_a_shipped_scenario_is_noticed(name: str) -> None:
+    sweep = Sweep(find_scenario(name), Mutations.read(SHIPPED / f"{name}.toml"))
+    tried = TRIED // 2 if name in SLOW else TRIED
+    numbers = range(len(sweep.variants))[: tried + 1]
+    rows = dict(sweep.run(numbers=numbers))
+    found = {number: judge(row, rows[0]).noticed_by for number, row in rows.items()}
+    assert found.pop(0) == []
+    assert [sweep.design.cells(number) for number, by in found.items() if not by] == []
