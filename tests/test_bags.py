@@ -211,6 +211,19 @@ def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path, capsys
         Replay(file=bag, topics={"joint_states": "/c"})
 
 
+def test_why_messages_make_no_packets_is_told(tmp_path: Path, capsys: Any) -> None:
+    """Also where no other message is in the recording."""
+    states = [(k * STEP, joint_state([*UR, UR[0]], np.zeros(7))) for k in range(3)]
+    bag = write_bag(tmp_path / "odd", {"/joint_states": states})
+    scene = load_scene("ur5e")
+    replay_instead(scene, bag, None)
+    (replay,) = scene.sources.values()
+    with replay:
+        assert replay.counters.last_fault == f"joint {UR[0]} is named twice"
+    status, _, told = run(capsys, "compare", str(bag), "--scene", "ur5e")
+    assert status == 2 and f"joint {UR[0]} is named twice" in told
+
+
 def damaged(bag: Path, to: Path, cut: float) -> Path:
     """A copy of a bag whose largest file is cut off."""
     if bag.is_dir():
@@ -591,6 +604,8 @@ def test_columns_are_called_by_joints_in_the_order_of_the_robot(
     assert list(columns)[1:7] == [f"joint_angles[{name}]" for name in own]
     wrist = columns["joint_angles[wrist_2_joint]"]
     assert wrist == pytest.approx(0.1 * UR.index("wrist_2_joint") + 1e-3 * np.arange(len(wrist)))
+    # Nobody has told of these joints before: no angle is made up.
+    assert np.isnan(columns["joint_angles[shoulder_pan_joint]"][0])
     # It is read again, without a route.
     again = read_run_table(table, load_scene("ur5e"))
     assert again.robots["ur5e"].names == own

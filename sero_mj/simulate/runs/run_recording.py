@@ -114,9 +114,11 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
 def _opened(path: Path, topics: Mapping[str, RosSource] | None) -> Iterator[PacketFile]:
     """Opens a recording, and logs at last what is wrong with it: it may be cut."""
     with open_recording(path, topics) as recording:
-        yield recording
-        for fault in recording.faults:
-            log.warning("%s: %s", path, fault)
+        try:
+            yield recording
+        finally:  # it may be why the recording cannot be used
+            for fault in recording.faults:
+                log.warning("%s: %s", path, fault)
 
 
 def read_run_table(
