@@ -30,6 +30,7 @@ from sero_mj.cli.arguments import replay_instead
 from sero_mj.cli.shared_options import is_recording
 from sero_mj.data.drive.described_scene import scenes_of_bag
 from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.source import LedJoint
 from sero_mj.data.record.bag import DESCRIPTION, Bag, open_recording
 from sero_mj.data.record.replay import Replay
@@ -211,17 +212,24 @@ def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path, capsys
         Replay(file=bag, topics={"joint_states": "/c"})
 
 
-def test_why_messages_make_no_packets_is_told(tmp_path: Path, capsys: Any) -> None:
+def test_why_messages_make_no_packets_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     """Also where no other message is in the recording."""
     states = [(k * STEP, joint_state([*UR, UR[0]], np.zeros(7))) for k in range(3)]
     bag = write_bag(tmp_path / "odd", {"/joint_states": states})
     scene = load_scene("ur5e")
     replay_instead(scene, bag, None)
-    (replay,) = scene.sources.values()
+    (replay,) = wire(scene).sources.values()
     with replay:
         assert replay.counters.last_fault == f"joint {UR[0]} is named twice"
-    status, _, told = run(capsys, "compare", str(bag), "--scene", "ur5e")
-    assert status == 2 and f"joint {UR[0]} is named twice" in told
+    caplog.clear()
+    with pytest.raises(RecordingError, match="has no good packet that leads to"):
+        read_run(bag, scene=load_scene("ur5e"))
+    assert caplog.records[-1].args == (
+        bag,
+        f"a message of /joint_states is left out: joint {UR[0]} is named twice",
+    )
 
 
 def damaged(bag: Path, to: Path, cut: float) -> Path:
