@@ -53,7 +53,8 @@ class AngleQuestions:
         Raises:
             SourceError: the recording cannot be read.
         """
-        if not any(str(route.direct) == replay.name for route, _ in self._routes):
+        leads = any(str(route.direct) == replay.name for route, _ in self._routes)
+        if not leads or replay.recorded.is_unreadable:
             return ""
         with replay:
             begin = replay.position
