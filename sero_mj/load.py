@@ -18,13 +18,13 @@ from .base.errors import (
     collect,
     nearest,
 )
-from .base.toml_file import read_toml
 from .data.drive.wiring import wire
 from .robots.declared.robot import SerialRobot
 from .robots.declared.scene import Scene
 from .robots.declared.scene_file import read_scene_file, scene_from_tables
 from .robots.importers.imported_tables import NoJoints
 from .robots.importers.importer import find_importer
+from .robots.importers.robot_file import is_robot_file
 from .simulate.sections import is_scenario
 
 if TYPE_CHECKING:
@@ -102,19 +102,6 @@ def load_scene(
     if is_scenario(path):
         return load_scenario(str(path))
     return _checked(*read_scene_file(path, overrides))
-
-
-def is_robot_file(path: Path) -> bool:
-    """Whether a file describes a robot: by its name, its ending, or keys that only robots have."""
-    if path.name == paths.ROBOT_FILE or path.suffix in paths.robot_endings():
-        return True
-    if path.suffix != ".toml":
-        return False
-    try:
-        keys = read_toml(path).keys()
-    except DeclarationError:
-        return False  # read as a scene, it reports what is wrong
-    return bool(keys & {"dh_params", "joint_frames"}) and "robots" not in keys
 
 
 def _checked(scene: Scene, problems: list[Problem]) -> Scene:

@@ -30,6 +30,7 @@ from sero_mj.cli.arguments import replay_instead
 from sero_mj.cli.shared_options import is_recording
 from sero_mj.data.drive.described_scene import scenes_of_bag
 from sero_mj.data.drive.mirror import Mirror
+from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.source import LedJoint
 from sero_mj.data.record.bag import DESCRIPTION, Bag, open_recording
 from sero_mj.data.record.replay import Replay
@@ -209,6 +210,26 @@ def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path, capsys
     assert Replay(file=bag, topics={"joint_states": "/a/joint_states"}).recorded.name == "replay"
     with pytest.raises(DeclarationError, match=r"topics: .* has none of these"):
         Replay(file=bag, topics={"joint_states": "/c"})
+
+
+def test_why_messages_make_no_packets_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Also where no other message is in the recording."""
+    states = [(k * STEP, joint_state([*UR, UR[0]], np.zeros(7))) for k in range(3)]
+    bag = write_bag(tmp_path / "odd", {"/joint_states": states})
+    scene = load_scene("ur5e")
+    replay_instead(scene, bag, None)
+    (replay,) = wire(scene).sources.values()
+    with replay:
+        assert replay.counters.last_fault == f"joint {UR[0]} is named twice"
+    caplog.clear()
+    with pytest.raises(RecordingError, match="has no good packet that leads to"):
+        read_run(bag, scene=load_scene("ur5e"))
+    assert caplog.records[-1].args == (
+        bag,
+        f"a message of /joint_states is left out: joint {UR[0]} is named twice",
+    )
 
 
 def damaged(bag: Path, to: Path, cut: float) -> Path:
@@ -591,6 +612,8 @@ def test_columns_are_called_by_joints_in_the_order_of_the_robot(
     assert list(columns)[1:7] == [f"joint_angles[{name}]" for name in own]
     wrist = columns["joint_angles[wrist_2_joint]"]
     assert wrist == pytest.approx(0.1 * UR.index("wrist_2_joint") + 1e-3 * np.arange(len(wrist)))
+    # Nobody has told of these joints before: no angle is made up.
+    assert np.isnan(columns["joint_angles[shoulder_pan_joint]"][0])
     # It is read again, without a route.
     again = read_run_table(table, load_scene("ur5e"))
     assert again.robots["ur5e"].names == own

@@ -496,12 +496,15 @@ dh_params = [[0.0, 0.0, 0.0, 0.35], [1.5708, 0.0, 0.0, 0.0], [0.0, 0.4, 0.0, 0.0
 """
 
 
-def test_a_robot_file_with_any_name_is_a_robot(tmp_path, capsys):
+@pytest.mark.parametrize("unit", ["", "_deg"])
+def test_a_robot_file_with_any_name_is_a_robot(unit: str, tmp_path, capsys):
     file = tmp_path / "crane.toml"
-    file.write_text(ROBOT)
+    file.write_text(ROBOT.replace("params", f"params{unit}"))
     status, out, _ = run(capsys, "check", str(file))
     assert status == 0
     assert "robot   crane: 3 joints" in out
+    status, _, told = run(capsys, "simulate", str(file))
+    assert status == 2 and f"{file} is a robot; expected a scenario" in told
 
 
 @pytest.mark.parametrize("word", ["True", "FALSE"])

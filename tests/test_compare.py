@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +84,24 @@ def test_without_motion_nothing_is_aligned() -> None:
         expected="at least 0.5, or a number of seconds",
     ):
         align(a, other, offset="auto")
+
+
+def test_joints_of_other_names_are_compared_in_their_order_with_a_warning(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    a = sine_run()
+    (arm,) = a.robots.values()
+    joints = replace(a, robots={"arm": two_joints(joint_names=["j1", "j2"])})
+    align(a, joints)
+    (record,) = caplog.records
+    assert record.args == (f"{', '.join(arm.names)} in run, j1, j2 in run",)
+    turned = replace(a, robots={"arm": two_joints(joint_names=arm.names[::-1])})
+    with raises_with(
+        UsageError,
+        reason=f"the joints are {', '.join(arm.names)} in run, {', '.join(arm.names[::-1])} in run",
+        expected="the same order; --scene ROBOT reads both in the order of ROBOT",
+    ):
+        align(a, turned)
 
 
 def test_differences_have_the_peak_and_rms_that_they_were_made_with() -> None:

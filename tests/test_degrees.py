@@ -130,3 +130,19 @@ def test_a_table_in_degrees_is_warned_of_once_and_read(
     assert run.of("lwr", "joint_angles")[0].tolist() == POSE
     (record,) = caplog.records
     assert record.args[0] == table and record.args[1].startswith("lwr.A2: 80 rad")
+
+
+@pytest.mark.parametrize("degrees", [False, True])
+def test_check_looks_at_all_of_a_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], degrees: bool
+) -> None:
+    table = tmp_path / "run.csv"
+    moved = np.multiply(POSE, 1.0 if degrees else np.pi / 180)
+    poses = np.linspace(np.zeros(7), moved, 50)  # it begins at zero
+    lines = [",".join(["time", *(f"q{k}" for k in range(1, 8))])]
+    lines += [",".join(map(str, [0.1 * k, *pose])) for k, pose in enumerate(poses)]
+    table.write_text("\n".join(lines) + "\n")
+    with pytest.raises(SystemExit) as ended:
+        main(["check", "lwr", "--replay", str(table)])
+    assert not ended.value.code
+    assert ("note: lwr.A2: 19.59 rad" in capsys.readouterr().out) == degrees

@@ -275,9 +275,21 @@ def test_a_table_of_joints_is_a_run_from_its_first_row(tmp_path: Path) -> None:
     assert run.times == pytest.approx([0.0, 0.008, 0.016])
     assert run.of("two", "joint_angles")[1].tolist() == [0.6, -1.1]
     assert run.of("two", "commanded_torques")[2].tolist() == [12.0, 22.0]
+    assert "two_torques" not in run.signals  # shown, but not measured
     columns = {"joint_angles [deg]": "actual_q_*"}
     run = read_run_table(tmp_path / "t.csv", scene_of(tmp_path), columns=columns)
     assert run.of("two", "joint_angles")[0] == pytest.approx(np.deg2rad([0.5, -1.0]))
+    columns = {"torques": "target_moment_*"}
+    run = read_run_table(tmp_path / "t.csv", scene_of(tmp_path), columns=columns)
+    assert run.of("two", "torques")[2].tolist() == [12.0, 22.0]
+
+
+@pytest.mark.filterwarnings("error")
+def test_rows_of_one_time_have_finite_velocities(tmp_path: Path) -> None:
+    """As of a program that writes six digits of a time."""
+    rows = "time,q1,q2\n17000,0,0\n17000,0,0\n17000.5,1,2\n17001,2,4\n17001,2,4\n"
+    run = read_run_table(table(tmp_path, rows), scene_of(tmp_path))
+    assert run.of("two", "joint_velocities") == pytest.approx(np.tile([2.0, 4.0], (5, 1)))
 
 
 @pytest.fixture

@@ -37,10 +37,12 @@ class CheckOptions(SceneArgument, PackageOptions, ReplayOptions):
 def run(options: CheckOptions) -> int:
     """Prints; returns 0."""
     from ..data.drive.wiring import wire
+    from ..data.record.replay import Replay
     from ..robots.assemble.world import World
     from ..robots.declared.route_text import parts_of_origin
     from ..viewer.camera import list_cameras
     from ..viewer.decor.feature import make_features
+    from .angle_questions import AngleQuestions
     from .opening import with_scene
 
     options = with_scene(options)
@@ -57,6 +59,7 @@ def run(options: CheckOptions) -> int:
     for name, part in world.robots.items():
         print("\n".join(_about_robot(name, part.robot)))
     wiring = wire(scene)
+    questions = AngleQuestions(scene, wiring)
     taken = {(o.name, o.key) for route in wiring.routes for o in route.value.origins if o.is_event}
     for name, source in wiring.sources.items():
         events = ", ".join(
@@ -67,6 +70,8 @@ def run(options: CheckOptions) -> int:
         lines = fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12)
         print(lines.replace(_TIED, " "))
         print(_unused(name, source, taken), end="")
+        if isinstance(source, Replay) and (question := questions.about_recording(source)):
+            print(f"          note: {question}")
     for name in scene.groups:
         robots = [scene.robots[each] for each in scene.members(name) or []]
         joints = sum(robot.n for robot in robots)

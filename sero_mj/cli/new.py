@@ -110,8 +110,8 @@ class NewOptions(Options):
 
 def run(options: NewOptions) -> int:
     """Writes the files; returns 0."""
-    from ..load import is_robot_file
     from ..robots.declared.robot import SerialRobot
+    from ..robots.importers.robot_file import is_robot_file
 
     name = options.name
     like = None if options.like is None else paths.find_model(options.like)

@@ -7,8 +7,6 @@ import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..base.errors import UsageError
 from ..base.options import Duration
 from .arguments import command, print_json, read_scene, replay_instead, until_ended
@@ -16,10 +14,6 @@ from .shared_options import JsonOptions, ReplayOptions, SceneArgument
 from .terminal import make_console
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..base.frames import Array
-    from ..data.drive.route import Route
     from ..data.drive.wiring import Wiring
     from ..data.receive.source import Source
     from ..robots.declared.scene import Scene
@@ -91,36 +85,22 @@ class _Reports:
     """
 
     def __init__(self, scene: Scene, wiring: Wiring) -> None:
+        from .angle_questions import AngleQuestions
+
         self._sources = wiring.sources
-        self._routes = [
-            (route, scene.robots[name])
-            for route in wiring.routes
-            for name, _, key in (route.to.target.partition("."),)
-            if key == "joint_angles" and route.direct and name in scene.robots
-        ]
+        self._questions = AngleQuestions(scene, wiring)
         self._warnings = dict.fromkeys(wiring.sources, "")
 
     def __call__(self) -> list[dict[str, Any]]:
         """Returns a report of every source."""
         from ..data.receive.report import report
-        from ..robots.declared.degrees import degrees_warning
 
-        for route, robot in self._routes:
-            source = self._sources[str(route.direct)]
-            latest = source.latest()
-            if latest is not None and not self._warnings[source.name]:
-                numbers = {key: values.ravel() for key, values in latest.values.items()}
-                angles = _evaluated(route, numbers)
-                self._warnings[source.name] = degrees_warning(robot, angles)
+        for name, source in self._sources.items():
+            self._warnings[name] = self._warnings[name] or self._questions.about_latest(source)
         return [
             {**report(source), "angles": self._warnings[name]}
             for name, source in self._sources.items()
         ]
-
-
-def _evaluated(route: Route, numbers: Mapping[str, Array]) -> Array:
-    with np.errstate(all="ignore"):
-        return route.value.evaluate(lambda origin: numbers[origin.key])
 
 
 def _watch(reports: _Reports, sources: list[Source], duration: float | None, *, live: bool) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -18,6 +19,7 @@ from ..base.errors import (
     Problem,
     SeroError,
     UnknownName,
+    UsageError,
     did_you_mean,
     problems_of,
 )
@@ -30,6 +32,7 @@ from ..data.record.table import is_table, read_csv, read_table
 from ..robots.declared.robot import SerialRobot
 from ..robots.declared.scene import Scene
 from ..robots.declared.scene_file import read_scene_file, scene_from_tables
+from ..robots.importers.robot_file import is_robot_file
 from .control.make_controller import controller_kinds
 from .runs.monitor import Monitor
 from .runs.run_recording import read_run
@@ -59,7 +62,11 @@ def read_scenario(
     Raises:
         DeclarationError: everything that is wrong in the file, at once.
         UnknownName: there is no such scenario.
+        UsageError: it is a robot.
     """
+    if os.path.isfile(path) and is_robot_file(Path(path)):
+        alone = f"sero-mj view {path} --simulate simulates it alone"
+        raise UsageError(f"{path} is a robot; expected a scenario. {alone}")
     file = find_scenario(str(path))
     scenario = _read(file, dict(overrides or {}), ())
     if trusted:  # without a request, which reads all files: sweeps come here for each variant
@@ -98,7 +105,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
         if "scene" in own:
             scene, found = _other_scene(file.parent, own["scene"], tables, of_scene)
         else:
-            known = (*SECTIONS, *OTHERS)
+            known = {*SECTIONS, *OTHERS} - {"description"}  # which scenes have as well
             scene, found = scene_from_tables(file, tables, of_scene, known=known)
         problems += found
     except DeclarationError as error:

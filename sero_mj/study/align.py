@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
@@ -11,7 +12,10 @@ import numpy as np
 from ..base.errors import Problem, UsageError
 from ..base.frames import Array
 from ..robots.declared.robot import SerialRobot
+from ..robots.importers.imported_tables import first_of
 from ..simulate.runs.run_log import RunLog, compared_signal
+
+log = logging.getLogger(__name__)
 
 _MIN_OVERLAP = 0.3  # of the shorter one
 _MIN_SPEED = 1e-4  # rad/s or m/s, root mean square
@@ -192,6 +196,7 @@ def align(
                 expected=f"at least {_MIN_CORRELATION:g}, or a number of seconds",
             )
             raise UsageError(problem)
+    _check_names(a, of_a, b, of_b)
     seconds = float(offset) if shift is None else shift.seconds
     moved = b.times + seconds
     begin, end = max(a.times[0], moved[0]), min(a.times[-1], moved[-1])
@@ -295,6 +300,18 @@ def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, s
         found = f"{pair[0]} has {first.n} joints in {a.name}, {pair[1]} has {second.n} in {b.name}"
         raise UsageError(Problem("", found, expected="the same number"))
     return pair
+
+
+def _check_names(a: RunLog, of_a: str, b: RunLog, of_b: str) -> None:
+    """Warns of joints with other names; raises UsageError if they are in another order."""
+    first, second = a.robots[of_a].names, b.robots[of_b].names
+    if first == second:
+        return
+    names = f"{first_of(first)} in {a.name}, {first_of(second)} in {b.name}"
+    if sorted(first) == sorted(second):
+        expected = "the same order; --scene ROBOT reads both in the order of ROBOT"
+        raise UsageError(Problem("", f"the joints are {names}", expected=expected))
+    log.warning("joints are compared in their order, because their names differ: %s", names)
 
 
 def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, Array]:

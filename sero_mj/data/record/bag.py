@@ -23,6 +23,7 @@ from mcap.writer import MCAP0_MAGIC
 from ...base.errors import Problem, RecordingError, UnknownName
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
 from ...robots.importers.imported_tables import first_of
+from ..receive.source import LedJoint
 from ..ros.dds import Ros2
 from ..ros.joined_packets import FRAMES, TF, JoinedPackets
 from ..ros.messages import JOINT_STATE, ODOMETRY, TEXT, MalformedMessage, type_store
@@ -365,7 +366,9 @@ class Bag(PacketFile):
         for topic in self._states:
             name, names = topic.strip("/").replace("/", "_"), self._joints_of(topic)
             if names:
-                found[name] = Ros2(name=name, joint_states=topic, joints=names, odometry=base)
+                source = Ros2(name=name, joint_states=topic, joints=names, odometry=base)
+                source.led_to([LedJoint(joint, math.nan) for joint in names])  # of no robot
+                found[name] = source
             else:
                 self.nameless.append(topic)
         return found
@@ -528,6 +531,7 @@ class Bag(PacketFile):
             arrival = self._begin * 1e-9 + time
             return joined.take(tells, self._decoded(connection, raw), arrival)
         except MalformedMessage as error:
+            self.malformed = str(error)
             reason = f"a message of {connection.topic} is left out: {error}"
             if reason not in self.faults and len(self._left_out) < _MANY:
                 self._left_out.add(reason)

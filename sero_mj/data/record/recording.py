@@ -76,6 +76,8 @@ class PacketFile(ABC):
         sources: name to source.
         lost: source to the number of its lost packets.
         faults: its errors, a sentence each; some are found when they are read.
+        malformed: why the last message that contradicts itself makes no packet; empty where packets
+            were recorded.
     """
 
     path: Path
@@ -85,6 +87,7 @@ class PacketFile(ABC):
     sources: dict[str, RecordedSource]
     lost: dict[str, int]
     faults: list[str]
+    malformed: str = ""
 
     _why_unreadable: ClassVar[str] = "its index is wrong"  # where no fault says it
 

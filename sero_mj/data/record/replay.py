@@ -26,6 +26,7 @@ from ..receive.mailbox import Packets
 from ..receive.source import LedJoint, LedLinks, Source, log
 from ..receive.structure import Structure
 from ..ros.dds import Ros2
+from ..ros.joined_packets import MessageLayout
 from ..ros.ros_source import RosSource
 from .bag import look_into, open_recording
 from .recording import PacketFile, RecordedSource, Recording
@@ -383,6 +384,8 @@ class Replay(Source):
 
     def _hand_in(self, batch: list[tuple[float, bytes]]) -> None:
         arrivals, packets = zip(*batch, strict=True)
+        if self._recording is not None and isinstance(self.layout, MessageLayout):
+            self.layout.fault = self._recording.malformed
         self.accept(packets, arrivals)
 
 

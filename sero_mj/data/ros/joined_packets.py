@@ -168,9 +168,10 @@ class JoinedPackets:
         if makes:
             stamp = 0.0 if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
             values[0] = stamp or arrival
-        # What moves the robot is kept only if it is finite; the rest may say that it is unknown.
-        angles = self._places.get("joint_angles")
-        if angles is None or np.isfinite(values[angles]).all():
+        # Angles are kept only if they are finite, or unknown as before; the rest may be unknown.
+        angles = self._places.get("joint_angles", slice(0))
+        known, before = np.isfinite(values[angles]), np.isnan(self._values[angles])
+        if (known | before & np.isnan(values[angles])).all():
             self._values = values
         return values.tobytes() if makes else None
 

@@ -6,9 +6,27 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ...base.errors import DeclarationError
+from ...base.paths import ROBOT_FILE, robot_endings
 from ...base.toml_file import read_toml
 from .imported_tables import ImportedTables
 from .importer import read_imported
+
+# keys that files of scenes do not have
+_ONLY_OF_ROBOTS = ("dh_params", "dh_params_deg", "joint_frames")
+
+
+def is_robot_file(path: Path) -> bool:
+    """Whether a file describes a robot: by its name, its ending, or keys that only robots have."""
+    if path.name == ROBOT_FILE or path.suffix in robot_endings():
+        return True
+    if path.suffix != ".toml":
+        return False
+    try:
+        keys = read_toml(path).keys()
+    except DeclarationError:
+        return False  # read as a scene, it reports what is wrong
+    return not keys.isdisjoint(_ONLY_OF_ROBOTS) and "robots" not in keys
 
 
 def read_robot_file(

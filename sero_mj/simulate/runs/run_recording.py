@@ -114,9 +114,11 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
 def _opened(path: Path, topics: Mapping[str, RosSource] | None) -> Iterator[PacketFile]:
     """Opens a recording, and logs at last what is wrong with it: it may be cut."""
     with open_recording(path, topics) as recording:
-        yield recording
-        for fault in recording.faults:
-            log.warning("%s: %s", path, fault)
+        try:
+            yield recording
+        finally:  # it may be why the recording cannot be used
+            for fault in recording.faults:
+                log.warning("%s: %s", path, fault)
 
 
 def read_run_table(
@@ -178,6 +180,13 @@ def _run_of_joints(table: Table, scene: Scene, columns: Columns, expected: str) 
         if columns or not expected:
             raise
         raise CsvError(table.path, f"{expected}; {error.reason}") from None
+    is_declared = any(key.rpartition(".")[2].startswith("torques") for key in columns)
+    for each in led.values():  # commanded torques, which are shown like measured ones, are none
+        torques, commanded = each.get("torques"), each.get("commanded_torques")
+        if commanded is None or torques is None or is_declared:
+            continue
+        if np.array_equal(torques, commanded, equal_nan=True):
+            del each["torques"]
     robots = {name: scene.robots[name] for name in led}
     signals = {event_of(name, _LOGGED.get(signal, signal)): values
                for name, each in led.items() for signal, values in each.items()}  # fmt: skip
@@ -317,10 +326,12 @@ def _with_velocities(
 ) -> dict[str, Array]:
     """Adds the velocities that were not sent, as differences of angles."""
     found = dict(signals)
+    rising = np.append(True, np.diff(times) > 0)[: len(times)]  # several rows may have one time
     for name in robots:
         event, angles = event_of(name, "joint_velocities"), event_of(name, "joint_angles")
-        if event not in found and angles in found and len(times) > 1:
-            found[event] = np.gradient(found[angles], times, axis=0)
+        if event not in found and angles in found and rising.sum() > 1:
+            velocities = np.gradient(found[angles][rising], times[rising], axis=0)
+            found[event] = velocities[np.cumsum(rising) - 1]
     return found
 
 
