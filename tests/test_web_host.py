@@ -690,7 +690,7 @@ def test_a_port_that_is_taken_is_told(home: None) -> None:
             WebHost(mirror, port=port)
         assert str(found.value) == f"no page at 127.0.0.1:{port}: Address already in use"
         for wrong in (70000, -1, "a"):
-            with pytest.raises(RenderError, match=f"port {wrong!r}: expected a number from 1"):
+            with pytest.raises(RenderError, match=f"port {wrong!r}: expected 1 to 65535"):
                 WebHost(mirror, port=wrong)  # type: ignore[arg-type]
 
 

@@ -66,7 +66,7 @@ def backend_problem() -> str:
     """Returns why the chosen backend cannot draw here, and what would work; empty if unknown."""
     chosen = os.environ.get("MUJOCO_GL", "")
     name = chosen.lower().strip()
-    if sys.platform != "linux":
+    if sys.platform != "linux" or not name:  # unset: MuJoCo was imported first, see `adopt_backend`
         return ""
     usable = {"egl": has_egl(), "osmesa": has_osmesa(), "glfw": has_display()}
     if name in _DISABLED:
