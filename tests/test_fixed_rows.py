@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.base.frames import frame, rotation_about
+from sero_mj.load import load_scene
 from sero_mj.robots.declared.robot import SerialRobot
 
 # Kinova Gen3, 7 joints: User Guide, classical DH parameters; alpha, a, theta, d. The first row is
@@ -68,6 +70,12 @@ def test_a_fixed_first_row_is_the_base_frame_that_the_message_has() -> None:
         # The table leaves out what the URDF has between axes of the wrist, 0.18 mm each.
         assert np.linalg.norm(difference[:3, 3]) < 0.0006
         assert np.abs(difference[:3, :3]).max() < 1e-4
+
+
+def test_a_table_in_degrees_is_a_robot_whatever_its_file_is_called(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('dh_convention = "standard"\ndh_params_deg = [[90, 0, 0, 0.2]]\n')
+    assert [robot.n for robot in load_scene(file).robots.values()] == [1]
 
 
 def test_fixed_rows_at_the_end_are_the_flange_frame() -> None:
