@@ -295,18 +295,24 @@ def test_a_recording_that_moves_no_robot_is_told(tmp_path: Path) -> None:
         read_run(path)
 
 
-def test_a_robot_that_is_not_installed_is_taken_from_the_recording(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("scene_file", "model"), [("x", "rod/robot.toml"), ("rod_robot", "rods/rod 7.toml")]
+)
+def test_a_robot_that_is_not_installed_is_taken_from_the_recording(
+    tmp_path: Path, scene_file: str, model: str
+) -> None:
     own = ('dh_convention = "craig"\ndh_params = [[0, 0, 0, 0.2]]\ntorque_limits = [5.0]\n'
            'filenames = ["base.stl", "link.stl"]\n')  # fmt: skip
-    scene = ('[robots.mine]\nmodel = "../elsewhere/rod"\n[sources.udp]\nkind = "udp"\n'
+    named = model.removesuffix("/robot.toml")
+    scene = (f'[robots.mine]\nmodel = "../elsewhere/{named}"\n[sources.udp]\nkind = "udp"\n'
              'structure = "1F"\n[routes]\n"mine.joint_angles" = "udp.values0"\n')  # fmt: skip
-    files = {"scenes/x.toml": scene, "rod/robot.toml": own}
+    files = {f"scenes/{scene_file}.toml": scene, model: own}
     rows = {"values0": np.ones((3, 1))}
     path = record_packets(tmp_path / "rod.mcap", "1F", rows, np.arange(3.0), files)
     run = read_run(path)
     assert run.torque_limits("mine") == [5.0]
     assert run.robots["mine"].filenames == []  # the meshes are not here: links grow
-    files.pop("rod/robot.toml")
+    files.pop(model)
     path = record_packets(tmp_path / "gone.mcap", "1F", rows, np.arange(3.0), files)
     with pytest.raises(RecordingError, match=r"robot 'mine' is not in it, nor installed.*scene"):
         read_run(path)
