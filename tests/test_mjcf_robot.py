@@ -547,6 +547,24 @@ relative_to = "legs/trunk"
     assert world.robots["legs"].own_link_names[4] == "legs/left shank"
 
 
+def test_a_push_at_a_link_of_the_file_is_shown_there(path, tmp_path):
+    (tmp_path / "s.toml").write_text("""
+[robots.legs]
+model = "two-legs.xml"
+[run]
+duration = 0.1
+[disturbances.push]
+kind = "force"
+at = "legs/left shank"
+point = [0, 0, 0.1]
+expressed_in = "legs/trunk"
+force = [0, 0, 1]
+""")
+    scene = load_scene(tmp_path / "s.toml")
+    arrow = scene.arrows["push"]
+    assert (scene.frames[arrow.at].relative_to, arrow.expressed_in) == ("legs/link4", "legs/base")
+
+
 def test_a_frame_that_is_no_frame_is_told_with_those_there_are(path, tmp_path):
     (tmp_path / "s.toml").write_text("""
 [robots.legs]
