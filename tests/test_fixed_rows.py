@@ -27,8 +27,8 @@ GEN3 = [
     [HALF, 0, np.pi, 0],
     [np.pi, 0, np.pi, -(0.1059 + 0.0615)],
 ]
-# The same robot by Kinova's URDF, kortex_description/arms/gen3/7dof/urdf/gen3_macro.xacro of ros_kortex
-# (commit 6cd75d4): origins of joint_1 to joint_7 and of end_effector, x, y, z and roll; all turn about z.
+# The same robot by Kinova's URDF, gen3_macro.xacro of ros_kortex, 7dof (commit 6cd75d4): origins of
+# joint_1 to joint_7 and of end_effector, x, y, z and roll. All turn about z.
 GEN3_URDF = [
     [0, 0, 0.15643, 3.1416],
     [0, 0.005375, -0.12838, 1.5708],

@@ -368,9 +368,7 @@ def _recorded(recording: PacketFile) -> _Declared:
         RecordingError: a file in it is damaged, or declares a robot or a group wrongly.
     """
     files = _read_tables(recording)
-    models = {
-        name: name.split("/")[-2] for name in files if name.split("/")[-1] in _MODEL_FILES
-    }
+    models = {name: name.split("/")[-2] for name in files if name.split("/")[-1] in _MODEL_FILES}
     scenes = [tables for name, tables in files.items() if name not in models]
     scenes = [tables for tables in scenes if {"robots", "groups"} & tables.keys()]
     found = _Declared()
