@@ -319,14 +319,15 @@ def test_a_robot_that_is_not_installed_is_taken_from_the_recording(
 
 
 def test_a_urdf_is_taken_from_the_recording_where_the_folder_is_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     urdf, scenario = tmp_path / "arm.urdf", tmp_path / "arm.toml"
     urdf.write_text(
         '<robot name="arm"><link name="base"/><joint name="q" type="revolute"><parent link="base"/>'
         '<child link="a"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="6" effort="60"/>'
         '</joint><link name="a"><inertial><origin xyz="0.2 0 0"/><mass value="2"/><inertia '
-        'ixx="0.003" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
+        'ixx="0.003" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial><visual><geometry>'
+        '<mesh filename="package://elsewhere/a.stl"/></geometry></visual></link></robot>'
     )
     scenario.write_text('[robots.arm]\nmodel = "arm.urdf"\n[run]\nduration = 0.1\n')
     simulation, recording = Simulation(read_scenario(scenario)), tmp_path / "run.mcap"
@@ -335,7 +336,10 @@ def test_a_urdf_is_taken_from_the_recording_where_the_folder_is_another(
         recorder.write(0, simulation.steps + 1)
     urdf.unlink()
     monkeypatch.chdir(tmp_path.root)
+    assert "elsewhere" in caplog.text
+    caplog.clear()
     (robot,) = read_run(recording).robots.values()
+    assert not caplog.text  # it needs no meshes
     assert (robot.name, robot.names) == ("arm", ["q"])
     assert robot_dynamics(robot).masses == pytest.approx([0.0, 2.0], abs=1e-6)
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ..base.errors import SeroError, UsageError
+from ..base.errors import SeroError, UsageError, without_warnings
 from ..base.options import Option, Options, Time, positional
 from .arguments import (
     check_new,
@@ -16,7 +16,6 @@ from .arguments import (
     command,
     read_scene,
     replay_instead,
-    without_warnings,
 )
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ from ...base.errors import (
     UnknownName,
     UsageError,
     did_you_mean,
+    without_warnings,
 )
 from ...base.frames import Array
 from ...base.toml_file import parse_toml
@@ -487,7 +488,8 @@ def _robot(
         path = Path(directory) / Path(folder).stem / file
         path.parent.mkdir()
         path.write_bytes(data)
-        return _built(recording, name, _without_meshes(fields), str(path))
+        with without_warnings():  # of meshes, say, which nothing here needs
+            return _built(recording, name, _without_meshes(fields), str(path))
 
 
 def _is_robot(attached: str, file: str) -> bool:
