@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from runs import sine_run
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.expect import Expect, Outcome
 from sero_mj.simulate.runs.measures import MEASURES, PER_JOINT
+from sero_mj.simulate.runs.monitor import Monitor
 from sero_mj.simulate.runs.run_log import RunLog
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
@@ -79,6 +81,18 @@ def test_it_says_what_decided_and_where() -> None:
     found = judged(ONE_ONLY, above=0.7, holds_at="any")
     assert (found.value, found.holds) == (0.6, False)
     assert found.text.endswith("at right/A1, expected above 0.7 at one joint at least")
+
+
+def test_joints_that_slide_have_newtons_and_metres() -> None:
+    log = sine_run(amplitude=30.0)
+    angles = log.of("arm", "joint_angles")
+    log.signals["arm_joint_velocities"] = np.gradient(angles, log.times, axis=0)
+    for measure, value in (("torque_error", "30 N"), ("velocity", "0.1 m/s")):
+        expect = Expect(measure=measure, joints=["slide"], below=1.0)
+        said = expect.judge("it", log, [], None)  # type: ignore[arg-type]
+        assert f"{value} at arm/slide" in said.text
+    found = {finding.joint: str(finding) for finding in Monitor().find(log)}
+    assert found["turn"].endswith("Nm, above 1.5 Nm") and found["slide"].endswith("N, above 15 N")
 
 
 @pytest.mark.parametrize(

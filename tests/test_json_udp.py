@@ -13,6 +13,7 @@ from conftest import raises_with
 from polling import until
 
 from sero_mj.base.errors import SourceError
+from sero_mj.cli.sending import SinkOptions, make_sink
 from sero_mj.data.receive.source import LedJoint
 from sero_mj.data.ros.json_messages import joint_state_of
 from sero_mj.data.ros.json_udp import JsonUdp
@@ -58,7 +59,8 @@ def test_joints_are_matched_by_their_names(hand: JsonUdp) -> None:
     ("message", "why"),
     [
         (b"{", "no JSON: "),
-        (b"\xff{", "no JSON: "),
+        (b"{\xff", "no JSON: byte 1 is not of UTF-8; it begins with the bytes 7b ff"),
+        (b"{\x00", "no JSON: Expecting property name enclosed in double quotes"),
         (b"[" * 50_000, "no JSON: "),
         ([1], "found a list; expected an object in JSON"),
         ({"q": [1]}, "found the keys q; expected name, position, velocity and effort, or joints"),
@@ -78,6 +80,25 @@ def test_what_is_wrong_is_counted_and_told(hand: JsonUdp, message: Any, why: str
     assert (hand.counters.received, hand.counters.wrong_size) == (2, 1)
     assert hand.counters.last_fault.startswith(why)
     assert hand.latest().values["joint_angles"][0] == 1
+
+
+@pytest.mark.parametrize("velocity", [0.0, 2.5])
+def test_a_packet_is_sent_as_the_message_that_makes_it(velocity: float) -> None:
+    constants = {"effort_unit": "A", "torque_constants": [2.0, 4.0, 5.0], "torque_sign": -1}
+    with JsonUdp(port=0, debug_level=0, joints=NAMES, **constants) as source:
+        packet = source.layout.encode({
+            "stamp": [7.25], "joint_angles": [1, 2, 3], "joint_velocities": 3 * [velocity],
+            "torques": [10, np.nan, 30],
+        })  # fmt: skip
+        assert json.loads(source.message_of(packet))["effort"] == [-5, None, -6]
+        with make_sink(SinkOptions(port=source.port), source, source.layout) as sink:
+            sink.put(packet)
+        assert until(lambda: source.counters.received)
+        values = source.latest().values
+        assert values["stamp"] == 7.25 and values["joint_angles"].tolist() == [1, 2, 3]
+        # Zeros where nothing leads to velocities are unknown.
+        np.testing.assert_equal(values["joint_velocities"], 3 * [velocity or np.nan])
+        np.testing.assert_equal(values["torques"], [10, np.nan, 30])
 
 
 def test_it_has_no_topics_and_needs_joints() -> None:

@@ -262,6 +262,33 @@ def test_a_platform_of_two_slides_and_a_hinge_is_where_its_link_is(
     np.testing.assert_allclose(link @ back, platform(0.4) @ T, atol=1e-9)
 
 
+@pytest.mark.parametrize(("kind", "is_described"), [("tf", False), ("odom", False), ("tf", True)])
+def test_the_table_of_a_bag_without_joint_states_is_that_of_its_robot(
+    kind: str, is_described: bool, robot: Path, tmp_path: Path, capsys: Any
+) -> None:
+    at = [0.05 * k for k in range(COUNT)]
+    messages = {
+        "tf": [(round(t * 1e9), transforms(edges(ARM, values_at(t), MOVING))) for t in at],
+        "odom": [(round(t * 1e9), odometry(platform(t), "base")) for t in at],
+    }
+    topics: dict[str, Any] = {f"/{kind}": messages[kind]}
+    if is_described:
+        topics["/robot_description"] = [(0, STORE.types["std_msgs/msg/String"](ARM))]
+    path, table = write_bag(tmp_path / "drive", topics), tmp_path / "drive.csv"
+    if kind == "tf" and not is_described:
+        status, said, _ = run(capsys, "export-csv", str(path), str(table))
+        assert status == 0 and said.endswith("of a robot; --scene names it\n")
+    of_robot = () if is_described else ("--scene", str(robot))
+    status, said, told = run(capsys, "export-csv", str(path), str(table), "--overwrite", *of_robot)
+    assert status == 0 and f"{COUNT} rows" in said, told
+    columns = np.genfromtxt(table, delimiter=",", names=True, deletechars="")
+    if kind == "tf":
+        turned = [values_at(t)["turn"] for t in at]
+        assert columns["joint_angles[turn]"] == pytest.approx(turned)
+    else:
+        assert columns["base_frame[0][0][3]"] == pytest.approx(at)
+
+
 @pytest.mark.thorough
 def test_commands_take_bags_with_transforms_only(tmp_path: Path, capsys: Any) -> None:
     path = bag_of(tmp_path, "tf", "odom_tf")

@@ -498,6 +498,19 @@ def test_couplings_are_the_linear_constraints_of_joints_and_tendons(caplog):
         assert f"the constraint of {who} is left out: {reason}" in caplog.text
 
 
+def test_the_hand_of_fingers_carries_the_flange():
+    finger = '<body><joint name="{0}" type="slide" axis="0 1 0"/><geom size="0.01"/></body>'
+    robot = SerialRobot.from_mjcf(
+        f"""<mujoco><worldbody><body><joint name="j1"/><geom size="0.1"/>
+      <body name="hand" pos="0 0 0.3"><joint name="j2"/><geom size="0.1"/>
+        {finger.format("left")}{finger.format("right")}
+      </body></body></worldbody></mujoco>""",
+        name="arm",
+    )
+    assert robot.flange_on == "j2"
+    np.testing.assert_allclose(robot.fwd_kin_base_to_flange()[:3, 3], [0, 0, 0.3], atol=1e-12)
+
+
 def test_a_key_frame_is_the_initial_pose_of_a_chain_of_couplings():
     key = '<keyframe><key name="home" qpos="0.5 9 1 9 2 9 9 9"/></keyframe></mujoco>'
     robot = SerialRobot.from_mjcf(COUPLED.replace("</mujoco>", key), name="arm")
@@ -545,6 +558,24 @@ relative_to = "legs/trunk"
         assert np.array_equal(world.frame(data, f"legs/{name}"), world.frame(data, "legs/link4"))
     assert external_loads._site(world, "legs/trunk") == world.frame_site("legs/base")
     assert world.robots["legs"].own_link_names[4] == "legs/left shank"
+
+
+def test_a_push_at_a_link_of_the_file_is_shown_there(path, tmp_path):
+    (tmp_path / "s.toml").write_text("""
+[robots.legs]
+model = "two-legs.xml"
+[run]
+duration = 0.1
+[disturbances.push]
+kind = "force"
+at = "legs/left shank"
+point = [0, 0, 0.1]
+expressed_in = "legs/trunk"
+force = [0, 0, 1]
+""")
+    scene = load_scene(tmp_path / "s.toml")
+    arrow = scene.arrows["push"]
+    assert (scene.frames[arrow.at].relative_to, arrow.expressed_in) == ("legs/link4", "legs/base")
 
 
 def test_a_frame_that_is_no_frame_is_told_with_those_there_are(path, tmp_path):

@@ -207,6 +207,24 @@ def test_files_of_a_robot_are_looked_for_beside_its_file(tmp_path):
     assert built.children[0].directory == str(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("Überarm_机械臂.xml", "Uberarm"),
+        ("机械臂.xml", "robot"),
+        ("é 4.urdf", "e_4"),
+        ("机1.urdf", "_1"),
+        ("a b.urdf", "a_b"),
+        ("Ärm 2/robot.toml", "Arm_2"),
+        ("robot.toml", "here"),
+    ],
+)
+def test_names_of_files_become_names_of_robots(file, name, tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    assert paths.model_name(Path(file)) == name
+
+
 def test_model_gives_its_folders_name_unless_one_is_set(tmp_path):
     folder = tmp_path / "gripper"
     folder.mkdir()

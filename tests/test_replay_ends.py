@@ -130,6 +130,8 @@ def test_it_grows_stale_when_it_is_over(recording: Path) -> None:
         for time, stale in ((0.5, 0.0), (1.0, 0.0), (1.3, 0.3), (4.0, 3.0), (0.2, 0.0)):
             mirror.advance(time)
             assert mirror.data.userdata[age] == pytest.approx(stale, abs=0.02)
+            ended = "the recording has ended" if time > 1.1 else ""
+            assert replay.trouble == ended or abs(time - 1.0) < 0.1
         assert mirror.data.qpos[0] == pytest.approx(0.2)
         mirror.advance(3.0)
         replay.seek(0.5, 3.0)

@@ -295,32 +295,39 @@ def test_a_recording_that_moves_no_robot_is_told(tmp_path: Path) -> None:
         read_run(path)
 
 
-def test_a_robot_that_is_not_installed_is_taken_from_the_recording(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("scene_file", "model"), [("x", "rod/robot.toml"), ("rod_robot", "rods/rod 7.toml")]
+)
+def test_a_robot_that_is_not_installed_is_taken_from_the_recording(
+    tmp_path: Path, scene_file: str, model: str
+) -> None:
     own = ('dh_convention = "craig"\ndh_params = [[0, 0, 0, 0.2]]\ntorque_limits = [5.0]\n'
            'filenames = ["base.stl", "link.stl"]\n')  # fmt: skip
-    scene = ('[robots.mine]\nmodel = "../elsewhere/rod"\n[sources.udp]\nkind = "udp"\n'
+    named = model.removesuffix("/robot.toml")
+    scene = (f'[robots.mine]\nmodel = "../elsewhere/{named}"\n[sources.udp]\nkind = "udp"\n'
              'structure = "1F"\n[routes]\n"mine.joint_angles" = "udp.values0"\n')  # fmt: skip
-    files = {"scenes/x.toml": scene, "rod/robot.toml": own}
+    files = {f"scenes/{scene_file}.toml": scene, model: own}
     rows = {"values0": np.ones((3, 1))}
     path = record_packets(tmp_path / "rod.mcap", "1F", rows, np.arange(3.0), files)
     run = read_run(path)
     assert run.torque_limits("mine") == [5.0]
     assert run.robots["mine"].filenames == []  # the meshes are not here: links grow
-    files.pop("rod/robot.toml")
+    files.pop(model)
     path = record_packets(tmp_path / "gone.mcap", "1F", rows, np.arange(3.0), files)
     with pytest.raises(RecordingError, match=r"robot 'mine' is not in it, nor installed.*scene"):
         read_run(path)
 
 
 def test_a_urdf_is_taken_from_the_recording_where_the_folder_is_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     urdf, scenario = tmp_path / "arm.urdf", tmp_path / "arm.toml"
     urdf.write_text(
         '<robot name="arm"><link name="base"/><joint name="q" type="revolute"><parent link="base"/>'
         '<child link="a"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="6" effort="60"/>'
         '</joint><link name="a"><inertial><origin xyz="0.2 0 0"/><mass value="2"/><inertia '
-        'ixx="0.003" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
+        'ixx="0.003" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial><visual><geometry>'
+        '<mesh filename="package://elsewhere/a.stl"/></geometry></visual></link></robot>'
     )
     scenario.write_text('[robots.arm]\nmodel = "arm.urdf"\n[run]\nduration = 0.1\n')
     simulation, recording = Simulation(read_scenario(scenario)), tmp_path / "run.mcap"
@@ -329,7 +336,10 @@ def test_a_urdf_is_taken_from_the_recording_where_the_folder_is_another(
         recorder.write(0, simulation.steps + 1)
     urdf.unlink()
     monkeypatch.chdir(tmp_path.root)
+    assert "elsewhere" in caplog.text
+    caplog.clear()
     (robot,) = read_run(recording).robots.values()
+    assert not caplog.text  # it needs no meshes
     assert (robot.name, robot.names) == ("arm", ["q"])
     assert robot_dynamics(robot).masses == pytest.approx([0.0, 2.0], abs=1e-6)
 

@@ -184,6 +184,9 @@ def test_declared_columns_have_patterns_lists_and_units(tmp_path: Path) -> None:
     with raises_with(CsvError, reason="no column is called like 'j*'; "
                                       "available: J10, J9, tau, x [deg], y [deg]"):  # fmt: skip
         signals_of(found, (), {"joint_angles": "j*"})
+    for key in ("joint_angles [ms]", "time [ms]"):
+        with raises_with(key="columns", found="ms" if key.startswith("j") else key):
+            signals_of(found, (), {key: "J*"})
     with raises_with(key="columns", found="joint angles"):
         signals_of(found, (), {"joint angles": "J*"})
     with pytest.raises(ValueError, match="found 'q'; expected SIGNAL=COLUMNS"):

@@ -261,19 +261,22 @@ def test_limits_couplings_colours_and_shapes(tmp_path: Path) -> None:
     ]
 
 
-def test_a_chain_has_a_table_and_its_flange(tmp_path: Path) -> None:
+@pytest.mark.parametrize("flange", ["tool0", "left/end_effector_link"])
+def test_a_chain_has_a_table_and_its_flange(flange: str, tmp_path: Path) -> None:
     text = CHAIN.replace(
         "</robot>",
         '<joint name="t" type="fixed"><origin xyz="0 0 0.1" rpy="0 0 1"/><parent link="lower"/>'
-        '<child link="tool0"/></joint><link name="tool0"/></robot>',
+        f'<child link="{flange}"/></joint><link name="{flange}"/>'
+        '<joint name="c" type="fixed"><parent link="lower"/><child link="camera_link"/></joint>'
+        '<link name="camera_link"/></robot>',
     )
     file = UrdfFile(write(tmp_path, text))
     tables = file.described.tables
-    assert file.tree.flange == "tool0"
+    assert file.tree.flange == flange
     assert "joint_frames" not in tables and "parents" not in tables
     q = np.array([0.4, 0.3])
     T = poses_in_tables(tables, q)[-1] @ np.array(tables["flange_frame"])
-    expected = poses_in_xml(text, {"turn.table": 0.4, "slide": 0.3})["tool0"]
+    expected = poses_in_xml(text, {"turn.table": 0.4, "slide": 0.3})[flange]
     assert np.allclose(T, expected, rtol=0, atol=1e-9)
 
 

@@ -22,6 +22,7 @@ the same fault has the same message everywhere.
 from __future__ import annotations
 
 import difflib
+import logging
 import reprlib
 import sys
 import traceback
@@ -66,6 +67,18 @@ def did_you_mean(name: str, available: Iterable[str]) -> str:
         return "; none is available"
     shown = ", ".join(sorted(names)[:40])
     return f"; available: {shown}"
+
+
+@contextmanager
+def without_warnings() -> Iterator[None]:
+    """Logs no warnings, within the context, of what is read once more or only for a detail."""
+    log = logging.getLogger("sero_mj")
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def printable(text: str) -> str:

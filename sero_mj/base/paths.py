@@ -14,6 +14,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, BinaryIO
+from unicodedata import normalize
 
 from .errors import Problem, UnknownName, nearest
 from .plugins import IMPORTERS, ROBOTS, load_all
@@ -286,13 +287,16 @@ def _files(folder: Path, ending: str) -> list[str]:
 def model_name(path: Path) -> str:
     """The name of the robot or group of a file: of its folder, or else of the file itself.
 
-    Also the folder's for an MJCF with a generic name, such as `panda/robot.xml`.
+    Also the folder's for an MJCF with a generic name, such as `panda/robot.xml`. Letters lose their
+    accents, and what is not ASCII is left out: `Arm` for `Ärm_机械臂.xml`.
     """
-    if path.name in (ROBOT_FILE, GROUP_FILE):
-        return path.parent.name
     name, folder = path.stem.removesuffix(".urdf"), path.absolute().parent.name
-    if path.suffix == ".xml" and name.lower() in _TELLS_NOTHING and folder:
+    is_generic = path.suffix == ".xml" and name.lower() in _TELLS_NOTHING
+    if folder and (is_generic or path.name in (ROBOT_FILE, GROUP_FILE)):
         name = folder
+    if not name.isascii():
+        bare = normalize("NFKD", name).encode("ascii", "ignore").decode()
+        name = re.sub(r"_{2,}", "_", bare).strip("_ ") or "robot"
     return re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", name)
 
 

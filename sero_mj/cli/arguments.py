@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import logging
 import math
 import re
 import signal
@@ -418,18 +417,6 @@ def read_recorded_run(
         if scene is None and "give" in error.reason:
             raise RecordingError(error.path, f"{error.reason}: --scene SCENE") from None
         raise
-
-
-@contextlib.contextmanager
-def without_warnings() -> Iterator[None]:
-    """Logs no warnings, within the context, of what is read once more or only for a detail."""
-    log = logging.getLogger("sero_mj")
-    before = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        log.setLevel(before)
 
 
 def note_choice(recording: Path, scene: str) -> None:

@@ -8,12 +8,20 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from ..base.errors import SeroError, UsageError
+from ..base.errors import SeroError, UsageError, without_warnings
 from ..base.options import Option, Options, Time, positional
-from .arguments import check_new, check_span, command, read_scene, without_warnings
+from .arguments import (
+    check_new,
+    check_span,
+    command,
+    read_scene,
+    replay_instead,
+)
 
 if TYPE_CHECKING:
     from ..data.record.recording import PacketFile
+    from ..data.record.replay import Replay
+    from ..robots.declared.scene import Scene
 
 _EPILOG = """\
 examples:
@@ -57,13 +65,17 @@ def run(options: ExportCsvOptions) -> int:
     from ..data.record.bag import open_recording
     from ..data.record.csv_files import export_csv
     from ..data.record.replay import Replay
+    from ..data.ros.joined_packets import TF
 
     if not options.overwrite:
         check_new([options.output], "choose another name, or --overwrite")
-    with open_recording(options.recording) as recording:
-        name = recording.choose_source(options.source or "", by="--source NAME")
+    led = _led(options)
+    opened = open_recording(options.recording) if led is None else led.open_recording()
+    with opened as recording:
+        given = options.source or "" if led is None else led.source
+        name = recording.choose_source(given, by="--source NAME")
         check_span(recording, options.start, options.stop)
-        source = Replay(file=options.recording, source=name)
+        source = led or Replay(file=options.recording, source=name)
         source.allow_nan(source.events)  # a table has a place for them
         start = -math.inf if options.start is None else options.start
         joints = recording.sources[name].declared.get("joints") or []
@@ -84,15 +96,55 @@ def run(options: ExportCsvOptions) -> int:
     left_out = f", {written.malformed} malformed packets left out" if written.malformed else ""
     order = f", joints in the order of {robot}" if robot else ""
     print(f"{options.output}: {written.rows} rows{order}{left_out}")
+    if not written.rows and led is None and source.recorded.declared.get("joint_states") == TF:
+        print("note: transforms tell joint angles of a robot; --scene names it")
     return 1 if (damaged or written.malformed) and not written.rows else 0
+
+
+def _led(options: ExportCsvOptions) -> Replay | None:
+    """What plays a recording of ROS whose messages name no joints, for those of its robot.
+
+    The robot is that of `--scene`, or the one that the recording describes.
+    """
+    from ..data.drive.wiring import wired_source
+    from ..data.record.bag import Bag, look_into, open_recording
+    from ..data.record.replay import Replay
+
+    known = look_into(options.recording)
+    sources = known.sources.values()
+    if not isinstance(known, Bag) or any(each.declared.get("joints") for each in sources):
+        return None
+    scene = None if options.scene is None else read_scene(options.scene)
+    if scene is None:
+        with open_recording(options.recording) as recording:
+            scene = _described(recording)
+    if scene is None:
+        return None
+    replay_instead(scene, options.recording, None, options.source)
+    wired = [wired_source(scene, name, table) for name, table in scene.sources.items()]
+    replays = [each for each in wired if isinstance(each, Replay)]
+    named = [each for each in replays if each.source == options.source]
+    return next(iter(named or replays), None)
+
+
+def _described(recording: PacketFile) -> Scene | None:
+    """A scene of the robot that a recording describes; None for none that can be read."""
+    from ..data.drive.described_scene import described_scene
+    from ..data.record.bag import DESCRIPTION
+
+    with without_warnings(), suppress(SeroError):
+        if DESCRIPTION in recording.attachments:
+            text = recording.read_attachment(DESCRIPTION).decode()
+            return read_scene(str(described_scene(text)))
+    return None
 
 
 def _in_order(
     recording: PacketFile, joints: Sequence[str], options: ExportCsvOptions
 ) -> tuple[list[str], str]:
     """Returns the joints in the order of the robot, and its name; empty if it is not known."""
-    from ..data.drive.described_scene import described_scene, shipped_robots_of
-    from ..data.record.bag import DESCRIPTION, Bag
+    from ..data.drive.described_scene import shipped_robots_of
+    from ..data.record.bag import Bag
     from ..data.ros.joined_packets import prefix_before
     from ..load import load_robot
     from ..robots.importers.imported_tables import first_of
@@ -103,11 +155,8 @@ def _in_order(
             count = f"it has {len(robots)} robots; expected one, in whose order joints are"
             raise UsageError(f"--scene {options.scene}: {count}")
     elif isinstance(recording, Bag):
-        robots = []
-        with without_warnings(), suppress(SeroError):
-            if DESCRIPTION in recording.attachments:
-                text = recording.read_attachment(DESCRIPTION).decode()
-                robots = list(read_scene(str(described_scene(text))).robots.values())
+        described = _described(recording)
+        robots = [] if described is None else list(described.robots.values())
         if not robots:
             shipped = shipped_robots_of(recording, options.source)
             robots = [load_robot(name) for name in shipped]
@@ -117,7 +166,7 @@ def _in_order(
     for robot in robots:
         prefix = prefix_before(robot.names, joints)
         there = [prefix + name for name in robot.names if prefix + name in joints]
-        if options.scene is not None and not there:
+        if options.scene is not None and joints and not there:
             found = f"its joints are {first_of(robot.names)}; expected {first_of(joints)}"
             raise UsageError(f"--scene {options.scene}: {found}")
         orders.append(there + [name for name in joints if name not in there])

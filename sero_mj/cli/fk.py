@@ -69,8 +69,9 @@ def run(options: FkOptions) -> int:
         return 0
     with np.printoptions(precision=6, suppress=True, floatmode="fixed"):
         how = "its DH table" if robot.dh is not None else "its joint frames"
-        print(f"T_base_flange of {robot.name}, by {how}\n{result['dh']}")
-        print(f"by MuJoCo\n{result['mujoco']}")
+        by_table, by_mujoco = (np.round(result[key], 6) + 0.0 for key in ("dh", "mujoco"))  # no -0
+        print(f"T_base_flange of {robot.name}, by {how}\n{by_table}")
+        print(f"by MuJoCo\n{by_mujoco}")
     print(
         f"difference: {result['position_difference']:.1e} m, {result['angle_difference']:.1e} rad"
     )

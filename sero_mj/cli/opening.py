@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
 
 from ..base import paths
-from ..base.errors import SeroError, UsageError
+from ..base.errors import SeroError, UsageError, without_warnings
 from ..data.record.table import is_table
 from ..viewer.session.recent_views import RecentView, recent_views
-from .arguments import NETWORK, note_choice, read_scene, replay_instead, without_warnings
+from .arguments import NETWORK, note_choice, read_scene, replay_instead
 from .shared_options import is_recording
 
 

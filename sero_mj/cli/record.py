@@ -40,9 +40,9 @@ examples:
   sero-mj record lwr_udp hits.mcap --trigger "abs(lwr.torques[3]) > 40" --replay run.mcap
 
 The file holds every packet as it came, malformed ones too, with the time at which the kernel got
-it, and decoded values as JSON, which Foxglove and PlotJuggler plot; what is routed to a joint has
-its name and unit, lwr.A1.torque [Nm]. What was written up to half a second before a crash can be
-read. When the disk is full the recording ends with an error and what was written is kept.
+it, and decoded values as messages of ROS 2, which Foxglove, PlotJuggler and ros2 bag read; what is
+routed to a joint has its name, lwr_a1_torque. What was written up to half a second before a crash
+can be read. When the disk is full the recording ends with an error and what was written is kept.
 
 With --trigger only what matters is kept: a recording of each event, from --before s before it to
 --after s after its last packet. OUT is a folder, or OUT.mcap for OUT_001.mcap, OUT_002.mcap, ...
@@ -149,8 +149,8 @@ def run(options: RecordOptions) -> int:
     found = recorder.statistics
     lost = sum(found.not_recorded.values())
     print(
-        f"{options.to}: {found.packets} packets in {found.seconds:.1f} s, "
-        f"{found.file_size / 1e6:.1f} MB" + (f", {lost} packets were not recorded" if lost else "")
+        f"{options.to}: {found.packets} packets in {found.seconds:.1f} s, {_size(found)}"
+        + (f", {lost} packets were not recorded" if lost else "")
     )
     return _status(found)
 
@@ -311,10 +311,15 @@ def _watch(
 def _line(found: Any) -> str:
     lost = sum(found.not_recorded.values())
     warning = f"  {lost} not recorded: the disk is too slow" if lost else ""
-    size = f"{found.file_size / 1e6:.1f} MB"
     return (
-        f"recording {found.seconds:6.1f} s  {found.packets} packets  {size}{warning}  Ctrl-C ends"
+        f"recording {found.seconds:6.1f} s  {found.packets} packets  {_size(found)}{warning}  "
+        "Ctrl-C ends"
     )
+
+
+def _size(found: Any) -> str:
+    size = found.file_size
+    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
 
 
 def _line_of_events(found: Any) -> str:

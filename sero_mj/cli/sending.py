@@ -62,7 +62,8 @@ def make_sink(options: SinkOptions, source: Source, structure: Structure) -> Udp
         raise UsageError(f"source '{source.name}' of the scene {reason}")
     if not port:
         raise UsageError(f"source '{source.name}' of the scene has no port; give --port")
-    return UdpSink(options.host or "127.0.0.1", port)
+    message_of = source.message_of if options.structure is None else None
+    return UdpSink(options.host or "127.0.0.1", port, message_of)
 
 
 def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:

@@ -59,7 +59,7 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
     Attributes:
         scenario: a file, or a shipped scenario's name.
         record: keep every step.
-        signals_rate: of values as JSON in the recording, for other programs; 0 for none.
+        signals_rate: of decoded values in the recording, for other programs; 0 for none.
         csv: the same as a table.
         plot: torques of every joint.
         report: a folder for a page that plays it, a figure, report.json, and junit.xml for CI.

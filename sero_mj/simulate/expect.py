@@ -338,12 +338,14 @@ class Expect(Declaration):
         for whose, names, values in self._values(log, rows):
             reduced = _REDUCE[self.of](values)
             k = self._deciding(reduced, any_of_them=self.holds_at in ("any", "each_robot"))
-            deciding.append((float(reduced[k]), "/".join(filter(None, (whose, names[k])))))
-        k = self._deciding(np.array([value for value, _ in deciding]), self.holds_at == "any")
-        value, place = deciding[k]
+            unit = MEASURES[self.measure][0]
+            unit = log.unit_at(unit, whose, names[k]) if names[k] else unit
+            deciding.append((float(reduced[k]), "/".join(filter(None, (whose, names[k]))), unit))
+        k = self._deciding(np.array([value for value, *_ in deciding]), self.holds_at == "any")
+        value, place, unit = deciding[k]
         holds = reaches_end and bool(self._margins(np.array(value)) > 0)
         ended = "" if reaches_end else "; the run ended before"
-        text = f"{what} {value:.4g} {MEASURES[self.measure][0]} at {place}, expected {bounds}"
+        text = f"{what} {value:.4g} {unit} at {place}, expected {bounds}"
         return Outcome(name, holds, f"{text}{self._where}{ended}", value)
 
     def _values(self, log: RunLog, rows: Bools | slice) -> Iterator[tuple[str, list[str], Array]]:

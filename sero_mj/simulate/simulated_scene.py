@@ -166,17 +166,17 @@ def _show_drag(scene: Scene, drag: DragForce) -> None:
 
 def _add_arrow(scene: Scene, name: str, key: str, force: Force) -> str:
     arrow = _free(scene, name if key == "force" else f"{name}_{key}")
-    at = force.at
+    at = within = scene.frame_name(force.at)
     if force.point.any():
         at = _free(scene, f"{arrow}_point")
         there = frame(np.eye(3), force.point)
-        received = ReceivedFrame(name=at, relative_to=force.at, frame=there, show_axes=False)
+        received = ReceivedFrame(name=at, relative_to=within, frame=there, show_axes=False)
         scene.frames = {**scene.frames, at: received}
     scene.arrows[arrow] = SmartArrow(
         name=arrow,
         kind="force" if key == "force" else "torque",
         at=at,
-        expressed_in=force.expressed_in,
+        expressed_in=scene.frame_name(force.expressed_in),
     )
     return arrow
 

@@ -242,7 +242,8 @@ class Figure:
         at, shown = envelope(times, values, _POINTS)
         for colour, side in ((ORANGE, np.maximum(shown, 0.0)), (BLUE, np.minimum(shown, 0.0))):
             panel.fill_between(at, side, 0.0, color=colour, alpha=0.45, linewidth=0.0)
-        panel.axhline(0.0, color=GREY, linewidth=0.5)
+        if np.isfinite(shown).any():  # else "no data" is there
+            panel.axhline(0.0, color=GREY, linewidth=0.5)
         panel.plot(at, shown, color=INK, linewidth=0.5, label="difference")
 
     def fit(

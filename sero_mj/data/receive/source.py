@@ -179,6 +179,10 @@ class Source(PacketDeclaration):
         """Name of the shared memory it reads, event that locks it (or ""), and offset in bytes."""
         return None
 
+    def message_of(self, packet: bytes) -> bytes:
+        """What senders send for a packet: the packet itself, or the message that makes it."""
+        return packet
+
     @property
     def can_be_played(self) -> bool:
         """Whether `sero-mj send` can send what it receives."""

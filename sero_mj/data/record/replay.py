@@ -226,6 +226,11 @@ class Replay(Source):
         return max(end, self._begin)
 
     @property
+    def trouble(self) -> str:
+        """That it has ended, as shown to the user; empty while it plays."""
+        return super().trouble or ("the recording has ended" if self._beyond > 0.0 else "")
+
+    @property
     def position(self) -> float:
         """Current position, s since the recording began."""
         return self._position

@@ -194,8 +194,12 @@ def _declared(table: Table, columns: Columns) -> dict[str, Selection]:
             expected = "a signal, with or without a unit: joint_angles [deg]"
             raise Problem("columns", found=key, expected=expected).error()
         signal, unit = match[1], match[2] or ""
+        if signal == TIME:
+            expected = "time without a unit, which the name of its column has: time = 'Zeit [ms]'"
+            raise Problem("columns", found=key, expected=expected).error()
         if unit and unit not in _FACTORS:
-            raise Problem("columns", "no unit", found=unit, of=key, available=_FACTORS).error()
+            of = f"in {key}"
+            raise Problem("columns", "no unit", found=unit, of=of, available=_FACTORS).error()
         patterns = [wanted] if isinstance(wanted, str) else wanted
         names = [name for pattern in patterns for name in _matching(table, pattern)]
         units = {split_unit(name)[1] for name in names}

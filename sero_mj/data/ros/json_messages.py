@@ -15,18 +15,19 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from ...base.errors import printable
 from ...base.frames import Array
 from .messages import MOST_BYTES, MalformedMessage
 
 _NUMBERS = ("position", "velocity", "effort")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs")
-_SHOWN = 40  # characters of a message in an error
+_SHOWN, _SHOWN_BYTES = 40, 8  # characters, or bytes, of a message in an error
 
 
 def joint_state_of(raw: bytes) -> Any:
@@ -43,10 +44,16 @@ def joint_state_of(raw: bytes) -> Any:
     if len(raw) > MOST_BYTES:
         raise MalformedMessage(f"found {len(raw)} bytes; expected at most {MOST_BYTES}")
     try:
-        found = json.loads(raw)
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        begin = raw[:_SHOWN_BYTES].hex(" ")
+        reason = f"byte {error.start} is not of UTF-8; it begins with the bytes {begin}"
+        raise MalformedMessage(f"no JSON: {reason}") from None
+    try:
+        found = json.loads(text)
     except (ValueError, RecursionError) as error:
-        begin = raw[:_SHOWN].decode("utf-8", "backslashreplace")
-        raise MalformedMessage(f"no JSON: {error}; it begins with {begin!r}") from None
+        begin = printable(text[:_SHOWN])
+        raise MalformedMessage(f"no JSON: {error}; it begins with {begin}") from None
     if isinstance(found, Mapping) and isinstance(found.get("msg"), Mapping):
         found = found["msg"]
     if not isinstance(found, Mapping):
@@ -72,6 +79,29 @@ def joint_state_of(raw: bytes) -> Any:
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise MalformedMessage("its names of joints are not a list of texts")
     return SimpleNamespace(header=SimpleNamespace(stamp=_stamp(stamp)), name=names, **numbers)
+
+
+def message_of(
+    names: Sequence[str], stamp: float, angles: Array, velocities: Array, efforts: Array
+) -> bytes:
+    """Encodes the state of joints, as `sensor_msgs/JointState`.
+
+    Args:
+        names: of the n joints.
+        stamp: s; 0 where it is unknown.
+        angles: (n,), rad or m. What is NaN is null, and a quantity that no joint has is empty.
+        velocities: (n,), rad/s or m/s.
+        efforts: (n,), in the unit of the receiver.
+    """
+    seconds = math.floor(stamp)
+    message: dict[str, Any] = {
+        "header": {"stamp": {"sec": seconds, "nanosec": int((stamp - seconds) * 1e9)}},
+        "name": list(names),
+    }
+    for key, values in zip(_NUMBERS, (angles, velocities, efforts), strict=True):
+        known = [x if math.isfinite(x) else None for x in values.tolist()]
+        message[key] = known if any(x is not None for x in known) else []
+    return json.dumps(message, ensure_ascii=False).encode()
 
 
 def _numbers(key: str, values: Any) -> Array:

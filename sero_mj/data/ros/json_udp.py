@@ -5,6 +5,7 @@ from __future__ import annotations
 import time as clock
 from typing import ClassVar
 
+import numpy as np
 from pydantic import PrivateAttr
 
 from ...base.errors import Problem, SourceError
@@ -14,7 +15,7 @@ from ..receive.structure import Rows
 from ..receive.udp import UdpReceiver
 from .dds import Ros2
 from .joined_packets import JOINT_STATES, JoinedPackets
-from .json_messages import joint_state_of
+from .json_messages import joint_state_of, message_of
 from .messages import MalformedMessage
 from .ros_source import MOST_KEPT, Listener, RosSource
 
@@ -69,6 +70,17 @@ class JsonUdp(UdpReceiver, RosSource):
         source.led_to(self._led)
         source._links = self._links
         return source
+
+    def message_of(self, packet: bytes) -> bytes:
+        """The message in JSON that makes a packet."""
+        values = self.layout.decode(packet)
+        constants = 1.0 if self.torque_constants is None else self.torque_constants
+        efforts = values["torques"] / (self.torque_sign * np.asarray(constants, float))
+        velocities = values["joint_velocities"]
+        if not velocities.any():  # nothing leads to them
+            velocities = np.full(len(velocities), np.nan)
+        stamp = float(values["stamp"][0])
+        return message_of(self.joint_names, stamp, values["joint_angles"], velocities, efforts)
 
     def _subscribe(self, listener: Listener) -> None:
         """Does nothing: the socket receives all messages."""

@@ -42,6 +42,7 @@ class UdpSink:
     Args:
         host: where to.
         port: where to.
+        message_of: makes what is sent of a packet; the packet itself is sent when None.
 
     Attributes:
         place: kind, host and port in a few words, for people.
@@ -51,7 +52,9 @@ class UdpSink:
         SourceError: the address cannot be resolved.
     """
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(
+        self, host: str, port: int, message_of: Callable[[bytes], bytes] | None = None
+    ) -> None:
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         except (OSError, UnicodeError) as error:
@@ -61,10 +64,12 @@ class UdpSink:
         self._address: tuple[Any, ...] = address
         self.place = f"UDP {host}:{port}"
         self.socket = socket.socket(family, kind)
+        self._message_of = message_of
 
     def put(self, packet: bytes) -> None:
         """Sends a packet; raises OSError when the system refuses it."""
-        self.socket.sendto(packet, self._address)
+        message = packet if self._message_of is None else self._message_of(packet)
+        self.socket.sendto(message, self._address)
 
     def close(self) -> None:
         """Closes the socket."""

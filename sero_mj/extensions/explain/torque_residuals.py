@@ -213,8 +213,9 @@ def torque_residuals(
     friction = dynamics.viscous_friction * smooth + dynamics.coulomb_friction * signs
     inertial = dynamics.motor_inertias * acceleration + friction
     plain = low_pass(lag) - inertial
-    with np.errstate(divide="ignore"):
-        ratio = dynamics.motor_inertias / felt
+    felt = np.broadcast_to(felt, robot.n)
+    # A motor without inertia is given what is commanded.
+    ratio = np.divide(dynamics.motor_inertias, felt, out=np.ones(robot.n), where=felt > 0.0)
     # The loop's request to the drive, which saturates.
     asked, most = measured + ratio * lag, _scale(robot, np.full_like(measured, np.inf))
     saturated = np.abs(asked) > _SATURATED * most
@@ -508,9 +509,9 @@ def _held(at: Array, measured: Array) -> tuple[float, float, float]:
 
 
 def _scale(robot: SerialRobot, measured: Array) -> Array:
-    if robot.torque_limits is not None:
-        return np.asarray(robot.torque_limits, np.float64)
-    return np.asarray(np.maximum(np.nanmax(np.abs(measured), axis=0, initial=0.0), _MIN_SCALE))
+    limits = np.full(robot.n, np.inf) if robot.torque_limits is None else robot.torque_limits
+    largest = np.maximum(np.nanmax(np.abs(measured), axis=0, initial=0.0), _MIN_SCALE)
+    return np.where(np.isfinite(limits), limits, largest)
 
 
 def _why_no_model(robot: SerialRobot, log: RunLog, estimated: Sequence[str]) -> str:

@@ -27,6 +27,7 @@ from ...simulate.simulation import Simulation
 
 GOAL = "goal"  # the double at a task's goal is called `ROBOT_goal`
 _MAX_TRIES = 2000
+_MOST_DEPTH = 0.005  # m, of what stands on the floor in it
 _FROM_LIMITS = 0.05  # share of a joint's range that sampled poses keep from either end
 
 
@@ -81,6 +82,8 @@ class AgentRobot:
     def free_pose(self, rng: np.random.Generator) -> Array:
         """Joint angles, (n,), within the limits, in which the robot touches nothing.
 
+        A robot with a free base may touch what is fixed, as where it stands on the floor.
+
         Raises:
             SimulationError: none was found.
         """
@@ -95,10 +98,18 @@ class AgentRobot:
             data.qpos[part.qpos] = angles
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
-            if data.ncon == 0 and (np.abs(data.qfrc_bias[part.dofs]) < torques).all():
+            if not self._touches(data) and (np.abs(data.qfrc_bias[part.dofs]) < torques).all():
                 return np.asarray(angles)
         reason = f"found no pose in {_MAX_TRIES} that touches nothing and that its torques hold"
         raise SimulationError(0.0, robot.name, f"{reason}; expected other limits, or a start")
+
+    def _touches(self, data: mujoco.MjData) -> bool:
+        """Whether it touches what it should not in a pose."""
+        if not data.ncon or not self.declared.free_base:
+            return bool(data.ncon)
+        model = self.plant.model
+        stands = (model.body_weldid[model.geom_bodyid[data.contact.geom]] == 0).any(axis=1)
+        return not (stands & (data.contact.dist > -_MOST_DEPTH)).all()
 
 
 class ManyStates:

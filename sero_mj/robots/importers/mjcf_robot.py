@@ -24,7 +24,7 @@ from .mjcf_couplings import couplings_of
 from .mjcf_file import as_spec, is_file_name
 from .mjcf_torque_limits import torque_limits
 from .mjcf_tree import MjcfTree, find_tree
-from .robot_tree import TOO_FAR, meant_limits, plain_name, six_of
+from .robot_tree import TOO_FAR, flange_body, meant_limits, plain_name, six_of
 
 _INITIAL_KEYS = ("home", "stand", "init", "default")  # key frames used as the initial pose
 _TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
@@ -259,15 +259,12 @@ def _turns(tree: MjcfTree) -> Bools:
 
 
 def _flange(tree: MjcfTree) -> tuple[int, Array]:
-    """Returns the last link of the longest chain, and T_link_flange.
+    """Returns the link that carries the flange, and T_link_flange.
 
     The flange is at a site there whose name is that of a tool, else at the last body.
     """
     model = tree.model
-    depths = np.zeros(len(tree.poses), np.intp)
-    for k, parent in enumerate(tree.parents):
-        depths[k + 1] = depths[parent] + 1
-    link = int(depths.argmax())
+    link = flange_body(tree.parents.tolist())
     back = inverse(tree.poses[link])
     for site in np.flatnonzero(tree.links[model.site_bodyid] == link).tolist():
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, site) or ""

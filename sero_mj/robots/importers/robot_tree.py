@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -22,6 +22,7 @@ from .joint_names import joint_names_of, parents_of
 
 MOVING = ("revolute", "prismatic")
 _NO_NAME = re.compile(r"[^A-Za-z0-9_-]+")
+_OF_LINK = re.compile(r"_?(link|frame)$")
 _FLANGES = (
     "tool0", "flange", "tcp", "tool_center_point", "ee_link", "end_effector", "eef", "ee", "tool",
     "gripper_tcp", "hand_tcp", "grasp", "gripper", "hand",
@@ -30,6 +31,23 @@ _MAX_LENGTH_RATIO = 10.0  # a table's lengths over the reach; above it, normals 
 _MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative; as in `robots.declared.dynamics`
 NO_LIMIT = 1e3  # rad or m; limits beyond this mean no limit
 TOO_FAR = f"limits of {NO_LIMIT:g} m or rad and more are taken for none"
+
+
+def flange_body(parents: Sequence[int]) -> int:
+    """The body that carries the flange: the last of the longest branch, or the hand of its fingers.
+
+    Args:
+        parents: of the bodies 1, 2, ...; 0 is the base.
+    """
+    ways = [[0]]  # from the base to each body
+    for body, parent in enumerate(parents, 1):
+        ways.append([*ways[parent], body])
+    longest = max(map(len, ways))
+    deepest = [way for way in ways if len(way) == longest]
+    # The fingers of a gripper share a hand; the arms of a humanoid share no flange.
+    common = [same[0] for same in zip(*deepest, strict=True) if len({*same}) == 1]
+    is_hand = len(common) > 1 and 2 * (len(common) - 1) >= longest - 1
+    return common[-1] if is_hand else deepest[0][-1]
 
 
 @dataclass
@@ -135,12 +153,9 @@ class TreeTables:
         self.bodies = [[link.name for link, _ in body.links] for body in self._bodies]
         self._in_dh: DhChain | None = None
         self._names = self._joint_names()
-        self._depths = [0]
-        for body in self._bodies[1:]:
-            self._depths.append(self._depths[body.parent] + 1)
-        flange_body, self.flange, T_flange = self._flange()
+        carrier, self.flange, T_flange = self._flange()
         if self.joints:
-            self._kinematics(flange_body, T_flange)
+            self._kinematics(carrier, T_flange)
         # From the bodies' own frames to those of the tables.
         self._carried = [np.eye(4) for _ in self._bodies]
         if self._in_dh is not None:
@@ -175,19 +190,12 @@ class TreeTables:
 
     def _flange(self) -> tuple[int, str, Array]:
         """The body, the link and the frame T_body_link of the flange."""
-        depth = max(self._depths)
-        deepest = [i for i, d in enumerate(self._depths) if d == depth]
-        body = deepest[0]
-        if len(deepest) > 1:
-            # The fingers of a gripper share a hand; the arms of a humanoid share no flange.
-            common = set.intersection(*({*self._way(i)} for i in deepest))
-            hand = max(common, key=lambda i: self._depths[i])
-            if 2 * self._depths[hand] >= depth and hand > 0:
-                body = hand
+        body = flange_body([each.parent for each in self._bodies[1:]])
         links = self._bodies[body].links
         plain = [_NO_NAME.sub("_", link.name).lower() for link, _ in links]
+        plain += [_OF_LINK.sub("", name) for name in plain]  # "end_effector_link"
         for wanted in _FLANGES:
-            for (link, T), name in zip(links, plain, strict=True):
+            for (link, T), name in zip([*links, *links], plain, strict=True):
                 if name == wanted or name.endswith(f"_{wanted}"):
                     return body, link.name, T
         fixed = self._bodies[body].fixed
@@ -195,19 +203,12 @@ class TreeTables:
         link, T = ends[0] if len(ends) == 1 else links[0]
         return body, link.name, T
 
-    def _way(self, body: int) -> list[int]:
-        """The bodies from the given one to the base."""
-        way = [body]
-        while way[-1] > 0:
-            way.append(self._bodies[way[-1]].parent)
-        return way
-
-    def _kinematics(self, flange_body: int, T_flange: Array) -> None:
+    def _kinematics(self, carrier: int, T_flange: Array) -> None:
         bodies = self._bodies[1:]
         frames = np.array([body.T_parent for body in bodies])
         revolute = np.array([joint.kind == "revolute" for joint in self.joints])
         is_chain = all(body.parent == i for i, body in enumerate(bodies))
-        if is_chain and flange_body == len(bodies):
+        if is_chain and carrier == len(bodies):
             steps = np.linalg.norm([*frames[:, :3, 3], T_flange[:3, 3]], axis=1)
             slides = [max(abs(x) for x in (j.lower, j.upper, 0) if np.isfinite(x))
                       for j in self.joints if j.kind == "prismatic"]  # fmt: skip
@@ -230,8 +231,8 @@ class TreeTables:
         if not is_chain:
             parents = parents_of([body.parent for body in bodies], self._names)
             self.tables["parents"] = parents
-        if flange_body != len(bodies):
-            self.tables["flange_on"] = self._names[flange_body - 1]
+        if carrier != len(bodies):
+            self.tables["flange_on"] = self._names[carrier - 1]
         by_name = dict(zip((joint.name for joint in self.joints), self._names, strict=True))
         couplings: dict[str, Any] = {}
         for joint, name in zip(self.joints, self._names, strict=True):

@@ -22,8 +22,8 @@ KINDS = (
     "position_limit",
 )
 _UNITS = {
-    "torque_error": " Nm", "external_torque": " Nm", "position_error": " rad",
-    "frozen_torque": " s", "saturated": "", "velocity_limit": " rad/s", "position_limit": " rad",
+    "torque_error": "Nm", "external_torque": "Nm", "position_error": "rad",
+    "frozen_torque": "s", "saturated": "", "velocity_limit": "rad/s", "position_limit": "rad",
 }  # fmt: skip
 _CLOSE = 1e-3  # rad or m, from a stop
 
@@ -111,6 +111,7 @@ class Finding:
         kind: one of `KINDS`.
         value: what was found.
         limit: what would have been right.
+        unit: of both; empty for none.
     """
 
     time: float
@@ -119,10 +120,11 @@ class Finding:
     kind: str
     value: float
     limit: float
+    unit: str = ""
 
     def __str__(self) -> str:
         kind = self.kind.replace("_", " ")
-        unit = _UNITS[self.kind]
+        unit = f" {self.unit}" if self.unit else ""
         found = f"{kind} {self.value:.4g}{unit}, above {self.limit:.4g}{unit}"
         return f"{self.time:.3f} s  {self.robot}/{self.joint}  {found}"
 
@@ -146,6 +148,7 @@ def _onsets(
             kind,
             float(values[row, joint]),
             float(bounds[row, joint]),
+            log.unit_at(_UNITS[kind], robot, names[joint]),
         )
         for row, joint in np.argwhere(noticed)
     ]

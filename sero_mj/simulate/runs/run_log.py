@@ -177,6 +177,13 @@ class RunLog:
         """Commanded less measured torque, (T, n), Nm."""
         return np.asarray(self.of(robot, "commanded_torques") - self.of(robot, "torques"))
 
+    def unit_at(self, unit: str, robot: str, joint: str) -> str:
+        """A unit of joints that turn (Nm, rad, rad/s) at a joint that may slide (N, m, m/s)."""
+        declared = self.robots[robot]
+        if declared.types[declared.names.index(joint)] == "revolute":
+            return unit
+        return unit.replace("Nm", "N").replace("rad", "m")
+
     def torque_limits(self, robot: str) -> Array:
         """(n,), Nm; infinite where the robot has none."""
         return self.robots[robot].torque_bounds

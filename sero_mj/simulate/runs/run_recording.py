@@ -23,6 +23,7 @@ from ...base.errors import (
     UnknownName,
     UsageError,
     did_you_mean,
+    without_warnings,
 )
 from ...base.frames import Array
 from ...base.toml_file import parse_toml
@@ -368,17 +369,18 @@ def _recorded(recording: PacketFile) -> _Declared:
         RecordingError: a file in it is damaged, or declares a robot or a group wrongly.
     """
     files = _read_tables(recording)
-    models = {name: name.split("/")[-2] for name in files if name.endswith(_MODEL_FILES)}
+    models = {name: name.split("/")[-2] for name in files if name.split("/")[-1] in _MODEL_FILES}
     scenes = [tables for name, tables in files.items() if name not in models]
     scenes = [tables for tables in scenes if {"robots", "groups"} & tables.keys()]
     found = _Declared()
     for tables in scenes:
         found.routes = found.routes or _table(tables, "routes")
         found.doubles = found.doubles or _table(tables, "doubles")
-    of_robots = {folder: name for name, folder in models.items() if name.endswith(_MODEL_FILES[0])}
+    ending = f"/{paths.ROBOT_FILE}"
+    of_robots = {folder: name for name, folder in models.items() if name.endswith(ending)}
     if not scenes:  # a robot or a group by itself, which is called as its folder is
         scenes = [{"robots": {folder: {"model": folder} for folder in of_robots}}]
-        whole = next((models[name] for name in models if name.endswith(_MODEL_FILES[1])), None)
+        whole = next((models[name] for name in models if name not in of_robots.values()), None)
         if whole is not None:
             scenes[0]["groups"] = {whole: {"model": whole}}
     with TemporaryDirectory() as directory:
@@ -404,9 +406,12 @@ def _table(tables: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _folder(model: str) -> str:
-    """The folder of a model that is named, by itself: all models of a recording are beside it."""
+    """The folder of a model that is named, by itself: all models of a recording are beside it.
+
+    Of a file that is not called as those in folders of models are, it is the file's own name.
+    """
     path = Path(model)
-    return path.parent.name if path.suffix == ".toml" else path.name
+    return path.parent.name if path.name in _MODEL_FILES else path.name
 
 
 def _expanded(recording: PacketFile, groups: dict[str, Any], directory: Path) -> Expanded:
@@ -470,7 +475,7 @@ def _robot(
         return _built(recording, name, _without_meshes(fields), None)
     folder = _folder(str(model))
     attached, file = models.get(folder), paths.ROBOT_FILE
-    if attached is None:  # of a robot in URDF or the like, whose file has its name
+    if attached is None:  # of a robot in a file of another name, as those in URDF are
         file = folder
         attached = next((each for each in table_names(recording) if _is_robot(each, folder)), None)
     if attached is None:
@@ -483,21 +488,24 @@ def _robot(
         path = Path(directory) / Path(folder).stem / file
         path.parent.mkdir()
         path.write_bytes(data)
-        return _built(recording, name, _without_meshes(fields), str(path))
+        with without_warnings():  # of meshes, say, which nothing here needs
+            return _built(recording, name, _without_meshes(fields), str(path))
 
 
 def _is_robot(attached: str, file: str) -> bool:
-    return Path(attached).name == file and file.lower().endswith(paths.robot_endings())
+    return Path(attached).name == file and file.lower().endswith((".toml", *paths.robot_endings()))
 
 
 def _built(
     recording: PacketFile, name: str, fields: dict[str, Any], model: str | None
 ) -> SerialRobot:
     try:
-        return build_robot(fields, None if model is None else paths.find_model(model))
-    except UnknownName as error:
+        file = None if model is None else paths.find_model(model)
+    except (UnknownName, DeclarationError) as error:
         reason = f"its robot '{name}' is not in it, nor installed: {error}; give a scene"
         raise RecordingError(recording.path, reason) from error
+    try:
+        return build_robot(fields, file)
     except DeclarationError as error:
         reason = f"its robot '{name}' is declared wrongly: {error}"
         raise RecordingError(recording.path, reason) from error

@@ -519,3 +519,16 @@ def test_a_robot_with_a_joint_that_slides_has_newtons() -> None:
     found = explain(replace(torque_residuals(log, "arm"), no_model=""))
     assert [(each.joint, each.kind, each.unit) for each in found] == [("slide", "bias", "N")]
     assert found[0].size == pytest.approx(7.0, abs=0.2)
+
+
+def test_robots_at_rest_without_motor_inertias_or_limits_have_no_faults() -> None:
+    robot = two_joints(
+        torque_limits=[10.0, np.inf],
+        dynamics={"motor_inertias": [0, 0], "viscous_friction": [0, 0], "coulomb_friction": [0, 0]},
+    )
+    t = np.arange(1001) * 1e-3
+    rest = np.zeros((1001, 2))
+    signals = {"arm_joint_angles": rest, "arm_torques": rest, "arm_commanded_torques": rest}
+    found = torque_residuals(RunLog({"arm": robot}, signals, t), "arm")
+    assert found.scale[0] == 10.0 and np.isfinite(found.scale[1])
+    assert explain(found) == []

@@ -291,6 +291,18 @@ def test_targets_are_free_and_within_limits() -> None:
     assert np.ptp(seen, axis=0).min() > 0.5  # not always in the same corner
 
 
+def test_a_robot_that_stands_on_the_floor_begins_there(tmp_path: Any) -> None:
+    path = tmp_path / "sits.xml"
+    path.write_text("""<mujoco><worldbody><body pos="0 0 0.1"><freejoint/>
+      <geom type="box" size="0.2 0.2 0.1" mass="10"/>
+      <body pos="0 0 0.2"><joint name="arm" axis="0 1 0" range="-60 60"/>
+        <geom type="capsule" fromto="0 0 0 0 0 0.4" size="0.05" mass="1"/></body>
+    </body></worldbody><actuator><motor joint="arm" ctrlrange="-20 20"/></actuator></mujoco>""")
+    with sero_mj.make_environment(f"{path}/reach", seed=1, **SHORT) as environment:
+        starts = [float(environment.reset().observation["joint_angles"][0]) for _ in range(3)]
+        assert len({*starts}) == 3 and environment.error is None
+
+
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
