@@ -151,7 +151,7 @@ def test_fk_and_check_take_urdf_files(folder: Path, capsys) -> None:
         (["text.xml"], "text.xml: is no XML"),
         (
             ["fig7.x3d"],
-            "fig7.x3d: found a scene in X3D; expected a robot in URDF or MJCF. "
+            "fig7.x3d: found a scene; expected a robot in URDF or MJCF. "
             "`sero-mj convert fig7.x3d fig7.toml` writes it as a scene of ours",
         ),
         (["tree.urdf", "--out", "far"], "far is there already; choose another with --out"),
