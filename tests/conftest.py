@@ -19,6 +19,7 @@ import importlib.util
 import math
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -39,6 +40,10 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.study.workers import available_cpus
+
+# A shell's background job and nohup ignore SIGINT, and so would every program that a test starts.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Without deadlines: how long an example takes depends on what else the machine does.
 for name, examples in {"quarter": 25, "thorough": 100}.items():
