@@ -164,9 +164,10 @@ def test_many_small_bombs_take_little_memory_each(tmp_path: Path) -> None:
         ),
         (
             {"kind": "replay"},
-            "source 'arm': no kind 'replay'; available: foxglove, franka, fri, ros2, rtde, shm, "
-            "udp, zenoh",
+            "source 'arm': no kind 'replay'; available: foxglove, franka, fri, json, ros2, rtde, "
+            "shm, udp, zenoh",
         ),
+        ({"kind": "table"}, "source 'arm': no kind 'table'"),
         (
             {"declared": {"structre": "2F"}},
             "how source 'arm' is decoded: structure: is required; "

@@ -33,6 +33,7 @@ from .recording import PacketFile, RecordedSource, Recording
 from .table import is_table
 
 _BATCH = 4096  # packets
+_OF_FILES = ("replay", "table")  # kinds that play a file, which a recording may not name
 
 
 def _as_path(file: Any) -> Path:
@@ -406,7 +407,7 @@ def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
         RecordingError: its kind is unknown, its fields are invalid, or they result in other events.
     """
     kind, of = recorded.kind, f"source '{recorded.name}'"
-    kinds = [known for known in plugins(SOURCES) if known != "replay"]
+    kinds = [known for known in plugins(SOURCES) if known not in _OF_FILES]
     if kind not in kinds:
         raise RecordingError(file, f"{of}: no kind '{kind}'{did_you_mean(kind, kinds)}")
     try:

@@ -31,7 +31,7 @@ _TEXTS = (".toml", ".xml", ".urdf", ".mjcf", ".xacro", ".sdf", ".x3d", ".dae", "
 _QUOTED = re.compile(r"""(["'])(/[^"'\n]+)\1""")
 _REFERRED = re.compile(rb"""\b(?:file\w*|url)\s*=\s*["']([^"'\n]+)["']""")
 _MOST_BYTES = 1_000_000_000
-_OWN = Path(__file__).resolve().parents[1]
+_OWN = Path(__file__).resolve().parents[2]
 _NO_CODE = re.compile(r"(models|scenes|viewer/player/js)/")
 _WRITES = os.O_WRONLY | os.O_RDWR
 _SYSTEM = ("/proc", "/sys", "/dev", "/etc", "/run", "/bin", "/lib", "/lib64", "/usr")
