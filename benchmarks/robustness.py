@@ -279,7 +279,8 @@ def outcome_of(target: Target, found: Sequence[ET.Element], made: dict[str, int]
     """
     outcome = Outcome(target.title)
     for case in found:
-        file = f"{case.get('classname', '').rpartition('.')[2]}.py"
+        module = case.get("classname", "").removeprefix("tests.")
+        file = f"{module.replace('.', '/')}.py"
         name = f"{file}::{case.get('name', '').partition('[')[0]}"
         if file not in target.tests and name not in target.tests:
             continue
