@@ -138,6 +138,11 @@ def load_all(group: str, base: type | None = None) -> Mapping[str, Any]:
     return found
 
 
+def load_first(group: str, base: type) -> Any | None:
+    """Makes an object of the first class of a group, without arguments; None without any."""
+    return next((kind() for kind in load_all(group, base).values()), None)
+
+
 def plugin_name(group: str, item: type) -> str:
     """The name under which a class is an entry point of a group.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from ..base.errors import UsageError
 from ..base.options import Options
-from ..base.plugins import BACKGROUNDS, load_all
+from ..base.plugins import BACKGROUNDS, load_first
 
 if TYPE_CHECKING:
     from ..data.drive.mirror import Mirror
@@ -50,7 +50,7 @@ class Background(ABC):
 
 def find_background() -> Background:
     """Returns the installed background; raises UsageError without."""
-    for kind in load_all(BACKGROUNDS, Background).values():
-        found: Background = kind()
-        return found
-    raise UsageError("--over needs an extension that draws over photos and videos")
+    found: Background | None = load_first(BACKGROUNDS, Background)
+    if found is None:
+        raise UsageError("--over needs an extension that draws over photos and videos")
+    return found

@@ -23,6 +23,7 @@ from ..base.plugins import (
     TARGET_MOTIONS,
     TOOLS,
     is_own,
+    load_all,
     load_plugin,
     plugins,
 )
@@ -89,8 +90,8 @@ def _print_known() -> None:
 
 
 def _print_of_extensions() -> None:
-    for point in plugins(LISTED).values():
-        title, lines = point.load()()
+    for describe in load_all(LISTED).values():
+        title, lines = describe()
         print(title)
         for line in lines:
             print(f"  {line}")

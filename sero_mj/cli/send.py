@@ -11,7 +11,7 @@ from ..base.declaration import expecting
 from ..base.errors import CsvError, UsageError
 from ..base.options import Duration, NotNegative, Option, Options, Positive, Seed
 from ..base.paths import list_scenarios
-from ..base.plugins import SENDERS, plugins
+from ..base.plugins import SENDERS, load_plugin, plugins
 from .arguments import command, print_programs, read_scene
 from .sending import Sender, SinkOptions, goes_to_shm, make_sink
 from .shared_options import Columns, SceneArgument
@@ -128,7 +128,7 @@ def run(options: SendOptions) -> int:
         return _send_file(options, scene, source, file)
     options.refuse(("speed", "loop", "recorded", "columns"), " is for --play FILE")
     if source.kind in plugins(SENDERS):
-        return int(plugins(SENDERS)[source.kind].load()(options, scene, source))
+        return int(load_plugin(SENDERS, source.kind)(options, scene, source))
     kinds = " or ".join(f'"{name}"' for name in plugins(SENDERS))
     why = f" is for a scene whose source is of kind = {kinds}"
     options.refuse(("cycle", "loss", "quality", "seed"), why)

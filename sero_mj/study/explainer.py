@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ..base.plugins import EXPLAINERS, load_all
+from ..base.plugins import EXPLAINERS, load_first
 
 if TYPE_CHECKING:
     from ..simulate.runs.run_log import RunLog
@@ -64,10 +64,8 @@ class Explainer(ABC):
 
 def find_explainer() -> Explainer | None:
     """Returns the installed explainer; None without."""
-    for kind in load_all(EXPLAINERS, Explainer).values():
-        found: Explainer = kind()
-        return found
-    return None
+    found: Explainer | None = load_first(EXPLAINERS, Explainer)
+    return found
 
 
 def differing(pair: Pair, found: Sequence[Explanation]) -> list[Explanation]:

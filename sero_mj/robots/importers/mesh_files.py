@@ -36,7 +36,7 @@ from ...base.declaration import LARGEST
 from ...base.errors import DeclarationError, Problem, reason_of
 from ...base.frames import Array, Ints
 from ...base.paths import read_file
-from ...base.plugins import MESHES, plugins
+from ...base.plugins import MESHES, load_plugin, plugins
 
 _BY_MUJOCO = (".stl", ".obj", ".msh")  # it reads these itself
 _CONVERTED = (".dae", ".ply", ".off", ".glb", ".gltf", ".3mf")
@@ -584,7 +584,7 @@ def _collada_opacity(effect: Any) -> float:
 
 def _extension_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
     parts = []
-    for vertices, faces, color in plugins(MESHES)[ending[1:]].load()(path):
+    for vertices, faces, color in load_plugin(MESHES, ending[1:])(path):
         rgba: Rgba | None = None
         if color is not None:
             red, green, blue, alpha = (float(value) for value in color)
