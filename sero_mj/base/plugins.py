@@ -9,7 +9,7 @@
     sero_mj.decor           visual features, see `viewer.decor.feature.Feature`
     sero_mj.tools           what pointer, keys and panel do, see `viewer.session.tool.Tool`
     sero_mj.commands        commands of `sero-mj`, see `cli`
-    sero_mj.renderers       what draws pictures, see `viewer.headless.renderer.Renderer`
+    sero_mj.renderers       what draws pictures, see `viewer.image.renderer.Renderer`
     sero_mj.senders         what `sero-mj send` does for a kind of source with its own protocol
     sero_mj.known_packets   what `structure --sniff` knows by size, see `data.receive.sniffer`
     sero_mj.explainers      what explains differences of torques, see `study.explainer`

@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 from pydantic import Field
 
-from ..base.declaration import Declaration, Point
-from ..base.errors import DeclarationError, Problem, problems_of
-from ..base.frames import Array
-from ..base.toml_file import located, read_toml
+from ...base.declaration import Declaration, Point
+from ...base.errors import DeclarationError, Problem, problems_of
+from ...base.frames import Array
+from ...base.toml_file import located, read_toml
 
 # Moves a free camera to where it is at a time of the film, s.
 CameraMotion = Callable[[mujoco.MjvCamera, float], None]

@@ -5,10 +5,10 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from ..base.errors import UnknownName
-from ..base.frames import Array
-from ..robots.assemble.world_view import WorldView
-from ..robots.declared.mounts import carrier
+from ...base.errors import UnknownName
+from ...base.frames import Array
+from ...robots.assemble.world_view import WorldView
+from ...robots.declared.mounts import carrier
 
 TIME_CONSTANT = 0.4  # s, by which the camera is late
 _JUMP = 1.0  # s; over a longer time, or back in time, it moves at once

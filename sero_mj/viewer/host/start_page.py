@@ -23,8 +23,8 @@ from ...data.drive.mirror import Mirror
 from ...data.receive.source import QUIET_AFTER, Source, make_source
 from ...data.receive.structure import Rows
 from ..panels.message import Message
-from .recent_views import RecentView, recent_views
-from .status_line import Mood
+from ..session.recent_views import RecentView, recent_views
+from ..session.status_line import Mood
 
 log = logging.getLogger(__name__)
 

@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ..base.errors import RenderError, shown
-from .headless.picture_options import Stereo
+from ...base.errors import RenderError, shown
+from .picture_options import Stereo
 
 STEREO: tuple[str, ...] = get_args(Stereo)
 _MOST_APART = 1.0  # m

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..base.frames import Array
-from ..robots.declared.surroundings import Palette, Rgb
+from ...base.frames import Array
+from ...robots.declared.surroundings import Palette, Rgb
 
 LEVELS = 6  # of reflections, by the surface's roughness
 _SHARPEST, _BLUREST = 0.03, 0.9  # rad, standard deviation of the blur of the first and last level

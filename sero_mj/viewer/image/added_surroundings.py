@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..robots.assemble.world_view import WorldView
+from ...robots.assemble.world_view import WorldView
 
 _ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)

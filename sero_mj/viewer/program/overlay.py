@@ -10,26 +10,26 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from ..base.errors import Problem, UsageError
-from ..base.frames import Array
-from ..robots.declared.cartesian import SmartArrow
-from ..robots.declared.double import Double
-from ..robots.declared.scene import SceneToggles
-from ..robots.external.model_world import ModelWorld
-from ..robots.importers.mjcf_file import as_spec, is_mjcf_object
-from .camera import find_camera
-from .decor.font import DEFAULT_FONT, Font
-from .decor.picture_view import PictureView
-from .decor.toggles import Toggles
-from .headless.backend import adopt_backend
-from .headless.film import Picture
-from .headless.picture_options import DEFAULT_SIZE
-from .headless.render import HeadlessRenderer
-from .mujoco_private import context_of
-from .program.robot_inputs import RobotInputs
-from .session.interaction import Gesture
-from .session.picking import Picked, Pixel
-from .session.scene_decor import SceneDecor
+from ...base.errors import Problem, UsageError
+from ...base.frames import Array
+from ...robots.declared.cartesian import SmartArrow
+from ...robots.declared.double import Double
+from ...robots.declared.scene import SceneToggles
+from ...robots.external.model_world import ModelWorld
+from ...robots.importers.mjcf_file import as_spec, is_mjcf_object
+from ..decor.font import DEFAULT_FONT, Font
+from ..decor.picture_view import PictureView
+from ..decor.toggles import Toggles
+from ..image.backend import adopt_backend
+from ..image.camera import find_camera
+from ..image.clicks import Gesture
+from ..image.film import Picture
+from ..image.mujoco_private import context_of
+from ..image.picking import Picked, Pixel
+from ..image.picture_options import DEFAULT_SIZE
+from ..image.render import HeadlessRenderer
+from ..image.scene_decor import SceneDecor
+from .robot_inputs import RobotInputs
 
 log = logging.getLogger(__name__)
 

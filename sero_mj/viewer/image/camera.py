@@ -9,9 +9,9 @@ from itertools import chain
 import mujoco
 import numpy as np
 
-from ..base.errors import Problem, UnknownName, UsageError
-from ..base.frames import Array
-from ..robots.assemble.world_view import WorldView
+from ...base.errors import Problem, UnknownName, UsageError
+from ...base.frames import Array
+from ...robots.assemble.world_view import WorldView
 from .following import Follower
 from .framing import MARGIN, Framing, axes, bounding_sphere, declared_data
 

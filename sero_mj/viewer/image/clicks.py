@@ -1,14 +1,13 @@
-"""Actions of clicks, double clicks, clicks with Shift, and keys: one table for all hosts.
+"""Effects of clicks, double clicks, clicks with Shift, and of the keys that switch features.
 
-A host finds the item at a pixel by `picking.pick` and passes on the user's input. The help is
-generated from the tables.
+There is one table for windows, pages and images. `picking.pick` finds the item at a pixel. The
+help is generated from these tables.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -19,7 +18,6 @@ from ...robots.declared.robot_parts import ARROW_QUANTITIES
 from ..decor.limb_cards import card_limbs
 from ..decor.quantities import QUANTITY_NAMES, arrow_values, joint_values
 from ..decor.toggles import Toggles
-from .input import DOUBLE_CLICK_DISTANCE, DOUBLE_CLICK_TIME
 from .picking import Picked, Pixel
 
 Gesture = Literal["click", "shift", "double"]
@@ -164,52 +162,6 @@ def click(
     return True
 
 
-@dataclass
-class ClickDetector:
-    """Distinguishes double clicks from clicks, and reverts the first click of a double click.
-
-    Attributes:
-        world: the compiled scene.
-        toggles: changed in place.
-    """
-
-    world: WorldView
-    toggles: Toggles
-    _before: dict[str, Any] = field(default_factory=dict)
-    _first: Picked | None = None
-    _where: Pixel = (0.0, 0.0)
-    _when: float = float("-inf")
-
-    def press(
-        self, picked: Picked | None, pixel: Pixel, time: float, *, shift: bool = False
-    ) -> Gesture:
-        """Handles a press of the button and performs its action.
-
-        Args:
-            picked: the item at the pixel.
-            pixel: of the press, x and y.
-            time: of the press, s on any clock.
-            shift: whether a modifier was held.
-
-        Returns:
-            the recognized gesture.
-        """
-        apart = max(abs(a - b) for a, b in zip(pixel, self._where, strict=True))
-        second = time - self._when <= DOUBLE_CLICK_TIME and apart <= DOUBLE_CLICK_DISTANCE
-        if second and not shift:
-            kind = "" if self._first is None else self._first.kind
-            if not kind or ("double", kind) in CLICKS:
-                self.toggles.restore(self._before)
-                self._when = float("-inf")
-                click(self.world, self.toggles, self._first, "double")
-                return "double"
-        self._before, self._first = self.toggles.snapshot(), picked
-        self._where, self._when = pixel, float("-inf") if shift else time
-        gesture: Gesture = "shift" if shift else "click"
-        click(self.world, self.toggles, picked, gesture)
-        return gesture
-
-
 def hover(toggles: Toggles, picked: Picked | None, pixel: Pixel) -> None:
     """Shows the name of the item under the pointer beside it, from the next frame on.
 
@@ -267,63 +219,6 @@ KEYS: dict[str, KeyAction] = {
 }
 
 
-class Key(NamedTuple):
-    """What a key does.
-
-    Attributes:
-        action: name of the action.
-        text: for the help; empty to omit it from the help.
-        repeats: whether the action is repeated while the key is held down.
-    """
-
-    action: str
-    text: str = ""
-    repeats: bool = False
-
-
-# Keys for camera, clock and window of a live host.
-# A host has a function for each action, or other controls for it.
-HOST_KEYS: dict[str, Key] = {
-    " ": Key("pause", "pause or continue"),
-    ".": Key("step", "single step", repeats=True),
-    ",": Key("step_back", "single step back", repeats=True),
-    "-": Key("slower", "slower", repeats=True),
-    "+": Key("faster", "faster", repeats=True),
-    "backspace": Key("reset", "back to the start"),
-    "left": Key("back", "1 s back", repeats=True),
-    "right": Key("on", "1 s on", repeats=True),
-    "end": Key("end", "to the end; what is live again"),
-    "0": Key("camera_0", "0 initial view, 1 to 9 cameras"),
-    "f": Key("follow", "follow the item under the pointer"),
-    "]": Key("next_joint", "select the next joint, [ the previous", repeats=True),
-    "t": Key("status_line", "status line on or off"),
-    "tab": Key("panel", "panel with switches and sizes on or off"),
-    "f11": Key("full_screen", "full screen"),
-    "h": Key("help", "this help"),
-}
-# Actions that a browser provides itself.
-OF_BROWSER = ("tab", "f11")
-# Alternative keys, which the help does not list.
-MORE_KEYS: dict[str, Key] = {
-    "?": Key("help"),
-    "f1": Key("help"),
-    "=": Key("faster", repeats=True),
-    "_": Key("slower", repeats=True),
-    "[": Key("last_joint", repeats=True),
-    "home": Key("reset"),
-    **{str(number): Key(f"camera_{number}") for number in range(1, 10)},
-}
-# Effect of the mouse on the camera of a live host.
-HOST_MOUSE: dict[str, str] = {
-    "drag": "rotates the view",
-    "drag of a handle": "moves or turns the target of a robot",
-    "right drag": "pans, also with Shift",
-    "Ctrl+drag": "pulls a simulated link, moves others and targets",
-    "wheel": "zooms; how strongly it pulls",
-    "right double click": "centres the view there",
-}
-
-
 def press_toggle(key: str, world: WorldView, data: mujoco.MjData, toggles: Toggles) -> str:
     """Performs the action of a key of `KEYS`.
 
@@ -360,59 +255,3 @@ def _arrows_text(world: WorldView, data: mujoco.MjData, toggles: Toggles) -> str
         return f"{text} (they are off: a)"
     values, _ = arrow_values(world, data, joint_values(world, data), quantity)
     return text if np.isfinite(values[toggles.arrows]).any() else f"{text} (no data)"
-
-
-Row = tuple[str, str]
-
-_KEY_NAMES = {
-    " ": "space",
-    "0": "0 - 9",
-    "]": "[ ]",
-    "left": "left arrow",
-    "ctrl+z": "Ctrl+Z",
-    "ctrl+c": "Ctrl+C",
-    "right": "right arrow",
-    **{f"f{number}": f"F{number}" for number in range(1, 13)},
-}
-_IN_HELP: tuple[Gesture, ...] = ("click", "double")
-_KINDS = {
-    "link": "link",
-    "arrow": "round arrow",
-    "billboard": "billboard",
-    "axes": "axes",
-    "name": "name",
-    "vector": "smart arrow",
-    "card": "card",
-    "limb": "card of a limb",
-    "object": "object",
-}
-
-
-def help_columns(of_tools: Mapping[str, Key], *, on_page: bool = False) -> list[list[Row]]:
-    """Returns columns of rows of input and effect; headings have no effect.
-
-    Args:
-        of_tools: see `tool.tool_keys`.
-        on_page: whether to omit actions that a browser provides itself.
-    """
-    of_host = {**HOST_KEYS, **{key: entry for key, entry in of_tools.items() if entry.text}}
-    if on_page:
-        of_host = {key: action for key, action in of_host.items() if key not in OF_BROWSER}
-        of_host |= {"t": Key("panel", "panel on or off")}
-    view: list[Row] = [("View", "")]
-    view += [(how, words) for how, words in HOST_MOUSE.items()]
-    view += [("", ""), ("Page and time" if on_page else "Window and time", "")]
-    view += [(_KEY_NAMES.get(key, key), entry.text) for key, entry in of_host.items()]
-    view += [] if on_page else [("Ctrl+Q", "close")]
-    shown: list[Row] = [("What is shown", "")]
-    shown += [(key, words) for key, (words, _) in KEYS.items()]
-    shown += [("", ""), ("Clicks", "")]
-    for kind, name in _KINDS.items():
-        for gesture in _IN_HELP:
-            if (gesture, kind) in CLICKS:
-                shown.append((f"{gesture} {name}", CLICKS[gesture, kind][0]))
-    shown += [
-        ("double click background", "what the scene declares"),
-        ("Shift+click", "the same for the whole robot, or all smart arrows"),
-    ]
-    return [view, shown]

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from ...base.errors import UsageError
-from ..camera import copy_camera
-from .kept_views import find_view, keep_view
+from ..image.camera import copy_camera
+from ..session.kept_views import find_view, keep_view
+from ..session.view_state import ViewState, apply_state
 from .live import LiveHost
-from .view_state import ViewState, apply_state
 
 
 def keep(host: LiveHost) -> None:

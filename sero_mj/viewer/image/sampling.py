@@ -10,8 +10,8 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from ..base.frames import Array
-from ..data.drive.mirror import LiveWorld, Mirror
+from ...base.frames import Array
+from ...data.drive.mirror import LiveWorld, Mirror
 
 _POSES = 64  # by which a camera is placed
 _LONGEST = 120.0  # s of a recording that is read before it is shown

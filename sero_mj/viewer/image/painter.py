@@ -12,11 +12,11 @@ import mujoco
 from ...robots.assemble.world_view import WorldView
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
-from ..session.interaction import Gesture
-from ..session.picking import TOUCH_TOLERANCE, Picked, Pixel
-from ..session.scene_decor import SceneDecor
+from .clicks import Gesture
 from .film import Pixels
+from .picking import TOUCH_TOLERANCE, Picked, Pixel
 from .picture_options import Click
+from .scene_decor import SceneDecor
 
 log = logging.getLogger(__name__)
 

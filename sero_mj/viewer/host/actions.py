@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from ...base.errors import SeroError
-from .interaction import HOST_KEYS, KEYS, MORE_KEYS, Key
-from .tool import Action, Tool, Tools
+from ..image.clicks import KEYS
+from ..session.keys import HOST_KEYS, MORE_KEYS, Key
+from ..session.tool import Action, Tool, Tools
 
 log = logging.getLogger(__name__)
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 from ...base.frames import Array
-from ..session.status_line import Mood
+from .status_line import Mood
 
 Rgb = tuple[float, float, float]
 

@@ -17,7 +17,7 @@ from ..decor.picture_view import PictureView
 from ..decor.round_arrows import ARROW_GEOMS
 from ..decor.scene_writer import SceneWriter
 from ..decor.toggles import Toggles
-from .interaction import Gesture, click, hover
+from .clicks import Gesture, click, hover
 from .picking import Picked, Pixel, handle_at, link_at, pick, point_at
 
 log = logging.getLogger(__name__)

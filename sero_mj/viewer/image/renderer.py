@@ -16,7 +16,7 @@ import mujoco
 from ...base.errors import Problem, RenderError
 from ...base.plugins import RENDERERS, load_all
 from ...robots.assemble.world_view import WorldView
-from ..added_surroundings import AddedSurroundings
+from .added_surroundings import AddedSurroundings
 from .film import Pixels
 from .picture_options import Quality
 

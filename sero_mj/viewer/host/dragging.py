@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from .input import Moved
-from .picking import Pixel
-from .tool import Grab, Tool, Tools
+from ..image.picking import Pixel
+from ..session.input import Moved
+from ..session.tool import Grab, Tool, Tools
 
 
 class Dragging:

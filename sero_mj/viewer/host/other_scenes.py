@@ -10,7 +10,7 @@ from ...base.errors import SeroError
 from ...base.trust import Request, allow
 from ...data.drive.mirror import Mirror
 from ..panels.request_panel import build_request
-from ..panels.widgets import Widgets
+from ..session.widgets import Widgets
 
 log = logging.getLogger(__name__)
 

@@ -8,13 +8,13 @@ from collections.abc import Iterable, Sequence
 import mujoco
 import numpy as np
 
-from ..base.errors import DeclarationError
-from ..base.frames import Array, Bools
-from ..data.drive.place import Placer
-from ..robots.assemble.parts import robots_of_bodies
-from ..robots.assemble.solids import geom_boxes, geom_corners
-from ..robots.assemble.world_view import WorldView
-from ..robots.declared.double import OUT_OF_SIGHT
+from ...base.errors import DeclarationError
+from ...base.frames import Array, Bools
+from ...data.drive.place import Placer
+from ...robots.assemble.parts import robots_of_bodies
+from ...robots.assemble.solids import geom_boxes, geom_corners
+from ...robots.assemble.world_view import WorldView
+from ...robots.declared.double import OUT_OF_SIGHT
 
 MARGIN = 1.12  # margin around the robots
 _WIDEST = 4 / 3  # width over height, at and above which no camera stands back for a sphere

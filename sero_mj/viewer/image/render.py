@@ -24,26 +24,27 @@ from ...data.drive.mirror import Mirror
 from ...robots.assemble.solids import geom_corners
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
-from ..added_surroundings import added_surroundings
-from ..camera import find_camera, followed
 from ..decor.font import line_height
 from ..decor.picture_view import PictureView
-from ..following import Follower
-from ..framing import Framing, bounding_sphere, declared_data, stand_back
-from ..mujoco_private import context_of
-from ..session.held_torques import HeldTorques
-from ..session.picking import Pixel
-from ..session.scene_decor import SceneDecor
-from ..session.view_state import apply_switches
-from ..stereo import anaglyph, check_stereo, each_eye, looked_at
-from ..typesetting import Typesetter, compose
+from .added_surroundings import added_surroundings
 from .backend import adopt_backend, backend_problem
+from .camera import find_camera, followed
 from .film import FilmWriter, Picture, Pixels, check_writable, default_fps, save_picture
 from .film_frames import film_frames
+from .following import Follower
+from .framing import (
+    Framing,
+    bounding_sphere,
+    declared_data,
+    stand_back,
+)
+from .held_torques import HeldTorques
 from .motion_blur import SUBFRAMES, Exposure
+from .mujoco_private import context_of
 from .painter import Painter, perform_clicks
 from .pass_files import check_pass_file, save_depth, save_segmentation
 from .passes import PassRenderer
+from .picking import Pixel
 from .picture_options import (
     DEFAULT_SIZE,
     EYE_DISTANCE,
@@ -54,7 +55,16 @@ from .picture_options import (
     Stereo,
 )
 from .renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
+from .scene_decor import SceneDecor
+from .stereo import (
+    anaglyph,
+    check_stereo,
+    each_eye,
+    looked_at,
+)
+from .switches import apply_switches
 from .textures import upload_textures, without_textures
+from .typesetting import Typesetter, compose
 
 log = logging.getLogger(__name__)
 

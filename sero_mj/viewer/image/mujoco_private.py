@@ -9,7 +9,7 @@ from typing import Any
 
 import mujoco
 
-from ..base.errors import RenderError
+from ...base.errors import RenderError
 
 _EXPECTED = "4.0"
 

@@ -15,7 +15,7 @@ from ...base.frames import Array, Ints
 from ...robots.assemble.world_view import WorldView
 from ..decor.geom_buffer import GeomBuffer
 from ..decor.scene_writer import SceneWriter
-from ..session.picking import picked_drawn, picked_geom
+from .picking import picked_drawn, picked_geom
 
 BACKGROUND, FLOOR = "background", "floor"
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)

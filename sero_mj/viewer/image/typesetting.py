@@ -15,9 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from .decor.font import FONTS, Font, drawable, font_with, open_face
-from .decor.panels import BAR_RGBA, PADDING, Panels
-from .decor.value_columns import Value, value_columns
+from ..decor.font import (
+    FONTS,
+    Font,
+    drawable,
+    font_with,
+    open_face,
+)
+from ..decor.panels import BAR_RGBA, PADDING, Panels
+from ..decor.value_columns import Value, value_columns
 
 Bytes = NDArray[np.uint8]
 Rgb = tuple[float, float, float]

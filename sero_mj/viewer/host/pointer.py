@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 
 from ...base.frames import Array
+from ...robots.assemble.world_view import WorldView
+from ..decor.toggles import Toggles
+from ..image.clicks import CLICKS, Gesture, click
+from ..image.picking import Picked, Pixel
+from ..session.input import DOUBLE_CLICK_DISTANCE, DOUBLE_CLICK_TIME, Clicked
+from ..session.tool import Shown
 from .dragging import Dragging
-from .input import Clicked
-from .interaction import ClickDetector
-from .picking import Picked, Pixel
-from .tool import Shown
 
 OnClick = Callable[[Picked | None, str], None]
 
@@ -27,6 +30,52 @@ class Pointed(Shown, Protocol):
 
     def centre(self, point: Array) -> None:
         """Makes a point (3,), m, the camera's look-at point."""
+
+
+@dataclass
+class ClickDetector:
+    """Distinguishes double clicks from clicks, and reverts the first click of a double click.
+
+    Attributes:
+        world: the compiled scene.
+        toggles: changed in place.
+    """
+
+    world: WorldView
+    toggles: Toggles
+    _before: dict[str, Any] = field(default_factory=dict)
+    _first: Picked | None = None
+    _where: Pixel = (0.0, 0.0)
+    _when: float = float("-inf")
+
+    def press(
+        self, picked: Picked | None, pixel: Pixel, time: float, *, shift: bool = False
+    ) -> Gesture:
+        """Handles a press of the button and performs its action.
+
+        Args:
+            picked: the item at the pixel.
+            pixel: of the press, x and y.
+            time: of the press, s on any clock.
+            shift: whether a modifier was held.
+
+        Returns:
+            the recognized gesture.
+        """
+        apart = max(abs(a - b) for a, b in zip(pixel, self._where, strict=True))
+        second = time - self._when <= DOUBLE_CLICK_TIME and apart <= DOUBLE_CLICK_DISTANCE
+        if second and not shift:
+            kind = "" if self._first is None else self._first.kind
+            if not kind or ("double", kind) in CLICKS:
+                self.toggles.restore(self._before)
+                self._when = float("-inf")
+                click(self.world, self.toggles, self._first, "double")
+                return "double"
+        self._before, self._first = self.toggles.snapshot(), picked
+        self._where, self._when = pixel, float("-inf") if shift else time
+        gesture: Gesture = "shift" if shift else "click"
+        click(self.world, self.toggles, picked, gesture)
+        return gesture
 
 
 class Pointer:

@@ -13,11 +13,11 @@ from ...base.frames import Array
 from ...data.drive.mirror import Mirror, restore
 from ...robots.assemble.world import World
 from ...robots.assemble.world_view import WorldView
-from ..camera_motion import CameraMotion, orbit, read_camera_path
-from ..sampling import known_poses, sampled_states
+from .camera_motion import CameraMotion, orbit, read_camera_path
 from .film import Pixels
 from .motion_blur import SHUTTER, SUBFRAMES
 from .picture_options import FilmOptions
+from .sampling import known_poses, sampled_states
 
 _TURNS = 24  # of a turntable, by which the camera is placed
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)

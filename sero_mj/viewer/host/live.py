@@ -17,22 +17,27 @@ from ...base.errors import SeroError
 from ...base.frames import Array
 from ...base.paths import without_temporary
 from ...data.drive.mirror import LiveWorld
+from ..decor.quantities import joint_name
 from ..decor.toggles import Toggles
-from ..headless.film import Pixels
+from ..image.clicks import KEYS, press_toggle
+from ..image.film import Pixels
+from ..image.scene_decor import SceneDecor
 from ..panels.message import Message
 from ..panels.robot_panel import RobotPanel
 from ..panels.status_line import SourcesPanel
-from ..panels.widgets import Widgets
+from ..session.clock import Clock, Tick
+from ..session.status_line import Piece
+from ..session.tool import (
+    Action,
+    DrawnTool,
+    Tool,
+    Tools,
+)
+from ..session.view_state import ViewState, view_state_of
+from ..session.widgets import Widgets
 from .actions import Actions
-from .clock import Clock, Tick
-from .interaction import KEYS, press_toggle
 from .other_scenes import OtherScenes
 from .pointer import Pointer
-from .scene_decor import SceneDecor
-from .status_line import Piece
-from .tool import Action, DrawnTool, Tool, Tools
-from .torque_history import joint_name
-from .view_state import ViewState, view_state_of
 
 log = logging.getLogger(__name__)
 
