@@ -33,7 +33,7 @@ from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from .errors import PluginError, Problem, UnknownName, shown
+from .errors import PluginError, UnknownName, mismatch, shown
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint, EntryPoints
@@ -113,9 +113,7 @@ def load_plugin(group: str, name: str, base: type | None = None) -> Any:
             expected = f'{found.__name__} has no field kind: Literal["{name}"] = "{name}"'
             raise TypeError(expected)
         if kind is not None and kind.default != name:
-            raise Problem(
-                "", "found kind =", found=kind.default, expected="the entry point's name"
-            ).error()
+            raise mismatch(kind.default, "the entry point's name", "found kind =")
         return found
     except Exception as error:  # whatever another package raises when it is imported
         raise PluginError(group, known[name], error) from error
