@@ -24,7 +24,7 @@ from sero_mj.base.errors import DeclarationError, NotTrusted, UnknownName
 from sero_mj.robots.importers.urdf import read_urdf
 from sero_mj.simulate.external_control.datagrams import UdpProgram
 from sero_mj.simulate.simulation import Simulation
-from sero_mj.viewer.session.other_scenes import OtherScenes
+from sero_mj.viewer.host.other_scenes import OtherScenes
 from sero_mj.viewer.web import browsers
 from sero_mj.viewer.web.host import WebHost
 
@@ -384,7 +384,7 @@ _GUARDED: dict[str, str] = {
     "simulate/external_control/library_host.py": "started by library.py",
     "simulate/mujoco_timers.py": "MuJoCo's own library",
     "extensions/sweeps/scenario_inputs.py": "reads, with our interpreter, what the user simulates",
-    "viewer/headless/backend.py": "our own probes",
+    "viewer/image/backend.py": "our own probes",
     "extensions/filament/probe.py": "our own probes",
     "viewer/program/process.py": "our own viewer",
     "viewer/program/process_main.py": "messages of the process that has started it",

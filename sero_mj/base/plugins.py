@@ -12,7 +12,7 @@
     sero_mj.decor           visual features, see `viewer.decor.feature.Feature`
     sero_mj.tools           what pointer, keys and panel do, see `viewer.session.tool.Tool`
     sero_mj.commands        commands of `sero-mj`, see `cli`
-    sero_mj.renderers       what draws pictures, see `viewer.headless.renderer.Renderer`
+    sero_mj.renderers       what draws pictures, see `viewer.image.renderer.Renderer`
     sero_mj.senders         what `sero-mj send` does for a kind of source with its own protocol
     sero_mj.known_packets   what `structure --sniff` knows by size, see `data.receive.sniffer`
     sero_mj.explainers      what explains differences of torques, see `study.explainer`
@@ -36,7 +36,7 @@ from contextlib import suppress
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from .errors import PluginError, Problem, UnknownName, shown
+from .errors import PluginError, UnknownName, mismatch, shown
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint, EntryPoints
@@ -117,9 +117,7 @@ def load_plugin(group: str, name: str, base: type | None = None) -> Any:
             expected = f'{found.__name__} has no field kind: Literal["{name}"] = "{name}"'
             raise TypeError(expected)
         if kind is not None and kind.default != name:
-            raise Problem(
-                "", "found kind =", found=kind.default, expected="the entry point's name"
-            ).error()
+            raise mismatch(kind.default, "the entry point's name", "found kind =")
         return found
     except Exception as error:  # whatever another package raises when it is imported
         raise PluginError(group, known[name], error) from error

@@ -22,7 +22,7 @@ examples:
   sero-mj view ros2://                     the robot that is described there
   sero-mj view 'ros2://192.168.0.3:42?robot=fr3'   on one machine, in domain 42
 
-See also: docs/ros.md
+See also: docs/extensions/ros.md
 """
 
 
