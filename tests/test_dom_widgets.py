@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sero_mj.viewer.panels.dom_widgets import DomWidgets
-from sero_mj.viewer.panels.widgets import Line, Plot, Widgets
+from sero_mj.viewer.session.widgets import Line, Plot, Widgets
 
 SIZE = (20.0, 10.0)
 

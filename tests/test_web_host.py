@@ -29,9 +29,9 @@ from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver, World
 from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
 from sero_mj.viewer.decor.geom_buffer import Kind
+from sero_mj.viewer.host.restoring import keep, restore
+from sero_mj.viewer.image.scene_decor import SceneDecor
 from sero_mj.viewer.player.capture import shown_bodies
-from sero_mj.viewer.session.restoring import keep, restore
-from sero_mj.viewer.session.scene_decor import SceneDecor
 from sero_mj.viewer.web import browsers
 from sero_mj.viewer.web.host import WebHost
 from sero_mj.viewer.web.messages import (

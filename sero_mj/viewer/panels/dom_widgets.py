@@ -14,7 +14,7 @@ import numpy as np
 
 from ...base.frames import Array
 from ..session.status_line import Mood
-from .widgets import Plot
+from ..session.widgets import Plot
 
 Node = dict[str, Any]
 

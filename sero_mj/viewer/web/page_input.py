@@ -9,10 +9,10 @@ from typing import Any
 
 from ...base.errors import UsageError
 from ..decor.geom_buffer import Kind
+from ..host.live import LiveHost
+from ..host.restoring import show_state
+from ..image.picking import Picked, Pixel, picked_of
 from ..session.input import Clicked, Event, Mouse, Moved
-from ..session.live import LiveHost
-from ..session.picking import Picked, Pixel, picked_of
-from ..session.restoring import show_state
 from ..session.view_state import ViewState
 from .messages import (
     Camera,
