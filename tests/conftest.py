@@ -8,7 +8,7 @@ the first and the last of each.
 
 from __future__ import annotations
 
-from sero_mj.viewer.headless.backend import choose_backend
+from sero_mj.viewer.image.backend import choose_backend
 
 choose_backend()
 
