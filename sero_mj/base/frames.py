@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from types import EllipsisType
 from typing import Any
 
 import numpy as np
@@ -18,8 +17,6 @@ from .errors import Problem
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
-# Of a first axis of equal things; that of the only one is ..., which leaves arrays as they are.
-RowIndex = int | EllipsisType
 
 _NICE = (1.0, 2.0, 5.0)
 _MANY = 500  # frames, from which on `compose` is faster than `@`

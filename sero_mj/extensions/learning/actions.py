@@ -12,7 +12,7 @@ from ...base.errors import Problem, SimulationError
 from ...base.frames import Array
 from ...robots.declared.joint_speeds import joint_speeds
 from ...robots.declared.robot import SerialRobot
-from ...simulate.control.controller import Sensed, Target
+from ...simulate.control.controller import Controller, Sensed, Target
 from ...simulate.control.joint_control import JointImpedance, Torque
 from ...simulate.control.make_controller import make_controller
 from ...simulate.control.robot_model import RobotModel
@@ -182,7 +182,7 @@ class ImpedanceAction(Action):
         }
 
 
-class AgentController:
+class AgentController(Controller):
     """The controller that carries out an agent's actions.
 
     Args:
