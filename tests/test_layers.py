@@ -25,7 +25,6 @@ ORDER = (
     "robots.assemble",
     "robots.external",
     "data.receive",
-    "data.ros",
     "data.record",
     "data.drive",
     "data.send",

@@ -354,6 +354,7 @@ def test_a_module_that_a_file_names_is_imported_only_if_its_package_lists_it():
     assert refused.value.name == "tool"
 
 
+@pytest.mark.extensions
 def test_the_type_names_of_a_bag_are_no_code(tmp_path, capsys):
     """rosbags makes classes of them, by `exec`."""
     pytest.importorskip("rosbags")
@@ -480,6 +481,11 @@ def test_a_scenario_asks_before_it_sends_to_the_network(tmp_path):
     request = load_scene(file).withheld
     assert request is not None
     assert "192.0.2.7:30200" in request.actions[0].text
+
+
+@pytest.mark.extensions
+def test_a_scenario_asks_before_a_node_of_ros_joins_the_network(tmp_path):
+    file = tmp_path / "far.toml"
     file.write_text(SCENARIO.format(controller='kind = "ros2"\ndomain = 7'))
     request = load_scene(file).withheld
     assert request is not None

@@ -4,6 +4,9 @@
     sero_mj.meshes          files of meshes, see `robots.importers.mesh_files.mesh_endings`
     sero_mj.robots          places where robots have names, see `robots.importers.robot_places`
     sero_mj.sources         kinds of sources in scenes, see `data.receive.source.Source`
+    sero_mj.recordings      formats of recordings, see `data.record.formats`
+    sero_mj.networks        schemes of addresses, such as `ros2` of `ros2://`: functions that write
+                            a scene of the robot at an address and return its file
     sero_mj.controllers     kinds of controllers, see `simulate.control.controller`
     sero_mj.target_motions  kinds of targets, see `simulate.control.target_motions`
     sero_mj.decor           visual features, see `viewer.decor.feature.Feature`
@@ -45,6 +48,7 @@ CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
 DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
 NAMES, WHEN_IMPORTED = "sero_mj.names", "sero_mj.when_imported"
 MESHES = "sero_mj.meshes"
+RECORDINGS, NETWORKS = "sero_mj.recordings", "sero_mj.networks"
 EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
 SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"
 LISTED, RENDERERS, ENGINES = "sero_mj.listed", "sero_mj.renderers", "sero_mj.engines"

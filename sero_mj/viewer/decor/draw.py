@@ -110,7 +110,7 @@ class Decor:
 
 
 def _opacity(world: WorldView, data: mujoco.MjData) -> Array | None:
-    """Returns the opacity factor of every geom (ngeom,): doubles fade in as they leave the robot."""
+    """Returns a factor for every geom (ngeom,): doubles fade in as they leave the robot."""
     compiled = [part for part in world.doubles.values() if part.is_compiled]
     if not compiled:
         return None

@@ -257,7 +257,7 @@ def draw_leaders(
     ends: Array,
     rgba: tuple[float, ...],
 ) -> None:
-    """Draws leaders as thin triangles in the picture plane; the first part of a bent one is a line."""
+    """Draws leaders as thin triangles; the first part of a bent leader is a line."""
     base = max(_LEADER_BASE * view.font.height, 3.0)
     is_bent = (bends != starts).any(axis=1)
     _draw_tips(buffer, view, starts[~is_bent], ends[~is_bent], base, rgba)

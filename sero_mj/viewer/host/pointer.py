@@ -96,29 +96,25 @@ class Pointer:
         is_frame = picked is not None and picked.name in host.world.frames.names
         return host.follow(picked.name if picked and is_frame else None)
 
-    def click(self, clicked: Clicked) -> None:
-        """Performs the action of a click on a pixel of the picture."""
+    def click(self, clicked: Clicked, picked: Picked | None = None) -> None:
+        """Performs the action of a click.
+
+        Args:
+            clicked: pixel, time and modifiers of the click.
+            picked: the item there, if the caller knows it; found in the picture if None.
+        """
         at = (clicked.x, clicked.y)
         if clicked.centre:
             self._centre(at)
             return
-        picked = self._host.decor.pick(self._host.data, at)
-        self.click_item(picked, at, clicked.time, shift=clicked.shift)
-
-    def click_item(
-        self, picked: Picked | None, at: Pixel, when: float, *, shift: bool = False
-    ) -> None:
-        """Performs the action of a click on an item.
-
-        Args:
-            when: time of the press, s.
-        """
+        if picked is None:
+            picked = self._host.decor.pick(self._host.data, at)
         host = self._host
         taken = host.tools.first(lambda tool: tool.click(picked, at))
         if taken is not None:
             host.say(taken[1])
             return
-        gesture = self._clicks.press(picked, at, when, shift=shift)
+        gesture = self._clicks.press(picked, at, clicked.time, shift=clicked.shift)
         if picked is not None and picked.kind in _OF_JOINTS and picked.index >= 0:
             host.select(picked.index)
         elif picked is None:

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, Field
 
-from ..receive import connecting
-from ..receive.connecting import Address
-from ..receive.receiving_thread import ClosedHere, Disconnected
+from ...data.receive import connecting
+from ...data.receive.connecting import Address
+from ...data.receive.receiving_thread import ClosedHere, Disconnected
 from .ros_source import MOST_KEPT, TYPES, Listener, RosSource, ros_type, wrong_with
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from mcap.records import ChunkIndex, Footer, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 from ...base.paths import open_file
-from ._mcap_reader import (
+from ...data.record.mcap_reader import (
     BROKEN,
     RECORD_HEAD,
     fault_of_end,

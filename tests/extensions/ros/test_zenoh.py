@@ -25,8 +25,8 @@ from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.source import make_source
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.replay import Replay
-from sero_mj.data.ros import zenoh
-from sero_mj.data.ros.zenoh import Zenoh
+from sero_mj.extensions.ros import zenoh
+from sero_mj.extensions.ros.zenoh import Zenoh
 from sero_mj.load import load_scene
 
 TOPIC = "/joint_states"
@@ -303,7 +303,7 @@ def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_nothing_is_imported_until_it_is_needed() -> None:
-    code = "import sys, sero_mj.data.ros.zenoh; print(*sorted(sys.modules))"
+    code = "import sys, sero_mj.extensions.ros.zenoh; print(*sorted(sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
     )

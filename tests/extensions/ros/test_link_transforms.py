@@ -16,8 +16,8 @@ from sero_mj import Mirror, load_scene
 from sero_mj.base.frames import Array, frame, inverse, rotation_about, rotation_from_rpy
 from sero_mj.cli.arguments import replay_instead
 from sero_mj.data.drive.wiring import wired_source
-from sero_mj.data.ros.joined_packets import FRAMES, JOINT_STATES, ODOMETRY, POSE
-from sero_mj.data.ros.ros_source import Listener, RosSource
+from sero_mj.extensions.ros.joined_packets import FRAMES, JOINT_STATES, ODOMETRY, POSE
+from sero_mj.extensions.ros.ros_source import Listener, RosSource
 
 ARM = GRIPPER.replace("turn.table", "turn").replace("finger a", "finger-a")
 STEP = 10**7  # ns between messages

@@ -22,15 +22,15 @@ from ros_tools import Peer, free_domain, publishing, rclpy_environment, read_joi
 from test_cli import run
 
 from sero_mj.base.errors import SourceError
-from sero_mj.data.drive.described_scene import scene_of_network
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.record_sources import record_sources
 from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.source import LedJoint, make_source
 from sero_mj.data.record.replay import Replay
-from sero_mj.data.ros import dds
-from sero_mj.data.ros.dds import Ros2
-from sero_mj.data.ros.network import Address
+from sero_mj.extensions.ros import dds
+from sero_mj.extensions.ros.dds import Ros2
+from sero_mj.extensions.ros.described_scene import scene_of_network
+from sero_mj.extensions.ros.network import Address
 from sero_mj.load import load_scene
 from sero_mj.viewer.session.status_line import source_text
 

@@ -15,8 +15,8 @@ from ros_tools import free_domain
 from scipy.interpolate import BPoly
 
 from sero_mj.base.errors import DeclarationError, SimulationError
-from sero_mj.data.ros.messages import MalformedMessage
-from sero_mj.simulate.external_control.joint_trajectory import JointTrajectory
+from sero_mj.extensions.ros.joint_trajectory import JointTrajectory
+from sero_mj.extensions.ros.messages import MalformedMessage
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
 

@@ -10,9 +10,9 @@ from pydantic import PrivateAttr
 
 from ...base.errors import Problem, SourceError
 from ...base.frames import Array, Ints
-from ..receive.intake import pad_packets
-from ..receive.structure import Rows
-from ..receive.udp import UdpReceiver
+from ...data.receive.intake import pad_packets
+from ...data.receive.structure import Rows
+from ...data.receive.udp import UdpReceiver
 from .dds import Ros2
 from .joined_packets import JOINT_STATES, JoinedPackets
 from .json_messages import joint_state_of, message_of
@@ -63,7 +63,7 @@ class JsonUdp(UdpReceiver, RosSource):
         super().open()
 
     @property
-    def as_topics(self) -> RosSource:
+    def of_messages(self) -> RosSource:
         """What reads the same joints from a recording of ROS."""
         fields = RosSource.model_fields.keys() & type(self).model_fields.keys()
         source = Ros2(**{key: getattr(self, key) for key in fields & self.model_fields_set})

@@ -1,41 +1,40 @@
 """`Bag`: a recording of ROS as if it were one of ours; rosbag2 (MCAP, SQLite) and ROS 1 bags.
 
 The messages of several topics become the packets of one source, as when they are received.
-`open_recording` opens recordings of either kind.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import os
-from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
 
-from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC
 
 from ...base.errors import Problem, RecordingError, UnknownName
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
+from ...data.receive.source import LedJoint, Source
+from ...data.record.formats import mcap_header, open_recording
+from ...data.record.mcap_reader import NOT_CLOSED
+from ...data.record.recording import PacketFile, RecordedSource
+from ...robots.declared.scene import Scene
 from ...robots.importers.imported_tables import first_of
-from ..receive.source import LedJoint
-from ..ros.dds import Ros2
-from ..ros.joined_packets import FRAMES, TF, JoinedPackets
-from ..ros.messages import JOINT_STATE, ODOMETRY, TEXT, MalformedMessage, type_store
-from ..ros.ros_source import MOST_KEPT, TYPES, RosSource, is_tf
-from ._json_mcap import JsonMcap, has_json
-from ._mcap_reader import BROKEN, NOT_CLOSED
-from ._mended_mcap import MendedMcap
-from ._mended_sqlite import log_of, with_log
-from .recording import PacketFile, RecordedSource, Recording
-from .recording_format import LIBRARY
+from .bag_scenes import led_by
+from .dds import Ros2
+from .described_scene import DESCRIPTION, described_scene, scenes_of_bag, shipped_robots_of
+from .joined_packets import FRAMES, TF, JoinedPackets
+from .json_mcap import JsonMcap, has_json
+from .mended_mcap import MendedMcap
+from .mended_sqlite import log_of, with_log
+from .messages import JOINT_STATE, ODOMETRY, TEXT, MalformedMessage, type_store
+from .ros_source import MOST_KEPT, TYPES, RosSource, is_tf
 
-DESCRIPTION = "robot.urdf"  # an attachment: what the topic robot_description says
 _ENDINGS = (".bag", ".active", ".db3")  # a bag of ROS 1 is .bag.active until it is closed
 _METADATA = "metadata.yaml"  # in the folder of a rosbag2
 _FILES = ", ".join(f"NAME{ending}" for ending in BAG_ENDINGS)
@@ -44,12 +43,11 @@ _ROS1 = b"#ROSBAG V2.0"
 _BEFORE = 0.5  # s before a time in which what was true at that time is looked for
 _EVERY_DEVICE = 2.0  # s in which every device should have published
 _LONGER = 8.0  # times as long, as long as nothing is found
+_FIELDS = frozenset(RosSource.model_fields) - {"name", "structure", "only_latest_packet"}
 _NEXT = 1e-9  # s, the resolution of times
 _MANY = 10  # topics in a message
 _NAMED = 3  # joints of a topic in a message
 _FIRST_TRANSFORMS = 200  # messages, in which all publishers should have sent one
-_REMEMBERED = 16  # recordings
-_looked_into: OrderedDict[tuple[Any, ...], PacketFile] = OrderedDict()
 
 
 def is_bag(path: Path) -> bool:
@@ -57,76 +55,21 @@ def is_bag(path: Path) -> bool:
     return path.suffix.lower() in _ENDINGS or (path / _METADATA).is_file()
 
 
-def open_recording(
-    path: Path | str,
-    topics: Mapping[str, RosSource] | None = None,
+def open_bag(
+    path: Path,
+    topics: Mapping[str, Source] | None = None,
     tell: Callable[[str], None] = lambda _: None,
-) -> PacketFile:
-    """Opens a recording of ours or of ROS.
-
-    Args:
-        path: the file, or the folder of a rosbag2.
-        topics: of recordings of ROS: what to read as which source; see `Bag`.
-        tell: likewise.
-
-    Raises:
-        RecordingError: it cannot be read, or is neither.
-    """
-    path = Path(path)
+) -> PacketFile | None:
+    """Opens a recording of ROS; see `data.record.formats.open_recording`."""
+    chosen = {name: each for name, each in (topics or {}).items() if isinstance(each, RosSource)}
     if path.is_dir() and not is_bag(path):
         files = bag_files_in(path)
         if not files:
             raise RecordingError(path, _why_no_bag(path))
-        if len(files) > 1:
-            return Bag(path, topics, tell)
-        (path,) = files
-    if is_bag(path):
-        return Bag(path, topics, tell)
-    try:
-        return Recording(path)
-    except RecordingError:  # also where what tells of its messages is in a chunk, or missing
-        profile, library = _header(path)
-        if library.startswith(LIBRARY):
-            raise
-        if profile == "ros2":
-            return Bag(path, topics, tell)
-        if has_json(path):
-            return Bag(path, topics, tell, is_json=True)
-        raise
-
-
-def look_into(path: Path, topics: Mapping[str, RosSource] | None = None) -> PacketFile:
-    """A recording that is closed again: what its sources are, when it begins and ends.
-
-    It is remembered until the file changes, because opening a scene asks for it many times.
-
-    Args:
-        path: as for `open_recording`.
-        topics: likewise.
-
-    Raises:
-        RecordingError: it cannot be read.
-    """
-    named = {name: source.decoding_fields() for name, source in (topics or {}).items()}
-    key = path.absolute(), _state_of(path), json.dumps(named)
-    found = _looked_into.get(key)
-    if found is None:
-        with open_recording(path, topics) as found:
-            _looked_into[key] = found
-        while len(_looked_into) > _REMEMBERED:
-            _looked_into.popitem(last=False)
-    return found
-
-
-def _state_of(path: Path) -> tuple[tuple[str, int, int], ...]:
-    """Names, sizes and times of what a recording consists of: files of a folder, or it and logs."""
-    logs = [path.with_name(f"{path.name}{ending}") for ending in ("", "-wal", "-journal")]
-    found = []
-    for file in sorted(path.iterdir()) if path.is_dir() else logs:
-        with suppress(OSError):
-            about = file.stat()
-            found.append((file.name, about.st_size, about.st_mtime_ns))
-    return tuple(found)
+        return Bag(path, chosen, tell) if len(files) > 1 else open_recording(files[0], topics, tell)
+    if is_bag(path) or mcap_header(path)[0] == "ros2":
+        return Bag(path, chosen, tell)
+    return Bag(path, chosen, tell, is_json=True) if has_json(path) else None
 
 
 def _why_no_bag(folder: Path) -> str:
@@ -139,14 +82,6 @@ def _why_no_bag(folder: Path) -> str:
         f"is a folder without {_METADATA}, and its files do not belong together; open one of them, "
         f"{names}"
     )
-
-
-def _header(path: Path) -> tuple[str, str]:
-    """Returns the profile of an MCAP file, and what wrote it; empty where it cannot be read."""
-    with suppress(OSError, *BROKEN), open_file(path) as file:
-        header = make_reader(file).get_header()
-        return header.profile, header.library
-    return "", ""
 
 
 def _reader_of_ros(path: Path) -> Any:
@@ -216,6 +151,7 @@ class Bag(PacketFile):
         nameless: topics whose messages name no joints. They are sources only if `topics` has them.
     """
 
+    names_joints: ClassVar[bool] = True
     _why_unreadable: ClassVar[str] = "no message has the joints that are wanted"
 
     def __init__(
@@ -226,7 +162,7 @@ class Bag(PacketFile):
         *,
         is_json: bool = False,
     ) -> None:
-        self.path, self._tell = path, tell
+        self.path, self._tell, self._is_json = path, tell, is_json
         self.about, self.lost, self.faults = {}, {}, []
         self.nameless: list[str] = []
         self._left_out: set[str] = set()  # reasons in `faults`
@@ -462,6 +398,42 @@ class Bag(PacketFile):
                     child, parent = (name.rpartition("/")[2] for name in names)
                     found[child] = parent, topic == "/tf"
         return found
+
+    def message_source(self, fields: Mapping[str, Any]) -> Ros2:
+        """Returns the receiver of topics with these fields."""
+        return Ros2(**fields)
+
+    def replay_table(self, name: str, source: Source | None) -> dict[str, Any]:
+        """Returns the table of a source that plays one of its sources, with its topics."""
+        table = super().replay_table(name, source)
+        if isinstance(source, RosSource):
+            fields = source.model_dump(include=_FIELDS, exclude_unset=True)
+            table["topics"] = {"joint_states": source.joint_states, **fields}
+        return table
+
+    def lead(self, scene: Scene, source: str | None = None) -> Scene:
+        """Returns a scene with its only robot led by this recording; see `PacketFile.lead`."""
+        return led_by(scene, self, self.nameless, self._read_parent_frames, source)
+
+    def _read_parent_frames(self) -> dict[str, tuple[str, bool]]:
+        with Bag(self.path, is_json=self._is_json) as opened:  # this one may be closed
+            return opened.parent_frames()
+
+    def scenes(
+        self, choose: str, source: str | None = None, wanted: Collection[str] = ()
+    ) -> Iterator[str]:
+        """Yields scenes of the robot that messages name; see `PacketFile.scenes`."""
+        return scenes_of_bag(self, choose, source, wanted)
+
+    def described_scene(self) -> Path | None:
+        """Writes a scene of the robot that the recording describes; None if it describes none."""
+        if DESCRIPTION not in self.attachments:
+            return None
+        return described_scene(self.read_attachment(DESCRIPTION).decode())
+
+    def shipped_robots(self, source: str | None = None) -> list[str]:
+        """Returns the shipped robots with the joints of it or of one of its sources."""
+        return shipped_robots_of(self, source)
 
     def close(self) -> None:
         """Closes the file; harmless when it is not open."""

@@ -15,9 +15,9 @@ from polling import until
 from sero_mj.base.errors import SourceError
 from sero_mj.cli.sending import SinkOptions, make_sink
 from sero_mj.data.receive.source import LedJoint
-from sero_mj.data.ros.json_messages import joint_state_of
-from sero_mj.data.ros.json_udp import JsonUdp
-from sero_mj.data.ros.messages import MalformedMessage
+from sero_mj.extensions.ros.json_messages import joint_state_of
+from sero_mj.extensions.ros.json_udp import JsonUdp
+from sero_mj.extensions.ros.messages import MalformedMessage
 
 NAMES = ["1", "left/j 2", "\N{CJK UNIFIED IDEOGRAPH-5173}"]
 
@@ -106,7 +106,7 @@ def test_it_has_no_topics_and_needs_joints() -> None:
         JsonUdp(port=0, commands="/commands")
     with pytest.raises(SourceError, match="joints: no route says which"):
         JsonUdp(port=0).open()
-    assert JsonUdp(port=0, joints=NAMES).as_topics.joint_names == NAMES
+    assert JsonUdp(port=0, joints=NAMES).of_messages.joint_names == NAMES
 
 
 def test_long_messages_are_refused_before_they_are_parsed() -> None:

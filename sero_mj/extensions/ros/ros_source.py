@@ -12,14 +12,14 @@ import numpy as np
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from ...base.errors import Problem, SourceError
-from ..receive.source import LedJoint, LedLinks, Source
-from ..receive.structure import TorqueSign
+from ...data.receive.source import LedJoint, LedLinks, Source
+from ...data.receive.structure import TorqueSign
+from ...data.record.csv_files import JOINT_EVENTS
 from . import messages
 from .joined_packets import (
     COMMANDS,
     FORCES,
     FRAMES,
-    JOINT_EVENTS,
     JOINT_STATES,
     ODOMETRY,
     POSE,
@@ -252,7 +252,7 @@ class RosSource(Source):
         return other
 
     @property
-    def as_topics(self) -> RosSource:
+    def of_messages(self) -> RosSource:
         """What reads the same from a recording of ROS."""
         return self
 

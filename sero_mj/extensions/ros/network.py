@@ -13,9 +13,9 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 
 from ...base import paths
 from ...base.errors import Problem, UsageError
+from ...data.record.csv_files import prefix_before
 from . import messages
 from .dds import LOCALHOST, MOST_DOMAIN, Participant, Publication, Reader, Ros2
-from .joined_packets import prefix_before
 from .messages import JOINT_STATE, TEXT, MalformedMessage
 
 SCHEME = "ros2://"

@@ -11,10 +11,11 @@ from xml.etree import ElementTree
 
 from ...base import paths
 from ...base.errors import RecordingError, UsageError, shown
-from ..record.bag import DESCRIPTION, Bag
-from ..ros.network import SCHEME, Address, Found, find_robot, robots_with
-from .bag_topics import source_routes
+from ...data.record.recording import PacketFile
+from .bag_scenes import source_routes
+from .network import SCHEME, Address, Found, find_robot, robots_with
 
+DESCRIPTION = "robot.urdf"  # an attachment: what the topic robot_description says
 _PATIENCE = 5.0  # s for a network to tell of its robot
 _SOURCE = "ros"
 _SHOWN = 40  # characters of what is no description
@@ -86,7 +87,7 @@ def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path
 
 
 def scenes_of_bag(
-    bag: Bag, choose: str, source: str | None = None, wanted: Collection[str] = ()
+    bag: PacketFile, choose: str, source: str | None = None, wanted: Collection[str] = ()
 ) -> Iterator[str]:
     """Yields scenes of the robot that a recording of ROS is of: described in it, else shipped.
 
@@ -119,7 +120,7 @@ def scenes_of_bag(
         raise UsageError(f"{bag.path}: {fits}; choose one: {choose.replace('NAME', found[0])}")
 
 
-def shipped_robots_of(bag: Bag, source: str | None = None) -> list[str]:
+def shipped_robots_of(bag: PacketFile, source: str | None = None) -> list[str]:
     """Returns the shipped robots with the joints of a recording, or of one of its sources."""
     sources = [each for name, each in bag.sources.items() if source in (None, name)]
     robots = [robot for each in sources for robot in robots_with(each.declared["joints"])]

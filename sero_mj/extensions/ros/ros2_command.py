@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from ..base.options import Option, positional
-from .arguments import command, print_json, print_table
-from .shared_options import JsonOptions
+from ...base.options import Option, positional
+from ...cli.arguments import command, print_json, print_table
+from ...cli.shared_options import JsonOptions
 
 ORDER = 29  # in the help of `sero-mj`
 
@@ -44,8 +44,8 @@ class Ros2Options(JsonOptions):
 
 def run(options: Ros2Options) -> int:
     """Lists; returns 0, or 1 if there is nothing."""
-    from ..data.ros.dds import LOCALHOST, domain_number
-    from ..data.ros.network import list_topics
+    from .dds import LOCALHOST, domain_number
+    from .network import list_topics
 
     topics = list_topics(options.host, options.domain, options.duration)
     if options.as_json:

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from ros_tools import JOINT_STATE, STORE, encoded, joint_state
 
 from sero_mj.data.receive.source import LedJoint
-from sero_mj.data.ros.dds import Ros2
-from sero_mj.data.ros.joined_packets import JOINT_STATES, JoinedPackets, prefix_before
-from sero_mj.data.ros.messages import MOST_BYTES, MalformedMessage, decode
-from sero_mj.data.ros.network import robots_with
-from sero_mj.data.ros.ros_source import Listener
+from sero_mj.extensions.ros.dds import Ros2
+from sero_mj.extensions.ros.joined_packets import JOINT_STATES, JoinedPackets, prefix_before
+from sero_mj.extensions.ros.messages import MOST_BYTES, MalformedMessage, decode
+from sero_mj.extensions.ros.network import robots_with
+from sero_mj.extensions.ros.ros_source import Listener
 
 ARM = ("shoulder", "elbow")
 JOINTS = [LedJoint("shoulder", 0.5, 50.0), LedJoint("elbow", -0.5, 20.0)]

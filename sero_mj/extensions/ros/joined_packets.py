@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import Array, frame, inverse, rotation_from_quat
-from ..receive.source import LedJoint, LedLinks
-from ..receive.structure import Structure
+from ...data.receive.source import LedJoint, LedLinks
+from ...data.receive.structure import Structure
+from ...data.record.csv_files import JOINT_EVENTS, prefix_before
 from .link_transforms import LinkTransforms
 from .messages import MalformedMessage
 
 JOINT_STATES, FORCES, COMMANDS, FRAMES = "joint states", "wrench", "commands", "transforms"
 ODOMETRY, POSE = "odometry", "pose"
 TF = "tf"  # in the place of a topic: what it would tell is solved from transforms
-JOINT_EVENTS = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 _MANY = 8  # names in a message
 _PATIENCE = 2.0  # s in which every publisher of joints should have sent a message
 _FAR_TOO_MUCH = 3.0  # times the largest torque
@@ -329,14 +329,9 @@ class JoinedPackets:
 
 
 class MessageLayout(Structure):
-    """The layout of packets that are made of messages.
-
-    Attributes:
-        fault: of the last malformed message.
-    """
+    """The layout of packets that are made of messages."""
 
     message = "message"
-    fault = ""
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
         """Describes why a message makes no packet; see `Structure.describe_wrong_size`."""
@@ -345,19 +340,6 @@ class MessageLayout(Structure):
     def never(self, message: bytes) -> bytes:
         """The bytes of a malformed message, of another length than packets have."""
         return message + b"\0" * (len(message) == self.size)
-
-
-def prefix_before(wanted: Sequence[str], names: Sequence[str]) -> str:
-    """What stands before all of the wanted names of joints, in the names of a message.
-
-    Empty where they stand there as they are, or not all of them do with one prefix.
-    """
-    known = set(names)
-    if not wanted or not known.isdisjoint(wanted):
-        return ""
-    before = [name.removesuffix(wanted[0]) for name in names if name.endswith(wanted[0])]
-    found = [text for text in before if known.issuperset(text + name for name in wanted)]
-    return found[0] if len(found) == 1 else ""
 
 
 def event_of_frame(name: str) -> str:

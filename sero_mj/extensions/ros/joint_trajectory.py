@@ -10,7 +10,7 @@ from numpy.polynomial import polynomial
 
 from ...base.errors import Problem
 from ...base.frames import Array
-from ...data.ros.messages import MalformedMessage
+from .messages import MalformedMessage
 
 _ORDERS = ("positions", "velocities", "accelerations")
 _MOST_POINTS = 100_000

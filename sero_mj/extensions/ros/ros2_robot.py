@@ -20,16 +20,16 @@ from pydantic import Field, model_validator
 from ...base.errors import DeclarationError, Problem, SourceError
 from ...base.frames import Array
 from ...data.record.joint_state_messages import JointStateMessages, JointStates
-from ...data.ros import messages
-from ...data.ros.dds import LOCALHOST, MOST_DOMAIN, Participant, domain_number
-from ...data.ros.messages import MalformedMessage
-from ...data.ros.ros_source import wrong_with
-from ..control.controller import MaybePerJoint, Sensed, Target
-from ..control.robot_model import RobotModel
-from .datagrams import Answering, Link, ProgramController
-from .exchange import Answer, modulus_of
+from ...simulate.control.controller import MaybePerJoint, Sensed, Target
+from ...simulate.control.robot_model import RobotModel
+from ...simulate.external_control.datagrams import Answering, Link, ProgramController
+from ...simulate.external_control.exchange import Answer, modulus_of
+from ...simulate.external_control.program import Program
+from . import messages
+from .dds import LOCALHOST, MOST_DOMAIN, Participant, domain_number
 from .joint_trajectory import JointTrajectory
-from .program import Program
+from .messages import MalformedMessage
+from .ros_source import wrong_with
 
 log = logging.getLogger(__name__)
 

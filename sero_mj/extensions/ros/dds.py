@@ -20,7 +20,7 @@ from xml.sax.saxutils import quoteattr
 from pydantic import AfterValidator, Field, PrivateAttr
 
 from ...base.errors import Problem, SourceError
-from ..receive.connecting import is_address
+from ...data.receive.connecting import is_address
 from . import messages
 from .ros_source import TYPES, Listener, RosSource, ros_type, wrong_with
 

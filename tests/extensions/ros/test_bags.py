@@ -28,13 +28,13 @@ from test_cli import run
 from sero_mj.base.errors import DeclarationError, RecordingError, UsageError
 from sero_mj.cli.arguments import replay_instead
 from sero_mj.cli.shared_options import is_recording
-from sero_mj.data.drive.described_scene import scenes_of_bag
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.wiring import wire
 from sero_mj.data.receive.source import LedJoint
-from sero_mj.data.record.bag import DESCRIPTION, Bag, open_recording
 from sero_mj.data.record.replay import Replay
 from sero_mj.data.record.table import read_csv
+from sero_mj.extensions.ros.bag import DESCRIPTION, Bag, open_recording
+from sero_mj.extensions.ros.described_scene import scenes_of_bag
 from sero_mj.load import load_scene
 from sero_mj.simulate.runs.run_recording import read_run, read_run_table
 

@@ -30,8 +30,8 @@ from sero_mj.data.receive.report import describe, report
 from sero_mj.data.receive.source import make_source
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.replay import Replay
-from sero_mj.data.ros import foxglove
-from sero_mj.data.ros.foxglove import SUBPROTOCOLS, Foxglove
+from sero_mj.extensions.ros import foxglove
+from sero_mj.extensions.ros.foxglove import SUBPROTOCOLS, Foxglove
 from sero_mj.load import load_scene
 
 TOPIC = "/joint_states"
@@ -494,14 +494,15 @@ def test_a_robot_is_mirrored_recorded_and_replayed(server: Server, tmp_path: Pat
 
 def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
-    foxglove_messages: Callable[[], None] = sys.modules["sero_mj.data.ros.messages"].type_store
+    messages = sys.modules["sero_mj.extensions.ros.messages"]
+    foxglove_messages: Callable[[], None] = messages.type_store
     foxglove_messages.cache_clear()  # type: ignore[attr-defined]
     with pytest.raises(SourceError, match=r"rosbags.*pip install 'sero-mj\["):
         source_of(1).open()
 
 
 def test_nothing_is_imported_until_it_is_needed() -> None:
-    code = "import sys, sero_mj.data.ros.foxglove; print(*sorted(sys.modules))"
+    code = "import sys, sero_mj.extensions.ros.foxglove; print(*sorted(sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
     )

@@ -1,79 +1,50 @@
-"""What a scene reads of a recording of ROS: the topics of its sources, or those of its robot."""
+"""Scenes whose robot a recording of ROS leads."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from copy import copy
-from pathlib import Path
 from typing import Any
 
 from ...base.errors import SeroError
+from ...data.drive.wiring import wired_source
+from ...data.record.csv_files import prefix_before
+from ...data.record.recording import PacketFile
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
-from ..record.bag import Bag, look_into, open_recording
-from ..record.replay import Replay
-from ..ros.joined_packets import TF, prefix_before
-from ..ros.ros_source import RosSource, is_tf
-from .wiring import wired_source
+from .joined_packets import TF
+from .ros_source import is_tf
 
 _NAMELESS = "joint_states"  # the source of messages that do not name joints
-_FIELDS = frozenset(RosSource.model_fields) - {"name", "structure", "only_latest_packet"}
 
 
-def topics_of(scene: Scene) -> dict[str, RosSource]:
-    """What a scene's sources read of ROS; those that are declared wrongly are left out."""
-    found: dict[str, RosSource] = {}
-    for name, declared in scene.sources.items():
-        with suppress(SeroError):
-            source = wired_source(scene, name, declared)
-            of_ros = source.of_ros if isinstance(source, Replay) else source
-            if isinstance(of_ros, RosSource):
-                found[name] = of_ros.as_topics
-    return found
+def led_by(
+    scene: Scene,
+    recording: PacketFile,
+    nameless: Sequence[str],
+    parent_frames: Callable[[], Mapping[str, tuple[str, bool]]],
+    source: str | None,
+) -> Scene:
+    """Returns a scene whose only robot is led by a recording; see `PacketFile.lead`.
 
-
-def replay_of(scene: Scene, name: str, file: Path) -> dict[str, Any]:
-    """The table of a source that plays a recording in the place of one of a scene.
-
-    Args:
-        scene: the declaration.
-        name: of the source, in both.
-        file: the recording.
-    """
-    table: dict[str, Any] = {"kind": "replay", "file": str(file), "source": name}
-    source = topics_of(scene).get(name)
-    if source is not None and isinstance(look_into(file), Bag):
-        fields = source.model_dump(include=_FIELDS, exclude_unset=True)
-        table["topics"] = {"joint_states": source.joint_states, **fields}
-    return table
-
-
-def with_bag(scene: Scene, file: Path, source: str | None = None) -> Scene:
-    """A scene without sources that has a single robot, with that robot led by a recording of ROS.
-
-    Of several sources that one leads it whose joints are the robot's. Other scenes, and those of
-    other recordings, are returned as they are, and so is one where it is not known which leads it.
+    Of several sources, the one with the robot's joints leads it.
 
     Args:
         scene: is not changed.
-        file: the recording.
-        source: of the recording, that leads the robot.
-
-    Raises:
-        RecordingError: it cannot be read.
+        recording: of ROS.
+        nameless: see `Bag`.
+        parent_frames: see `Bag.parent_frames`.
+        source: of the recording, that leads the robot; found by joint names when None.
     """
     if scene.sources or len(scene.robots) != 1:
         return scene
     name, robot = next(iter(scene.robots.items()))
-    recording = look_into(file)
-    if not isinstance(recording, Bag):
-        return scene
     joints = {each: of.declared["joints"] for each, of in recording.sources.items()}
-    table: dict[str, Any] = {"kind": "replay", "file": str(file)}
-    if not joints and source is None and len(recording.nameless) == 1:
+    table: dict[str, Any] = {"kind": "replay", "file": str(recording.path)}
+    if not joints and source is None and len(nameless) == 1:
         source, joints = _NAMELESS, {_NAMELESS: []}
-        table["topics"] = {"joint_states": recording.nameless[0]}
+        table["topics"] = {"joint_states": nameless[0]}
     if source is None:
         source = _source_of(robot, joints)
     if source not in joints:
@@ -81,7 +52,7 @@ def with_bag(scene: Scene, file: Path, source: str | None = None) -> Scene:
     led = copy(scene)
     table["source"] = source
     declared = table["topics"] if "topics" in table else recording.sources[source].declared
-    if not declared.get("odometry") and _base_moves(robot, file):
+    if not declared.get("odometry") and _base_moves(robot, parent_frames):
         declared = {key: each for key, each in declared.items() if key != "joints"}
         table["topics"] = declared = {**declared, "odometry": TF}
     led.sources = {source: table}
@@ -115,14 +86,13 @@ def _source_of(robot: SerialRobot, joints: Mapping[str, Sequence[str]]) -> str |
     return found[0] if len(found) == 1 else None
 
 
-def _base_moves(robot: SerialRobot, file: Path) -> bool:
-    """Whether the transforms of a recording of ROS move the base of a robot."""
+def _base_moves(
+    robot: SerialRobot, parent_frames: Callable[[], Mapping[str, tuple[str, bool]]]
+) -> bool:
     links = robot.link_frames
     if not links or robot.mount is not None:
         return False
-    with open_recording(file) as recording:
-        assert isinstance(recording, Bag)
-        parents = recording.parent_frames()
+    parents = parent_frames()
     for link in links:
         name, passed = link, set[str]()
         while name in parents and name not in passed:

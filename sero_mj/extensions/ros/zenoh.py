@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 from pydantic import Field
 
 from ...base.errors import SourceError
-from ..receive import receiving_thread
-from ..receive.connecting import Address, addresses
-from ..receive.receiving_thread import ClosedHere, Disconnected
+from ...data.receive import receiving_thread
+from ...data.receive.connecting import Address, addresses
+from ...data.receive.receiving_thread import ClosedHere, Disconnected
 from .dds import MOST_DOMAIN, domain_number
 from .ros_source import TYPES, Listener, RosSource, ros_type, wrong_with
 

@@ -23,9 +23,7 @@ from mcap.records import Channel
 
 from ...base.errors import RecordingError, reason_of
 from ...base.paths import open_file
-from ..ros.json_messages import joint_state_of
-from ..ros.messages import JOINT_STATE, TEXT, MalformedMessage
-from ._mcap_reader import (
+from ...data.record.mcap_reader import (
     BROKEN,
     RECORD_HEAD,
     FileIndex,
@@ -35,6 +33,8 @@ from ._mcap_reader import (
     unpack_chunk,
     unpack_messages,
 )
+from .json_messages import joint_state_of
+from .messages import JOINT_STATE, TEXT, MalformedMessage
 
 _JSON = "json"
 _LATEST_NS = 2**64
