@@ -310,7 +310,7 @@ def test_a_robot_is_mirrored_recorded_and_played_again(
         packet = played.latest()
         assert packet is not None
         assert packet.values["joint_angles"].tolist() == [1.0, 19 / 20]
-    export = ["export-csv", str(tmp_path / "run.mcap"), str(tmp_path / "run.csv")]
+    export = ["export", str(tmp_path / "run.mcap"), str(tmp_path / "run.csv")]
     assert run(capsys, *export)[0] == 0
     rows = (tmp_path / "run.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 21

@@ -10,6 +10,7 @@
     sero_mj.tools           what pointer, keys and panel do, see `viewer.session.tool.Tool`
     sero_mj.commands        commands of `sero-mj`, see `cli`
     sero_mj.renderers       what draws pictures, see `viewer.headless.renderer.Renderer`
+    sero_mj.exports         functions that write a file for `sero-mj export`, named by its ending
     sero_mj.senders         what `sero-mj send` does for a kind of source with its own protocol
     sero_mj.known_packets   what `structure --sniff` knows by size, see `data.receive.sniffer`
     sero_mj.explainers      what explains differences of torques, see `study.explainer`
@@ -44,7 +45,7 @@ IMPORTERS, ROBOTS, SOURCES = "sero_mj.importers", "sero_mj.robots", "sero_mj.sou
 CONTROLLERS, TARGET_MOTIONS = "sero_mj.controllers", "sero_mj.target_motions"
 DECOR, TOOLS, COMMANDS = "sero_mj.decor", "sero_mj.tools", "sero_mj.commands"
 NAMES, WHEN_IMPORTED = "sero_mj.names", "sero_mj.when_imported"
-MESHES = "sero_mj.meshes"
+MESHES, EXPORTS = "sero_mj.meshes", "sero_mj.exports"
 EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
 SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"
 LISTED, RENDERERS, ENGINES = "sero_mj.listed", "sero_mj.renderers", "sero_mj.engines"

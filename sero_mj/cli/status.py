@@ -18,12 +18,11 @@ if TYPE_CHECKING:
     from ..data.receive.source import Source
     from ..robots.declared.scene import Scene
 
-_EPILOG = """\
+_HELP = """\
 examples:
   sero-mj status lwr_udp                    live, until Ctrl-C
-  sero-mj status lwr_udp --duration 5       for 5 s, then the result
   sero-mj status lwr_udp --duration 5 --json
-  sero-mj status run.mcap --duration 5      what a recording has, as it is played
+  sero-mj status run.mcap --duration 5      a recording, while it plays
 
 Opens the scene's sources as a viewer would, so no viewer can listen to the same ports meanwhile.
 Recordings play meanwhile.
@@ -32,7 +31,7 @@ Every cause for which packets are not applied is counted. Exits with 1 when a so
 
 _EVERY = 0.25  # s
 _GOOD = ("state", "controller", "clock", "received", "blanked")  # rows that tell of no fault
-ORDER = 28  # in the help of `sero-mj`
+GROUP, ORDER = "receive", 20
 
 
 class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
@@ -75,7 +74,7 @@ def run(options: StatusOptions) -> int:
     return 0 if all(entry["good"] for entry in found) else 1
 
 
-add_to = command("status", run, StatusOptions, _EPILOG)
+add_to = command("status", run, StatusOptions, _HELP)
 
 
 class _Reports:
