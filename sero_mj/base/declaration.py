@@ -36,7 +36,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from .errors import DeclarationError, Problem, problems_of
+from .errors import DeclarationError, Problem, mismatch, problems_of
 from .frames import Array, frame_from
 
 LARGEST = 1e9  # no length, angle, torque or mass of a robot is larger in SI units
@@ -133,7 +133,7 @@ def expecting(what: str) -> WrapValidator:
         try:
             return handler(value)
         except ValidationError:
-            raise Problem(found=value, expected=what).error() from None
+            raise mismatch(value, what) from None
 
     return WrapValidator(validate)
 
@@ -149,12 +149,12 @@ def numbers(value: Any) -> Array:
     except ValueError:
         raise ValueError("expected rows of equal length") from None
     if array.dtype.kind not in "iuf" and array.size:
-        raise Problem(found=value, expected="numbers").error()
+        raise mismatch(value, "numbers")
     array = array.astype(np.float64)
     if not np.isfinite(array).all():
-        raise Problem(found=value, expected="finite numbers, no NaN or inf").error()
+        raise mismatch(value, "finite numbers, no NaN or inf")
     if (np.abs(array) > LARGEST).any():
-        raise Problem(found=value, expected=f"numbers up to {LARGEST:g}").error()
+        raise mismatch(value, f"numbers up to {LARGEST:g}")
     return array
 
 
@@ -185,7 +185,7 @@ def of_shape(*shape: int | None) -> BeforeValidator:
 
 def _in_range(rgba: Array) -> Array:
     if (rgba < 0).any() or (rgba > 1).any():
-        raise Problem(found=rgba, expected="four numbers from 0 to 1").error()
+        raise mismatch(rgba, "four numbers from 0 to 1")
     return rgba
 
 
@@ -197,7 +197,7 @@ def is_name(text: str) -> str:
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", text):
         expected = "letters, digits, _ and -, the first a letter or _"
-        raise Problem(found=text, expected=expected).error()
+        raise mismatch(text, expected)
     return text
 
 
@@ -302,7 +302,7 @@ def kind_of(table: Any, kinds: Collection[str]) -> str:
         DeclarationError: it is not a table, or there is no such kind.
     """
     if not isinstance(table, Mapping):
-        raise Problem(found=table, expected="a table with `kind`").error()
+        raise mismatch(table, "a table with `kind`")
     kind = table.get("kind")
     if isinstance(kind, str) and kind in kinds:
         return kind

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import Problem
+from .errors import Problem, mismatch
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.intp]
@@ -202,14 +202,10 @@ def frame_from(value: Any, numbers: Callable[[Any], Array]) -> Array:
         return _frame_from_table(value, numbers)
     matrix = numbers(value)
     if matrix.size != 16:
-        raise Problem(
-            found=matrix.size, of="numbers", expected="4 x 4, or { xyz = [...], rpy = [...] }"
-        ).error()
+        raise mismatch(matrix.size, "4 x 4, or { xyz = [...], rpy = [...] }", of="numbers")
     matrix = matrix.reshape(4, 4).copy()
     if matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
-        raise Problem(
-            "", "last row is", found=matrix[3].tolist(), expected="[0, 0, 0, 1] (row-major)"
-        ).error()
+        raise mismatch(matrix[3].tolist(), "[0, 0, 0, 1] (row-major)", "last row is")
     matrix[:3, :3] = nearest_rotation(matrix[:3, :3])
     return matrix
 
@@ -245,9 +241,7 @@ def _frame_from_table(table: Mapping[str, Any], numbers: Callable[[Any], Array])
         if array.shape != (length,):
             if array.size == length:
                 raise ValueError(f"'{key}' is nested; expected {length} numbers in one list")
-            raise Problem(
-                "", f"'{key}' has", found=array.size, of="numbers", expected=length
-            ).error()
+            raise mismatch(array.size, length, f"'{key}' has", of="numbers")
         return array
 
     position = vector("xyz", 3) if "xyz" in table else None

@@ -121,8 +121,8 @@ def _check_scene(options: CheckOptions) -> int:
     from ..data.record.replay import Replay
     from ..robots.assemble.world import World
     from ..robots.declared.route_text import parts_of_origin
-    from ..viewer.camera import list_cameras
     from ..viewer.decor.feature import make_features
+    from ..viewer.image.camera import list_cameras
     from .angle_questions import AngleQuestions
     from .opening import with_scene
 

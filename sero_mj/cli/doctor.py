@@ -14,7 +14,7 @@ import subprocess
 import sys
 from typing import Any
 
-from ..viewer.headless.backend import BACKENDS, PACKAGES, has_display, has_osmesa
+from ..viewer.image.backend import BACKENDS, PACKAGES, has_display, has_osmesa
 
 _NO_DM_CONTROL = """\
   dm-control is not installed; only models made with PyMJCF or composer need it:
@@ -70,7 +70,7 @@ _TRIAL_SIDE = 64  # pixels
 
 def check_machine(*, as_json: bool) -> int:
     """Prints which backends and renderers work; returns 0 if a backend works, else 1."""
-    from ..viewer.headless.renderer import renderers
+    from ..viewer.image.renderer import renderers
 
     versions = {name: _version(name) for name in ("sero-mj", "mujoco", "numpy", "av")}
     versions["dm-control"] = _version("dm-control")

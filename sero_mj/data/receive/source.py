@@ -149,6 +149,11 @@ class Source(PacketDeclaration):
         return self
 
     @property
+    def of_messages(self) -> Source | None:
+        """The receiver that makes the same packets of recorded messages; None for packets."""
+        return None
+
+    @property
     def counters(self) -> Counters:
         """Counts of packets since it was opened."""
         return self.intake.counters

@@ -25,11 +25,8 @@ from ..receive.intake import Intake
 from ..receive.mailbox import Packets
 from ..receive.source import LedJoint, LedLinks, Source, log
 from ..receive.structure import Structure
-from ..ros.dds import Ros2
-from ..ros.joined_packets import MessageLayout
-from ..ros.ros_source import RosSource
-from .bag import look_into, open_recording
-from .recording import PacketFile, RecordedSource, Recording
+from .formats import look_into, open_recording
+from .recording import PacketFile, RecordedSource
 from .table import is_table
 
 _BATCH = 4096  # packets
@@ -74,7 +71,7 @@ class Replay(Source):
     _structure_is: ClassVar[str] = "what the recording says"
 
     _recording: PacketFile | None = PrivateAttr(None)
-    _of_ros: RosSource | None = PrivateAttr(None)  # what is read of a recording of ROS
+    _of_messages: Source | None = PrivateAttr(None)
     _coming: Iterator[tuple[float, bytes]] = PrivateAttr(default_factory=lambda: iter(()))
     _held: tuple[float, bytes] | None = PrivateAttr(None)
     _position: float = PrivateAttr(0.0)
@@ -97,13 +94,13 @@ class Replay(Source):
 
     @field_validator("topics")
     @classmethod
-    def _are_of_ros(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+    def _are_of_messages(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         if topics and "file" in info.data:
-            recording = look_into(info.data["file"], {"": Ros2(**topics)})
-            if isinstance(recording, Recording):
-                raise ValueError("are for recordings of ROS; leave them out")
-            if not recording.sources:
-                raise ValueError(f"{recording.path} has none of these")
+            wanted = _message_source(info.data["file"], topics)
+            if wanted is None:
+                raise ValueError("are for recordings of messages; leave them out")
+            if not look_into(info.data["file"], {"": wanted}).sources:
+                raise ValueError(f"{info.data['file']} has none of these")
         return topics
 
     @field_validator("source")
@@ -112,7 +109,8 @@ class Replay(Source):
         if "file" not in info.data or "topics" not in info.data:
             return source
         topics, name = info.data["topics"], str(info.data.get("name"))
-        wanted = {source or name: Ros2(**topics)} if topics else None
+        receiver = _message_source(info.data["file"], topics) if topics else None
+        wanted = None if receiver is None else {source or name: receiver}
         recording = look_into(info.data["file"], wanted)
         chosen = recording.choose_source(source, name, 'source = "NAME"')
         try:
@@ -142,43 +140,41 @@ class Replay(Source):
         return stop
 
     def led_to(self, joints: Sequence[LedJoint]) -> None:
-        """Takes the joints that routes lead to, for recordings of ROS, whose messages name them."""
-        recording = look_into(self.file, self._wanted)
-        if isinstance(recording, Recording) or not joints:
-            return
-        declared = {**recording.sources[self.source].declared}
-        if "joints" not in self.topics:
-            declared.pop("joints", None)
-        self._of_ros = Ros2(**{**declared, **self.topics})
-        self._of_ros.led_to(joints)
-        self._forget_original()
+        """Takes the joints that routes lead to, for recordings whose messages name them."""
+        if joints and (source := self._messages_of_source(is_led=True)) is not None:
+            self._of_messages = source
+            source.led_to(joints)
+            self._forget_original()
 
     def led_to_links(self, links: LedLinks) -> None:
-        """Takes the links of the robot that routes lead to, for transforms of ROS."""
-        if self._of_ros is None and not isinstance(
-            recording := look_into(self.file, self._wanted), Recording
-        ):
-            declared = recording.sources[self.source].declared
-            self._of_ros = Ros2(**{**declared, **self.topics})
-        if self._of_ros is not None:
-            self._of_ros.led_to_links(links)
+        """Takes the links of the robot that routes lead to, for transforms in messages."""
+        source = self._of_messages or self._messages_of_source(is_led=False)
+        if source is not None:
+            self._of_messages = source
+            source.led_to_links(links)
             self._forget_original()
+
+    def _messages_of_source(self, *, is_led: bool) -> Source | None:
+        recording = look_into(self.file, self._wanted)
+        declared = {**recording.sources[self.source].declared}
+        if is_led and "joints" not in self.topics:
+            declared.pop("joints", None)
+        return recording.message_source({**declared, **self.topics})
 
     def _forget_original(self) -> None:
         for key in ("recorded", "original", "layout"):
             self.__dict__.pop(key, None)
 
     @property
-    def of_ros(self) -> RosSource | None:
-        """What it reads of a recording of ROS, once its joints are known; None for ours."""
-        return self._of_ros
+    def of_messages(self) -> Source | None:
+        """What it reads of messages, once its joints are known; None for packets."""
+        return self._of_messages
 
     @property
-    def _wanted(self) -> Mapping[str, RosSource] | None:
-        """What is read of a recording of ROS."""
-        if self._of_ros is None and self.topics:
-            self._of_ros = Ros2(**self.topics)
-        return None if self._of_ros is None else {self.source: self._of_ros}
+    def _wanted(self) -> Mapping[str, Source] | None:
+        if self._of_messages is None and self.topics:
+            self._of_messages = _message_source(self.file, self.topics)
+        return None if self._of_messages is None else {self.source: self._of_messages}
 
     @cached_property
     def recorded(self) -> RecordedSource:
@@ -390,9 +386,13 @@ class Replay(Source):
 
     def _hand_in(self, batch: list[tuple[float, bytes]]) -> None:
         arrivals, packets = zip(*batch, strict=True)
-        if self._recording is not None and isinstance(self.layout, MessageLayout):
+        if self._recording is not None and self._recording.malformed:
             self.layout.fault = self._recording.malformed
         self.accept(packets, arrivals)
+
+
+def _message_source(file: Path, topics: Mapping[str, Any]) -> Source | None:
+    return look_into(file).message_source(topics)
 
 
 def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:

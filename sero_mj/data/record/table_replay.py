@@ -57,7 +57,7 @@ class TableReplay(Replay):
 
     @field_validator("topics")
     @classmethod
-    def _are_of_ros(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+    def _are_of_messages(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         if topics:
             raise ValueError("are for recordings of ROS; leave them out")
         return topics

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from ...robots.declared.surroundings import Palette
-from ...viewer.sky_light import LEVELS, SkyLight
+from ...viewer.image.sky_light import LEVELS, SkyLight
 
 _SIDE = 32  # pixels of the sharpest level; the last one has one
 # KTX 1.1 of three small floats (OpenGL's R11F_G11F_B10F) a pixel, the format of MuJoCo's own.

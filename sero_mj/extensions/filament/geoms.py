@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Bools
-from ...viewer.mujoco_private import filament
-from ...viewer.sky_light import linear, shown
+from ...viewer.image.mujoco_private import filament
+from ...viewer.image.sky_light import linear, shown
 from .light import upload
 
 _TYPES = mujoco.mjtGeom

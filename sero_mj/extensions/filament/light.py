@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from ...robots.declared.surroundings import Palette
-from ...viewer.headless.picture_options import Quality
-from ...viewer.mujoco_private import filament
-from ...viewer.sky_light import linear
+from ...viewer.image.mujoco_private import filament
+from ...viewer.image.picture_options import Quality
+from ...viewer.image.sky_light import linear
 from .environment import environment
 
 log = logging.getLogger(__name__)

@@ -20,7 +20,7 @@ from typing import Any
 
 from platformdirs import user_cache_path
 
-from ...viewer.headless.backend import library_files
+from ...viewer.image.backend import library_files
 
 log = logging.getLogger(__name__)
 

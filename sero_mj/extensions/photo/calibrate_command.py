@@ -78,7 +78,7 @@ class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
 
 def run(options: CalibrateOptions) -> int:
     """Estimates the pose and writes it; returns 0."""
-    from ...viewer.headless.backend import has_display
+    from ...viewer.image.backend import has_display
 
     if options.points is None and not options.names:
         if not has_display():

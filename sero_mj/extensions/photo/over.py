@@ -15,11 +15,12 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.scene import Scene
 from ...viewer.decor.font import line_height
 from ...viewer.decor.picture_view import PictureView
-from ...viewer.headless.film import check_film, default_fps
-from ...viewer.headless.film_kinds import FILMS
-from ...viewer.headless.painter import Painter, perform_clicks
-from ...viewer.headless.picture_options import PictureOptions, Quality
-from ...viewer.headless.render import (
+from ...viewer.image.film import check_film, default_fps
+from ...viewer.image.film_kinds import FILMS
+from ...viewer.image.held_torques import HeldTorques
+from ...viewer.image.painter import Painter, perform_clicks
+from ...viewer.image.picture_options import PictureOptions, Quality
+from ...viewer.image.render import (
     MAX_SIDE,
     QUALITIES,
     SUPERSAMPLING,
@@ -28,10 +29,14 @@ from ...viewer.headless.render import (
     render_picture,
     write_film,
 )
-from ...viewer.headless.renderer import CLASSIC, SceneRenderer, choose_renderer, renderers
-from ...viewer.session.held_torques import HeldTorques
-from ...viewer.session.scene_decor import SceneDecor
-from ...viewer.typesetting import Typesetter, compose
+from ...viewer.image.renderer import (
+    CLASSIC,
+    SceneRenderer,
+    choose_renderer,
+    renderers,
+)
+from ...viewer.image.scene_decor import SceneDecor
+from ...viewer.image.typesetting import Typesetter, compose
 from .camera_file import read_camera
 from .footage import Pixels, Video, at_rate, is_photo, read_frame, read_photo
 from .over_photo import PhotoPainter

@@ -8,9 +8,9 @@ from PIL import Image
 
 from ...robots.assemble.world_view import WorldView
 from ...viewer.decor.toggles import Toggles
-from ...viewer.headless.film import Pixels
+from ...viewer.image.film import Pixels
+from ...viewer.image.typesetting import Typesetter
 from ...viewer.session.status_line import Piece
-from ...viewer.typesetting import Typesetter
 from ...viewer.window.glfw_window import GlWindow
 from ...viewer.window.host import Viewport
 from .camera_feed import CameraFeed, VideoFeed

@@ -15,7 +15,13 @@ from PIL import Image, ImageDraw
 
 from ...base.errors import UsageError
 from ...base.frames import Array
-from ...viewer.typesetting import Placed, Rgb, Text, Typesetter, compose
+from ...viewer.image.typesetting import (
+    Placed,
+    Rgb,
+    Text,
+    Typesetter,
+    compose,
+)
 from .calibration import Calibration, calibrate
 from .photo_camera import PhotoCamera
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...base.frames import Array
 from ...robots.assemble.world_view import WorldView
-from ...viewer.camera import find_camera
+from ...viewer.image.camera import find_camera
 from ...viewer.session.input import Clicked, Event, Mouse, Moved
 from ...viewer.window.glfw_window import GlWindow
 from .point_board import PointBoard

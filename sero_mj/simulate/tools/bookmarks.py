@@ -13,11 +13,10 @@ from ...base.frames import Array, Bools
 from ...data.receive.source import QUIET_AFTER
 from ...data.record.replay import Replay
 from ...robots.declared.inputs import SOURCE_FIELDS
-from ...viewer.decor.quantities import joint_values, torque_text
+from ...viewer.decor.quantities import joint_name, joint_values, torque_text
 from ...viewer.session.clock import Tick, time_text
-from ...viewer.session.interaction import Key
+from ...viewer.session.keys import Key
 from ...viewer.session.tool import Action, Shown, Tool
-from ...viewer.session.torque_history import joint_name
 from ..runs.monitor import Monitor
 from ..runs.run_recording import read_run
 from ..runs.run_source import RunSource

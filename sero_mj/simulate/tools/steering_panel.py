@@ -9,8 +9,8 @@ import numpy as np
 
 from ...base.frames import Array
 from ...viewer.panels.jog_panel import JointSliders, build_each, build_flange
-from ...viewer.panels.widgets import Widgets
-from ...viewer.tools.joint_goal import JointGoal
+from ...viewer.session.joint_goal import JointGoal
+from ...viewer.session.widgets import Widgets
 from ..control.controller import Slider
 from ..live_control import LiveRobot
 

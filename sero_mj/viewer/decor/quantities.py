@@ -128,3 +128,10 @@ def arrow_values(
     with np.errstate(invalid="ignore"):
         shown[bounded & (np.abs(shown) > IMPLAUSIBLE_FACTOR * limit)] = np.nan
     return shown, limit
+
+
+def joint_name(world: WorldView, joint: int) -> str:
+    """Returns the name of a joint with its robot or double: `lwr/A4`."""
+    owner = list(world.owners)[int(world.joints.owner[joint])]
+    name = world.joints.names[joint]
+    return name if name.startswith(f"{owner}/") else f"{owner}/{name}"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..session.interaction import Row
-from .widgets import Widgets
+from ..session.keys import Row
+from ..session.widgets import Widgets
 
 TITLE = "Mouse and keys"
 WIDTH = 56.0  # of the text's height; in less, columns are one below the other

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..session.status_line import Mood
-from .widgets import Line, Plot, Rgb
+from ..session.widgets import Line, Plot, Rgb
 
 # On light themes and on dark ones. Contrast with the window is at least 4.5 (WCAG).
 MOODS: dict[Mood, tuple[Rgb, Rgb]] = {

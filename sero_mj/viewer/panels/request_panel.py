@@ -7,7 +7,7 @@ from collections.abc import Callable
 from ...base.errors import printable
 from ...base.paths import without_temporary
 from ...base.trust import Request
-from .widgets import Widgets
+from ..session.widgets import Widgets
 
 TITLE = "This file asks to run programs"
 WIDTH = 34.0  # of the text's height

@@ -10,10 +10,9 @@ from ...base.frames import Array, Bools, Ints
 from ...robots.assemble.parts import Owner
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
-from ..decor.quantities import QUANTITY_NAMES
+from ..decor.quantities import QUANTITY_NAMES, joint_name
 from ..decor.toggles import Toggles
-from ..session.torque_history import joint_name
-from .widgets import Widgets
+from ..session.widgets import Widgets
 
 _MOST_WITHOUT_SEARCH = 8  # joints
 _MOST_FOUND = 60  # joints that a search lists

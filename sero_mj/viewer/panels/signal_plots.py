@@ -8,8 +8,13 @@ from collections.abc import Collection
 import numpy as np
 
 from ..session.signals import Signal, Signals
+from ..session.widgets import (
+    Line,
+    Plot,
+    Rgb,
+    Widgets,
+)
 from .time_plots import time_plot, with_gaps
-from .widgets import Line, Plot, Rgb, Widgets
 
 # Distinct for the colour-blind, on a dark background (after Okabe and Ito).
 _COLOURS: tuple[Rgb, ...] = (

@@ -10,7 +10,7 @@ from ...data.receive.report import describe, error_text, report
 from ...data.receive.source import Source
 from ..session.clock import Clock
 from ..session.status_line import Piece, clock_text, source_text
-from .widgets import Widgets
+from ..session.widgets import Widgets
 
 _GAP = 1.4  # between parts, of the text's height
 _READABLE = 0.25  # minimum time for which a number is shown, s

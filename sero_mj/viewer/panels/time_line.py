@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ..session.clock import SPEEDS, Clock, Tick, time_text
 from ..session.status_line import Mood
-from .widgets import Widgets
+from ..session.widgets import Widgets
 
 # Widths, of the text's height.
 _PAUSE, _SPEED = 3.4, 4.6

@@ -9,7 +9,7 @@ import numpy as np
 from ...base.frames import Array
 from ..session.binned_history import SPAN
 from ..session.torque_history import split_at_gaps
-from .widgets import Line, Plot
+from ..session.widgets import Line, Plot
 
 _NEAR = 0.8  # fraction of the limit from which on it is in the visible range
 _MARGIN = 1.15  # of the range over that of the values

@@ -7,10 +7,15 @@ import time
 import numpy as np
 
 from ...robots.assemble.world_view import WorldView
-from ..decor.quantities import torque_and_unit, torque_text
-from ..session.torque_history import TorqueHistory, joint_name
+from ..decor.quantities import joint_name, torque_and_unit, torque_text
+from ..session.torque_history import TorqueHistory
+from ..session.widgets import (
+    Line,
+    Plot,
+    Rgb,
+    Widgets,
+)
 from .time_plots import time_plot, with_gaps
-from .widgets import Line, Plot, Rgb, Widgets
 
 # Light blue and orange: distinct for the colour-blind and on a dark background.
 _MEASURED: Rgb = (0.45, 0.78, 1.0)

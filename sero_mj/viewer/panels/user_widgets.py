@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from ...base.errors import UsageError, did_you_mean, shown
-from .widgets import Widgets
+from ..session.widgets import Widgets
 
 Value = TypeVar("Value")
 
@@ -197,3 +197,24 @@ class Button:
     def calls(self, before: int, now: int) -> Sequence[tuple[int, ...]]:
         """One call without argument for every press."""
         return [()] * (now - before)
+
+
+TOOL = "user_panels"  # that shows them
+
+Place = tuple[str, str]  # of a widget: the panel's title, and its label there
+
+
+class Placed(NamedTuple):
+    """A widget as the viewer is told of it.
+
+    Attributes:
+        widget: what it is.
+        value: what it shows.
+        number: of the last change by the program.
+        order: of the widgets in their panel.
+    """
+
+    widget: UserWidget[Any]
+    value: Any
+    number: int
+    order: int

@@ -11,14 +11,17 @@ import itertools
 import math
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Generic, NamedTuple
+from typing import Any, Generic
 
 from ...base.errors import RenderError, UsageError, shown
 from ..panels.user_widgets import (
+    TOOL,
     Button,
     Check,
     Choice,
     Number,
+    Place,
+    Placed,
     Slider,
     Text,
     UserWidget,
@@ -28,26 +31,6 @@ from ..panels.user_widgets import (
     to_number,
 )
 from .outbox import Outbox
-
-TOOL = "user_panels"  # that shows them
-
-Place = tuple[str, str]  # of a widget: the panel's title, and its label there
-
-
-class Placed(NamedTuple):
-    """A widget as the viewer is told of it.
-
-    Attributes:
-        widget: what it is.
-        value: what it shows.
-        number: of the last change by the program.
-        order: of the widgets in their panel.
-    """
-
-    widget: UserWidget[Any]
-    value: Any
-    number: int
-    order: int
 
 
 class WidgetHandle(Generic[Value]):

@@ -27,8 +27,8 @@ import mujoco
 from ...base.child_process import ChildProcess
 from ...base.errors import RenderError, UsageError
 from ...robots.importers.mjcf_file import as_spec, is_mjcf_object
-from ..headless.film import Pixels
-from ..session.picking import Picked
+from ..image.film import Pixels
+from ..image.picking import Picked
 
 log = logging.getLogger(__name__)
 

@@ -26,7 +26,7 @@ from ...base.errors import RenderError, SeroError, UsageError
 from ...data.drive.mirror import LiveWorld, Mirror, Watch
 from ...robots.declared.scene import Scene
 from ...robots.external.model_world import ModelWorld
-from ..session.live import LiveHost
+from ..host.live import LiveHost
 from .memory import OverlayMemory, SceneMemory, ViewerMemory
 
 log = logging.getLogger(__name__)

@@ -18,14 +18,14 @@ from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 from ...robots.declared.surroundings import Look
 from ...robots.external.model_world import ModelWorld
-from ..headless.backend import has_display
-from ..headless.film import Picture
-from ..headless.picture_options import DEFAULT_SIZE
-from ..overlay import Overlay
-from ..session.pointer import OnClick
+from ..host.pointer import OnClick
+from ..image.backend import has_display
+from ..image.film import Picture
+from ..image.picture_options import DEFAULT_SIZE
+from ..panels.user_widgets import TOOL as PANELS
 from .memory import OverlayMemory, SceneMemory, ViewerMemory
 from .outbox import Outbox
-from .panels import TOOL as PANELS
+from .overlay import Overlay
 from .panels import UserPanel, UserPanels
 from .process import ViewerProcess
 from .robot_inputs import RobotInputs

@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from ...base.errors import SeroError
-from ..headless.film import FilmWriter, Pixels, save_picture
+from ..image.film import FilmWriter, Pixels, save_picture
 
 FPS = 30.0
 # Maximum number of queued frames; further ones are replaced by a longer following frame.

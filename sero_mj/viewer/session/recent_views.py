@@ -11,7 +11,7 @@ from typing import NamedTuple
 from PIL import Image
 
 from ...base import paths
-from ..headless.film import Pixels
+from ..image.film import Pixels
 from .kept_views import state_folder, write_state
 
 MOST = 8

@@ -24,15 +24,15 @@ from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
 from ..decor.feature import Frame
 from ..decor.toggles import Toggles
-from ..headless.film import Pixels
-from ..panels.widgets import Widgets
-from ..tools.joint_goal import JointGoal
+from ..image.film import Pixels
+from ..image.picking import Picked, Pixel
+from ..image.scene_decor import SceneDecor
 from .clock import Clock, Tick
-from .interaction import Key
-from .picking import Picked, Pixel
-from .scene_decor import SceneDecor
+from .joint_goal import JointGoal
+from .keys import Key
 from .status_line import Piece
 from .view_state import ViewState
+from .widgets import Widgets
 
 log = logging.getLogger(__name__)
 

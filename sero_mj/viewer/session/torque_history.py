@@ -146,10 +146,3 @@ def split_at_gaps(times: Array, values: Array) -> list[Ints]:
         return []
     is_gap = (np.diff(there) > 1) & (np.diff(times[there]) > _GAP)
     return np.split(there, is_gap.nonzero()[0] + 1)
-
-
-def joint_name(world: WorldView, joint: int) -> str:
-    """Returns the name of a joint with its robot or double: `lwr/A4`."""
-    owner = list(world.owners)[int(world.joints.owner[joint])]
-    name = world.joints.names[joint]
-    return name if name.startswith(f"{owner}/") else f"{owner}/{name}"

@@ -7,7 +7,7 @@ import numpy as np
 from ...base.frames import Array
 from ..decor.handles import CUBE, ring_radius
 from ..decor.picture_view import PictureView
-from ..session.picking import Pixel
+from ..image.picking import Pixel
 
 _EDGE_ON = 0.2  # of a ring's axis along the line of sight; below it the ring is seen from the side
 _HEAD_ON = 0.05  # of 1 - the same for an arrow; below it the arrow points at the camera

@@ -14,15 +14,15 @@ from ...base.frames import Array
 from ...robots.declared.joint_speeds import undeclared_speeds
 from ...robots.declared.robot import SerialRobot
 from ..decor.toggles import Handles
+from ..image.held_torques import HeldTorques, unrouted
+from ..image.picking import Pixel
+from ..image.switches import MODELLED
 from ..panels.jog_panel import JogPanel
-from ..panels.widgets import Widgets
-from ..session.held_torques import HeldTorques, unrouted
-from ..session.picking import Pixel
+from ..session.joint_goal import JointGoal, set_goals
 from ..session.pose_text import setting
 from ..session.tool import Grab, Shown, Tool
-from ..session.view_state import MODELLED
+from ..session.widgets import Widgets
 from .handle_drag import target_of
-from .joint_goal import JointGoal, set_goals
 
 _TIME = 0.04  # s, in which 63 % of the way is made
 _LED = 1.0  # s: a program that sets angles again within this time leads the robot

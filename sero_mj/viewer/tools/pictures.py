@@ -6,10 +6,10 @@ import time
 from collections.abc import Collection, Mapping
 from typing import ClassVar
 
-from ..headless.film import Pixels
+from ..image.film import Pixels
 from ..session.capture import Capture
 from ..session.clock import time_text
-from ..session.interaction import Key
+from ..session.keys import Key
 from ..session.status_line import Piece
 from ..session.tool import Action, Shown, Tool
 

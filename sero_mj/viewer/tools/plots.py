@@ -9,13 +9,13 @@ from ...base.frames import Array
 from ...data.receive.mailbox import Packets
 from ..panels.signal_plots import SignalPlots
 from ..panels.torque_plots import TorquePlots
-from ..panels.widgets import Widgets
 from ..session import live_history
 from ..session.binned_history import SPAN
-from ..session.interaction import Key
+from ..session.keys import Key
 from ..session.signals import Signal, Signals
 from ..session.tool import Action, Shown, Tool
 from ..session.torque_history import TorqueHistory
+from ..session.widgets import Widgets
 
 _AREA = "Plots"
 _FEWEST_ABOVE = 12.0  # height of the torques above other plots, of the text's height

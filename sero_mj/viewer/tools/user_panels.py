@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from ...base.errors import UsageError
-from ..panels.widgets import Widgets
-from ..program.panels import Place, Placed
+from ..panels.user_widgets import Place, Placed
 from ..session.tool import Shown, Tool
+from ..session.widgets import Widgets
 
 
 class UserPanels(Tool):

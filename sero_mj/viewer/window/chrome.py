@@ -8,13 +8,13 @@ from contextlib import contextmanager
 import mujoco
 from imgui_bundle import ImVec2, imgui
 
+from ..host.live import LiveHost
 from ..panels import help as help_panel
 from ..panels import request_panel
 from ..panels.robot_panel import build_handle
 from ..panels.status_line import build_status_line
 from ..panels.time_line import build_time_line
-from ..session.interaction import Row
-from ..session.live import LiveHost
+from ..session.keys import Row
 from ..session.status_line import Piece
 from .glfw_window import GlWindow
 from .imgui_layer import ImguiLayer

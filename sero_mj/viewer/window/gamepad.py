@@ -14,8 +14,8 @@ import glfw
 import numpy as np
 
 from ...base.frames import Array, rotation_about
-from ..session.live import LiveHost
-from ..tools.joint_goal import JointGoal
+from ..host.live import LiveHost
+from ..session.joint_goal import JointGoal
 
 # Names of the buttons, in GLFW's order.
 BUTTONS = ("A", "B", "X", "Y", "LB", "RB", "Back", "Start", "Guide", "left stick", "right stick",

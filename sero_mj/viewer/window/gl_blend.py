@@ -8,8 +8,8 @@ from typing import Any
 
 import glfw
 
-from ..headless.film import Pixels
-from ..typesetting import Placed
+from ..image.film import Pixels
+from ..image.typesetting import Placed
 
 # Of gl.h.
 _ALL_ATTRIBUTES = 0x000FFFFF

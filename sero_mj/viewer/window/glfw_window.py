@@ -15,10 +15,10 @@ import numpy as np
 from ...base.errors import RenderError, shown
 from ...robots.assemble.world_view import WorldView
 from ..decor.font import line_height
-from ..headless.film import Pixels
-from ..headless.render import check_size, offscreen_size
+from ..image.film import Pixels
+from ..image.render import check_size, offscreen_size
+from ..image.typesetting import Typesetter
 from ..session.input import LEFT, MIDDLE, RIGHT, Event
-from ..typesetting import Typesetter
 from .gl_blend import Blender
 
 _SAMPLES = 4  # samples per pixel, for antialiasing

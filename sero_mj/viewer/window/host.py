@@ -14,23 +14,23 @@ from ...base.errors import RenderError
 from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
-from ..added_surroundings import added_surroundings
-from ..camera import Navigator
 from ..decor.geom_buffer import CAPACITY
 from ..decor.picture_view import PictureView
 from ..decor.toggles import Toggles
-from ..framing import stand_back, standing_back
-from ..headless.film import Pixels
-from ..headless.picture_options import DEFAULT_SIZE
-from ..sampling import recorded_poses
+from ..host.live import LiveHost
+from ..image.added_surroundings import added_surroundings
+from ..image.camera import Navigator
+from ..image.film import Pixels
+from ..image.framing import stand_back, standing_back
+from ..image.picking import Pixel
+from ..image.picture_options import DEFAULT_SIZE
+from ..image.sampling import recorded_poses
+from ..image.scene_decor import SceneDecor
+from ..image.typesetting import Typesetter
 from ..session.input import Clicked, Event, Mouse, Moved
-from ..session.interaction import help_columns
-from ..session.live import LiveHost
-from ..session.picking import Pixel
-from ..session.scene_decor import SceneDecor
+from ..session.keys import help_columns
 from ..session.status_line import Piece, status_pieces
 from ..session.tool import tool_keys
-from ..typesetting import Typesetter
 from .gamepad import PAD_KEYS, PAD_STICKS, Gamepad
 from .glfw_window import GlWindow
 

@@ -9,8 +9,8 @@ import glfw
 from imgui_bundle import ImVec2, imgui, implot
 
 from ..panels.imgui_widgets import ImguiWidgets
-from ..panels.widgets import Widgets
 from ..session.input import Event
+from ..session.widgets import Widgets
 from .glfw_window import GlWindow
 from .style import set_style
 

@@ -13,7 +13,7 @@ from PIL import Image
 from ...data.drive.mirror import Mirror
 from ...robots.assemble.world import World
 from ...robots.declared.scene import Scene
-from ..session.start_page import (
+from ..host.start_page import (
     DROP_HINT,
     MORE_HINT,
     SEARCH_HINT,

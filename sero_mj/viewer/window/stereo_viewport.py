@@ -7,10 +7,10 @@ import numpy as np
 
 from ...robots.assemble.world_view import WorldView
 from ..decor.toggles import Toggles
-from ..framing import bounding_sphere
-from ..headless.picture_options import EYE_DISTANCE, Stereo
-from ..stereo import check_stereo, each_eye, looked_at
-from ..typesetting import Typesetter
+from ..image.framing import bounding_sphere
+from ..image.picture_options import EYE_DISTANCE, Stereo
+from ..image.stereo import check_stereo, each_eye, looked_at
+from ..image.typesetting import Typesetter
 from .glfw_window import GlWindow
 from .host import Viewport
 
