@@ -80,6 +80,7 @@ def test_the_main_help_lists_all_commands(capsys) -> None:
         ("schema robot -o a.json", "check --schema robot -o a.json"),
         ("doctor --json", "check --json"),
         ("snippet c --scene", "new --snippet c --scene"),
+        ("ros2 list --domain 4 --json", "status ros2://:4 --topics --json"),
     ],
 )
 def test_old_names_of_commands_work_with_a_note(old: str, new: str, capsys) -> None:

@@ -240,7 +240,7 @@ def network_scene(name: str) -> str | None:
     scheme, separator, _ = name.partition("://")
     if not separator or scheme not in plugins(NETWORKS):
         return None
-    return str(load_plugin(NETWORKS, scheme)(name))
+    return str(load_plugin(NETWORKS, scheme).scene_of_network(name))
 
 
 def print_programs(scenario: Scenario | None) -> None:

@@ -18,7 +18,7 @@ def _renamed(*words: str, **options: str) -> Callable[[list[str]], list[str]]:
 
 
 def _network(rest: list[str]) -> list[str]:
-    """Translates `ros2 list --host HOST --domain N` to `status ros2://HOST:N`."""
+    """Translates `ros2 list --host HOST --domain N` to `status ros2://HOST:N --topics`."""
     words = [part for word in rest for part in word.split("=", 1) if word != "list"]
     place = {"--host": "", "--domain": ""}
     for option in place:
@@ -27,7 +27,7 @@ def _network(rest: list[str]) -> list[str]:
             place[option] = words[at + 1]
             del words[at : at + 2]
     host, domain = place.values()
-    return ["status", f"ros2://{host}{domain and f':{domain}'}", *words]
+    return ["status", f"ros2://{host}{domain and f':{domain}'}", "--topics", *words]
 
 
 _OLD: Mapping[str, tuple[str, Callable[[list[str]], list[str]]]] = {
@@ -37,7 +37,7 @@ _OLD: Mapping[str, tuple[str, Callable[[list[str]], list[str]]]] = {
     "schema": ("check --schema KIND", _renamed("check", "--schema")),
     "doctor": ("check", _renamed("check")),
     "snippet": ("new --snippet NAME", _renamed("new", "--snippet")),
-    "ros2": ("status ros2://", _network),
+    "ros2": ("status ros2:// --topics", _network),
 }
 
 
