@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sero_mj import Scene, World
-from sero_mj.viewer.camera import find_camera
 from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.image.camera import find_camera
 from sero_mj.viewer.player import capture as capture_module
 from sero_mj.viewer.player.capture import Capture
 from sero_mj.viewer.player.page import write_page

@@ -8,8 +8,8 @@ from typing import Any
 import mujoco
 
 from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.image.scene_decor import SceneDecor
 from sero_mj.viewer.session.clock import Clock
-from sero_mj.viewer.session.scene_decor import SceneDecor
 from sero_mj.viewer.session.view_state import ViewState, view_state_of
 
 

@@ -479,7 +479,7 @@ def test_check_names_what_no_route_takes(
 def test_without_a_command_the_start_page_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = []
     monkeypatch.setattr(view.Session, "choose", lambda session: shown.append(session.options))
-    monkeypatch.setattr("sero_mj.viewer.headless.backend.has_display", lambda: True)
+    monkeypatch.setattr("sero_mj.viewer.image.backend.has_display", lambda: True)
     for arguments in ([], ["view"]):
         with pytest.raises(SystemExit) as ended:
             main(arguments)

@@ -22,7 +22,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 
 from sero_mj.base.errors import DeclarationError
 from sero_mj.cli import main
-from sero_mj.data.record._mcap_reader import MAX_CHUNK_BYTES
+from sero_mj.data.record.mcap_reader import MAX_CHUNK_BYTES
 from sero_mj.data.record.recording import Recording
 from sero_mj.data.record.replay import Replay
 

@@ -25,10 +25,10 @@ from sero_mj.viewer.decor.model_drawing import ModelDrawing
 from sero_mj.viewer.decor.part_names import named_parts
 from sero_mj.viewer.decor.scene_writer import struct_view
 from sero_mj.viewer.decor.toggles import PART_NAMES, Toggles
+from sero_mj.viewer.image.switches import apply_switches
 from sero_mj.viewer.player.capture import capture_pose
 from sero_mj.viewer.player.copied_bodies import CopiedBodies
 from sero_mj.viewer.player.encode import encode
-from sero_mj.viewer.session.view_state import apply_switches
 from sero_mj.viewer.web.host import WebHost
 
 GEOM, CAT = mujoco.mjtGeom, mujoco.mjtCatBit

@@ -21,13 +21,13 @@ from sero_mj.base.plugins import forget_plugins
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.robots.declared.cartesian import SmartArrow
 from sero_mj.robots.declared.scene import SceneToggles
-from sero_mj.viewer.camera import find_camera
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
 from sero_mj.viewer.decor.picture_view import PictureView
 from sero_mj.viewer.decor.round_arrows import ARROW_GEOMS
 from sero_mj.viewer.decor.scene_writer import SceneWriter
 from sero_mj.viewer.decor.toggles import Toggles
+from sero_mj.viewer.image.camera import find_camera
 from sero_mj.viewer.player.capture import _ARROW_GEOMS, capture
 
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")

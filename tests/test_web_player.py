@@ -20,7 +20,7 @@ from sero_mj.robots.declared.robot_parts import ARROW_QUANTITIES
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import Kind
 from sero_mj.viewer.decor.toggles import Toggles
-from sero_mj.viewer.headless.render import HeadlessRenderer
+from sero_mj.viewer.image.render import HeadlessRenderer
 from sero_mj.viewer.player.capture import Mark, capture
 from sero_mj.viewer.player.page import write_page
 

@@ -21,6 +21,8 @@ from sero_mj import Mirror, Scene, SerialRobot, UdpReceiver, World
 from sero_mj.base.errors import RenderError
 from sero_mj.load import load_scene
 from sero_mj.simulate.tools.bookmarks import Bookmarks
+from sero_mj.viewer.host.live import LiveHost
+from sero_mj.viewer.image.clicks import CLICKS, KEYS
 from sero_mj.viewer.panels.help import build_help
 from sero_mj.viewer.panels.status_line import SourcesPanel, build_status_line
 from sero_mj.viewer.panels.time_line import build_time_line
@@ -36,15 +38,12 @@ from sero_mj.viewer.session.input import (
     Mouse,
     Moved,
 )
-from sero_mj.viewer.session.interaction import (
-    CLICKS,
+from sero_mj.viewer.session.keys import (
     HOST_KEYS,
     HOST_MOUSE,
-    KEYS,
     MORE_KEYS,
     help_columns,
 )
-from sero_mj.viewer.session.live import LiveHost
 from sero_mj.viewer.session.status_line import clock_text, source_text, status_pieces
 from sero_mj.viewer.session.tool import tool_keys
 from sero_mj.viewer.session.torque_history import TorqueHistory
@@ -604,7 +603,7 @@ def test_keys_do_what_the_tables_say_in_every_host(
     lwr_world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = FakeClock()
-    monkeypatch.setattr("sero_mj.viewer.session.live.Clock", lambda mirror: clock)
+    monkeypatch.setattr("sero_mj.viewer.host.live.Clock", lambda mirror: clock)
     host = Host(lwr_world)
     for key in (" ", ".", ",", "-", "+", "backspace", "left", "right", "home", "_"):
         host.actions.press(key)

@@ -106,7 +106,7 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
 
 @pytest.mark.thorough
 def test_films_and_pictures_without_a_window_load_no_panel() -> None:
-    code = "import sys, sero_mj.cli, sero_mj.viewer.headless.render, sero_mj.viewer.window.host\n"
+    code = "import sys, sero_mj.cli, sero_mj.viewer.image.render, sero_mj.viewer.window.host\n"
     code += "print('imgui_bundle' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "False"

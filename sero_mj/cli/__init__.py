@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from .. import __version__
 from ..base.errors import DeclarationError, PluginError, SeroError, UnknownName
 from ..base.plugins import COMMANDS, is_own, load_all, load_plugin, plugins
-from ..viewer.headless.backend import check_backend, choose_backend
+from ..viewer.image.backend import check_backend, choose_backend
 from .arguments import OneLineParser, join_negative_values
 from .terminal import escape_output
 

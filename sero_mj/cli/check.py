@@ -37,11 +37,11 @@ class CheckOptions(SceneArgument, PackageOptions, ReplayOptions):
 def run(options: CheckOptions) -> int:
     """Prints; returns 0."""
     from ..data.drive.wiring import wire
-    from ..data.record.replay import Replay
+    from ..data.record.file_source import FileSource
     from ..robots.assemble.world import World
     from ..robots.declared.route_text import parts_of_origin
-    from ..viewer.camera import list_cameras
     from ..viewer.decor.feature import make_features
+    from ..viewer.image.camera import list_cameras
     from .angle_questions import AngleQuestions
     from .opening import with_scene
 
@@ -70,7 +70,7 @@ def run(options: CheckOptions) -> int:
         lines = fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12)
         print(lines.replace(_TIED, " "))
         print(_unused(name, source, taken), end="")
-        if isinstance(source, Replay) and (question := questions.about_recording(source)):
+        if isinstance(source, FileSource) and (question := questions.about_recording(source)):
             print(f"          note: {question}")
     for name in scene.groups:
         robots = [scene.robots[each] for each in scene.members(name) or []]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated
 
 from ..base.options import Duration, Option, Options, Size
-from ..viewer.headless.picture_options import DEFAULT_SIZE, FilmOptions
+from ..viewer.image.picture_options import DEFAULT_SIZE, FilmOptions
 from .arguments import command
 
 _SCENE = "lwr_udp"
@@ -40,7 +40,7 @@ def run(options: DemoOptions) -> int:
     from ..base import paths
     from ..base.child_process import ChildProcess
     from ..load import load_scene
-    from ..viewer.headless.render import render_picture
+    from ..viewer.image.render import render_picture
     from .render import film_with_progress
 
     shown = {"lwr.show_billboards": True}

@@ -11,7 +11,12 @@ import subprocess
 import sys
 from typing import Any
 
-from ..viewer.headless.backend import BACKENDS, PACKAGES, has_display, has_osmesa
+from ..viewer.image.backend import (
+    BACKENDS,
+    PACKAGES,
+    has_display,
+    has_osmesa,
+)
 from .arguments import command
 from .shared_options import JsonOptions
 
@@ -80,7 +85,7 @@ class DoctorOptions(JsonOptions):
 
 def run(options: DoctorOptions) -> int:
     """Prints; returns 0 when a backend works, else 1."""
-    from ..viewer.headless.renderer import renderers
+    from ..viewer.image.renderer import renderers
 
     versions = {name: _version(name) for name in ("sero-mj", "mujoco", "numpy", "av")}
     versions["dm-control"] = _version("dm-control")

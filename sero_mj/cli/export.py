@@ -9,7 +9,7 @@ from typing import Annotated, Self
 from pydantic import model_validator
 
 from ..base.options import Duration, Option, Time, ending, positional
-from ..viewer.headless.picture_options import Rate
+from ..viewer.image.picture_options import Rate
 from .arguments import command, progress_bar, read_scene, writing
 from .shared_options import SceneArgument, ShownOptions
 

@@ -62,10 +62,9 @@ class ExportCsvOptions(Options):
 
 def run(options: ExportCsvOptions) -> int:
     """Writes; returns 0, or 1 if there are packets and none could be decoded."""
-    from ..data.record.bag import open_recording
     from ..data.record.csv_files import export_csv
+    from ..data.record.formats import open_recording
     from ..data.record.replay import Replay
-    from ..data.ros.joined_packets import TF
 
     if not options.overwrite:
         check_new([options.output], "choose another name, or --overwrite")
@@ -96,7 +95,7 @@ def run(options: ExportCsvOptions) -> int:
     left_out = f", {written.malformed} malformed packets left out" if written.malformed else ""
     order = f", joints in the order of {robot}" if robot else ""
     print(f"{options.output}: {written.rows} rows{order}{left_out}")
-    if not written.rows and led is None and source.recorded.declared.get("joint_states") == TF:
+    if not written.rows and led is None and source.recorded.declared.get("joint_states") == "tf":
         print("note: transforms tell joint angles of a robot; --scene names it")
     return 1 if (damaged or written.malformed) and not written.rows else 0
 
@@ -107,12 +106,12 @@ def _led(options: ExportCsvOptions) -> Replay | None:
     The robot is that of `--scene`, or the one that the recording describes.
     """
     from ..data.drive.wiring import wired_source
-    from ..data.record.bag import Bag, look_into, open_recording
+    from ..data.record.formats import look_into, open_recording
     from ..data.record.replay import Replay
 
     known = look_into(options.recording)
     sources = known.sources.values()
-    if not isinstance(known, Bag) or any(each.declared.get("joints") for each in sources):
+    if not known.names_joints or any(each.declared.get("joints") for each in sources):
         return None
     scene = None if options.scene is None else read_scene(options.scene)
     if scene is None:
@@ -129,13 +128,9 @@ def _led(options: ExportCsvOptions) -> Replay | None:
 
 def _described(recording: PacketFile) -> Scene | None:
     """A scene of the robot that a recording describes; None for none that can be read."""
-    from ..data.drive.described_scene import described_scene
-    from ..data.record.bag import DESCRIPTION
-
     with without_warnings(), suppress(SeroError):
-        if DESCRIPTION in recording.attachments:
-            text = recording.read_attachment(DESCRIPTION).decode()
-            return read_scene(str(described_scene(text)))
+        if (file := recording.described_scene()) is not None:
+            return read_scene(str(file))
     return None
 
 
@@ -143,9 +138,7 @@ def _in_order(
     recording: PacketFile, joints: Sequence[str], options: ExportCsvOptions
 ) -> tuple[list[str], str]:
     """Returns the joints in the order of the robot, and its name; empty if it is not known."""
-    from ..data.drive.described_scene import shipped_robots_of
-    from ..data.record.bag import Bag
-    from ..data.ros.joined_packets import prefix_before
+    from ..data.record.csv_files import prefix_before
     from ..load import load_robot
     from ..robots.importers.imported_tables import first_of
 
@@ -154,11 +147,11 @@ def _in_order(
         if len(robots) != 1:
             count = f"it has {len(robots)} robots; expected one, in whose order joints are"
             raise UsageError(f"--scene {options.scene}: {count}")
-    elif isinstance(recording, Bag):
+    elif recording.names_joints:
         described = _described(recording)
         robots = [] if described is None else list(described.robots.values())
         if not robots:
-            shipped = shipped_robots_of(recording, options.source)
+            shipped = recording.shipped_robots(options.source)
             robots = [load_robot(name) for name in shipped]
     else:  # packets of our own recordings are in the robot's order
         return [], ""

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Self
 from pydantic import model_validator
 
 from ..base.options import Option, Time, ending
-from ..viewer.headless.film_kinds import FILMS, PASS_ENDINGS, PICTURES
-from ..viewer.headless.picture_options import FilmOptions
+from ..viewer.image.film_kinds import FILMS, PASS_ENDINGS, PICTURES
+from ..viewer.image.picture_options import FilmOptions
 from .arguments import command, progress_bar
 from .shared_options import EyeOptions, OverOptions, SceneArgument, ShownOptions
 
@@ -110,7 +110,7 @@ def run(options: RenderOptions) -> int:
 
     options = with_scene(options)
     if options.clicks:  # what was hit is worth a line
-        logging.getLogger("sero_mj.viewer.headless.painter").setLevel(logging.INFO)
+        logging.getLogger("sero_mj.viewer.image.painter").setLevel(logging.INFO)
     if options.over is not None:
         from .background import find_background
 
@@ -119,7 +119,7 @@ def run(options: RenderOptions) -> int:
         scene = options.read(options.scene)
         silent = film_with_progress(scene, options.output, options, quiet=options.quiet)
     else:
-        from ..viewer.headless.render import render_picture
+        from ..viewer.image.render import render_picture
 
         scene = options.read(options.scene)
         silent = render_picture(scene, options.output, options, at=options.at or 0.0)
@@ -157,7 +157,7 @@ def film_with_progress(
     Returns:
         the silent sources.
     """
-    from ..viewer.headless.render import render_film
+    from ..viewer.image.render import render_film
 
     frames = 0
 

@@ -217,7 +217,7 @@ def _print_notes(notes: list[str]) -> int:
 def _open_file(
     options: SendOptions, scene: Scene, source: Source, structure: Structure, file: Path
 ) -> Playback:
-    from ..data.record.bag import open_recording
+    from ..data.record.formats import open_recording
     from ..data.record.table import is_table
     from ..data.send.playback import RecordedPackets
 

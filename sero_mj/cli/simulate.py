@@ -11,8 +11,8 @@ from pydantic import model_validator
 
 from ..base.errors import SimulationError, UsageError
 from ..base.options import NotNegative, Option, Seed, Time, ending, positional
-from ..viewer.headless.film_kinds import FILMS
-from ..viewer.headless.picture_options import (
+from ..viewer.image.film_kinds import FILMS
+from ..viewer.image.picture_options import (
     CameraOptions,
     FilmOptions,
     MotionOptions,
@@ -204,7 +204,7 @@ def _simulate(
 
 def _render(simulation: Simulation, options: SimulateOptions, output: Path) -> None:
     from ..simulate.simulated_scene import simulated_scene
-    from ..viewer.headless.render import render_picture
+    from ..viewer.image.render import render_picture
 
     scene, film = simulated_scene(simulation), FilmOptions.taken_from(options)
     if not options.is_picture:

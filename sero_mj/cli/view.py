@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from ..base.frames import Array
     from ..data.drive.mirror import Mirror
     from ..robots.declared.scene import Scene
-    from ..viewer.session.live import LiveHost
+    from ..viewer.host.live import LiveHost
     from ..viewer.session.recent_views import RecentView
     from ..viewer.session.view_state import ViewState
     from ..viewer.web.server import Listener, PageServer
@@ -235,7 +235,7 @@ class Session:
         """Shows the start page; returns what shows the scene that was chosen there."""
         options = self.options
         self.is_at_start = False  # unless its user goes back to it
-        from ..viewer.session.start_page import listening
+        from ..viewer.host.start_page import listening
 
         if self.on_page:
             from ..viewer.web.start_host import StartHost
@@ -356,7 +356,7 @@ class Session:
         state: ViewState,
     ) -> None:
         """Shows the same robots as they were seen a moment ago, simulated or not."""
-        from ..viewer.camera import copy_camera
+        from ..viewer.image.camera import copy_camera
         from ..viewer.session.view_state import apply_state
 
         copy_camera(camera, host.view_camera)
@@ -368,9 +368,9 @@ class Session:
 
     def _run(self, host: LiveHost) -> None:
         """Shows it until it is closed, and remembers how it was left."""
-        from ..viewer.session.live import SECTION
+        from ..viewer.host.live import SECTION
+        from ..viewer.host.restoring import keep
         from ..viewer.session.recent_views import RecentView, remember_view
-        from ..viewer.session.restoring import keep
         from .opening import is_temporary
 
         options, plain = self.options, self.plain
@@ -397,7 +397,7 @@ class Session:
             self._last = copy.copy(host.view_camera), panel, host.view_state()
 
     def _open_window(self, mirror: Mirror) -> Mirror | None:
-        from ..viewer.session.restoring import restore
+        from ..viewer.host.restoring import restore
         from ..viewer.window.host import Viewport, Window
 
         options = self.options
@@ -431,8 +431,8 @@ class Session:
             return window.others.chosen
 
     def _serve(self, mirror: Mirror) -> Mirror | None:
+        from ..viewer.host.restoring import restore
         from ..viewer.program.viewer import open_page
-        from ..viewer.session.restoring import restore
         from ..viewer.web.uploads import drops
 
         options = self.options
@@ -512,7 +512,7 @@ def wants_page(options: ViewOptions) -> bool:
     """Whether the scene goes to browsers instead of into a window; raises UsageError."""
     if options.web or options.of_page:
         return True
-    from ..viewer.headless.backend import has_display
+    from ..viewer.image.backend import has_display
 
     if has_display():
         return False

@@ -16,7 +16,7 @@ from ...base.frames import Array
 from ...robots.declared.scene import Scene
 from ..drive.table_scene import robots_in
 from ..receive.structure import Structure
-from ..record.bag import open_recording
+from ..record.formats import open_recording
 from ..record.replay import Replay
 from ..record.table import Table, read_table
 from ..record.table_events import events_of

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...base.frames import Array
-from ...data.record.csv_files import column_names, csv_table
-from ...data.ros.joined_packets import prefix_before
+from ...data.record.csv_files import column_names, csv_table, prefix_before
 from ...robots.declared.robot import SerialRobot
 from .run_log import MEASURED, TIME, RunLayout, RunLog, event_of, recorded_event
 

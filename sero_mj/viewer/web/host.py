@@ -13,12 +13,12 @@ import mujoco
 
 from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld
-from ..headless.film import Pixels
-from ..headless.picture_options import DEFAULT_SIZE
+from ..host.live import LiveHost
+from ..image.film import Pixels
+from ..image.picture_options import DEFAULT_SIZE
+from ..image.sampling import recorded_poses
+from ..image.scene_decor import SceneDecor
 from ..player.page import look_asked_for
-from ..sampling import recorded_poses
-from ..session.live import LiveHost
-from ..session.scene_decor import SceneDecor
 from .browsers import Browsers
 from .messages import ForScene
 from .page_input import PageInput
@@ -30,7 +30,7 @@ from .server import LOOPBACK, Listener, PageServer
 from .uploads import NOT_IN_CONTROL, drops
 
 if TYPE_CHECKING:
-    from ..headless.render import HeadlessRenderer
+    from ..image.render import HeadlessRenderer
 
 RATE = 60.0  # frames per second
 _PLAYER = files("sero_mj.viewer.player") / "static"
@@ -240,13 +240,13 @@ class WebHost(LiveHost):
     @property
     def picture_size(self) -> tuple[int, int]:
         """See `LiveHost`: whatever the size of the page."""
-        from ..headless.picture_options import DEFAULT_SIZE
+        from ..image.picture_options import DEFAULT_SIZE
 
         return DEFAULT_SIZE
 
     def picture(self) -> Pixels:
         """Returns the current view, (height, width, 3), uint8, rendered by the classic renderer."""
-        from ..headless.render import HeadlessRenderer
+        from ..image.render import HeadlessRenderer
 
         if self._renderer is None:
             self._renderer = HeadlessRenderer(self.world, *self.picture_size)

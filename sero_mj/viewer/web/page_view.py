@@ -8,10 +8,10 @@ import mujoco
 import numpy as np
 
 from ...robots.assemble.world_view import WorldView
-from ..camera import Navigator
 from ..decor.font import DEFAULT_FONT, Font
 from ..decor.picture_view import PictureView
-from ..framing import stand_back
+from ..image.camera import Navigator
+from ..image.framing import stand_back
 from .sections import Sections
 
 _SIZE = (1280, 800)  # of the picture before a browser has told its own, pixels

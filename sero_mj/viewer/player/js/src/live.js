@@ -254,8 +254,8 @@ export class Live {
 
   /** @param {string} key kind and item @param {MouseEvent} event */
   #card(key, event) {
-    const [kind, item] = key.split(" ").map(Number);
-    this.#act({ t: "card", kind, item, shift: event.shiftKey || event.ctrlKey, double: event.detail === 2 });
+    const [kind, item] = key.split(" ").map(Number), at = this.input.pixelOf(event);
+    this.#act({ t: "card", kind, item, ...at, shift: event.shiftKey || event.ctrlKey });
   }
 
   /** Who is in control, where there are several. */
