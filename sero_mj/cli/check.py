@@ -118,7 +118,7 @@ def _print_schema(kind: str, output: Path | None) -> int:
 
 def _check_scene(options: CheckOptions) -> int:
     from ..data.drive.wiring import wire
-    from ..data.record.replay import Replay
+    from ..data.record.file_source import FileSource
     from ..robots.assemble.world import World
     from ..robots.declared.route_text import parts_of_origin
     from ..viewer.decor.feature import make_features
@@ -152,7 +152,7 @@ def _check_scene(options: CheckOptions) -> int:
         lines = fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12)
         print(lines.replace(_TIED, " "))
         print(_unused(name, source, taken), end="")
-        if isinstance(source, Replay) and (question := questions.about_recording(source)):
+        if isinstance(source, FileSource) and (question := questions.about_recording(source)):
             print(f"          note: {question}")
     for name in scene.groups:
         robots = [scene.robots[each] for each in scene.members(name) or []]

@@ -169,8 +169,8 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     from ..data.drive.record_sources import record_events
     from ..data.drive.trigger import Trigger
     from ..data.drive.wiring import wire
+    from ..data.record.file_source import FileSource
     from ..data.record.recording_format import RecordingClock
-    from ..data.record.replay import Replay
 
     scene = read_scene(options.scene, replay=options.replay)
     begin = time.time() - time.monotonic()  # of the clock of arrivals, s since the epoch
@@ -178,7 +178,7 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     if options.replay is not None:
         replay_instead(scene, options.replay, 0.0)
     wiring = wire(scene).check(scene)
-    replays = [source for source in wiring.sources.values() if isinstance(source, Replay)]
+    replays = [source for source in wiring.sources.values() if isinstance(source, FileSource)]
     if options.replay is not None and replays:
         with replays[0].open_recording() as recording:
             begin = recording.start.timestamp()

@@ -134,7 +134,6 @@ add_to = command("calibrate", run, CalibrateOptions, _HELP)
 
 
 def _scene_of_photo(options: CalibrateOptions) -> Scene:
-    """Returns the scene with the joint angles, or the recording, given in the options."""
     scene = read_scene(options.robot, options.settings, replay=options.replay)
     if options.joint_angles is not None:
         if len(scene.robots) != 1:
@@ -153,7 +152,6 @@ def _scene_of_photo(options: CalibrateOptions) -> Scene:
 
 
 def _lens(camera_file: Path | None, size: tuple[int, int]) -> PhotoCamera:
-    """Returns the lens from a file, else one whose focal length is to be estimated."""
     from .camera_file import read_intrinsics
     from .photo_camera import PhotoCamera
 
@@ -164,7 +162,6 @@ def _lens(camera_file: Path | None, size: tuple[int, int]) -> PhotoCamera:
 
 
 def _pose(scene: Scene, *, is_replayed: bool) -> tuple[World, Any]:
-    """Returns the world and its state: as declared, or as recorded."""
     from ...data.drive.mirror import Mirror
     from ...data.drive.place import Placer
     from ...robots.assemble.world import World
@@ -180,14 +177,12 @@ def _pose(scene: Scene, *, is_replayed: bool) -> tuple[World, Any]:
 
 
 def _points_beside(output: Path) -> Path:
-    """Returns the file of clicked points that belongs to a camera file."""
     return output.with_name(f"{output.stem}_points.csv")
 
 
 def _click(
     options: CalibrateOptions, world: Any, data: Any, pixels: Any, lens: PhotoCamera
 ) -> list[ClickedPoint]:
-    """Lets the user click points in a window."""
     from .calibration import ClickedPoint, point_of, points_apart
     from .point_board import PointBoard
     from .point_window import PointWindow

@@ -18,7 +18,6 @@ _GESTURES = ("shift", "double", "hover")
 
 
 def _click(value: Any) -> Any:
-    """X,Y or X,Y,HOW as a click."""
     if not isinstance(value, str):
         return value
     x, y, *how = value.split(",")
@@ -29,7 +28,6 @@ def _click(value: Any) -> Any:
 
 
 def _switches(value: Any) -> Any:
-    """NAME=DIGITS of each option as a mapping."""
     if not isinstance(value, list):
         return {} if value is None else value
     parts = [text.partition("=") for text in value]
