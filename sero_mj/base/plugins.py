@@ -5,7 +5,7 @@
     sero_mj.robots          places where robots have names, see `robots.importers.robot_places`
     sero_mj.sources         kinds of sources in scenes, see `data.receive.source.Source`
     sero_mj.recordings      formats of recordings, see `data.record.formats`
-    sero_mj.networks        schemes of addresses, such as `ros2` of `ros2://`: objects with functions
+    sero_mj.networks        schemes of addresses, such as `ros2` of `ros2://`: objects with
                             `scene_of_network`, which writes a scene of the robot at an address,
                             and `print_topics`, for `sero-mj status --topics`
     sero_mj.controllers     kinds of controllers, see `simulate.control.controller`
