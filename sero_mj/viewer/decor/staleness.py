@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...data.receive.source import QUIET_AFTER
+from ...data.receive.reception import QUIET_AFTER
 from ...robots.assemble.parts import DoublePart, robots_of_bodies
 from ...robots.assemble.world_view import SET_BY_PROGRAM, WorldView
 from ...robots.declared.inputs import SOURCE_FIELDS

@@ -20,7 +20,8 @@ from ...base.errors import SeroError
 from ...base.frames import Array, Ints
 from ...base.paths import model_name, without_temporary
 from ...data.drive.mirror import Mirror
-from ...data.receive.source import QUIET_AFTER, Source, make_source
+from ...data.receive.reception import QUIET_AFTER
+from ...data.receive.source import Source, make_source
 from ...data.receive.structure import Rows
 from ..panels.message import Message
 from ..session.recent_views import RecentView, recent_views
